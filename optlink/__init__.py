@@ -1,0 +1,67 @@
+"""optlink: state a planar linkage and what it must do; get a design that is optimal, verified and explained.
+
+>>> import optlink
+>>> problem = optlink.load("crank-rocker")
+>>> result = optlink.solve(problem)
+>>> result.valid, round(result.design["coupler"] * 1e3, 3)
+(True, 412.865)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from optlink.design.files import ProblemFile, load, read, shipped
+    from optlink.errors import InputError, OptlinkError, SolverError, Status
+    from optlink.linkage.fourbar import four_bar, grashof
+    from optlink.linkage.motion import sweep
+    from optlink.workflow import Result, read_design, solve, validate
+
+_HOME = {
+    "InputError": "optlink.errors",
+    "OptlinkError": "optlink.errors",
+    "SolverError": "optlink.errors",
+    "Status": "optlink.errors",
+    "ProblemFile": "optlink.design.files",
+    "load": "optlink.design.files",
+    "read": "optlink.design.files",
+    "shipped": "optlink.design.files",
+    "four_bar": "optlink.linkage.fourbar",
+    "grashof": "optlink.linkage.fourbar",
+    "sweep": "optlink.linkage.motion",
+    "Result": "optlink.workflow",
+    "read_design": "optlink.workflow",
+    "solve": "optlink.workflow",
+    "validate": "optlink.workflow",
+}
+
+__all__ = [
+    "InputError",
+    "OptlinkError",
+    "ProblemFile",
+    "Result",
+    "SolverError",
+    "Status",
+    "__version__",
+    "four_bar",
+    "grashof",
+    "load",
+    "read",
+    "read_design",
+    "shipped",
+    "solve",
+    "sweep",
+    "validate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used, so that `optlink --help` loads nothing heavy."""
+    import importlib
+
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOME[name]), name)

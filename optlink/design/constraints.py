@@ -1,0 +1,196 @@
+"""Constraint terms: each limit of the problem file becomes labelled rows, low <= value <= high, elementwise.
+
+A row's value is dimensionless or in rad and smooth wherever it can be; `Scale` tells what people read instead.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from optlink.design.problem import DEAD_CENTRES, DesignProblem, StartPosition
+from optlink.design.quantity import Interval
+from optlink.linkage.elementwise import Value
+from optlink.linkage.fourbar import (
+    LENGTHS,
+    crank_rocker_conditions,
+    diagonal_squared,
+    double_crank_conditions,
+    swing,
+    time_ratio,
+    transmission_cosine,
+    turning_points,
+)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """From a row's own value to the figure that people read, and its derivative."""
+
+    unit: str
+    factor: float = 1.0
+    cosine: bool = False
+
+    def people(self, value: float) -> float:
+        """The figure in `unit`; NaN for a cosine that no angle has."""
+        if not self.cosine:
+            return value * self.factor
+        return math.degrees(math.acos(value)) if abs(value) <= 1.0 else math.nan
+
+    def own(self, people: float) -> float:
+        """The row's own value of a figure in `unit`."""
+        return math.cos(math.radians(people)) if self.cosine else people / self.factor
+
+    def slope(self, value: float) -> float:
+        """d people / d value."""
+        return -math.degrees(1.0 / math.sqrt(max(1.0 - value * value, 1e-300))) if self.cosine else self.factor
+
+
+CLEARANCE = 1e-4
+"""Share of the frame by which Grashof's sums must be met: at zero the linkage is a change-point linkage, no crank-rocker."""
+
+DEGREES = Scale("deg", math.degrees(1.0))
+COSINE = Scale("deg", cosine=True)
+PLAIN = Scale("")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One inequality (or equality where low = high) of the programme."""
+
+    limit: str  # key of the limit in the problem file
+    label: str
+    value: Value
+    low: float
+    high: float
+    scale: Scale
+
+
+Term = Callable[[DesignProblem, Mapping[str, Value], StartPosition, float], Iterator[Row]]
+"""(problem, values, start position, reference length [m]) -> rows"""
+
+
+def crank(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:
+    """The crank turns fully (linear conditions), or the mechanism can be assembled over the span."""
+    lengths = [values[name] for name in LENGTHS]
+    millimetres = Scale("mm", 1e3 * size)
+    if problem.limits.crank == "span":
+        r, a, b, f = lengths
+        cosines = [np.cos(phi) for phi in turning_points(start.phi0, problem.span)]
+        for which, cos_phi in enumerate(cosines):
+            square = diagonal_squared(r, f, cos_phi) / size**2
+            yield Row(
+                "limits.crank",
+                f"B not too far from D ({which})",
+                (a + b) * (a + b) / size**2 - square,
+                0.0,
+                math.inf,
+                PLAIN,
+            )
+            yield Row(
+                "limits.crank",
+                f"B not too near to D ({which})",
+                square - (a - b) * (a - b) / size**2,
+                0.0,
+                math.inf,
+                PLAIN,
+            )
+    else:
+        full = problem.limits.crank == "full rotation"
+        conditions = crank_rocker_conditions if full else double_crank_conditions
+        for label, slack in conditions(*lengths).items():
+            least = CLEARANCE if "+" in label else 0.0
+            yield Row("limits.crank", label, slack / size, least, math.inf, millimetres)
+    if problem.limits.crank == "span" and "phi0" not in problem.quantities:
+        r, a, b, f = lengths
+        reach = a + r if problem.requirement.start == DEAD_CENTRES[0] else a - r
+        for label, slack in {
+            "the dead centre exists: A-C <= rocker + frame": b + f - reach,
+            "the dead centre exists: rocker <= A-C + frame": reach + f - b,
+            "the dead centre exists: frame <= A-C + rocker": reach + b - f,
+        }.items():
+            yield Row("requirement.from", label, slack / size, 0.0, math.inf, millimetres)
+
+
+def transmission(
+    problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float
+) -> Iterator[Row]:
+    """The transmission angle at its exact extremes, as cosines: rational in the lengths, finite even without assembly."""
+    limits = problem.limits
+    if limits.transmission_angle is not None:
+        key, interval = "limits.transmission_angle", limits.transmission_angle
+        low = -1.0 if interval.high is None else math.cos(interval.high)
+        high = 1.0 if interval.low is None else math.cos(interval.low)
+    elif limits.transmission_cosine is not None:
+        key, interval = "limits.transmission_cosine", limits.transmission_cosine
+        low = -1.0 if interval.low is None else interval.low
+        high = 1.0 if interval.high is None else interval.high
+    else:
+        return
+    lengths = [values[name] for name in LENGTHS]
+    if problem.transmission_over == "revolution":
+        yield Row(key, "smallest transmission angle", transmission_cosine(*lengths, 1.0), -math.inf, high, COSINE)
+        yield Row(key, "largest transmission angle", transmission_cosine(*lengths, -1.0), low, math.inf, COSINE)
+        return
+    for which, phi in enumerate(turning_points(start.phi0, problem.span)):
+        yield Row(
+            key,
+            f"transmission angle over the span ({which})",
+            transmission_cosine(*lengths, np.cos(phi)),
+            low,
+            high,
+            COSINE,
+        )
+
+
+def _within(interval: Interval | None) -> tuple[float, float]:
+    if interval is None:
+        return -math.inf, math.inf
+    return (
+        -math.inf if interval.low is None else interval.low,
+        math.inf if interval.high is None else interval.high,
+    )
+
+
+def stroke(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:
+    """Swing angle of the rocker and time ratio of its two strokes."""
+    lengths = [values[name] for name in LENGTHS]
+    if problem.limits.swing_angle is not None:
+        value = swing(*lengths, problem.side)
+        yield Row(
+            "limits.swing_angle", "swing angle of the rocker", value, *_within(problem.limits.swing_angle), DEGREES
+        )
+    if problem.limits.time_ratio is not None:
+        value = time_ratio(*lengths, problem.side)
+        yield Row("limits.time_ratio", "time ratio", value, *_within(problem.limits.time_ratio), PLAIN)
+
+
+def proportions(
+    problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float
+) -> Iterator[Row]:
+    """Frame length, and every moving link over the frame."""
+    if problem.limits.frame_length is not None:
+        low, high = _within(problem.limits.frame_length)
+        yield Row(
+            "limits.frame_length",
+            "frame length",
+            values["frame"] / size,
+            low / size,
+            high / size,
+            Scale("mm", 1e3 * size),
+        )
+    if problem.limits.link_ratio is not None:
+        low, high = _within(problem.limits.link_ratio)
+        for name in LENGTHS[:3]:
+            yield Row("limits.link_ratio", f"{name} / frame", values[name] / values["frame"], low, high, PLAIN)
+
+
+TERMS: tuple[Term, ...] = (crank, transmission, stroke, proportions)
+
+
+def rows(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> list[Row]:
+    """Every row that the problem's limits ask for."""
+    return [row for term in TERMS for row in term(problem, values, start, size)]

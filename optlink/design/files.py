@@ -1,0 +1,264 @@
+"""Problem files: TOML to DesignProblem and back, shipped problems, `--set` overrides; every fault named with file and key."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pydantic
+
+from optlink.design.problem import DesignProblem, cross_check
+from optlink.design.quantity import Unusable, nearest
+from optlink.errors import Fault, InputError, shown
+
+MAX_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class ProblemFile:
+    """A problem with where it came from: `name` and `file` for people, `raw` as written (overrides applied)."""
+
+    name: str
+    file: str
+    folder: Path
+    raw: Mapping[str, Any]
+    problem: DesignProblem
+
+    @property
+    def hash(self) -> str:
+        """Sixteen hexadecimal digits that change with anything that can change the answer."""
+        law = self.problem.requirement.law
+        text = json.dumps(
+            [{k: v for k, v in self.raw.items() if k not in _WORDS}, repr(law)], sort_keys=True, default=str
+        )
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def override(self, changes: Mapping[str, object]) -> ProblemFile:
+        """The same problem with other values: {"mechanism.frame": "480 mm"}.
+
+        `[expected]` is dropped when something that it depends on changes.
+        """
+        raw = copy.deepcopy(dict(self.raw))
+        for key, value in changes.items():
+            _assign(raw, key, value, self.file)
+        if any(key.split(".")[0] not in ("expected", *_WORDS) for key in changes):
+            raw.pop("expected", None)
+        return read(raw, self.name, self.file, self.folder)
+
+
+_WORDS = ("title", "source", "about", "expected")
+
+
+def problems_folder() -> Path:
+    """Where the shipped problems are: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parent.parent
+    inside = package / "problems"
+    return inside if inside.is_dir() else package.parent / "problems"
+
+
+def shipped() -> dict[str, Path]:
+    """Names of the shipped problems and their files."""
+    return {path.stem: path for path in sorted(problems_folder().glob("*.toml"))}
+
+
+def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> ProblemFile:
+    """Load a shipped problem by its name, or a problem file by its path.
+
+    Parameters
+    ----------
+    problem : str or Path
+        "crank-rocker", or "my/problem.toml".
+    overrides : mapping of dotted key to value, applied before checking
+
+    Raises
+    ------
+    InputError
+        whatever is wrong with the file or the overrides.
+    """
+    text = str(problem)
+    names = shipped()
+    if text in names:
+        path, name = names[text], text
+    else:
+        path = Path(text)
+        name = path.stem
+        if not text.endswith(".toml") and not path.exists():
+            raise InputError(
+                Fault(
+                    "no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text
+                )
+            )
+    raw = _read_toml(path)
+    if overrides:
+        for key, value in overrides.items():
+            _assign(raw, key, value, str(path))
+        if any(key.split(".")[0] not in ("expected", *_WORDS) for key in overrides):
+            raw.pop("expected", None)
+    return read(raw, name, path.name if text in names else text, path.parent)
+
+
+def read(
+    raw: Mapping[str, Any], name: str = "problem", file: str = "problem", folder: Path | None = None
+) -> ProblemFile:
+    """Check a problem given as nested tables (the content of a TOML file).
+
+    Raises
+    ------
+    InputError
+        with one fault per thing to mend.
+    """
+    where = folder or Path()
+    try:
+        problem = DesignProblem.model_validate(raw, context={"folder": where})
+    except pydantic.ValidationError as error:
+        raise InputError(list(_faults(error, raw, file))) from None
+    try:
+        cross_check(problem)
+    except Unusable as error:
+        raise InputError(Fault(error.message, error.remedy, file, error.key, error.value)) from None
+    return ProblemFile(name, file, where, raw, problem)
+
+
+def dump(problem: ProblemFile) -> str:
+    """The problem as TOML text that `load` reads back."""
+    import tomli_w  # noqa: PLC0415
+
+    return tomli_w.dumps(problem.raw)
+
+
+def parse_assignment(text: str) -> tuple[str, object]:
+    """Split KEY=VALUE; the value is read as TOML, or as plain text if it is not TOML (so that quotes may be left out).
+
+    Raises
+    ------
+    InputError
+        when there is no "=" or no key, or when a list or table is broken.
+    """
+    key, equals, value = text.partition("=")
+    key, value = key.strip(), value.strip()
+    if not equals or not key or not value:
+        raise InputError(
+            Fault("expected KEY=VALUE", 'Write for example mechanism.frame="480 mm"', key="--set", value=text)
+        )
+    try:
+        return key, tomllib.loads(f"value = {value}")["value"]
+    except (tomllib.TOMLDecodeError, ValueError, RecursionError):
+        if value[0] in "[{\"'":
+            raise InputError(
+                Fault("the value is not valid TOML", "Check brackets and quotes", key=key, value=value)
+            ) from None
+        return key, value
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    file = str(path)
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise InputError(
+            Fault("no such file", "Check the path; `optlink list` names the shipped problems", file)
+        ) from None
+    except IsADirectoryError:
+        raise InputError(Fault("this is a folder", "Give the path of a .toml file", file)) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(
+            Fault(f"cannot read the file: {reason}", "Check the path and its permissions", shown(file))
+        ) from None
+    if len(data) > MAX_BYTES:
+        raise InputError(Fault(f"the file is larger than {MAX_BYTES:,} bytes", "Put long tables into a CSV file", file))
+    try:
+        return tomllib.loads(data.decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise InputError(Fault(f"not UTF-8 text: byte {error.start}", "Save the file as UTF-8", file)) from None
+    except RecursionError:
+        raise InputError(Fault("brackets are nested too deep", "Simplify the file", file)) from None
+    except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
+        raise InputError(Fault(f"not valid TOML: {error}", "Correct that line; text stands in quotes", file)) from None
+
+
+def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
+    *path, last = key.split(".")
+    table: Any = raw
+    for depth, step in enumerate(path):
+        if step not in table:
+            known = _known(tuple(path[:depth]))
+            if step not in known:
+                raise InputError(Fault("unknown key", nearest(step, known), file, key))
+            table[step] = {}
+        table = table[step]
+        if not isinstance(table, dict):
+            above = ".".join(path[: depth + 1])
+            raise InputError(Fault(f"{above} is one value, it has no {last}", f"Set {above} itself", file, key, value))
+    table[last] = value
+
+
+def _known(path: tuple[str | int, ...]) -> list[str]:
+    """Keys that the model knows at a path of sections."""
+    model: Any = DesignProblem
+    for step in path:
+        field = next((f for name, f in model.model_fields.items() if step in (f.alias, name)), None)
+        inner = None if field is None else field.annotation
+        options = (inner, *getattr(inner, "__args__", ()))
+        model = next((o for o in options if isinstance(o, type) and issubclass(o, pydantic.BaseModel)), None)
+        if model is None:
+            return ["start", "bounds"]
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _faults(error: pydantic.ValidationError, raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
+    for item in error.errors(include_url=False):
+        path = [
+            step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")
+        ]
+        key = ".".join(str(step) for step in path)
+        value, kind, context = item["input"], item["type"], item.get("ctx", {})
+        problem = context.get("error")
+        if isinstance(problem, Unusable):
+            below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
+            yield Fault(
+                problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value)
+            )
+        elif kind == "extra_forbidden":
+            yield Fault("unknown key", nearest(str(path[-1]), _known(tuple(path[:-1]))), file, key)
+        elif kind == "missing":
+            yield Fault("this key is missing", _example(key), file, key)
+        elif kind == "literal_error":
+            options = str(context.get("expected", "")).replace("'", '"').replace(" or ", ", ").split(", ")
+            yield Fault(
+                "not one of the choices", nearest(str(value), [o.strip('"') for o in options]), file, key, _plain(value)
+            )
+        elif kind in ("model_type", "model_attributes_type"):
+            yield Fault(
+                "expected a table", f"Begin it with [{key}]" if key else "Write the sections", file, key, _plain(value)
+            )
+        else:
+            message = item["msg"][0].lower() + item["msg"][1:]
+            yield Fault(message, _example(key), file, key, _plain(value))
+
+
+def _plain(value: object) -> object:
+    return value if isinstance(value, str | int | float | list | dict) else type(value).__name__
+
+
+_EXAMPLES = {
+    "title": 'Add title = "..."',
+    "mechanism": "Add the section [mechanism]",
+    "requirement": "Add the section [requirement]",
+    "requirement.law": 'Add law = "psi0 + 0.5*(phi - phi0)"',
+    "requirement.points": "Give a whole number from 1 to 10000, for example points = 30",
+    "expected.source": "Say where the expected values come from",
+}
+
+
+def _example(key: str) -> str:
+    if key.startswith("mechanism."):
+        return f'Add {key.split(".")[1]} = "100 mm", or {{ start = "400 mm", bounds = ["100 mm", "900 mm"] }}'
+    return _EXAMPLES.get(key, "See `optlink show crank-rocker --toml` for an example")

@@ -1,0 +1,207 @@
+"""The law that the rocker shall follow: an expression in phi, phi0, psi0, or a table of points."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.expression import Expression, LawError, parse
+from optlink.design.quantity import Unusable, nearest, read_scalar
+from optlink.linkage.elementwise import Value
+
+Array = NDArray[np.float64]
+NAMES = ("phi", "phi0", "psi0")
+MAX_ROWS = 10_000
+
+
+@dataclass(frozen=True)
+class Table:
+    """Points (phi, psi) [rad] of a law, phi strictly monotone.
+
+    `from_start`: both angles are counted from the start position (phi - phi0, psi - psi0); else from the frame.
+    """
+
+    phi: tuple[float, ...]
+    psi: tuple[float, ...]
+    from_start: bool
+
+    def __post_init__(self) -> None:
+        if len(self.phi) != len(self.psi):
+            raise Unusable(
+                f"phi has {len(self.phi)} values, psi has {len(self.psi)}",
+                "Give as many of the one as of the other",
+                "psi",
+            )
+        if len(self.phi) < 2:
+            raise Unusable("a table needs at least two rows", "Add rows, or give the law as an expression", "phi")
+        steps = np.diff(self.phi)
+        bad = np.flatnonzero(steps <= 0.0) if self.phi[-1] > self.phi[0] else np.flatnonzero(steps >= 0.0)
+        if bad.size:
+            row = int(bad[0]) + 2
+            raise Unusable(
+                f"phi must rise (or fall) from row to row; row {row} does not",
+                "Sort the rows by phi and remove repeated ones",
+                "phi",
+                f"{math.degrees(self.phi[row - 1]):.6g} deg",
+            )
+
+    @property
+    def span(self) -> float:
+        """Crank rotation [rad] from the start to the last row."""
+        return self.phi[-1] if self.from_start else self.phi[-1] - self.phi[0]
+
+    def at(self, offsets: Array) -> Array:
+        """Wanted angle [rad] at crank rotations [rad] from the start: monotone cubics between the rows."""
+        rows = np.asarray(self.phi) - (0.0 if self.from_start else self.phi[0])
+        psi = np.asarray(self.psi)
+        if len(offsets) == len(rows) and np.array_equal(offsets, rows):
+            return psi
+        from scipy.interpolate import PchipInterpolator  # noqa: PLC0415 - slow to import, rarely needed
+
+        order = np.argsort(rows)
+        return np.asarray(PchipInterpolator(rows[order], psi[order])(offsets), dtype=float)
+
+
+@dataclass(frozen=True)
+class Law:
+    """What the rocker angle shall be at each design position.
+
+    `offsets` (rows,) [rad]: crank rotation of each position from the start.
+    """
+
+    source: Expression | Table
+    offsets: Array
+
+    @cached_property
+    def tabulated(self) -> Array:
+        """Angle [rad] that the table wants at each design position, before psi0 is added; zeros for an expression."""
+        return self.source.at(self.offsets) if isinstance(self.source, Table) else np.zeros(len(self.offsets))
+
+    def wanted(self, offset: Value, tabulated: Value, phi0: Value, psi0: Value) -> Value:
+        """Wanted rocker angle [rad] at crank rotations `offset` from the start; elementwise."""
+        if isinstance(self.source, Expression):
+            return self.source({"phi": phi0 + offset, "phi0": phi0, "psi0": psi0})
+        return tabulated + psi0 if self.source.from_start else tabulated
+
+    def curve(self, offsets: Array, phi0: float, psi0: float) -> Array:
+        """Wanted rocker angle [rad] at any crank rotations [rad] from the start, for one design."""
+        tabulated = self.source.at(offsets) if isinstance(self.source, Table) else 0.0
+        return np.asarray(self.wanted(offsets, tabulated, phi0, psi0) + 0.0 * offsets, dtype=float)
+
+
+def read_law(raw: object, folder: Path) -> Expression | Table:
+    """Read a law as a problem file states it: an expression, a table, or the CSV file of a table.
+
+    Raises
+    ------
+    Unusable
+        naming the key below `law` that is to blame.
+    """
+    if isinstance(raw, Expression | Table):
+        return raw
+    if isinstance(raw, str):
+        try:
+            return parse(raw, NAMES)
+        except LawError as error:
+            raise Unusable(error.message, error.remedy) from None
+    if isinstance(raw, dict):
+        return _read_table(raw, folder)
+    raise Unusable(
+        "a law is an expression or a table",
+        'Write "psi0 + 0.5*(phi - phi0)", or { phi = ["0 deg", ...], psi = ["0 deg", ...] }, or { csv = "law.csv" }',
+    )
+
+
+def _read_table(raw: Mapping[str, Any], folder: Path) -> Table:
+    known = ("phi", "psi", "csv", "measured_from")
+    for key in raw:
+        if key not in known:
+            raise Unusable("unknown key", nearest(str(key), known), str(key))
+    origin = raw.get("measured_from", "start")
+    if origin not in ("start", "frame"):
+        raise Unusable("unknown origin of the angles", 'Write "start" or "frame"', "measured_from", origin)
+    if "csv" not in raw:
+        phi, psi = (_read_angles(raw.get(name), name) for name in ("phi", "psi"))
+    elif "phi" in raw or "psi" in raw:
+        raise Unusable("the table is given twice", "Give csv, or phi and psi, not both", "csv", raw["csv"])
+    elif not isinstance(raw["csv"], str) or "\0" in raw["csv"]:
+        raise Unusable("expected the name of a CSV file", 'Write csv = "law.csv"', "csv", raw["csv"])
+    else:
+        phi, psi = read_csv(folder / raw["csv"])
+    return Table(tuple(phi), tuple(psi), origin == "start")
+
+
+def _read_angles(column: object, name: str) -> list[float]:
+    if not isinstance(column, list) or not column:
+        example = f'Write {name} = ["0 deg", "15 deg", ...]'
+        raise Unusable("the table of a law needs a list of angles here", example, name, column)
+    if len(column) > MAX_ROWS:
+        raise Unusable(f"the table has {len(column):,} rows, more than {MAX_ROWS:,}", "Thin them out", name)
+    return [read_scalar(cell, "angle", f"{name}[{row}]")[0] for row, cell in enumerate(column)]
+
+
+_UNITS = {"deg": math.pi / 180.0, "rad": 1.0}
+
+
+def read_csv(path: Path) -> tuple[list[float], list[float]]:
+    """Read a law from a CSV file whose header names the columns phi_deg or phi_rad, psi_deg or psi_rad.
+
+    Returns
+    -------
+    phi, psi : lists [rad]
+
+    Raises
+    ------
+    Unusable
+        naming the file, and the row where a row is at fault.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    except OSError as error:
+        raise Unusable(
+            f"cannot read the file: {error.strerror}", "Give the path relative to the problem file", "csv", str(path)
+        ) from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise Unusable(f"not a CSV text file: {error}", "Save it as CSV, UTF-8", "csv", str(path)) from None
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    return _column(rows, header, "phi", path), _column(rows, header, "psi", path)
+
+
+def _column(rows: Sequence[Sequence[str]], header: list[str], name: str, path: Path) -> list[float]:
+    for unit, factor in _UNITS.items():
+        if f"{name}_{unit}" in header:
+            break
+    else:
+        raise Unusable(
+            f"{path.name} has no column {name}_deg or {name}_rad",
+            "Name the columns in the first row: phi_deg,psi_deg",
+            "csv",
+        )
+    if len(rows) - 1 > MAX_ROWS:
+        raise Unusable(f"{path.name} has {len(rows) - 1:,} rows, more than {MAX_ROWS:,}", "Thin them out", "csv")
+    index = header.index(f"{name}_{unit}")
+    values = []
+    for number, row in enumerate(rows[1:], start=2):
+        try:
+            value = float(row[index]) * factor
+        except (ValueError, IndexError):
+            value = math.nan
+        if not math.isfinite(value):
+            found = row[index] if index < len(row) else "nothing"
+            raise Unusable(
+                f"row {number} of {path.name} has no finite number in column {header[index]}",
+                "Correct or remove the row",
+                "csv",
+                found,
+            )
+        values.append(value)
+    return values

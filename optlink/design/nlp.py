@@ -1,0 +1,254 @@
+"""build(problem) -> NLP: one scaled nonlinear programme with exact derivatives and a label and unit for every row.
+
+The formulas are those of `linkage`, `objectives` and `constraints`, traced once with casadi symbols.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.constraints import DEGREES, Row, Scale
+from optlink.design.constraints import rows as limit_rows
+from optlink.design.objectives import MEASURES, Measure, output_error
+from optlink.design.problem import EPIGRAPH, DesignProblem, StartPosition
+from optlink.linkage.fourbar import LENGTHS
+
+Array = NDArray[np.float64]
+
+
+@contextlib.contextmanager
+def tracing() -> Iterator[None]:
+    """Let numpy's functions take casadi symbols meanwhile, as they take arrays; what was set before is restored."""
+    before = casadi.GlobalOptions.getNumpyMode()
+    casadi.GlobalOptions.setNumpyMode(1)
+    try:
+        yield
+    finally:
+        casadi.GlobalOptions.setNumpyMode(before)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A component of the design vector: x = value / size."""
+
+    name: str
+    size: float
+    scale: Scale
+
+
+@dataclass(frozen=True)
+class Point:
+    """The programme at one x: objective f, its gradient, rows g and their Jacobian. Not finite where undefined."""
+
+    f: float
+    gradient: Array
+    g: Array
+    jacobian: Array
+
+    @property
+    def finite(self) -> bool:
+        """Whether everything has a value there."""
+        return bool(
+            math.isfinite(self.f) and all(np.all(np.isfinite(a)) for a in (self.gradient, self.g, self.jacobian))
+        )
+
+
+class Compiled:
+    """A casadi function on numpy arrays without copies through casadi's own matrices (ten times less overhead per call)."""
+
+    def __init__(self, inputs: list[Any], outputs: list[Any]) -> None:
+        function = casadi.Function("compiled", inputs, [casadi.densify(output) for output in outputs])
+        self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
+        self._results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+        self._buffer, self._evaluate = function.buffer()
+        for i, argument in enumerate(self._arguments):
+            self._buffer.set_arg(i, memoryview(argument))
+        for i, result in enumerate(self._results):
+            self._buffer.set_res(i, memoryview(result))
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Evaluate; matrices come flat, column by column."""
+        for own, given in zip(self._arguments, arguments, strict=True):
+            own[:] = given
+        self._evaluate()
+        return [result.copy() for result in self._results]
+
+
+@dataclass(frozen=True)
+class NLP:
+    """minimise f(x, p) subject to low <= g(x, p) <= high, x_low <= x <= x_high.
+
+    `x` (n,) are the scaled free quantities (and the largest error, last, for a minimax problem); `p` is the scale of the objective
+    followed by the fixed quantities, so that they can be varied without tracing anew.
+    """
+
+    variables: tuple[Variable, ...]
+    fixed: tuple[str, ...]
+    rows: tuple[Row, ...]
+    measure: Measure
+    x_start: Array
+    x_low: Array
+    x_high: Array
+    p: Array
+    x_symbol: Any
+    p_symbol: Any
+    f_expression: Any
+    g_expression: Any
+    residual_expression: Any
+    cache: dict[str, Any] = field(default_factory=dict, compare=False)  # what a back end compiles for this programme
+
+    @cached_property
+    def low(self) -> Array:
+        """Lower bounds of the rows."""
+        return np.array([row.low for row in self.rows])
+
+    @cached_property
+    def high(self) -> Array:
+        """Upper bounds of the rows."""
+        return np.array([row.high for row in self.rows])
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lower bounds of x, then of the rows."""
+        return np.concatenate([self.x_low, self.low])
+
+    @cached_property
+    def upper(self) -> Array:
+        """Upper bounds of x, then of the rows."""
+        return np.concatenate([self.x_high, self.high])
+
+    @cached_property
+    def _values(self) -> Compiled:
+        return Compiled([self.x_symbol, self.p_symbol], [self.f_expression, self.g_expression])
+
+    @cached_property
+    def _all(self) -> Compiled:
+        x, f, g = self.x_symbol, self.f_expression, self.g_expression
+        return Compiled([x, self.p_symbol], [f, casadi.gradient(f, x), g, casadi.jacobian(g, x)])
+
+    @cached_property
+    def _residuals(self) -> Compiled:
+        return Compiled([self.x_symbol, self.p_symbol], [self.residual_expression])
+
+    @cached_property
+    def _hessian(self) -> Compiled:
+        multipliers = casadi.SX.sym("multipliers", len(self.rows))
+        lagrangian = self.f_expression + casadi.dot(multipliers, self.g_expression)
+        return Compiled([self.x_symbol, self.p_symbol, multipliers], [casadi.hessian(lagrangian, self.x_symbol)[0]])
+
+    def values(self, x: Array, p: Array) -> tuple[float, Array]:
+        """Objective and rows."""
+        f, g = self._values(x, p)
+        return float(f[0]), g
+
+    def at(self, x: Array, p: Array) -> Point:
+        """Objective, rows and their first derivatives, exact."""
+        f, gradient, g, jacobian = self._all(x, p)
+        return Point(float(f[0]), gradient, g, jacobian.reshape((len(g), len(x)), order="F"))
+
+    def hessian(self, x: Array, p: Array, multipliers: Array) -> Array:
+        """Second derivatives of the Lagrangian f + multipliers . g, exact, (n, n)."""
+        return self._hessian(x, p, multipliers)[0].reshape(len(x), len(x))
+
+    def residuals(self, x: Array) -> Array:
+        """Residuals of the objective [rad], not scaled."""
+        return self._residuals(x, self.p)[0]
+
+    def design(self, x: Array) -> dict[str, float]:
+        """Free quantities of the problem [SI] at x."""
+        names = ((v, value) for v, value in zip(self.variables, x, strict=True) if v.name != EPIGRAPH)
+        return {variable.name: float(value) * variable.size for variable, value in names}
+
+    def x_of(self, values: dict[str, float]) -> Array:
+        """x of the given free quantities [SI], within the bounds; the epigraph variable is set to its least value."""
+        x = np.array([values.get(v.name, 0.0) / v.size for v in self.variables])
+        return self.lifted(np.clip(x, self.x_low, self.x_high))
+
+    def lifted(self, x: Array) -> Array:
+        """The same design with the epigraph variable (if there is one) at the largest residual."""
+        if self.variables[-1].name != EPIGRAPH:
+            return x
+        largest = float(np.max(np.abs(self.residuals(x))))
+        return np.append(x[:-1], largest if math.isfinite(largest) else 1.0)
+
+
+SMALLEST_SCALE = 1e-12  # of the objective: a start that is already perfect must not blow up rounding errors
+
+
+def _residuals(problem: DesignProblem, values: dict[str, Any], start: StartPosition) -> list[Any]:
+    """Trace the output error once, at a symbolic position, then put the design positions in (numpy's dispatch is paid once)."""
+    names = list(values)
+    inputs = casadi.SX.sym("inputs", len(names) + 6)
+    at = StartPosition((inputs[-6], inputs[-5]), inputs[-4], inputs[-3])
+    error = output_error(problem, {name: inputs[i] for i, name in enumerate(names)}, at, inputs[-2], inputs[-1])
+    one = casadi.Function("error", [inputs], [error])
+    known = [*values.values(), *start.crank, start.phi0, start.psi0]
+    law = problem.law
+    return [
+        one(casadi.vertcat(*known, float(offset), float(tabulated)))
+        for offset, tabulated in zip(law.offsets, law.tabulated, strict=True)
+    ]
+
+
+def build(problem: DesignProblem) -> NLP:
+    """Trace a problem into a nonlinear programme.
+
+    Lengths are scaled by the frame (its start, if it is free), angles by 1 rad, the objective by its value at the start.
+    """
+    size = problem.quantities["frame"].value
+    sizes = {name: size if name in LENGTHS else 1.0 for name in problem.quantities}
+    free = problem.free
+    fixed = tuple(name for name in problem.quantities if name not in free)
+    measure = MEASURES[problem.requirement.measure]
+    minimax = measure.name == "max"
+
+    x = casadi.SX.sym("x", len(free) + minimax)
+    p = casadi.SX.sym("p", 1 + len(fixed))
+    values = {name: x[i] * sizes[name] for i, name in enumerate(free)}
+    values |= {name: p[1 + i] * sizes[name] for i, name in enumerate(fixed)}
+    with tracing():
+        start = problem.start_position(values)
+        residuals = _residuals(problem, values, start)
+        rows = limit_rows(problem, values, start, size)
+        if minimax:
+            for offset, residual in zip(problem.law.offsets, residuals, strict=True):
+                label = f"error {math.degrees(offset):.4g} deg from the start"
+                rows.append(Row(EPIGRAPH, f"{label}, above", x[-1] - residual, 0.0, math.inf, DEGREES))
+                rows.append(Row(EPIGRAPH, f"{label}, below", x[-1] + residual, 0.0, math.inf, DEGREES))
+        vector = casadi.vertcat(*residuals)
+        f = x[-1] if minimax else casadi.sumsqr(vector) / (len(residuals) if measure.name == "rms" else 1)
+        g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
+
+    quantities = [problem.quantities[name] for name in free]
+    variables = [Variable(name, sizes[name], Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES) for name in free]
+    low = [q.bounds[0] / sizes[name] for q, name in zip(quantities, free, strict=True)]
+    high = [q.bounds[1] / sizes[name] for q, name in zip(quantities, free, strict=True)]
+    at = [q.value / sizes[name] for q, name in zip(quantities, free, strict=True)]
+    if minimax:
+        variables.append(Variable(EPIGRAPH, 1.0, DEGREES))
+        low, high, at = [*low, 0.0], [*high, math.inf], [*at, 1.0]
+    nlp = NLP(
+        variables=tuple(variables),
+        fixed=fixed,
+        rows=tuple(rows),
+        measure=measure,
+        x_start=np.array(at),
+        x_low=np.array(low),
+        x_high=np.array(high),
+        p=np.array([1.0, *(problem.quantities[name].value / sizes[name] for name in fixed)]),
+        x_symbol=x,
+        p_symbol=p,
+        f_expression=f / p[0],
+        g_expression=g,
+        residual_expression=vector,
+    )
+    return nlp

@@ -1,0 +1,50 @@
+"""Objective terms: each gives residuals that vanish for a perfect design, elementwise, with their name and unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from optlink.design.problem import DesignProblem, StartPosition
+from optlink.linkage.elementwise import Value, angle_from, turn, unit
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How residuals become one figure: `unit` of that figure for residuals in rad."""
+
+    name: str
+    unit: str
+
+    def of(self, residuals: Sequence[float]) -> float:
+        """The figure."""
+        r = np.asarray(residuals, dtype=float)
+        if self.name == "max":
+            return float(np.max(np.abs(r)))
+        square = float(r @ r)
+        return square if self.name == "sum of squares" else float(np.sqrt(square / r.size))
+
+    def slope(self, residuals: Sequence[float]) -> float:
+        """Change of the figure per change of what the programme minimises (sum of squares, mean square, largest)."""
+        return 0.5 / max(self.of(residuals), 1e-150) if self.name == "rms" else 1.0
+
+
+MEASURES = {
+    measure.name: measure
+    for measure in (Measure("sum of squares", "rad^2"), Measure("rms", "rad"), Measure("max", "rad"))
+}
+
+
+def output_error(
+    problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, offset: Value, tabulated: Value
+) -> Value:
+    """Wanted minus actual rocker angle [rad] at a crank rotation `offset` [rad] from the start; elementwise.
+
+    Measured as the angle between two unit vectors, so no branch cut of either angle is ever met; in (-pi, pi].
+    `tabulated` is `Law.tabulated` there.
+    """
+    pose = problem.linkage.pose(values, turn(start.crank, unit(offset)))
+    wanted = problem.law.wanted(offset, tabulated, start.phi0, start.psi0)
+    return angle_from(problem.linkage.direction(pose.points, values, "rocker"), unit(wanted))

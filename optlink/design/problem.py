@@ -1,0 +1,319 @@
+"""DesignProblem: what is wanted, checked. The file's sections are the models of this module; its keys are their fields."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
+
+from optlink.design.expression import Expression
+from optlink.design.law import Law, Table, read_law
+from optlink.design.quantity import (
+    Angle,
+    AngleInterval,
+    FixedAngle,
+    FixedLength,
+    Length,
+    LengthInterval,
+    Number,
+    NumberInterval,
+    Quantity,
+    Unusable,
+    nearest,
+    read_quantity,
+)
+from optlink.linkage.elementwise import Value, Vector, angle, unit
+from optlink.linkage.fourbar import LENGTHS, dead_centre, four_bar
+from optlink.linkage.mechanism import Mechanism
+
+MAX_POINTS = 10_000
+DEAD_CENTRES = ("outer dead centre", "inner dead centre")
+EPIGRAPH = "largest error"  # name of the extra variable of a minimax programme, and of its rows
+FULL_TURN = 2.0 * float(np.pi)
+
+
+class Section(BaseModel):
+    """A table of the problem file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class MechanismSection(Section):
+    """The linkage: its type and its sizes, each fixed or free."""
+
+    type: Literal["four-bar"] = "four-bar"
+    crank: Length
+    coupler: Length
+    rocker: Length
+    frame: Length
+    assembly: Literal["left", "right"] = "left"
+
+
+def _read_start(raw: object) -> str | Quantity:
+    if isinstance(raw, str) and not any(character.isdigit() for character in raw):
+        if raw not in DEAD_CENTRES:
+            raise Unusable("unknown start", nearest(raw, DEAD_CENTRES) + ', or an angle such as "60 deg"')
+        return raw
+    return read_quantity(raw, "angle")
+
+
+class Requirement(Section):
+    """What the linkage must do: the rocker follows a law while the crank turns through the span."""
+
+    kind: Literal["function"] = "function"
+    law: Any
+    start: Annotated[Any, BeforeValidator(_read_start), Field(alias="from")] = DEAD_CENTRES[0]
+    psi0: Angle | None = None
+    span: FixedAngle | None = None
+    points: Annotated[int, Field(strict=True, ge=1, le=MAX_POINTS)] | None = None
+    measure: Literal["sum of squares", "rms", "max"] = "sum of squares"
+
+    @field_validator("law", mode="before")
+    @classmethod
+    def _law(cls, raw: object, info: ValidationInfo) -> Expression | Table:
+        return read_law(raw, (info.context or {}).get("folder", Path()))
+
+
+class Limits(Section):
+    """What must hold beside the requirement."""
+
+    crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
+    transmission_angle: AngleInterval | None = None
+    transmission_cosine: NumberInterval | None = None
+    transmission_over: Literal["revolution", "span"] | None = None
+    swing_angle: AngleInterval | None = None
+    time_ratio: NumberInterval | None = None
+    frame_length: LengthInterval | None = None
+    link_ratio: NumberInterval | None = None
+
+
+class Expected(Section):
+    """What a trusted source says that the answer is, and how closely it must be met."""
+
+    source: str
+    crank: FixedLength | None = None
+    coupler: FixedLength | None = None
+    rocker: FixedLength | None = None
+    frame: FixedLength | None = None
+    phi0: FixedAngle | None = None
+    psi0: FixedAngle | None = None
+    length_tolerance: FixedLength | None = None
+    objective: Number | None = None
+    objective_tolerance: Number | None = None
+
+
+@dataclass(frozen=True)
+class StartPosition:
+    """Where the requirement begins: crank direction, crank angle and wanted rocker angle [rad] there."""
+
+    crank: Vector
+    phi0: Value
+    psi0: Value
+
+
+class DesignProblem(Section):
+    """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
+
+    title: str = Field(min_length=1, max_length=200)
+    source: str = ""
+    about: str = ""
+    mechanism: MechanismSection
+    requirement: Requirement
+    limits: Limits = Limits()
+    expected: Expected | None = None
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every quantity that can be fixed or free, by name: the four lengths, phi0 and psi0 where they are given."""
+        found = {name: getattr(self.mechanism, name) for name in LENGTHS}
+        if isinstance(self.requirement.start, Quantity):
+            found["phi0"] = self.requirement.start
+        elif isinstance(self.requirement.law, Table) and not self.requirement.law.from_start:
+            found["phi0"] = Quantity(self.requirement.law.phi[0], "angle", "deg")
+        if self.requirement.psi0 is not None:
+            found["psi0"] = self.requirement.psi0
+        return found
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the free quantities, in the order of the design vector."""
+        return tuple(name for name, quantity in self.quantities.items() if quantity.free)
+
+    @property
+    def side(self) -> int:
+        """Assembly mode: +1 left, -1 right of B -> D."""
+        return 1 if self.mechanism.assembly == "left" else -1
+
+    @cached_property
+    def linkage(self) -> Mechanism:
+        """The mechanism as data."""
+        return four_bar(self.side)
+
+    @cached_property
+    def span(self) -> float:
+        """Crank rotation [rad] of the requirement, negative clockwise."""
+        if isinstance(self.requirement.law, Table):
+            return self.requirement.law.span
+        assert self.requirement.span is not None
+        return self.requirement.span.value
+
+    @property
+    def tied(self) -> bool:
+        """Whether psi0 is the rocker's own angle at the start."""
+        return self.requirement.psi0 is None
+
+    @cached_property
+    def law(self) -> Law:
+        """The law at its design positions.
+
+        Where psi0 is the rocker's own start, the start position would compare the rocker with itself and is left out.
+        """
+        source, points = self.requirement.law, self.requirement.points
+        first = 0.0
+        if isinstance(source, Table):
+            first = source.phi[0] if source.from_start else 0.0
+            if points is None:
+                offsets = np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0])
+                own = self.tied and source.from_start and offsets[0] == 0.0 and source.psi[0] == 0.0
+                return Law(source, offsets[1:] if own else offsets)
+        count = points or 1
+        steps = np.arange(1 if self.tied and first == 0.0 else 0, count + 1) / count
+        return Law(source, first + (self.span - first) * steps)
+
+    @property
+    def transmission_over(self) -> str:
+        """Where the transmission limits hold: "revolution" or "span"."""
+        return self.limits.transmission_over or ("span" if self.limits.crank == "span" else "revolution")
+
+    def start_position(self, values: Mapping[str, Value]) -> StartPosition:
+        """Start of the requirement for given quantities; elementwise, NaN where it does not exist."""
+        lengths = [values[name] for name in LENGTHS]
+        if "phi0" in self.quantities:
+            phi0 = values["phi0"]
+            crank = unit(phi0)
+            pose = self.linkage.pose(values, crank)
+            rocker = self.linkage.direction(pose.points, values, "rocker")
+        else:
+            limit = dead_centre(*lengths, self.side, outer=self.requirement.start == DEAD_CENTRES[0])
+            crank, phi0, rocker = limit.crank, limit.phi, limit.rocker
+        return StartPosition(crank, phi0, values["psi0"] if "psi0" in self.quantities else angle(rocker))
+
+    def design(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Complete free quantities [SI] to a design: every length, phi0 and psi0."""
+        full = {name: float(values.get(name, quantity.value)) for name, quantity in self.quantities.items()}
+        start = self.start_position(full)
+        return {**full, "phi0": float(start.phi0), "psi0": float(start.psi0)}
+
+
+def cross_check(problem: DesignProblem) -> None:
+    """Find what no single key shows.
+
+    Raises
+    ------
+    Unusable
+        with the full key that is to blame.
+    """
+    requirement, limits = problem.requirement, problem.limits
+    table = requirement.law if isinstance(requirement.law, Table) else None
+    if table is None:
+        for key in ("span", "points"):
+            if getattr(requirement, key) is None:
+                example = 'span = "90 deg"' if key == "span" else "points = 30"
+                raise Unusable("an expression as the law needs it", f"Add {example}", f"requirement.{key}")
+    elif requirement.span is not None and abs(requirement.span.value - table.span) > 1e-9:
+        raise Unusable(
+            f"the span differs from that of the table, {np.degrees(table.span):.6g} deg",
+            "Leave span out: a table brings its own",
+            "requirement.span",
+            str(requirement.span),
+        )
+    elif not table.from_start and "start" in requirement.model_fields_set:
+        raise Unusable(
+            "a table measured from the frame brings its own start",
+            "Leave from out",
+            "requirement.from",
+            str(requirement.start),
+        )
+    if not 1e-6 <= abs(problem.span) <= FULL_TURN * (1.0 + 1e-12):
+        raise Unusable(
+            "the span must not be zero, nor exceed one revolution",
+            'Give one such as "90 deg" (negative: clockwise)',
+            "requirement.span",
+            f"{np.degrees(problem.span):.6g} deg",
+        )
+    if limits.transmission_angle is not None and limits.transmission_cosine is not None:
+        raise Unusable(
+            "the transmission angle is limited twice",
+            "Keep transmission_angle or transmission_cosine",
+            "limits.transmission_cosine",
+        )
+    _check_ranges(problem)
+    if limits.crank != "full rotation":
+        for key in ("swing_angle", "time_ratio"):
+            if getattr(limits, key) is not None:
+                raise Unusable(
+                    "only a crank-rocker has it",
+                    'Set limits.crank = "full rotation", or leave the limit out',
+                    f"limits.{key}",
+                )
+    if limits.crank == "double-crank" and requirement.start in DEAD_CENTRES and "phi0" not in problem.quantities:
+        raise Unusable(
+            "a double-crank has no dead centres",
+            'Start at an angle: from = "60 deg"',
+            "requirement.from",
+            requirement.start,
+        )
+    if limits.crank == "span" and limits.transmission_over == "revolution":
+        raise Unusable(
+            "a crank that need not turn fully has no whole revolution",
+            'Write transmission_over = "span", or crank = "full rotation"',
+            "limits.transmission_over",
+            "revolution",
+        )
+    _check_law(problem)
+
+
+def _check_ranges(problem: DesignProblem) -> None:
+    """A limit that no linkage can reach is a slip of the pen, not a design problem."""
+    limits = problem.limits
+    for key, lowest, highest, example in (
+        ("transmission_angle", 0.0, np.pi, '["45 deg", "135 deg"]'),
+        ("transmission_cosine", -1.0, 1.0, "[-0.7071, 0.7071]"),
+        ("swing_angle", 0.0, np.pi, '["30 deg", "60 deg"]'),
+        ("time_ratio", 1.0, np.inf, "[1.0, 1.5]"),
+        ("link_ratio", 0.0, np.inf, "[0.2, 5.0]"),
+    ):
+        interval = getattr(limits, key)
+        for bound in () if interval is None else (interval.low, interval.high):
+            if bound is not None and not lowest <= bound <= highest:
+                raise Unusable(
+                    f"{interval.people(bound)} is out of the range that it can have",
+                    f"Give a range such as {example}",
+                    f"limits.{key}",
+                    str(interval),
+                )
+
+
+def _check_law(problem: DesignProblem) -> None:
+    """Follow an expression over the span: it must have a value everywhere, whatever the start angle."""
+    law = problem.requirement.law
+    if not isinstance(law, Expression):
+        return
+    offsets: NDArray[np.float64] = problem.span * np.linspace(0.0, 1.0, 721)
+    nominal = problem.design({})
+    known = [nominal[name] for name in ("phi0", "psi0")]
+    starts = [known] if np.all(np.isfinite(known)) else [[0.3, 0.5], [0.9, 1.2], [1.7, 2.1]]
+    worries = [law.hazards({"phi": phi0 + offsets, "phi0": phi0, "psi0": psi0}) for phi0, psi0 in starts]
+    if all(worries):
+        raise Unusable(
+            f"the law {worries[0]} on the span of {np.degrees(problem.span):.6g} deg from phi0 = {np.degrees(starts[0][0]):.6g} deg",
+            "Change the law, the span or the start",
+            "requirement.law",
+            law.text,
+        )

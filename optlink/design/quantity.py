@@ -1,0 +1,188 @@
+"""Quantities and intervals as problem files state them, checked as they are read.
+
+A quantity is fixed when it is one value ("500 mm") and free when it is a table ({ start = "400 mm", bounds = [...] }).
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+
+from optlink.units import KINDS, UnitProblem, parse, show
+
+
+class Unusable(ValueError):
+    """A value that will not do: why, what would, and the key below the present one that is to blame."""
+
+    def __init__(self, message: str, remedy: str, key: str = "", value: object = None) -> None:
+        super().__init__(f"{message}. {remedy}")
+        self.message, self.remedy, self.key, self.value = message, remedy, key, value
+
+
+def nearest(key: str, known: Iterable[str]) -> str:
+    """A remedy for an unknown name: the nearest known one, and all of them."""
+    names = list(known)
+    close = difflib.get_close_matches(key, names, n=1, cutoff=0.5)
+    return (f'Did you mean "{close[0]}"? ' if close else "") + f"Known: {', '.join(names)}"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A value [SI] with the unit it was written in; free between `low` and `high` if these are given."""
+
+    value: float
+    kind: str
+    unit: str
+    low: float | None = None
+    high: float | None = None
+
+    @property
+    def free(self) -> bool:
+        """Whether the optimiser may choose it."""
+        return self.low is not None
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Lower and upper bound [SI]; both the value itself where it is fixed."""
+        return (self.value, self.value) if self.low is None or self.high is None else (self.low, self.high)
+
+    def __str__(self) -> str:
+        if not self.free:
+            return show(self.value, self.kind, self.unit)
+        low, high = (show(bound, self.kind, self.unit) for bound in self.bounds)
+        return f"free, {low} ... {high}, start {show(self.value, self.kind, self.unit)}"
+
+
+@dataclass(frozen=True)
+class Interval:
+    """What a measure may be: at least `low`, at most `high` [SI]; None where that side is open; equal: a wanted value."""
+
+    low: float | None
+    high: float | None
+    kind: str | None
+    unit: str
+
+    def __str__(self) -> str:
+        low, high = (None if bound is None else self.people(bound) for bound in (self.low, self.high))
+        if low is None or high is None:
+            return f"at least {low}" if high is None else f"at most {high}"
+        return f"exactly {low}" if low == high else f"{low} ... {high}"
+
+    def people(self, value: float) -> str:
+        """The value in the interval's own unit."""
+        return show(value, self.kind, self.unit) if self.kind else f"{value:.6g}"
+
+
+def _positive(value: float, text: object, kind: str, key: str = "") -> float:
+    if kind == "length" and value <= 0.0:
+        raise Unusable(
+            "a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"', key, text
+        )
+    return value
+
+
+def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
+    """Read one value: SI number and the unit as written; `key` is named if it is not usable."""
+    try:
+        value, unit = parse(text, kind)
+    except UnitProblem as problem:
+        raise Unusable(problem.message, problem.remedy, key, text) from None
+    return _positive(value, text, kind, key), unit
+
+
+def read_quantity(raw: object, kind: str) -> Quantity:
+    """Read a fixed or free quantity."""
+    if isinstance(raw, Quantity):
+        return raw
+    if not isinstance(raw, dict):
+        value, unit = read_scalar(raw, kind)
+        return Quantity(value, kind, unit)
+    for key in raw:
+        if key not in ("start", "bounds"):
+            raise Unusable("unknown key", nearest(str(key), ("start", "bounds")), str(key))
+    example = f'bounds = ["{KINDS[kind].example}", "..."]'
+    bounds = raw.get("bounds")
+    if bounds is None:
+        raise Unusable("a free quantity needs bounds", f"Add {example}, or give one value to fix it", "bounds")
+    if not isinstance(bounds, list) or len(bounds) != 2:
+        raise Unusable("bounds are a list of two values, lower and upper", f"Write {example}", "bounds", bounds)
+    (low, low_unit), (high, _) = (read_scalar(bound, kind, "bounds") for bound in bounds)
+    if low >= high:
+        raise Unusable(
+            "the lower bound is not below the upper", "Exchange them, or give one value to fix it", "bounds", bounds
+        )
+    if "start" not in raw:
+        return Quantity(0.5 * (low + high), kind, low_unit, low, high)
+    start, unit = read_scalar(raw["start"], kind, "start")
+    if not low <= start <= high:
+        raise Unusable(
+            "the start lies outside the bounds",
+            f"Choose one from {show(low, kind, unit)} to {show(high, kind, unit)}",
+            "start",
+            raw["start"],
+        )
+    return Quantity(start, kind, unit, low, high)
+
+
+def _read_number(raw: object, key: str) -> float:
+    if isinstance(raw, bool) or not isinstance(raw, int | float):
+        raise Unusable("expected a plain number", "Write a number without a unit, for example 1.2", key, raw)
+    try:
+        number = float(raw)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise Unusable("the number must be finite", "Write a finite number, for example 1.2", key, raw)
+    return number
+
+
+def _read_interval(raw: object, kind: str | None) -> Interval:
+    if isinstance(raw, Interval):
+        return raw
+
+    def one(text: object, key: str = "") -> tuple[float, str]:
+        return read_scalar(text, kind, key) if kind else (_read_number(text, key), "")
+
+    example = f'["{KINDS[kind].example}", "..."]' if kind else "[1.0, 1.5]"
+    if isinstance(raw, dict):
+        for key in raw:
+            if key not in ("min", "max"):
+                raise Unusable("unknown key", nearest(str(key), ("min", "max")), str(key))
+        if not raw:
+            raise Unusable("the table is empty", f"Give min, max or both, or write {example}", "", raw)
+        low, high = (one(raw[key], key) if key in raw else None for key in ("min", "max"))
+    elif isinstance(raw, list):
+        if len(raw) != 2:
+            raise Unusable("a range is a list of two values, lower and upper", f"Write {example}", "", raw)
+        low, high = one(raw[0]), one(raw[1])
+    else:
+        low = high = one(raw)
+    if low and high and low[0] > high[0]:
+        raise Unusable("the lower limit is above the upper", "Exchange them", "", raw)
+    unit = (low or high or (0.0, ""))[1]
+    return Interval(low[0] if low else None, high[0] if high else None, kind, unit)
+
+
+def _read_fixed(raw: object, kind: str) -> Quantity:
+    if isinstance(raw, dict):
+        raise Unusable("this quantity cannot be free", f'Give one value, for example "{KINDS[kind].example}"', "", raw)
+    return read_quantity(raw, kind)
+
+
+def _reader(function: Any, kind: str | None) -> BeforeValidator:
+    return BeforeValidator(lambda raw: function(raw, kind))
+
+
+Length = Annotated[Quantity, _reader(read_quantity, "length")]
+Angle = Annotated[Quantity, _reader(read_quantity, "angle")]
+FixedLength = Annotated[Quantity, _reader(_read_fixed, "length")]
+FixedAngle = Annotated[Quantity, _reader(_read_fixed, "angle")]
+LengthInterval = Annotated[Interval, _reader(_read_interval, "length")]
+AngleInterval = Annotated[Interval, _reader(_read_interval, "angle")]
+NumberInterval = Annotated[Interval, _reader(_read_interval, None)]
+Number = Annotated[float, BeforeValidator(lambda raw: _read_number(raw, ""))]

@@ -1,0 +1,47 @@
+"""The few elementwise functions that numpy lacks, for floats, arrays, complex steps, casadi symbols and jets alike."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+
+Value: TypeAlias = Any
+"""A float, an array of any broadcastable shape, a casadi symbol or a Jet: the formulas do not care."""
+
+Vector: TypeAlias = tuple[Value, Value]
+"""x and y of a point or a direction, each a Value."""
+
+
+def root(x: Value) -> Value:
+    """Square root that is NaN, silently, where x < 0: the caller's margin tells, nothing is clipped."""
+    with np.errstate(invalid="ignore"):
+        return np.sqrt(x)
+
+
+def angle(v: Vector) -> Value:
+    """Angle of the direction v from +x, counter-clockwise [rad], in (-pi, pi].
+
+    numpy's arctan2 knows no complex numbers; for a complex step the analytic continuation about the real direction is used.
+    """
+    x, y = v
+    if isinstance(x, np.ndarray | np.generic | complex) and (np.iscomplexobj(x) or np.iscomplexobj(y)):
+        real = np.arctan2(np.real(y), np.real(x))
+        c, s = np.cos(real), np.sin(real)
+        return real + np.arctan((c * y - s * x) / (c * x + s * y))
+    return np.arctan2(y, x)
+
+
+def turn(v: Vector, by: Vector) -> Vector:
+    """Rotate the direction v by the angle whose unit vector is `by` (complex product)."""
+    return v[0] * by[0] - v[1] * by[1], v[0] * by[1] + v[1] * by[0]
+
+
+def angle_from(reference: Vector, v: Vector) -> Value:
+    """Angle from `reference` to `v`, counter-clockwise [rad], in (-pi, pi]: no branch cut between two close directions."""
+    return angle((reference[0] * v[0] + reference[1] * v[1], reference[0] * v[1] - reference[1] * v[0]))
+
+
+def unit(phi: Value) -> Vector:
+    """Unit vector at the angle phi [rad]."""
+    return np.cos(phi), np.sin(phi)

@@ -1,0 +1,232 @@
+"""Textbook four-bar theory, elementwise: crank condition, dead centres, transmission angle, swing, time ratio.
+
+Conventions: crank pivot A = (0, 0), rocker pivot D = (frame, 0); crank A-B, coupler B-C, rocker D-C; crank angle phi and
+rocker angle psi counter-clockwise from A -> D. Assembly mode +1: C to the left of B -> D (above it where D lies to the right).
+The transmission angle gamma is the angle B-C-D between coupler and rocker, 0 ... pi.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+from optlink.linkage.elementwise import Value, Vector, angle, angle_from, root
+from optlink.linkage.mechanism import RRR, Link, Mechanism
+
+LENGTHS = ("crank", "coupler", "rocker", "frame")
+
+
+def four_bar(side: int = 1) -> Mechanism:
+    """The four-bar A-B-C-D as data, its sizes the parameters of `LENGTHS`."""
+    return Mechanism(
+        name="four-bar",
+        ground={"A": (0.0, 0.0), "D": ("frame", 0.0)},
+        crank=Link("crank", "A", "B", "crank"),
+        groups=(RRR(Link("coupler", "B", "C", "coupler"), Link("rocker", "D", "C", "rocker"), side),),
+    )
+
+
+# --- which links can turn ------------------------------------------------------------------------------------------
+
+
+def crank_rocker_conditions(crank: Value, coupler: Value, rocker: Value, frame: Value) -> dict[str, Value]:
+    """Grashof's condition with the crank as the shortest link, as six slacks [m] that must not be negative.
+
+    Linear in the lengths, so a solver that starts inside stays inside.
+    """
+    return {
+        "crank <= coupler": coupler - crank,
+        "crank <= rocker": rocker - crank,
+        "crank <= frame": frame - crank,
+        "crank + frame <= coupler + rocker": coupler + rocker - crank - frame,
+        "crank + coupler <= rocker + frame": rocker + frame - crank - coupler,
+        "crank + rocker <= coupler + frame": coupler + frame - crank - rocker,
+    }
+
+
+def double_crank_conditions(crank: Value, coupler: Value, rocker: Value, frame: Value) -> dict[str, Value]:
+    """Grashof's condition with the frame as the shortest link (drag link): crank and frame change places."""
+    swapped = crank_rocker_conditions(frame, coupler, rocker, crank)
+    return {
+        label.replace("crank", "\0").replace("frame", "crank").replace("\0", "frame"): slack
+        for label, slack in swapped.items()
+    }
+
+
+class Inversion(enum.Enum):
+    """What a four-bar does when its first link is driven, as textbooks name it."""
+
+    CRANK_ROCKER = "crank-rocker"
+    DOUBLE_CRANK = "double-crank (drag link)"
+    DOUBLE_ROCKER = "double-rocker (Grashof)"
+    ROCKER_CRANK = "rocker-crank"
+    TRIPLE_ROCKER = "triple-rocker (non-Grashof)"
+    CHANGE_POINT = "change-point"
+    PARALLELOGRAM = "parallelogram (change-point)"
+    KITE = "kite (change-point)"
+    IMPOSSIBLE = "cannot be assembled"
+
+    @property
+    def crank_turns(self) -> bool:
+        """Whether the driven link makes full revolutions without passing a position where the modes meet."""
+        return self in (Inversion.CRANK_ROCKER, Inversion.DOUBLE_CRANK)
+
+
+@dataclass(frozen=True)
+class GrashofClass:
+    """Inversion and Grashof slack p + q - s - l [m]: positive where the shortest link turns fully."""
+
+    inversion: Inversion
+    slack: float
+
+
+def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance: float = 1e-9) -> GrashofClass:
+    """Classify a four-bar driven at its crank.
+
+    Parameters
+    ----------
+    crank, coupler, rocker, frame : float [m], positive
+    tolerance : float [-]
+        Share of the longest link below which a slack counts as zero (change-point linkage).
+
+    Source: Grashof's condition s + l <= p + q; inversions as in Norton, Design of Machinery, chapter 2.
+    """
+    lengths = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
+    ordered = sorted(lengths.values())
+    shortest, longest = ordered[0], ordered[-1]
+    slack = ordered[1] + ordered[2] - shortest - longest
+    tiny = tolerance * longest
+    if longest > sum(ordered[:3]) + tiny:
+        return GrashofClass(Inversion.IMPOSSIBLE, slack)
+    if slack < -tiny:
+        return GrashofClass(Inversion.TRIPLE_ROCKER, slack)
+    if slack <= tiny:
+
+        def equal(a: float, b: float) -> bool:
+            return abs(a - b) <= tiny
+
+        if equal(crank, rocker) and equal(coupler, frame):
+            return GrashofClass(Inversion.PARALLELOGRAM, slack)
+        if (equal(crank, coupler) and equal(rocker, frame)) or (equal(crank, frame) and equal(coupler, rocker)):
+            return GrashofClass(Inversion.KITE, slack)
+        return GrashofClass(Inversion.CHANGE_POINT, slack)
+    by_shortest = {
+        "crank": Inversion.CRANK_ROCKER,
+        "frame": Inversion.DOUBLE_CRANK,
+        "coupler": Inversion.DOUBLE_ROCKER,
+        "rocker": Inversion.ROCKER_CRANK,
+    }
+    return GrashofClass(by_shortest[min(lengths, key=lambda name: lengths[name])], slack)
+
+
+# --- transmission angle and assembly over a range of crank angles -------------------------------------------------
+
+
+def diagonal_squared(crank: Value, frame: Value, cos_phi: Value) -> Value:
+    """Square of the distance B-D [m^2] at the crank angle phi: it falls with cos phi, so its extremes lie at 0 and pi."""
+    return crank * crank + frame * frame - 2.0 * (crank * frame) * cos_phi
+
+
+def transmission_cosine(crank: Value, coupler: Value, rocker: Value, frame: Value, cos_phi: Value) -> Value:
+    """Cosine of the transmission angle at phi; outside [-1, 1] where the four-bar cannot be assembled."""
+    diagonal = diagonal_squared(crank, frame, cos_phi)
+    return (coupler * coupler + rocker * rocker - diagonal) / (2.0 * (coupler * rocker))
+
+
+def turning_points(start: Value, span: float) -> list[Value]:
+    """Crank angles [rad] among which every function of cos phi takes its extremes over start ... start + span.
+
+    Both ends, and the multiples of pi moved into the range: where one lies outside it becomes an end, and because cos is
+    flat there the extreme stays continuously differentiable in `start`.
+    """
+    low, high = (start, start + span) if span >= 0.0 else (start + span, start)
+    inner = [np.minimum(np.maximum(k * np.pi, low), high) for k in range(-3, 4)]
+    return [low, high, *inner]
+
+
+def reachable(crank: float, coupler: float, rocker: float, frame: float) -> list[tuple[float, float]]:
+    """Ranges of crank angle [rad] in which the four-bar can be assembled.
+
+    Returns
+    -------
+    list of (low, high): [(-pi, pi)] for full rotation, one range symmetric to 0 or pi, two mirrored ranges, or none.
+    """
+    denominator = 2.0 * crank * frame
+    constant = crank * crank + frame * frame
+    highest = (constant - (coupler - rocker) ** 2) / denominator  # cos phi must stay below: B too close to D beyond
+    lowest = (constant - (coupler + rocker) ** 2) / denominator  # and above: B too far from D
+    if lowest > 1.0 or highest < -1.0:
+        return []
+    near = float(np.arccos(highest)) if highest < 1.0 else 0.0
+    far = float(np.arccos(lowest)) if lowest > -1.0 else float(np.pi)
+    if near == 0.0:
+        return [(-far, far)]
+    if far == np.pi:
+        return [(near, 2.0 * float(np.pi) - near)]
+    return [(-far, -near), (near, far)]
+
+
+# --- dead centres --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DeadCentre:
+    """A limit position of the rocker: crank and coupler in line.
+
+    `crank` and `rocker` are unit vectors; `margin` (dimensionless) is negative where the position does not exist.
+    """
+
+    crank: Vector
+    rocker: Vector
+    margin: Value
+
+    @property
+    def phi(self) -> Value:
+        """Crank angle [rad]."""
+        return angle(self.crank)
+
+    @property
+    def psi(self) -> Value:
+        """Rocker angle [rad]."""
+        return angle(self.rocker)
+
+
+def dead_centre(crank: Value, coupler: Value, rocker: Value, frame: Value, side: int, outer: bool) -> DeadCentre:
+    """Limit position of the rocker.
+
+    Parameters
+    ----------
+    crank, coupler, rocker, frame : Value [m]
+    side : int
+        Assembly mode.
+    outer : bool
+        True: crank and coupler extended (A-C = coupler + crank); False: overlapping (A-C = coupler - crank).
+
+    Source: triangle A-C-D, law of cosines.
+    """
+    reach = coupler + crank if outer else coupler - crank
+    cos_ac = (reach * reach - rocker * rocker + frame * frame) / (2.0 * (reach * frame))
+    margin = 1.0 - cos_ac * cos_ac
+    sin_ac = side * root(margin)
+    direction = (cos_ac, sin_ac) if outer else (-cos_ac, -sin_ac)
+    return DeadCentre(direction, ((reach * cos_ac - frame) / rocker, reach * sin_ac / rocker), margin)
+
+
+def swing(crank: Value, coupler: Value, rocker: Value, frame: Value, side: int) -> Value:
+    """Angle between the rocker's limit positions [rad], positive; a crank-rocker is assumed."""
+    outer = dead_centre(crank, coupler, rocker, frame, side, outer=True)
+    inner = dead_centre(crank, coupler, rocker, frame, side, outer=False)
+    return side * angle_from(outer.rocker, inner.rocker)
+
+
+def time_ratio(crank: Value, coupler: Value, rocker: Value, frame: Value, side: int) -> Value:
+    """Duration of the rocker's slower stroke over that of its faster one, >= 1, at constant crank speed.
+
+    (pi + theta) / (pi - theta), theta the angle between the crank's two directions A -> C at the dead centres.
+    """
+    outer = dead_centre(crank, coupler, rocker, frame, side, outer=True)
+    inner = dead_centre(crank, coupler, rocker, frame, side, outer=False)
+    theta = np.abs(angle_from(outer.crank, (-inner.crank[0], -inner.crank[1])))
+    return (np.pi + theta) / (np.pi - theta)

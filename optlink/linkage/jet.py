@@ -1,0 +1,109 @@
+"""A value with its first and second time derivative, carried through the position formulas.
+
+There is no second set of formulas for velocity and acceleration: a position formula fed with jets returns jets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+
+from optlink.linkage.elementwise import Value
+
+
+class Jet(NDArrayOperatorsMixin):
+    """Truncated Taylor series in time.
+
+    Parameters
+    ----------
+    value, rate, acceleration : Value, broadcastable
+        The quantity and its first and second derivative with respect to time.
+
+    A quantity that is not a Jet is constant in time. Functions without a rule raise TypeError (numpy's own message).
+    """
+
+    __slots__ = ("acceleration", "rate", "value")
+
+    def __init__(self, value: Value, rate: Value = 0.0, acceleration: Value = 0.0) -> None:
+        self.value, self.rate, self.acceleration = value, rate, acceleration
+
+    def __repr__(self) -> str:
+        return f"Jet({self.value!r}, {self.rate!r}, {self.acceleration!r})"
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        if method != "__call__" or kwargs:
+            return NotImplemented
+        if ufunc in _CHAIN:
+            x = inputs[0]
+            value = ufunc(x.value)
+            first, second = _CHAIN[ufunc](x.value, value)
+            return Jet(value, first * x.rate, first * x.acceleration + second * x.rate * x.rate)
+        rule = _RULES.get(ufunc)
+        if rule is None:
+            return NotImplemented
+        return rule(*(x if isinstance(x, Jet) else Jet(x) for x in inputs))
+
+
+def _multiply(a: Jet, b: Jet) -> Jet:
+    return Jet(
+        a.value * b.value,
+        a.rate * b.value + a.value * b.rate,
+        a.acceleration * b.value + 2.0 * (a.rate * b.rate) + a.value * b.acceleration,
+    )
+
+
+def _divide(a: Jet, b: Jet) -> Jet:
+    value = a.value / b.value
+    rate = (a.rate - value * b.rate) / b.value
+    return Jet(value, rate, (a.acceleration - 2.0 * (rate * b.rate) - value * b.acceleration) / b.value)
+
+
+def _arctan2(y: Jet, x: Jet) -> Jet:
+    square = x.value * x.value + y.value * y.value
+    rate = (x.value * y.rate - y.value * x.rate) / square
+    change = 2.0 * (x.value * x.rate + y.value * y.rate)  # of the squared radius
+    acceleration = (x.value * y.acceleration - y.value * x.acceleration - change * rate) / square
+    return Jet(np.arctan2(y.value, x.value), rate, acceleration)
+
+
+def _power(base: Jet, exponent: Jet) -> Jet:
+    n = exponent.value
+    if not isinstance(exponent.rate, float):  # an exponent that moves; a constant one must not ask for log(base)
+        return np.exp(exponent * np.log(base))  # type: ignore[no-any-return]
+    first = n * np.power(base.value, n - 1.0)
+    second = n * (n - 1.0) * np.power(base.value, n - 2.0)
+    return Jet(np.power(base.value, n), first * base.rate, first * base.acceleration + second * base.rate * base.rate)
+
+
+_RULES: dict[np.ufunc, Callable[..., Jet]] = {
+    np.add: lambda a, b: Jet(a.value + b.value, a.rate + b.rate, a.acceleration + b.acceleration),
+    np.subtract: lambda a, b: Jet(a.value - b.value, a.rate - b.rate, a.acceleration - b.acceleration),
+    np.negative: lambda a: Jet(-a.value, -a.rate, -a.acceleration),
+    np.positive: lambda a: a,
+    np.multiply: _multiply,
+    np.divide: _divide,
+    np.arctan2: _arctan2,
+    np.power: _power,
+}
+
+# f -> (f', f'') from the argument x and the value f(x)
+_CHAIN: dict[np.ufunc, Callable[[Value, Value], tuple[Value, Value]]] = {
+    np.sqrt: lambda x, f: (0.5 / f, -0.25 / (f * x)),
+    np.square: lambda x, f: (2.0 * x, 2.0),
+    np.sin: lambda x, f: (np.cos(x), -f),
+    np.cos: lambda x, f: (-np.sin(x), -f),
+    np.tan: lambda x, f: (1.0 + f * f, 2.0 * f * (1.0 + f * f)),
+    np.arcsin: lambda x, f: (1.0 / np.sqrt(1.0 - x * x), x / (1.0 - x * x) / np.sqrt(1.0 - x * x)),
+    np.arccos: lambda x, f: (-1.0 / np.sqrt(1.0 - x * x), -x / (1.0 - x * x) / np.sqrt(1.0 - x * x)),
+    np.arctan: lambda x, f: (1.0 / (1.0 + x * x), -2.0 * x / ((1.0 + x * x) * (1.0 + x * x))),
+    np.sinh: lambda x, f: (np.cosh(x), f),
+    np.cosh: lambda x, f: (np.sinh(x), f),
+    np.tanh: lambda x, f: (1.0 - f * f, -2.0 * f * (1.0 - f * f)),
+    np.exp: lambda x, f: (f, f),
+    np.log: lambda x, f: (1.0 / x, -1.0 / (x * x)),
+    np.log10: lambda x, f: (1.0 / (x * np.log(10.0)), -1.0 / (x * x * np.log(10.0))),
+    np.absolute: lambda x, f: (np.sign(x), 0.0),
+}

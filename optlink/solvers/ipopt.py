@@ -1,0 +1,85 @@
+"""IPOPT (through casadi) behind the Backend contract: an interior-point method with exact first and second derivatives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.nlp import NLP
+from optlink.solvers.solution import Attempt
+
+Array = NDArray[np.float64]
+
+OPTIONS = {
+    "print_time": False,
+    "error_on_fail": False,
+    "show_eval_warnings": False,
+    "calc_multipliers": False,  # ours are recomputed from the programme
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-6,
+    "ipopt.constr_viol_tol": 1e-6,
+    "ipopt.compl_inf_tol": 1e-6,
+    "ipopt.acceptable_iter": 0,
+    "ipopt.mu_strategy": "adaptive",
+    "ipopt.max_iter": 300,
+    # bounds are kept as they are: by default they are widened by 1e-8, which would show in the sixth digit of a millimetre
+    "ipopt.bound_relax_factor": 0.0,
+    "ipopt.honor_original_bounds": "yes",
+}
+
+
+class _Recorder(casadi.Callback):  # type: ignore[misc]
+    """Keeps the iterates."""
+
+    def __init__(self, nlp: NLP) -> None:
+        casadi.Callback.__init__(self)
+        self.sizes = {"x": len(nlp.variables), "f": 1, "g": len(nlp.rows), "lam_x": len(nlp.variables)}
+        self.sizes |= {"lam_g": len(nlp.rows), "lam_p": len(nlp.p)}
+        self.path: list[Array] = []
+        self.construct("recorder", {})
+
+    def get_n_in(self) -> int:
+        return int(casadi.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(casadi.nlpsol_out(i))
+
+    def get_name_out(self, i: int) -> str:
+        return "ret"
+
+    def get_sparsity_in(self, i: int) -> Any:
+        return casadi.Sparsity.dense(self.sizes[casadi.nlpsol_out(i)], 1)
+
+    def eval(self, arguments: list[Any]) -> list[Any]:
+        self.path.append(np.asarray(arguments[0], dtype=float).ravel())
+        return [0]
+
+
+def _programme(nlp: NLP) -> dict[str, Any]:
+    return {"x": nlp.x_symbol, "p": nlp.p_symbol, "f": nlp.f_expression, "g": nlp.g_expression}
+
+
+def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False) -> Attempt:
+    """Minimise from x; the compiled solver is kept as long as the programme lives."""
+    recorder = _Recorder(nlp) if track else None
+    if recorder is not None:
+        solver = casadi.nlpsol("ipopt", "ipopt", _programme(nlp), {**OPTIONS, "iteration_callback": recorder})
+    else:
+        solver = nlp.cache.get("ipopt")
+        if solver is None:
+            solver = nlp.cache["ipopt"] = casadi.nlpsol("ipopt", "ipopt", _programme(nlp), OPTIONS)
+    result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)
+    statistics = solver.stats()
+    end = np.asarray(result["x"], dtype=float).ravel()
+    if not np.all(np.isfinite(end)):
+        end = x
+    path = np.array([x, *recorder.path]) if recorder is not None else None
+    end = np.clip(end, nlp.x_low, nlp.x_high)
+    return Attempt(end, int(statistics["iter_count"]), str(statistics["return_status"]), path)

@@ -1,0 +1,146 @@
+"""From a programme and its starts to a solution: repair, back end, polish, proof; many starts; both back ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.nlp import NLP, SMALLEST_SCALE
+from optlink.errors import Status
+from optlink.solvers.polish import polish
+from optlink.solvers.repair import repair
+from optlink.solvers.solution import Attempt, Backend, Solution, examine
+
+Array = NDArray[np.float64]
+
+BACKENDS = ("slsqp", "ipopt")
+SAME_OBJECTIVE = 1e-7  # relative
+SAME_DESIGN = 1e-5  # in scaled units
+RESCALE = 1e-3  # an optimum this far below its start is searched again from there, on its own scale
+
+
+def backend(name: str) -> Backend:
+    """The back end of that name; its library is imported only now."""
+    if name == "slsqp":
+        from optlink.solvers.slsqp import slsqp  # noqa: PLC0415
+
+        return slsqp
+    from optlink.solvers.ipopt import ipopt  # noqa: PLC0415
+
+    return ipopt
+
+
+def scaled(nlp: NLP, x: Array) -> Array:
+    """Parameters with the objective scaled to 1 at x."""
+    f = nlp.values(x, nlp.p)[0] * nlp.p[0]
+    return np.array([max(abs(f), SMALLEST_SCALE) if math.isfinite(f) else 1.0, *nlp.p[1:]])
+
+
+def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solution:
+    """One local search from x."""
+    start = repair(nlp, x, nlp.p)
+    if start is None:
+        return replace(examine(nlp, Attempt(x, 0, "the start could not be repaired"), nlp.p), status=Status.INFEASIBLE)
+    start = nlp.lifted(start)
+    p = scaled(nlp, start)
+    run = backend(name)
+    solution = examine(nlp, polish(nlp, run(nlp, start, p, track=track), p), p)
+    fine = scaled(nlp, solution.x)
+    if solution.usable and fine[0] < RESCALE * p[0]:
+        again = examine(nlp, polish(nlp, run(nlp, solution.x, fine), fine), fine)
+        if again.usable and again.objective <= solution.objective:
+            solution = replace(again, iterations=again.iterations + solution.iterations, path=solution.path)
+    return solution
+
+
+def starts(nlp: NLP, count: int, seed: int) -> list[Array]:
+    """The given start, then count - 1 Sobol points over the bounds (scrambled by the seed)."""
+    points = [nlp.x_start]
+    if count > 1:
+        from scipy.stats import qmc  # noqa: PLC0415 - a second to import
+
+        sobol = qmc.Sobol(len(nlp.variables), rng=np.random.default_rng(seed))
+        unit = (
+            sobol.random_base2(max(1, math.ceil(math.log2(count - 1))))[: count - 1] if count > 2 else sobol.random(1)
+        )
+        high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
+        points += list(nlp.x_low + unit * (high - nlp.x_low))
+    return [nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)) for x in points]
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A distinct optimum: its best solution and how many starts ended there."""
+
+    solution: Solution
+    count: int
+
+
+def cluster(nlp: NLP, solutions: list[Solution]) -> list[Cluster]:
+    """Distinct optima, best first; solutions that are not feasible are left out."""
+    found: list[Cluster] = []
+    for solution in sorted((s for s in solutions if s.usable), key=lambda s: s.objective):
+        for i, known in enumerate(found):
+            if np.max(np.abs(known.solution.x - solution.x)) <= SAME_DESIGN:
+                found[i] = Cluster(known.solution, known.count + 1)
+                break
+        else:
+            found.append(Cluster(solution, 1))
+    return found
+
+
+def multistart(
+    nlp: NLP, name: str, count: int, seed: int, progress: Callable[[int], None] | None = None, *, track: bool = False
+) -> list[Solution]:
+    """One solution per start, in the order of the starts."""
+    solutions = []
+    for k, x in enumerate(starts(nlp, count, seed)):
+        solutions.append(solve_from(nlp, x, name, track=track and k == 0))
+        if progress:
+            progress(k + 1)
+    return solutions
+
+
+def best(solutions: list[Solution]) -> Solution:
+    """The feasible solution with the least objective (optimal before stalled if they tie); else the least violated one."""
+    usable = [s for s in solutions if s.usable]
+    if usable:
+        return min(usable, key=lambda s: (s.objective, s.status is not Status.OPTIMAL))
+    return min(solutions, key=lambda s: (s.status is Status.NON_FINITE, s.violation))
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far two back ends are apart at the end: relative objective, largest scaled difference of the design."""
+
+    objective: float
+    design: float
+
+    @property
+    def same(self) -> bool:
+        """Equal objective; where the designs differ all the same, several designs are equally good."""
+        return self.objective <= SAME_OBJECTIVE
+
+
+def compare(a: Solution, b: Solution) -> Agreement:
+    """Difference of two solutions."""
+    if not (a.usable and b.usable):
+        return Agreement(math.inf, math.inf)
+    scale = max(abs(a.objective), abs(b.objective), SMALLEST_SCALE)
+    return Agreement(abs(a.objective - b.objective) / scale, float(np.max(np.abs(a.x - b.x), initial=0.0)))
+
+
+def reconcile(nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:
+    """Where two back ends ended in different optima, let the worse one search again from the better one's design.
+
+    A true local optimum holds it there; if it does not, the two still disagree and the validation says so.
+    """
+    winner = best(list(found.values()))
+    return {
+        name: solution if compare(solution, winner).same else best([solution, solve_from(nlp, winner.x, name)])
+        for name, solution in found.items()
+    }

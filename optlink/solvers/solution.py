@@ -1,0 +1,218 @@
+"""A solution proves itself: multipliers, stationarity and violation are recomputed from the programme.
+
+The solver's own flag and message are recorded, not believed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.problem import EPIGRAPH
+from optlink.errors import Status
+
+if TYPE_CHECKING:
+    from optlink.design.nlp import NLP, Point
+
+Array = NDArray[np.float64]
+
+FEASIBLE = 1e-8  # largest violation, in scaled units, that counts as met
+STATIONARY = 1e-6  # largest KKT residual, for an objective scaled to 1 at the start, that counts as optimal
+ACTIVE = 1e-6  # distance, in scaled units, at which a limit counts as active
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What a back end brings back: its last x, and what it says of it. `path` (k, n) holds the iterates if asked for."""
+
+    x: Array
+    iterations: int
+    message: str
+    path: Array | None = None
+
+
+class Backend(Protocol):
+    """The whole contract of a solver: from a programme and a start to an attempt. It must not raise for a hard problem."""
+
+    def __call__(self, nlp: NLP, x: Array, p: Array, *, track: bool = False) -> Attempt:
+        """Minimise from x with parameters p."""
+        ...
+
+
+@dataclass(frozen=True)
+class LimitState:
+    """One limit at a design, in people's units.
+
+    `multiplier`: change of the optimal objective per unit by which the bound is raised (zero if inactive).
+    `slack`: distance to the bound, negative where it is violated.
+    """
+
+    key: str
+    name: str
+    value: float
+    bound: float
+    sense: str  # "<=", ">=" or "="
+    unit: str
+    active: bool
+    multiplier: float
+    slack: float
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A point of the programme with its proof. `x` scaled, `design` and `objective` in SI."""
+
+    x: Array
+    design: dict[str, float]
+    objective: float
+    status: Status
+    violation: float
+    kkt: float
+    curvature: float
+    limits: tuple[LimitState, ...]
+    iterations: int
+    message: str
+    path: Array | None = None
+
+    @property
+    def usable(self) -> bool:
+        """Feasible and finite."""
+        return self.status in (Status.OPTIMAL, Status.STALLED)
+
+
+def violation(nlp: NLP, x: Array, g: Array) -> float:
+    """Largest distance by which a row or bound is missed, in scaled units; infinite where a row has no value."""
+    values = np.concatenate([x, g])
+    return float(np.max([nlp.lower - values, values - nlp.upper, 0.0 * values])) if np.all(np.isfinite(g)) else math.inf
+
+
+def examine(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
+    """Turn an attempt into a solution by recomputing everything from the programme at its x."""
+    x = attempt.x
+    point = nlp.at(x, p)
+    residuals = nlp.residuals(x)
+    worst = violation(nlp, x, point.g)
+    proof = Stationarity(np.zeros(len(x) + len(point.g)), [], math.inf)
+    bend = math.nan
+    if point.finite:
+        proof = stationarity(nlp, x, point)
+        bend = curvature(nlp, x, p, point, proof)
+    if not point.finite and not math.isfinite(point.f):
+        status = Status.NON_FINITE
+    elif worst > FEASIBLE:
+        status = Status.INFEASIBLE
+    elif not point.finite:
+        status = Status.NON_FINITE
+    else:
+        status = Status.OPTIMAL if proof.kkt <= STATIONARY else Status.STALLED
+    price = p[0] * nlp.measure.slope(residuals) if np.all(np.isfinite(residuals)) else 0.0
+    return Solution(
+        x=x,
+        design=nlp.design(x),
+        objective=nlp.measure.of(residuals),
+        status=status,
+        violation=worst,
+        kkt=proof.kkt,
+        curvature=bend,
+        limits=tuple(_limit_states(nlp, x, point.g, proof.multipliers, price)),
+        iterations=attempt.iterations,
+        message=attempt.message,
+        path=attempt.path,
+    )
+
+
+@dataclass(frozen=True)
+class Stationarity:
+    """First-order proof at x: `multipliers` of bounds (n) then rows, `active` of these, KKT residual."""
+
+    multipliers: Array
+    active: list[int]
+    kkt: float
+
+
+def stationarity(nlp: NLP, x: Array, point: Point, within: float = ACTIVE) -> Stationarity:
+    """Multipliers of the active bounds and rows by least squares, and the KKT residual that they leave.
+
+    A multiplier is positive where the upper side holds x back, negative at the lower side; one of the wrong sign is dropped,
+    worst first, and the rest solved again (an active-set non-negative least squares).
+    """
+    values = np.concatenate([x, point.g])
+    low, high = nlp.lower, nlp.upper
+    jacobian = np.vstack([np.eye(len(x)), point.jacobian])
+    sign = np.where(high - values <= within, 1.0, 0.0) - np.where(values - low <= within, 1.0, 0.0)
+    equal = low == high
+    active = [int(i) for i in np.flatnonzero((sign != 0.0) | equal)]
+    found = np.zeros(0)
+    while active:
+        found = np.linalg.lstsq(jacobian[active].T, -point.gradient, rcond=None)[0]
+        wrong = [(-found[k] * sign[i], k) for k, i in enumerate(active) if not equal[i]]
+        worst, k = max(wrong, default=(0.0, 0))
+        if worst <= 0.0:
+            break
+        del active[k]
+    multipliers = np.zeros(len(values))
+    if active:
+        multipliers[active] = found
+    kkt = float(np.max(np.abs(point.gradient + jacobian.T @ multipliers), initial=0.0))
+    return Stationarity(multipliers, active, kkt)
+
+
+def curvature(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity) -> float:
+    """Least eigenvalue of the Lagrangian's Hessian along the active limits: positive proves a strict local optimum.
+
+    NaN if no direction is left (a vertex, which needs no curvature).
+    """
+    n = len(x)
+    basis = np.eye(n)
+    if proof.active:
+        _, singular, rows = np.linalg.svd(np.vstack([np.eye(n), point.jacobian])[proof.active])
+        rank = int(np.sum(singular > 1e-9 * max(singular[0], 1.0)))
+        basis = rows[rank:].T
+    if basis.shape[1] == 0:
+        return math.nan
+    hessian = basis.T @ nlp.hessian(x, p, proof.multipliers[n:]) @ basis
+    return float(np.linalg.eigvalsh(hessian)[0]) if np.all(np.isfinite(hessian)) else math.nan
+
+
+def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float) -> list[LimitState]:
+    """Every finite bound of the free quantities and rows as people read it."""
+    n = len(x)
+    entries = [
+        (f"mechanism.{v.name}", f"{v.name}", x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i])
+        for i, v in enumerate(nlp.variables)
+    ]
+    entries += [
+        (row.limit, row.label, g[j], row.low, row.high, row.scale, multipliers[n + j]) for j, row in enumerate(nlp.rows)
+    ]
+    states = []
+    for key, name, value, low, high, scale, multiplier in entries:
+        if key.endswith(EPIGRAPH):
+            continue
+        sides = ["="] if low == high else [side for side, bound in ((">=", low), ("<=", high)) if math.isfinite(bound)]
+        for side in sides:
+            bound = low if side == ">=" else high
+            if scale.cosine and abs(bound) >= 1.0:
+                continue
+            slack = value - low if side == ">=" else high - value if side == "<=" else -abs(value - low)
+            active = bool(abs(value - bound) <= ACTIVE)
+            mine = side == "=" or (multiplier > 0.0) == (side == "<=")
+            shown = {"<=": ">=", ">=": "<=", "=": "="}[side] if scale.cosine else side
+            at, limit = scale.people(value), scale.people(bound)
+            states.append(
+                LimitState(
+                    key,
+                    name,
+                    at,
+                    limit,
+                    shown,
+                    scale.unit,
+                    active,
+                    float(-multiplier * price / scale.slope(bound)) if active and mine and multiplier else 0.0,
+                    (limit - at if shown == "<=" else at - limit) if shown != "=" else float(slack),
+                )
+            )
+    return states

@@ -1,0 +1,171 @@
+"""Units at the edges: "412 mm", "64 rpm", "45 deg" to SI floats, and back for people.
+
+Pint does the algebra on a registry of our own (the units that a machine designer writes), because Pint's default registry costs
+a fifth of a second to read and also knows a `deg` as a temperature step, a `h` as a Planck constant and four kinds of year.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+DEFINITIONS = (
+    "meter = [length] = m = metre",
+    "second = [time] = s = sec",
+    "kilogram = [mass] = kg",
+    "radian = [angle] = rad",
+    "millimeter = 1e-3 m = mm = millimetre",
+    "centimeter = 1e-2 m = cm = centimetre",
+    "decimeter = 1e-1 m = dm",
+    "micrometer = 1e-6 m = um = micrometre",
+    "kilometer = 1e3 m = km",
+    "inch = 0.0254 m = in",
+    "foot = 0.3048 m = ft",
+    "degree = 0.017453292519943295 rad = deg",
+    "milliradian = 1e-3 rad = mrad",
+    "arcminute = 0.0002908882086657216 rad = arcmin",
+    "turn = 6.283185307179586 rad = rev = revolution",
+    "rpm = 0.10471975511965977 rad / s",
+    "millisecond = 1e-3 s = ms",
+    "minute = 60 s = min",
+    "hour = 3600 s",
+    "hertz = 6.283185307179586 rad / s = Hz",
+    "gram = 1e-3 kg = g",
+    "tonne = 1e3 kg = t",
+    "pound = 0.45359237 kg = lb",
+    "newton = kg * m / s ** 2 = N",
+    "kilonewton = 1e3 N = kN",
+    "pound_force = 4.4482216152605 N = lbf",
+    "joule = N * m = J",
+    "watt = J / s = W",
+    "kilowatt = 1e3 W = kW",
+    "pascal = N / m ** 2 = Pa",
+    "megapascal = 1e6 Pa = MPa",
+    "gigapascal = 1e9 Pa = GPa",
+)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A physical kind: its SI unit, the unit that people see by default, and an example that will do."""
+
+    name: str
+    si: str
+    people: str
+    example: str
+
+
+KINDS = {
+    kind.name: kind
+    for kind in (
+        Kind("length", "m", "mm", "100 mm"),
+        Kind("angle", "rad", "deg", "45 deg"),
+        Kind("angular velocity", "rad/s", "rpm", "64 rpm"),
+        Kind("time", "s", "s", "2 s"),
+        Kind("mass", "kg", "kg", "1.2 kg"),
+        Kind("force", "N", "N", "1000 N"),
+    )
+}
+
+_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*([^\s\d].*?)?\s*", re.DOTALL | re.ASCII)
+_UNIT = re.compile(r"[A-Za-z°µμ_]+(?:(?:\s*[*/·]\s*|\s*(?:\^|\*\*)\s*-?)[A-Za-z0-9°µμ_]+){0,8}")
+
+
+class UnitProblem(ValueError):
+    """A quantity that cannot be read: `message` says why, `remedy` what would do."""
+
+    def __init__(self, message: str, remedy: str) -> None:
+        super().__init__(f"{message}. {remedy}")
+        self.message, self.remedy = message, remedy
+
+
+@functools.cache
+def _registry() -> Any:
+    import pint  # noqa: PLC0415 - a tenth of a second that `optlink --help` need not pay
+
+    registry: Any = pint.UnitRegistry(None, on_redefinition="raise")
+    for definition in DEFINITIONS:
+        registry.define(definition)
+    return registry
+
+
+@functools.lru_cache(maxsize=512)
+def factor(unit: str, kind: str) -> float:
+    """How many SI units one `unit` is.
+
+    Raises
+    ------
+    UnitProblem
+        when the unit is unknown or measures another kind.
+    """
+    import pint  # noqa: PLC0415
+
+    wanted = KINDS[kind]
+    use = f'Use a unit of {kind}, for example "{wanted.example}"'
+    spelled = unit.replace("°", "deg").replace("µ", "u").replace("μ", "u").replace("·", "*").replace("^", "**")
+    if not _UNIT.fullmatch(unit):
+        raise UnitProblem(f'"{unit[:40]}" is not a unit', use)
+    registry = _registry()
+    try:
+        one = registry.Quantity(1.0, registry.parse_units(spelled))
+        return float(one.to(wanted.si).magnitude)
+    except pint.UndefinedUnitError:
+        raise UnitProblem(f'the unit "{unit[:40]}" is unknown', use) from None
+    except pint.DimensionalityError:
+        raise UnitProblem(f'"{unit[:40]}" is not a unit of {kind}', use) from None
+    except (pint.PintError, ValueError, TypeError, AttributeError, OverflowError, ArithmeticError):
+        raise UnitProblem(f'"{unit[:40]}" is not a unit', use) from None
+
+
+def parse(text: object, kind: str) -> tuple[float, str]:
+    """Read a quantity such as "412 mm".
+
+    Parameters
+    ----------
+    text : str
+        A number and a unit.
+    kind : str
+        One of `KINDS`.
+
+    Returns
+    -------
+    value : float, in SI
+    unit : str, as written
+
+    Raises
+    ------
+    UnitProblem
+        no text, no number, no unit, unknown unit, unit of another kind, not finite.
+    """
+    wanted = KINDS[kind]
+    if isinstance(text, bool) or not isinstance(text, (str, int, float)):
+        raise UnitProblem(f"expected a {kind}, found {type(text).__name__}", f'Write it as text: "{wanted.example}"')
+    if not isinstance(text, str):
+        if not math.isfinite(text):
+            raise UnitProblem(f"a {kind} must be finite", f'Write a number and a unit: "{wanted.example}"')
+        raise UnitProblem(f"a {kind} needs a unit", f'Write "{_digits(text)} {wanted.people}", with the quotes')
+    match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None
+    if match is None:
+        if re.match(r"\s*[-+]?(nan|inf)", text, re.IGNORECASE):
+            raise UnitProblem(f"a {kind} must be finite", f'Write a number and a unit: "{wanted.example}"')
+        raise UnitProblem(f"this is not a {kind}", f'Write a number and a unit: "{wanted.example}"')
+    number, unit = match.groups()
+    if unit is None:
+        raise UnitProblem(f"a {kind} needs a unit", f'Write "{number} {wanted.people}"')
+    value = float(number) * factor(unit, kind)
+    if not math.isfinite(value):
+        raise UnitProblem(f"a {kind} must be finite", f'Write a number and a unit: "{wanted.example}"')
+    return value, unit
+
+
+def _digits(number: float) -> str:
+    return f"{number:.12g}"
+
+
+def show(value: float, kind: str, unit: str | None = None, digits: int = 6) -> str:
+    """Give an SI value as people read it: `show(0.412, "length")` is "412 mm"."""
+    unit = unit or KINDS[kind].people
+    return f"{value / factor(unit, kind):.{digits}g} {unit}"

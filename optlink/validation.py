@@ -1,0 +1,355 @@
+"""Is it true? A design is proven by sweeping the mechanism itself, by other routes than the optimiser's formulas.
+
+Link lengths are measured again between joint positions, the transmission angle between two unit vectors, dead centres where the
+rocker's velocity changes its sign, the crank condition by closing the loop at every crank angle. Nothing here imports the
+optimiser's terms or solvers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.problem import DEAD_CENTRES, DesignProblem
+from optlink.design.quantity import Interval, Quantity
+from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
+from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.motion import Motion, sweep
+
+Array = NDArray[np.float64]
+
+POSITIONS = 1440  # per revolution: every quarter of a degree, dead centres and extremes refined from there
+ANGLE_TOLERANCE = 1e-6  # deg; solvers meet limits to 1e-8 of a radian
+LENGTH_TOLERANCE = 1e-9  # of the frame
+RATIO_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question and its answer: `value` was found, `limit` is allowed, in `unit`."""
+
+    name: str
+    passed: bool
+    value: float
+    limit: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Validation:
+    """All checks of a design, and what was measured on the way (SI): objective, extremes, dead centres."""
+
+    checks: tuple[Check, ...]
+    objective: float
+
+    @property
+    def valid(self) -> bool:
+        """Whether every check passed."""
+        return all(check.passed for check in self.checks)
+
+
+def validate(
+    problem: DesignProblem,
+    design: Mapping[str, float],
+    objective: float | None = None,
+    mechanism: Mechanism | None = None,
+) -> Validation:
+    """Prove a design, or show where it fails.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    design : mapping [m, rad]
+        crank, coupler, rocker, frame, phi0, psi0.
+    objective : float, optional
+        What the optimiser claims; compared with what the kinematics core measures.
+    mechanism : Mechanism, optional
+        What is to be tested instead of the problem's own linkage (its bodies and joints must have the same names).
+    """
+    tested = _Tested(problem, design, mechanism or problem.linkage)
+    found = tested.objective()
+    checks = [
+        check for group in (_sizes, _crank, _circuit, _transmission, _requirement, _extra) for check in group(tested)
+    ]
+    if objective is not None:
+        gap = abs(found - objective) / max(abs(found), 1e-12)
+        agrees = bool(gap <= 1e-6 or abs(found - objective) <= 1e-15)
+        checks.append(Check("objective recomputed from the motion", agrees, gap, "<= 1e-06", "relative"))
+    return Validation(tuple(checks), found)
+
+
+class _Tested:
+    """A design in motion: the sweeps that the checks share."""
+
+    def __init__(self, problem: DesignProblem, design: Mapping[str, float], mechanism: Mechanism) -> None:
+        self.problem, self.design, self.mechanism = problem, design, mechanism
+        self.sizes = {name: design[name] for name in LENGTHS}
+        self.phi0, self.psi0 = design["phi0"], design["psi0"]
+        self.revolution = self._sweep(np.linspace(0.0, 2.0 * np.pi, POSITIONS, endpoint=False))
+        count = max(2, math.ceil(abs(problem.span) / (2.0 * np.pi) * POSITIONS)) + 1
+        self.span = self._sweep(self.phi0 + np.linspace(0.0, problem.span, count))
+
+    def _sweep(self, angles: Array) -> Motion:
+        return sweep(self.mechanism, self.sizes, angles)
+
+    @property
+    def turns(self) -> bool:
+        """Whether the crank has to turn fully."""
+        return self.problem.limits.crank != "span"
+
+    @property
+    def required(self) -> Motion:
+        """The motion over which the mechanism must be assembled."""
+        return self.revolution if self.turns else self.span
+
+    def transmission(self, motion: Motion) -> Array:
+        """Angle B-C-D [rad] at each position."""
+        b, c, d = (motion.position(name) for name in "BCD")
+        to_b, to_d = b - c, d - c
+        cross = to_b[..., 0] * to_d[..., 1] - to_b[..., 1] * to_d[..., 0]
+        return np.abs(np.arctan2(cross, np.sum(to_b * to_d, axis=-1)))
+
+    def transmission_extremes(self, motion: Motion) -> tuple[float, float]:
+        """Least and largest transmission angle [rad], refined around the extreme positions of the sweep."""
+        angles = motion.crank_angle
+        gamma = self.transmission(motion)
+        if not np.all(np.isfinite(gamma)):
+            return math.nan, math.nan
+        low, high = (angles[0], angles[-1]) if motion is self.span else (-np.inf, np.inf)
+        results = []
+        for sign in (1.0, -1.0):
+            centre = angles[int(np.argmin(sign * gamma))]
+            width = abs(angles[1] - angles[0])
+            for _ in range(6):
+                near = np.clip(centre + width * np.linspace(-1.0, 1.0, 41), min(low, high), max(low, high))
+                values = sign * self.transmission(self._sweep(near))
+                if not np.any(np.isfinite(values)):
+                    break
+                centre, width = near[int(np.nanargmin(values))], width / 20.0
+            results.append(float(self.transmission(self._sweep(np.array([centre])))[0]))
+        return results[0], results[1]
+
+    def dead_centres(self) -> list[tuple[float, float]]:
+        """Crank and rocker angle [rad] where the rocker's angular velocity changes its sign, refined by secants."""
+
+        def velocity(angle: float) -> float:
+            return float(self._sweep(np.array([angle])).body_angle("rocker").rate[0])
+
+        angles = self.revolution.crank_angle
+        rates = self.revolution.body_angle("rocker").rate
+        found = []
+        for i in np.flatnonzero(np.sign(rates) * np.sign(np.roll(rates, -1)) <= 0.0):
+            a, b = float(angles[i]), float(angles[i]) + 2.0 * np.pi / POSITIONS
+            at_a, at_b = velocity(a), velocity(b)
+            for _ in range(60):
+                if not at_a * at_b < 0.0:
+                    break
+                middle = 0.5 * (a + b)
+                secant = b - at_b * (b - a) / (at_b - at_a)
+                for guess in (secant, middle):
+                    value = velocity(guess)
+                    if value * at_a <= 0.0:
+                        b, at_b = guess, value
+                    else:
+                        a, at_a = guess, value
+                if abs(b - a) < 1e-14:
+                    break
+            angle = a if abs(at_a) < abs(at_b) else b
+            found.append((angle % (2.0 * np.pi), float(self._sweep(np.array([angle])).body_angle("rocker").value[0])))
+        return found
+
+    def reach(self, crank_angle: float) -> float:
+        """Distance A-C [m]: large at the outer, small at the inner dead centre."""
+        motion = self._sweep(np.array([crank_angle]))
+        return float(np.linalg.norm(motion.position("C")[0] - motion.position("A")[0]))
+
+    def wanted_minus_actual(self) -> Array:
+        """Error of the rocker angle [rad] at the design positions, from two angles and their difference modulo a turn."""
+        law = self.problem.law
+        motion = self._sweep(self.phi0 + law.offsets)
+        d, c = motion.position("D"), motion.position("C")
+        actual = np.arctan2(c[:, 1] - d[:, 1], c[:, 0] - d[:, 0])
+        wanted = np.asarray(
+            law.wanted(law.offsets, law.tabulated, self.phi0, self.psi0) + 0.0 * law.offsets, dtype=float
+        )
+        return np.remainder(wanted - actual + np.pi, 2.0 * np.pi) - np.pi
+
+    def objective(self) -> float:
+        """The figure that the requirement minimises."""
+        error = self.wanted_minus_actual()
+        if self.problem.requirement.measure == "max":
+            return float(np.max(np.abs(error)))
+        total = math.fsum(float(e) ** 2 for e in error)
+        return math.sqrt(total / len(error)) if self.problem.requirement.measure == "rms" else total
+
+
+def _limit(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:
+    """One check per side of an interval; value and tolerance in people's unit, `factor` people per SI."""
+    if interval.low is not None:
+        low = interval.low * factor
+        yield Check(f"{name}, least", bool(value >= low - tolerance), value, f">= {low:.6g}", unit)
+    if interval.high is not None:
+        high = interval.high * factor
+        yield Check(f"{name}, largest", bool(value <= high + tolerance), value, f"<= {high:.6g}", unit)
+
+
+def _sizes(tested: _Tested) -> Iterator[Check]:
+    """Free quantities within their bounds, fixed ones as given; links keep their length while they move."""
+    frame = tested.design["frame"]
+    for name, quantity in tested.problem.quantities.items():
+        yield _bound(name, quantity, tested.design[name], frame)
+    worst = 0.0
+    for link in tested.mechanism.links:
+        ends = (tested.required.position(point) for point in (link.start, link.end))
+        start, end = ends
+        measured = np.linalg.norm(end - start, axis=-1)
+        wanted = tested.design[link.body]
+        worst = max(
+            worst,
+            float(np.max(np.abs(measured - wanted))) if np.all(np.isfinite(measured)) else math.nan,
+            key=_nan_last,
+        )
+    limit = LENGTH_TOLERANCE * frame * 1e3
+    yield Check("link lengths re-measured in motion", bool(worst * 1e3 <= limit), worst * 1e3, f"<= {limit:.1e}", "mm")
+
+
+def _nan_last(value: float) -> float:
+    return math.inf if math.isnan(value) else value
+
+
+def _bound(name: str, quantity: Quantity, value: float, frame: float) -> Check:
+    low, high = quantity.bounds
+    length = quantity.kind == "length"
+    factor, unit = (1e3, "mm") if length else (math.degrees(1.0), "deg")
+    tolerance = 1e-8 * (frame if length else 1.0)
+    limit = f"{low * factor:.6g} ... {high * factor:.6g}" if quantity.free else f"= {low * factor:.6g}"
+    return Check(
+        f"{name} within its bounds", bool(low - tolerance <= value <= high + tolerance), value * factor, limit, unit
+    )
+
+
+def _crank(tested: _Tested) -> Iterator[Check]:
+    """The crank condition from the lengths, and the loop closed at every position."""
+    lengths = [tested.design[name] for name in LENGTHS]
+    if tested.turns:
+        kind = grashof(*lengths)
+        wanted = Inversion.CRANK_ROCKER if tested.problem.limits.crank == "full rotation" else Inversion.DOUBLE_CRANK
+        yield Check(
+            f"{wanted.value} by Grashof (is: {kind.inversion.value})",
+            kind.inversion is wanted,
+            kind.slack * 1e3,
+            "> 0",
+            "mm",
+        )
+    margin = float(np.min(tested.required.margin("C")))
+    where = "the whole revolution" if tested.turns else "the span"
+    yield Check(f"assembled over {where}", bool(margin > 0.0), margin, "> 0", "(height/distance)^2")
+
+
+def _circuit(tested: _Tested) -> Iterator[Check]:
+    """One branch: C stays on its side of B-D. One circuit: C moves without a jump, and comes back to where it was."""
+    motion = tested.required
+    b, c, d = (motion.position(name) for name in "BCD")
+    diagonal, coupler = d - b, c - b
+    sine = (diagonal[:, 0] * coupler[:, 1] - diagonal[:, 1] * coupler[:, 0]) / (
+        np.linalg.norm(diagonal, axis=-1) * tested.design["coupler"]
+    )
+    least = float(np.min(tested.problem.side * sine))
+    yield Check("one branch: C stays on one side of B-D", bool(least > 0.0), least, "> 0", "sine")
+    step = abs(motion.crank_angle[1] - motion.crank_angle[0])
+    closed = np.concatenate([c, c[:1]]) if tested.turns else c
+    speed = np.linalg.norm(motion.velocity("C"), axis=-1)
+    fastest = float(np.max(speed)) * step * 1.5 + 1e-9
+    jump = float(np.max(np.linalg.norm(np.diff(closed, axis=0), axis=-1)))
+    yield Check(
+        "one circuit: C moves without a jump",
+        bool(jump <= fastest),
+        jump * 1e3,
+        f"<= {fastest * 1e3:.3g}",
+        "mm per step",
+    )
+
+
+def _transmission(tested: _Tested) -> Iterator[Check]:
+    """Transmission angle at its extremes, by sweep and refinement."""
+    limits = tested.problem.limits
+    interval = limits.transmission_angle
+    if limits.transmission_cosine is not None:
+        low, high = limits.transmission_cosine.low, limits.transmission_cosine.high
+        interval = Interval(
+            None if high is None else math.acos(high), None if low is None else math.acos(low), "angle", "deg"
+        )
+    if interval is None:
+        return
+    motion = tested.revolution if tested.problem.transmission_over == "revolution" else tested.span
+    least, largest = (math.degrees(x) for x in tested.transmission_extremes(motion))
+    if interval.low is not None:
+        bound = math.degrees(interval.low)
+        yield Check(
+            "smallest transmission angle", bool(least >= bound - ANGLE_TOLERANCE), least, f">= {bound:.6g}", "deg"
+        )
+    if interval.high is not None:
+        bound = math.degrees(interval.high)
+        yield Check(
+            "largest transmission angle", bool(largest <= bound + ANGLE_TOLERANCE), largest, f"<= {bound:.6g}", "deg"
+        )
+
+
+def _requirement(tested: _Tested) -> Iterator[Check]:
+    """The requirement starts where it says, and has a value at every design position."""
+    problem, start = tested.problem, tested.problem.requirement.start
+    if start in DEAD_CENTRES and "phi0" not in problem.quantities:
+        rate = abs(float(sweep(tested.mechanism, tested.sizes, [tested.phi0]).body_angle("rocker").rate[0]))
+        yield Check(f"rocker at rest at the {start}", bool(rate <= 1e-6), rate, "<= 1e-06", "rad/rad")
+        reach = tested.reach(tested.phi0) if math.isfinite(tested.phi0) else math.nan
+        wanted = tested.design["coupler"] + (1.0 if start == DEAD_CENTRES[0] else -1.0) * tested.design["crank"]
+        gap = abs(reach - abs(wanted)) * 1e3
+        yield Check(
+            "crank and coupler in line there",
+            bool(gap <= 1e-6 * tested.design["frame"] * 1e3),
+            gap,
+            "<= 1e-6 frame",
+            "mm",
+        )
+    if problem.tied:
+        motion = sweep(tested.mechanism, tested.sizes, [tested.phi0])
+        d, c = motion.position("D")[0], motion.position("C")[0]
+        own = math.atan2(c[1] - d[1], c[0] - d[0])
+        gap = math.degrees(abs(math.remainder(own - tested.psi0, 2.0 * math.pi)))
+        yield Check("psi0 is the rocker's own angle", bool(gap <= 1e-7), gap, "<= 1e-07", "deg")
+    error = tested.wanted_minus_actual()
+    largest = math.degrees(float(np.max(np.abs(error))))
+    yield Check(
+        "output error at every design position is finite", bool(np.all(np.isfinite(error))), largest, "finite", "deg"
+    )
+
+
+def _extra(tested: _Tested) -> Iterator[Check]:
+    """Swing angle and time ratio from the dead centres of the motion; lengths by ratio."""
+    limits = tested.problem.limits
+    if limits.swing_angle is not None or limits.time_ratio is not None:
+        centres = tested.dead_centres()
+        two = len(centres) == 2
+        yield Check("the rocker has two dead centres", two, float(len(centres)), "= 2", "")
+        if not two:
+            return
+        (phi_a, psi_a), (phi_b, psi_b) = centres
+        turned = (phi_b - phi_a) % (2.0 * math.pi)
+        ratio = max(turned, 2.0 * math.pi - turned) / min(turned, 2.0 * math.pi - turned)
+        if limits.swing_angle is not None:
+            swing = math.degrees(abs(math.remainder(psi_a - psi_b, 2.0 * math.pi)))
+            yield from _limit("swing angle", swing, limits.swing_angle, ANGLE_TOLERANCE, math.degrees(1.0), "deg")
+        if limits.time_ratio is not None:
+            yield from _limit("time ratio", ratio, limits.time_ratio, RATIO_TOLERANCE, 1.0, "")
+    frame = tested.design["frame"]
+    if limits.frame_length is not None:
+        yield from _limit("frame length", frame * 1e3, limits.frame_length, 1e-8 * frame * 1e3, 1e3, "mm")
+    if limits.link_ratio is not None:
+        for name in LENGTHS[:3]:
+            yield from _limit(
+                f"{name} / frame", tested.design[name] / frame, limits.link_ratio, RATIO_TOLERANCE, 1.0, ""
+            )

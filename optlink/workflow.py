@@ -1,0 +1,314 @@
+"""From a problem to a result: build, search, prove. What the command line, notebooks and scripts call."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from optlink.design.files import ProblemFile, parse_assignment
+from optlink.design.objectives import MEASURES
+from optlink.design.quantity import Quantity, Unusable, nearest, read_quantity
+from optlink.errors import Fault, InputError, Status
+from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
+from optlink.validation import Check, Validation
+from optlink.validation import validate as prove
+
+SCHEMA = "optlink/result/1"
+MAX_STARTS = 100_000
+PEOPLE = {"length": (1e3, "mm"), "angle": (math.degrees(1.0), "deg")}
+
+
+def people(name: str, value: float) -> tuple[float, str]:
+    """A quantity of a design in the unit that people read: mm or deg."""
+    factor, unit = PEOPLE["angle" if name in ("phi0", "psi0") else "length"]
+    return value * factor, unit
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A distinct optimum of a search from many starts: design [SI], objective, number of starts that ended there."""
+
+    design: Mapping[str, float]
+    objective: float
+    count: int
+
+
+@dataclass(frozen=True)
+class Relaxed:
+    """A limit that would have to give (see `optlink.solvers.conflict.Relaxation`)."""
+
+    name: str
+    key: str
+    sense: str
+    bound: float
+    relaxed: float
+    amount: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """A design with its proof, or why there is none."""
+
+    problem: ProblemFile
+    status: Status
+    backend: str
+    design: dict[str, float]
+    objective: float
+    validation: Validation
+    seconds: dict[str, float]
+    seed: int | None = None
+    starts: int = 0
+    solution: Solution | None = None
+    backends: dict[str, Solution] = field(default_factory=dict)
+    optima: tuple[Optimum, ...] = ()
+    conflict: tuple[Relaxed, ...] = ()
+    together: tuple[Relaxed, ...] = ()
+
+    @property
+    def valid(self) -> bool:
+        """Whether the design is proven (and found to be an optimum, if one was searched)."""
+        return self.status in (Status.OPTIMAL, Status.NOT_SEARCHED) and self.validation.valid
+
+    @property
+    def measure(self) -> str:
+        """Name of the objective's measure."""
+        return self.problem.problem.requirement.measure
+
+    @property
+    def unit(self) -> str:
+        """Unit of the objective."""
+        return MEASURES[self.measure].unit
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        document: dict[str, Any] = {
+            "schema": SCHEMA,
+            "optlink": _version(),
+            "problem": self.problem.name,
+            "title": self.problem.problem.title,
+            "problem_hash": self.problem.hash,
+            "status": self.status.value,
+            "message": self.status.text,
+            "valid": self.valid,
+            "backend": self.backend,
+            "design": _design(self.design),
+            "objective": {"value": self.objective, "unit": self.unit, "measure": self.measure},
+            "limits": [vars(limit) | {} for limit in self.solution.limits] if self.solution else [],
+            "validation": [vars(check) | {} for check in self.validation.checks],
+            "iterations": self.solution.iterations if self.solution else 0,
+            "seconds": self.seconds,
+            "seed": self.seed,
+            "starts": self.starts,
+        }
+        if self.solution:
+            document |= {
+                "kkt": self.solution.kkt,
+                "violation": self.solution.violation,
+                "curvature": self.solution.curvature,
+            }
+        if self.backends:
+            document["backends"] = {name: self._solution(solution) for name, solution in self.backends.items()}
+        if self.optima:
+            document["optima"] = [
+                {"design": _design(o.design), "objective": o.objective, "count": o.count} for o in self.optima
+            ]
+        if self.conflict:
+            document["conflict"] = [vars(item) | {} for item in self.conflict]
+            document["relax_together"] = [vars(item) | {} for item in self.together]
+        return _finite(document)  # type: ignore[no-any-return]
+
+    def _solution(self, solution: Solution) -> dict[str, Any]:
+        return {
+            "status": solution.status.value,
+            "design": _design(self.problem.problem.design(solution.design)),
+            "objective": solution.objective,
+            "iterations": solution.iterations,
+            "kkt": solution.kkt,
+            "violation": solution.violation,
+            "message": solution.message,
+        }
+
+
+def _version() -> str:
+    from optlink import __version__  # noqa: PLC0415 - the package imports this module
+
+    return __version__
+
+
+def _design(design: Mapping[str, float]) -> dict[str, float]:
+    return {f"{name}_{people(name, value)[1]}": people(name, value)[0] for name, value in design.items()}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def solve(
+    problem: ProblemFile,
+    backend: str = "ipopt",
+    starts: int = 1,
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
+    *,
+    track: bool = False,
+) -> Result:
+    """Find the design and prove it.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        From `optlink.load`.
+    backend : "slsqp", "ipopt" or "both"
+        Both: each searches for itself, the better design is taken, and they must agree.
+    starts : int
+        1: the start given in the problem; more: Sobol points over the bounds as well.
+    seed : int
+        Of the Sobol points.
+    progress : function of the number of starts done, optional
+    track : bool
+        Keep the iterates of the first search.
+
+    Raises
+    ------
+    InputError
+        when nothing is free, or an argument is out of range.
+    """
+    from optlink.design.nlp import build  # noqa: PLC0415 - loads casadi
+    from optlink.solvers import search  # noqa: PLC0415
+
+    if backend not in (*search.BACKENDS, "both"):
+        raise InputError(
+            Fault("unknown back end", nearest(backend, [*search.BACKENDS, "both"]), key="backend", value=backend)
+        )
+    if not 1 <= starts <= MAX_STARTS:
+        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_STARTS}", key="starts", value=starts))
+    if seed < 0:
+        raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
+    if not problem.problem.free:
+        example = 'Free one: coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
+        raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
+    clock = [time.perf_counter()]
+    nlp = build(problem.problem)
+    clock.append(time.perf_counter())
+    names = search.BACKENDS if backend == "both" else (backend,)
+    done = 0
+
+    def advance(_: int) -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(done)
+
+    runs = {name: search.multistart(nlp, name, starts, seed, advance, track=track) for name in names}
+    found = {name: search.best(run) for name, run in runs.items()}
+    conflict: tuple[Relaxed, ...] = ()
+    together: tuple[Relaxed, ...] = ()
+    if not any(solution.usable for solution in found.values()):
+        from optlink.solvers.conflict import Explanation, explain  # noqa: PLC0415
+
+        reason = explain(nlp, seed)
+        if isinstance(reason, Explanation):
+            conflict = tuple(Relaxed(**vars(item)) for item in reason.conflict)
+            together = tuple(Relaxed(**vars(item)) for item in reason.together)
+        else:
+            found = {name: search.solve_from(nlp, reason, name, track=track) for name in names}
+    if len(found) > 1:
+        found = search.reconcile(nlp, found)
+    winner = search.best(list(found.values()))
+    chosen = next(name for name, solution in found.items() if solution is winner)
+    clock.append(time.perf_counter())
+    design = problem.problem.design(winner.design)
+    proof = prove(problem.problem, design, winner.objective)
+    checks = (*proof.checks, *_optimality(winner))
+    if len(found) > 1:
+        checks += _agreement(search.compare(*found.values()), winner, nlp.x_start.size)
+    clock.append(time.perf_counter())
+    clusters = search.cluster(nlp, [s for run in runs.values() for s in run]) if starts > 1 else []
+    return Result(
+        problem=problem,
+        status=winner.status,
+        backend=chosen,
+        design=design,
+        objective=winner.objective,
+        validation=Validation(checks, proof.objective),
+        seconds={name: b - a for name, a, b in zip(("build", "solve", "validate"), clock, clock[1:], strict=False)},
+        seed=seed,
+        starts=starts,
+        solution=winner,
+        backends=found if backend == "both" else {},
+        optima=tuple(
+            Optimum(problem.problem.design(c.solution.design), c.solution.objective, c.count) for c in clusters
+        ),
+        conflict=conflict,
+        together=together,
+    )
+
+
+def _optimality(solution: Solution) -> tuple[Check, ...]:
+    return (
+        Check("all limits met (scaled)", solution.violation <= FEASIBLE, solution.violation, f"<= {FEASIBLE:.0e}", ""),
+        Check("optimality (KKT residual)", solution.kkt <= STATIONARY, solution.kkt, f"<= {STATIONARY:.0e}", ""),
+    )
+
+
+def _agreement(agreement: Any, winner: Solution, size: int) -> tuple[Check, ...]:
+    flat = winner.curvature <= 1e-7  # several designs are equally good: no reason to find the same
+    same = agreement.same and (agreement.design <= 1e-6 or flat)
+    return (
+        Check("both back ends agree: objective", agreement.same, agreement.objective, "<= 1e-07", "relative"),
+        Check("both back ends agree: design", bool(same), agreement.design, "<= 1e-06", "of the frame"),
+    )
+
+
+def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
+    """Prove a given design, or show where it fails.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : mapping of every free quantity to its value [m, rad]; see `read_design`
+    """
+    begin = time.perf_counter()
+    full = problem.problem.design(design)
+    proof = prove(problem.problem, full)
+    seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
+    return Result(problem, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds)
+
+
+def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float]:
+    """Read a design given as texts such as "coupler=412.26 mm".
+
+    Raises
+    ------
+    InputError
+        unknown or missing names, values that are no quantities.
+    """
+    quantities = problem.problem.quantities
+    given: dict[str, float] = {}
+    for text in assignments:
+        key, value = parse_assignment(text)
+        name = key.removeprefix("mechanism.")
+        if name not in quantities:
+            raise InputError(
+                Fault("unknown quantity of the design", nearest(name, quantities), problem.file, "--design", text)
+            )
+        try:
+            quantity: Quantity = read_quantity(value, quantities[name].kind)
+        except Unusable as error:
+            raise InputError(Fault(error.message, error.remedy, problem.file, f"--design {name}", value)) from None
+        given[name] = quantity.value
+    missing = [name for name in problem.problem.free if name not in given]
+    if missing:
+        example = " ".join(f'--design {name}="{quantities[name].value * 1e3:.6g} mm"' for name in missing)
+        raise InputError(
+            Fault(f"the design lacks {', '.join(missing)}", f"Add for example {example}", problem.file, "--design")
+        )
+    return given
