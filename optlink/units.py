@@ -84,7 +84,7 @@ class UnitProblem(ValueError):
 
 @functools.cache
 def _registry() -> Any:
-    import pint  # noqa: PLC0415 - a tenth of a second that `optlink --help` need not pay
+    import pint
 
     registry: Any = pint.UnitRegistry(None, on_redefinition="raise")
     for definition in DEFINITIONS:
@@ -101,7 +101,7 @@ def factor(unit: str, kind: str) -> float:
     UnitProblem
         when the unit is unknown or measures another kind.
     """
-    import pint  # noqa: PLC0415
+    import pint
 
     wanted = KINDS[kind]
     use = f'Use a unit of {kind}, for example "{wanted.example}"'

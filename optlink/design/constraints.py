@@ -115,9 +115,7 @@ def crank(problem: DesignProblem, values: Mapping[str, Value], start: StartPosit
             yield Row("requirement.from", label, slack / size, 0.0, math.inf, millimetres)
 
 
-def transmission(
-    problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float
-) -> Iterator[Row]:
+def transmission(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:
     """The transmission angle at its exact extremes, as cosines: rational in the lengths, finite even without assembly."""
     limits = problem.limits
     if limits.transmission_angle is not None:
@@ -160,17 +158,13 @@ def stroke(problem: DesignProblem, values: Mapping[str, Value], start: StartPosi
     lengths = [values[name] for name in LENGTHS]
     if problem.limits.swing_angle is not None:
         value = swing(*lengths, problem.side)
-        yield Row(
-            "limits.swing_angle", "swing angle of the rocker", value, *_within(problem.limits.swing_angle), DEGREES
-        )
+        yield Row("limits.swing_angle", "swing angle of the rocker", value, *_within(problem.limits.swing_angle), DEGREES)
     if problem.limits.time_ratio is not None:
         value = time_ratio(*lengths, problem.side)
         yield Row("limits.time_ratio", "time ratio", value, *_within(problem.limits.time_ratio), PLAIN)
 
 
-def proportions(
-    problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float
-) -> Iterator[Row]:
+def proportions(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:
     """Frame length, and every moving link over the frame."""
     if problem.limits.frame_length is not None:
         low, high = _within(problem.limits.frame_length)

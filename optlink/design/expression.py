@@ -137,9 +137,7 @@ def parse(text: str, names: Iterable[str]) -> Expression:
         when the text is anything else than such an expression.
     """
     if len(text) > MAX_CHARACTERS:
-        raise LawError(
-            f"the law has {len(text):,} characters, more than {MAX_CHARACTERS:,}", "Shorten it, or give it as a table"
-        )
+        raise LawError(f"the law has {len(text):,} characters, more than {MAX_CHARACTERS:,}", "Shorten it, or give it as a table")
     parser = _Parser(text, frozenset(names))
     parser.expression(0, 0)
     if parser.here is not None:

@@ -34,9 +34,7 @@ class ProblemFile:
     def hash(self) -> str:
         """Sixteen hexadecimal digits that change with anything that can change the answer."""
         law = self.problem.requirement.law
-        text = json.dumps(
-            [{k: v for k, v in self.raw.items() if k not in _WORDS}, repr(law)], sort_keys=True, default=str
-        )
+        text = json.dumps([{k: v for k, v in self.raw.items() if k not in _WORDS}, repr(law)], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def override(self, changes: Mapping[str, object]) -> ProblemFile:
@@ -90,9 +88,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
         name = path.stem
         if not text.endswith(".toml") and not path.exists():
             raise InputError(
-                Fault(
-                    "no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text
-                )
+                Fault("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
             )
     raw = _read_toml(path)
     if overrides:
@@ -103,9 +99,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
     return read(raw, name, path.name if text in names else text, path.parent)
 
 
-def read(
-    raw: Mapping[str, Any], name: str = "problem", file: str = "problem", folder: Path | None = None
-) -> ProblemFile:
+def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", folder: Path | None = None) -> ProblemFile:
     """Check a problem given as nested tables (the content of a TOML file).
 
     Raises
@@ -127,7 +121,7 @@ def read(
 
 def dump(problem: ProblemFile) -> str:
     """The problem as TOML text that `load` reads back."""
-    import tomli_w  # noqa: PLC0415
+    import tomli_w
 
     return tomli_w.dumps(problem.raw)
 
@@ -143,16 +137,12 @@ def parse_assignment(text: str) -> tuple[str, object]:
     key, equals, value = text.partition("=")
     key, value = key.strip(), value.strip()
     if not equals or not key or not value:
-        raise InputError(
-            Fault("expected KEY=VALUE", 'Write for example mechanism.frame="480 mm"', key="--set", value=text)
-        )
+        raise InputError(Fault("expected KEY=VALUE", 'Write for example mechanism.frame="480 mm"', key="--set", value=text))
     try:
         return key, tomllib.loads(f"value = {value}")["value"]
     except (tomllib.TOMLDecodeError, ValueError, RecursionError):
         if value[0] in "[{\"'":
-            raise InputError(
-                Fault("the value is not valid TOML", "Check brackets and quotes", key=key, value=value)
-            ) from None
+            raise InputError(Fault("the value is not valid TOML", "Check brackets and quotes", key=key, value=value)) from None
         return key, value
 
 
@@ -162,16 +152,12 @@ def _read_toml(path: Path) -> dict[str, Any]:
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise InputError(
-            Fault("no such file", "Check the path; `optlink list` names the shipped problems", file)
-        ) from None
+        raise InputError(Fault("no such file", "Check the path; `optlink list` names the shipped problems", file)) from None
     except IsADirectoryError:
         raise InputError(Fault("this is a folder", "Give the path of a .toml file", file)) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(
-            Fault(f"cannot read the file: {reason}", "Check the path and its permissions", shown(file))
-        ) from None
+        raise InputError(Fault(f"cannot read the file: {reason}", "Check the path and its permissions", shown(file))) from None
     if len(data) > MAX_BYTES:
         raise InputError(Fault(f"the file is larger than {MAX_BYTES:,} bytes", "Put long tables into a CSV file", file))
     try:
@@ -215,30 +201,22 @@ def _known(path: tuple[str | int, ...]) -> list[str]:
 
 def _faults(error: pydantic.ValidationError, raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
     for item in error.errors(include_url=False):
-        path = [
-            step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")
-        ]
+        path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
         key = ".".join(str(step) for step in path)
         value, kind, context = item["input"], item["type"], item.get("ctx", {})
         problem = context.get("error")
         if isinstance(problem, Unusable):
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
-            yield Fault(
-                problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value)
-            )
+            yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
         elif kind == "extra_forbidden":
             yield Fault("unknown key", nearest(str(path[-1]), _known(tuple(path[:-1]))), file, key)
         elif kind == "missing":
             yield Fault("this key is missing", _example(key), file, key)
         elif kind == "literal_error":
             options = str(context.get("expected", "")).replace("'", '"').replace(" or ", ", ").split(", ")
-            yield Fault(
-                "not one of the choices", nearest(str(value), [o.strip('"') for o in options]), file, key, _plain(value)
-            )
+            yield Fault("not one of the choices", nearest(str(value), [o.strip('"') for o in options]), file, key, _plain(value))
         elif kind in ("model_type", "model_attributes_type"):
-            yield Fault(
-                "expected a table", f"Begin it with [{key}]" if key else "Write the sections", file, key, _plain(value)
-            )
+            yield Fault("expected a table", f"Begin it with [{key}]" if key else "Write the sections", file, key, _plain(value))
         else:
             message = item["msg"][0].lower() + item["msg"][1:]
             yield Fault(message, _example(key), file, key, _plain(value))

@@ -64,7 +64,7 @@ class Table:
         psi = np.asarray(self.psi)
         if len(offsets) == len(rows) and np.array_equal(offsets, rows):
             return psi
-        from scipy.interpolate import PchipInterpolator  # noqa: PLC0415 - slow to import, rarely needed
+        from scipy.interpolate import PchipInterpolator
 
         order = np.argsort(rows)
         return np.asarray(PchipInterpolator(rows[order], psi[order])(offsets), dtype=float)
@@ -177,7 +177,7 @@ def read_csv(path: Path) -> tuple[list[float], list[float]]:
 
 
 def _column(rows: Sequence[Sequence[str]], header: list[str], name: str, path: Path) -> list[float]:
-    for unit, factor in _UNITS.items():
+    for unit, factor in _UNITS.items():  # noqa: B007
         if f"{name}_{unit}" in header:
             break
     else:

@@ -57,9 +57,7 @@ class Point:
     @property
     def finite(self) -> bool:
         """Whether everything has a value there."""
-        return bool(
-            math.isfinite(self.f) and all(np.all(np.isfinite(a)) for a in (self.gradient, self.g, self.jacobian))
-        )
+        return bool(math.isfinite(self.f) and all(np.all(np.isfinite(a)) for a in (self.gradient, self.g, self.jacobian)))
 
 
 class Compiled:

@@ -32,8 +32,7 @@ class Measure:
 
 
 MEASURES = {
-    measure.name: measure
-    for measure in (Measure("sum of squares", "rad^2"), Measure("rms", "rad"), Measure("max", "rad"))
+    measure.name: measure for measure in (Measure("sum of squares", "rad^2"), Measure("rms", "rad"), Measure("max", "rad"))
 }
 
 

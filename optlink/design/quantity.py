@@ -80,9 +80,7 @@ class Interval:
 
 def _positive(value: float, text: object, kind: str, key: str = "") -> float:
     if kind == "length" and value <= 0.0:
-        raise Unusable(
-            "a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"', key, text
-        )
+        raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"', key, text)
     return value
 
 
@@ -113,9 +111,7 @@ def read_quantity(raw: object, kind: str) -> Quantity:
         raise Unusable("bounds are a list of two values, lower and upper", f"Write {example}", "bounds", bounds)
     (low, low_unit), (high, _) = (read_scalar(bound, kind, "bounds") for bound in bounds)
     if low >= high:
-        raise Unusable(
-            "the lower bound is not below the upper", "Exchange them, or give one value to fix it", "bounds", bounds
-        )
+        raise Unusable("the lower bound is not below the upper", "Exchange them, or give one value to fix it", "bounds", bounds)
     if "start" not in raw:
         return Quantity(0.5 * (low + high), kind, low_unit, low, high)
     start, unit = read_scalar(raw["start"], kind, "start")

@@ -50,8 +50,7 @@ def double_crank_conditions(crank: Value, coupler: Value, rocker: Value, frame: 
     """Grashof's condition with the frame as the shortest link (drag link): crank and frame change places."""
     swapped = crank_rocker_conditions(frame, coupler, rocker, crank)
     return {
-        label.replace("crank", "\0").replace("frame", "crank").replace("\0", "frame"): slack
-        for label, slack in swapped.items()
+        label.replace("crank", "\0").replace("frame", "crank").replace("\0", "frame"): slack for label, slack in swapped.items()
     }
 
 

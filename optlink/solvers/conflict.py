@@ -57,9 +57,11 @@ class Relaxation:
 @dataclass(frozen=True)
 class Explanation:
     """Why there is no design. `conflict`: limits that cannot hold together, each with its least relaxation alone (all other
-    limits of the problem held). `together`: the least relaxation when several may give at once (least sum, scaled).
+    limits of the problem held). `together`: the least relaxation when several may give at once (least sum, scaled), which the
+    design `x` needs.
     """
 
+    x: Array
     conflict: tuple[Relaxation, ...]
     together: tuple[Relaxation, ...]
 
@@ -82,9 +84,7 @@ def sides(nlp: NLP) -> list[Side]:
         if variable.name == EPIGRAPH:
             continue
         for upper, bound in ((False, nlp.x_low[i]), (True, nlp.x_high[i])):
-            result.append(
-                Side(f"mechanism.{variable.name}", variable.name, upper, (), (i,), float(bound), variable.scale)
-            )
+            result.append(Side(f"mechanism.{variable.name}", variable.name, upper, (), (i,), float(bound), variable.scale))
     return result
 
 
@@ -173,7 +173,7 @@ def explain(nlp: NLP, seed: int = 0) -> Explanation | Array:
         alone = np.eye(k)[i]
         slack, _ = search.least(alone, FREE * alone)
         conflict.append(_relaxation(limits[i], slack))
-    return Explanation(tuple(conflict), tuple(together))
+    return Explanation(x[: search.n], tuple(conflict), tuple(together))
 
 
 def _irreducible(search: _Search, k: int, free: Array) -> list[int]:
@@ -193,6 +193,4 @@ def _relaxation(side: Side, slack: float) -> Relaxation:
     upper = side.upper != side.scale.cosine
     bound = side.scale.people(side.bound)
     relaxed = side.scale.people(side.bound + (slack if side.upper else -slack)) if math.isfinite(slack) else math.nan
-    return Relaxation(
-        side.key, side.name, "<=" if upper else ">=", bound, relaxed, abs(relaxed - bound), side.scale.unit
-    )
+    return Relaxation(side.key, side.name, "<=" if upper else ">=", bound, relaxed, abs(relaxed - bound), side.scale.unit)

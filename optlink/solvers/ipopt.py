@@ -13,7 +13,7 @@ from optlink.solvers.solution import Attempt
 
 Array = NDArray[np.float64]
 
-OPTIONS = {
+OPTIONS: dict[str, Any] = {
     "print_time": False,
     "error_on_fail": False,
     "show_eval_warnings": False,
@@ -24,8 +24,8 @@ OPTIONS = {
     "ipopt.constr_viol_tol": 1e-6,
     "ipopt.compl_inf_tol": 1e-6,
     "ipopt.acceptable_iter": 0,
-    "ipopt.mu_strategy": "adaptive",
     "ipopt.max_iter": 300,
+    "ipopt.mu_strategy": "adaptive",
     # bounds are kept as they are: by default they are widened by 1e-8, which would show in the sixth digit of a millimetre
     "ipopt.bound_relax_factor": 0.0,
     "ipopt.honor_original_bounds": "yes",
@@ -62,19 +62,22 @@ class _Recorder(casadi.Callback):  # type: ignore[misc]
         return [0]
 
 
-def _programme(nlp: NLP) -> dict[str, Any]:
-    return {"x": nlp.x_symbol, "p": nlp.p_symbol, "f": nlp.f_expression, "g": nlp.g_expression}
+def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
+    programme = {"x": nlp.x_symbol, "p": nlp.p_symbol, "f": nlp.f_expression, "g": nlp.g_expression}
+    return casadi.nlpsol("ipopt", "ipopt", programme, {**OPTIONS, **extra})
+
+
+def compiled(nlp: NLP) -> Any:
+    """The solver of a programme, made once."""
+    if "ipopt" not in nlp.cache:
+        nlp.cache["ipopt"] = _solver(nlp, {})
+    return nlp.cache["ipopt"]
 
 
 def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False) -> Attempt:
     """Minimise from x; the compiled solver is kept as long as the programme lives."""
     recorder = _Recorder(nlp) if track else None
-    if recorder is not None:
-        solver = casadi.nlpsol("ipopt", "ipopt", _programme(nlp), {**OPTIONS, "iteration_callback": recorder})
-    else:
-        solver = nlp.cache.get("ipopt")
-        if solver is None:
-            solver = nlp.cache["ipopt"] = casadi.nlpsol("ipopt", "ipopt", _programme(nlp), OPTIONS)
+    solver = compiled(nlp) if recorder is None else _solver(nlp, {"iteration_callback": recorder})
     result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)
     statistics = solver.stats()
     end = np.asarray(result["x"], dtype=float).ravel()

@@ -26,12 +26,24 @@ RESCALE = 1e-3  # an optimum this far below its start is searched again from the
 def backend(name: str) -> Backend:
     """The back end of that name; its library is imported only now."""
     if name == "slsqp":
-        from optlink.solvers.slsqp import slsqp  # noqa: PLC0415
+        from optlink.solvers.slsqp import slsqp
 
         return slsqp
-    from optlink.solvers.ipopt import ipopt  # noqa: PLC0415
+    from optlink.solvers.ipopt import ipopt
 
     return ipopt
+
+
+def prepare(nlp: NLP, name: str) -> None:
+    """Import and compile what a back end needs, so that the search itself is timed alone."""
+    backend(name)
+    if name == "ipopt":
+        from optlink.solvers.ipopt import compiled
+
+        compiled(nlp)
+    nlp.at(nlp.x_start, nlp.p)
+    nlp.hessian(nlp.x_start, nlp.p, np.zeros(len(nlp.rows)))
+    nlp.residuals(nlp.x_start)
 
 
 def scaled(nlp: NLP, x: Array) -> Array:
@@ -40,11 +52,17 @@ def scaled(nlp: NLP, x: Array) -> Array:
     return np.array([max(abs(f), SMALLEST_SCALE) if math.isfinite(f) else 1.0, *nlp.p[1:]])
 
 
+def given(nlp: NLP, x: Array, message: str) -> Solution:
+    """A point that was not searched, as a solution."""
+    x = nlp.lifted(x)
+    return examine(nlp, Attempt(x, 0, message), scaled(nlp, x))
+
+
 def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solution:
     """One local search from x."""
     start = repair(nlp, x, nlp.p)
     if start is None:
-        return replace(examine(nlp, Attempt(x, 0, "the start could not be repaired"), nlp.p), status=Status.INFEASIBLE)
+        return replace(given(nlp, x, "the start could not be repaired"), status=Status.INFEASIBLE)
     start = nlp.lifted(start)
     p = scaled(nlp, start)
     run = backend(name)
@@ -61,12 +79,10 @@ def starts(nlp: NLP, count: int, seed: int) -> list[Array]:
     """The given start, then count - 1 Sobol points over the bounds (scrambled by the seed)."""
     points = [nlp.x_start]
     if count > 1:
-        from scipy.stats import qmc  # noqa: PLC0415 - a second to import
+        from scipy.stats import qmc
 
         sobol = qmc.Sobol(len(nlp.variables), rng=np.random.default_rng(seed))
-        unit = (
-            sobol.random_base2(max(1, math.ceil(math.log2(count - 1))))[: count - 1] if count > 2 else sobol.random(1)
-        )
+        unit = sobol.random_base2(max(1, math.ceil(math.log2(count - 1))))[: count - 1] if count > 2 else sobol.random(1)
         high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
         points += list(nlp.x_low + unit * (high - nlp.x_low))
     return [nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)) for x in points]

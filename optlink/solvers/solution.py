@@ -39,7 +39,7 @@ class Backend(Protocol):
     """The whole contract of a solver: from a programme and a start to an attempt. It must not raise for a hard problem."""
 
     def __call__(self, nlp: NLP, x: Array, p: Array, *, track: bool = False) -> Attempt:
-        """Minimise from x with parameters p."""
+        """Minimise from x with parameters p; `track` keeps the iterates."""
         ...
 
 
@@ -185,9 +185,7 @@ def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float
         (f"mechanism.{v.name}", f"{v.name}", x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i])
         for i, v in enumerate(nlp.variables)
     ]
-    entries += [
-        (row.limit, row.label, g[j], row.low, row.high, row.scale, multipliers[n + j]) for j, row in enumerate(nlp.rows)
-    ]
+    entries += [(row.limit, row.label, g[j], row.low, row.high, row.scale, multipliers[n + j]) for j, row in enumerate(nlp.rows)]
     states = []
     for key, name, value, low, high, scale, multiplier in entries:
         if key.endswith(EPIGRAPH):

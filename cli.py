@@ -1,0 +1,6 @@
+"""Launcher for a checkout without an install: `python cli.py solve crank-rocker`."""
+
+from optlink.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,239 @@
+"""The command line: parse, call one library function, print, exit code.
+
+0: done and valid. 1: solved, but not valid or not feasible. 2: bad input. 3: the solver failed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from optlink.errors import InputError, OptlinkError, Status
+
+if TYPE_CHECKING:
+    from optlink.design.files import ProblemFile
+    from optlink.workflow import Result
+
+
+class Backend(enum.StrEnum):
+    """Which solver searches."""
+
+    slsqp = "slsqp"
+    ipopt = "ipopt"
+    both = "both"
+
+
+app = typer.Typer(
+    name="optlink",
+    help="State a planar linkage and what it must do; get a design that is optimal, verified and explained.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help="A shipped problem (see `list`) or the path of a TOML file.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help='Change a key: --set mechanism.frame="480 mm". Repeatable.'),
+]
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, pictures and tables there.")]
+Design = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--design",
+        metavar="NAME=VALUE",
+        help='A given design: --design coupler="412 mm", or a result.json. Repeatable.',
+    ),
+]
+
+
+@contextlib.contextmanager
+def _reported(as_json: bool) -> Iterator[None]:
+    """Turn an error that optlink raises on purpose into a message on standard error (and JSON, if asked) and its exit code."""
+    try:
+        yield
+    except OptlinkError as error:
+        faults = error.faults if isinstance(error, InputError) else ()
+        for line in [str(fault) for fault in faults] or [str(error)]:
+            print(f"Error: {line}", file=sys.stderr)
+        if as_json:
+            listed = [
+                {k: (v if v is None or isinstance(v, str | int) else str(v)) for k, v in vars(fault).items()} for fault in faults
+            ]
+            _print_json({"schema": "optlink/error/1", "status": "error", "message": str(error), "faults": listed})
+        raise typer.Exit(error.exit_code) from None
+
+
+def _print_json(document: dict[str, Any]) -> None:
+    print(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def _load(problem: str, changes: list[str] | None) -> ProblemFile:
+    from optlink.design.files import load, parse_assignment
+
+    return load(problem, dict(parse_assignment(text) for text in changes or []))
+
+
+def _finish(result: Result, as_json: bool, out: Path | None) -> None:
+    if out is not None:
+        from optlink.report.plot import write_all
+
+        with _working(f"Drawing into {out}"):
+            write_all(result, out)
+    if as_json:
+        _print_json(result.to_dict())
+    else:
+        from optlink.report import terminal
+
+        terminal.console().print(terminal.result(result))
+    if result.status in (Status.STALLED, Status.NON_FINITE):
+        raise typer.Exit(3)
+    if not result.valid:
+        raise typer.Exit(1)
+
+
+@contextlib.contextmanager
+def _working(what: str) -> Iterator[None]:
+    from optlink.report import terminal
+
+    with terminal.console(stderr=True).status(what):
+        yield
+
+
+@contextlib.contextmanager
+def _progress(total: int) -> Iterator[Callable[[int], None] | None]:
+    """A bar with rate and time left on standard error, for work of more than a few starts."""
+    if total < 8:
+        yield None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from optlink.report import terminal
+
+    columns = (TextColumn("searching"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starts", total=total)
+        yield lambda done: bar.update(task, completed=done)
+
+
+@app.command("list")
+def list_problems(as_json: Json = False) -> None:
+    """Shipped problems: name, kind, one line."""
+    with _reported(as_json):
+        from optlink.design.files import load, shipped
+
+        files = [load(name) for name in shipped()]
+        if as_json:
+            rows = [{"name": f.name, "kind": f.problem.requirement.kind, "title": f.problem.title} for f in files]
+            _print_json({"schema": "optlink/list/1", "problems": rows})
+            return
+        from optlink.report import terminal
+
+        terminal.console().print(terminal.listing(files))
+
+
+@app.command()
+def show(
+    problem: Problem,
+    changes: Set = None,
+    as_toml: Annotated[bool, typer.Option("--toml", help="As a problem file, to begin your own with.")] = False,
+    as_json: Json = False,
+) -> None:
+    """The problem in full, with units and defaults."""
+    with _reported(as_json):
+        file = _load(problem, changes)
+        if as_json:
+            _print_json({"schema": "optlink/problem/1", "name": file.name, "problem_hash": file.hash, "problem": dict(file.raw)})
+            return
+        if as_toml:
+            from optlink.design.files import dump
+
+            print(dump(file), end="")
+            return
+        from optlink.report import terminal
+
+        terminal.console().print(terminal.problem(file))
+
+
+@app.command()
+def solve(
+    problem: Problem,
+    backend: Annotated[Backend, typer.Option(help="Both: each searches for itself, and they must agree.")] = Backend.ipopt,
+    starts: Annotated[int, typer.Option(help="Number of starts: the given one, and Sobol points over the bounds.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the Sobol points.")] = 0,
+    changes: Set = None,
+    design: Design = None,
+    as_json: Json = False,
+    out: Out = None,
+) -> None:
+    """Find the design, prove it, and say what each active limit costs."""
+    with _reported(as_json):
+        if design:
+            _validate(problem, design, changes, as_json, out)
+            return
+        file = _load(problem, changes)
+        if out is not None:
+            _folder(out)
+        from optlink.workflow import solve as search
+
+        searches = starts * (2 if backend is Backend.both else 1)
+        with _progress(searches) as progress:
+            result = search(file, str(backend), starts, seed, progress, track=out is not None)
+        _finish(result, as_json, out)
+
+
+@app.command()
+def validate(problem: Problem, design: Design = None, changes: Set = None, as_json: Json = False, out: Out = None) -> None:
+    """Prove a given design, or show where it fails."""
+    with _reported(as_json):
+        _validate(problem, design or [], changes, as_json, out)
+
+
+def _validate(problem: str, design: list[str], changes: list[str] | None, as_json: bool, out: Path | None) -> None:
+    from optlink.workflow import read_design
+    from optlink.workflow import validate as prove
+
+    file = _load(problem, changes)
+    given = read_design(file, design)
+    if out is not None:
+        _folder(out)
+    _finish(prove(file, given), as_json, out)
+
+
+def _folder(out: Path) -> None:
+    from optlink.report.store import folder
+
+    folder(out)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from optlink import __version__
+
+        print(f"optlink {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+) -> None:
+    """Planar linkage design optimisation."""
+
+
+def main() -> None:
+    """Entry point of the `optlink` command."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

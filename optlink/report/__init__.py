@@ -1,0 +1,1 @@
+"""Show me: tables for the terminal, pictures, files."""

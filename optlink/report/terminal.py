@@ -1,0 +1,250 @@
+"""Results as well-set tables for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from rich import box
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from optlink.design.files import ProblemFile
+from optlink.design.quantity import Interval, Quantity
+from optlink.errors import Status
+from optlink.workflow import Result, people
+
+GOOD, BAD, QUIET, HEAD = "green", "bold red", "dim", "bold"
+
+
+def _grid(title: str, columns: Iterable[tuple[str, str]], header: bool = False) -> Table:
+    table = Table(
+        title=title,
+        title_justify="left",
+        title_style=HEAD,
+        box=box.SIMPLE_HEAD if header else None,
+        show_header=header,
+        header_style=QUIET,
+        pad_edge=False,
+        padding=(0, 2, 0, 0),
+    )
+    for name, justify in columns:
+        table.add_column(name, justify=justify, overflow="fold")  # type: ignore[arg-type]
+    return table
+
+
+def number(value: float, digits: int = 6) -> str:
+    """A figure for people; a dash where there is none."""
+    if not math.isfinite(value):
+        return "-"
+    if abs(value) < 1e-300:
+        return "0"
+    return f"{value:.{digits}g}" if abs(value) >= 1e-5 else f"{value:.1e}"
+
+
+def fixed(value: float, digits: int = 3) -> str:
+    """A figure with a fixed number of decimals; a dash where there is none."""
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def result(outcome: Result) -> RenderableType:
+    """Everything about a result."""
+    parts: list[RenderableType] = [_headline(outcome), Text(), _design(outcome)]
+    if outcome.conflict:
+        parts += [Text(), _conflict(outcome)]
+    else:
+        parts += [Text(), _objective(outcome)]
+        if outcome.solution:
+            parts += [Text(), _active(outcome)]
+        parts += [Text(), _checks(outcome)]
+    if len(outcome.optima) > 1 or outcome.starts > 1:
+        parts += [Text(), _optima(outcome)]
+    if outcome.backends:
+        parts += [Text(), _backends(outcome)]
+    parts += [Text(), _times(outcome)]
+    return Group(*parts)
+
+
+def _headline(outcome: Result) -> Text:
+    title = Text(outcome.problem.problem.title, style=HEAD)
+    word = "valid" if outcome.valid else "not valid"
+    if outcome.conflict:
+        word = "no feasible design"
+    elif outcome.status not in (Status.OPTIMAL, Status.NOT_SEARCHED):
+        word = "no design"
+    title.append(f"\n{outcome.status.value}, " if outcome.status is not Status.NOT_SEARCHED else "\ngiven design, ")
+    title.append(word, style=GOOD if outcome.valid else BAD)
+    return title.append(f"\n{outcome.status.text}", style=QUIET)
+
+
+def _design(outcome: Result) -> Table:
+    problem = outcome.problem.problem
+    note = "Design" if not outcome.conflict else "Nearest design found (it does not meet the limits)"
+    table = _grid(note, [("", "left"), ("", "right"), ("", "left"), ("", "left")])
+    for name, value in outcome.design.items():
+        shown, unit = people(name, value)
+        quantity = problem.quantities.get(name)
+        if quantity is None:
+            where = str(problem.requirement.start) if name == "phi0" else "the rocker's own angle there"
+            remark = where if name == "psi0" else f"at the {where}"
+        else:
+            low, high = (people(name, bound)[0] for bound in quantity.bounds)
+            remark = f"free, {low:g} ... {high:g}" if quantity.free else "given"
+        bold = quantity is not None and quantity.free
+        table.add_row(name, Text(fixed(shown), style=HEAD if bold else ""), unit, Text(remark, style=QUIET))
+    return table
+
+
+def _objective(outcome: Result) -> Table:
+    table = _grid("Objective", [("", "left"), ("", "right"), ("", "left"), ("", "left")])
+    in_degrees = f"= {number(math.degrees(outcome.objective), 5)} deg" if outcome.unit == "rad" else ""
+    if outcome.measure == "sum of squares":
+        rms = math.sqrt(outcome.objective / len(outcome.problem.problem.law.offsets)) if outcome.objective >= 0 else math.nan
+        in_degrees = f"rms {number(math.degrees(rms), 4)} deg over {len(outcome.problem.problem.law.offsets)} positions"
+    table.add_row(outcome.measure, Text(number(outcome.objective), style=HEAD), outcome.unit, Text(in_degrees, style=QUIET))
+    return table
+
+
+def _active(outcome: Result) -> RenderableType:
+    assert outcome.solution is not None
+    active = [limit for limit in outcome.solution.limits if limit.active]
+    if not active:
+        return Text.assemble(("Active limits", HEAD), "\nnone: only the requirement shapes this design")
+    table = _grid("Active limits, and what relaxing each by one unit would buy", [("", "left"), ("", "left"), ("", "left")])
+    for limit in active:
+        bound = f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip()
+        gain = abs(limit.multiplier)
+        share = f" ({gain / outcome.objective:.2%})" if outcome.objective > 0 else ""
+        unit = limit.unit or "unit"
+        buys = f"{gain:.4g} {outcome.unit} per {unit}{share}" if gain > 0 else "nothing"
+        table.add_row(limit.name, bound, buys)
+    return table
+
+
+def _checks(outcome: Result) -> Table:
+    checks = outcome.validation.checks
+    passed = sum(check.passed for check in checks)
+    table = _grid(
+        f"Validation: {passed} of {len(checks)} checks passed",
+        [("", "left"), ("check", "left"), ("found", "right"), ("", "left"), ("allowed", "left")],
+        header=True,
+    )
+    for check in checks:
+        mark = Text("ok" if check.passed else "FAIL", style=GOOD if check.passed else BAD)
+        table.add_row(mark, check.name, number(check.value), Text(check.unit, style=QUIET), check.limit)
+    return table
+
+
+def _conflict(outcome: Result) -> Table:
+    table = _grid(
+        "These limits cannot hold together",
+        [("limit", "left"), ("asked", "left"), ("feasible if it were (all else kept)", "left"), ("key", "left")],
+        header=True,
+    )
+    for item in outcome.conflict:
+        alone = "no relaxation of it alone is enough"
+        if math.isfinite(item.relaxed):
+            alone = f"{item.sense} {item.relaxed:.6g} {item.unit} (give {item.amount:.4g} {item.unit})"
+        elif math.isfinite(item.amount):
+            alone = f"give {item.amount:.4g} {item.unit}"
+        table.add_row(item.name, f"{item.sense} {item.bound:g} {item.unit}", alone, Text(item.key, style=QUIET))
+    if any(not math.isfinite(item.relaxed) for item in outcome.conflict):
+        table.add_section()
+        for item in outcome.together:
+            told = f"{item.sense} {item.relaxed:.6g} {item.unit}" if math.isfinite(item.relaxed) else "given up"
+            table.add_row(f"together: {item.name}", f"{item.sense} {item.bound:g} {item.unit}", told, Text(item.key, style=QUIET))
+    return table
+
+
+def _optima(outcome: Result) -> Table:
+    reached = sum(optimum.count for optimum in outcome.optima)
+    free = outcome.problem.problem.free
+    table = _grid(
+        f"Distinct optima: {len(outcome.optima)} (feasible ends {reached} of {outcome.starts * max(1, len(outcome.backends))} searches)",
+        [
+            (f"objective [{outcome.unit}]", "right"),
+            *((f"{n} [{people(n, 0.0)[1]}]", "right") for n in free),
+            ("searches", "right"),
+        ],
+        header=True,
+    )
+    for optimum in outcome.optima[:12]:
+        values = [fixed(people(name, optimum.design[name])[0]) for name in free]
+        table.add_row(number(optimum.objective, 8), *values, str(optimum.count))
+    return table
+
+
+def _backends(outcome: Result) -> Table:
+    free = outcome.problem.problem.free
+    columns = [("back end", "left"), ("status", "left"), (f"[{outcome.unit}]", "right")]
+    columns += [(f"{name} [{people(name, 0.0)[1]}]", "right") for name in free]
+    table = _grid("Back ends", [*columns, ("steps", "right"), ("KKT", "right")], header=True)
+    for name, solution in outcome.backends.items():
+        values = [fixed(people(key, solution.design[key])[0], 6) for key in free]
+        table.add_row(
+            name,
+            solution.status.value,
+            number(solution.objective, 9),
+            *values,
+            str(solution.iterations),
+            f"{solution.kkt:.1e}",
+        )
+    return table
+
+
+def _times(outcome: Result) -> Text:
+    words = ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in outcome.seconds.items() if seconds > 0.0)
+    head = f"{outcome.backend}, {outcome.solution.iterations} iterations; " if outcome.solution else ""
+    return Text(head + words, style=QUIET)
+
+
+def problem(file: ProblemFile) -> RenderableType:
+    """A problem in full: every key with its value or default, in units."""
+    wanted = file.problem
+    parts: list[RenderableType] = [Text(wanted.title, style=HEAD)]
+    if wanted.about:
+        parts.append(Text(wanted.about.strip()))
+    parts.append(Text(f"Source: {wanted.source or '-'}", style=QUIET))
+    for section, model in (
+        ("mechanism", wanted.mechanism),
+        ("requirement", wanted.requirement),
+        ("limits", wanted.limits),
+        ("expected", wanted.expected),
+    ):
+        if model is None:
+            continue
+        table = _grid(f"\n[{section}]", [("", "left"), ("", "left"), ("", "left")])
+        for name, field in type(model).model_fields.items():
+            value = getattr(model, name)
+            stated = name in model.model_fields_set
+            table.add_row(field.alias or name, _plain(name, value), Text("" if stated else "default", style=QUIET))
+        parts.append(table)
+    return Group(*parts)
+
+
+def _plain(name: str, value: object) -> str:
+    if value is None:
+        return {"psi0": "the rocker's own angle at the start", "span": "that of the table"}.get(name, "-")
+    if isinstance(value, Quantity | Interval | str | int | float):
+        return str(value)
+    text = getattr(value, "text", None)
+    if text is not None:
+        return str(text)
+    phi, psi = getattr(value, "phi", ()), getattr(value, "psi", ())
+    rows = (f"{np.degrees(a):g} -> {np.degrees(b):g} deg" for a, b in zip(phi, psi, strict=True))
+    return "table: " + ", ".join(list(rows)[:8]) + (f", ... ({len(phi)} rows)" if len(phi) > 8 else "")
+
+
+def listing(files: Iterable[ProblemFile]) -> Table:
+    """The shipped problems, a line each."""
+    table = _grid("Shipped problems", [("name", "left"), ("kind", "left"), ("what it is", "left")], header=True)
+    for file in files:
+        table.add_row(file.name, f"{file.problem.mechanism.type}, {file.problem.requirement.kind}", file.problem.title)
+    return table
+
+
+def console(*, stderr: bool = False) -> Console:
+    """A console that never guesses colours into plain numbers."""
+    return Console(stderr=stderr, highlight=False, soft_wrap=False)
