@@ -76,7 +76,7 @@ def validate(
     if objective is not None:
         gap = abs(found - objective) / max(abs(found), 1e-12)
         agrees = bool(gap <= 1e-6 or abs(found - objective) <= 1e-15)
-        checks.append(Check("objective recomputed from the motion", agrees, gap, "<= 1e-06", ""))
+        checks.append(Check("objective measured in motion", agrees, gap, "<= 1e-06", ""))
     return Validation(tuple(checks), found)
 
 
@@ -109,7 +109,8 @@ class _Tested:
         b, c, d = (motion.position(name) for name in "BCD")
         to_b, to_d = b - c, d - c
         cross = to_b[..., 0] * to_d[..., 1] - to_b[..., 1] * to_d[..., 0]
-        return np.abs(np.arctan2(cross, np.sum(to_b * to_d, axis=-1)))
+        gamma: Array = np.abs(np.arctan2(cross, np.sum(to_b * to_d, axis=-1)))
+        return gamma
 
     def transmission_extremes(self, motion: Motion) -> tuple[float, float]:
         """Least and largest transmission angle [rad], refined around the extreme positions of the sweep."""
@@ -253,7 +254,7 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
         np.linalg.norm(diagonal, axis=-1) * tested.design["coupler"]
     )
     least = float(np.min(tested.problem.side * sine))
-    yield Check("one branch: C stays on one side of B-D", bool(least > 0.0), least, "> 0", "")
+    yield Check("one branch: C on one side of B-D", bool(least > 0.0), least, "> 0", "")
     step = abs(motion.crank_angle[1] - motion.crank_angle[0])
     closed = np.concatenate([c, c[:1]]) if tested.turns else c
     speed = np.linalg.norm(motion.velocity("C"), axis=-1)
@@ -292,7 +293,7 @@ def _requirement(tested: _Tested) -> Iterator[Check]:
     problem, start = tested.problem, tested.problem.requirement.start
     if start in DEAD_CENTRES and "phi0" not in problem.quantities:
         rate = abs(float(sweep(tested.mechanism, tested.sizes, [tested.phi0]).body_angle("rocker").rate[0]))
-        yield Check(f"rocker at rest at the {start}", bool(rate <= 1e-6), rate, "<= 1e-06", "")
+        yield Check("rocker at rest at its dead centre", bool(rate <= 1e-6), rate, "<= 1e-06", "")
         reach = tested.reach(tested.phi0) if math.isfinite(tested.phi0) else math.nan
         wanted = tested.design["coupler"] + (1.0 if start == DEAD_CENTRES[0] else -1.0) * tested.design["crank"]
         gap = abs(reach - abs(wanted)) * 1e3

@@ -19,6 +19,7 @@ from optlink.linkage.fourbar import (
     crank_rocker_conditions,
     diagonal_squared,
     double_crank_conditions,
+    lengths_of,
     swing,
     time_ratio,
     transmission_cosine,
@@ -59,7 +60,10 @@ PLAIN = Scale("")
 
 @dataclass(frozen=True)
 class Row:
-    """One inequality (or equality where low = high) of the programme."""
+    """One inequality (or equality where low = high) of the programme.
+
+    Rows of one limit with one label are the same limit asked at several positions: they have one price and give way together.
+    """
 
     limit: str  # key of the limit in the problem file
     label: str
@@ -75,16 +79,16 @@ Term = Callable[[DesignProblem, Mapping[str, Value], StartPosition, float], Iter
 
 def crank(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:
     """The crank turns fully (linear conditions), or the mechanism can be assembled over the span."""
-    lengths = [values[name] for name in LENGTHS]
+    lengths = lengths_of(values)
     millimetres = Scale("mm", 1e3 * size)
     if problem.limits.crank == "span":
         r, a, b, f = lengths
         cosines = [np.cos(phi) for phi in turning_points(start.phi0, problem.span)]
-        for which, cos_phi in enumerate(cosines):
+        for cos_phi in cosines:
             square = diagonal_squared(r, f, cos_phi) / size**2
             yield Row(
                 "limits.crank",
-                f"B not too far from D ({which})",
+                "B not too far from D",
                 (a + b) * (a + b) / size**2 - square,
                 0.0,
                 math.inf,
@@ -92,7 +96,7 @@ def crank(problem: DesignProblem, values: Mapping[str, Value], start: StartPosit
             )
             yield Row(
                 "limits.crank",
-                f"B not too near to D ({which})",
+                "B not too near to D",
                 square - (a - b) * (a - b) / size**2,
                 0.0,
                 math.inf,
@@ -128,15 +132,15 @@ def transmission(problem: DesignProblem, values: Mapping[str, Value], start: Sta
         high = 1.0 if interval.high is None else interval.high
     else:
         return
-    lengths = [values[name] for name in LENGTHS]
+    lengths = lengths_of(values)
     if problem.transmission_over == "revolution":
         yield Row(key, "smallest transmission angle", transmission_cosine(*lengths, 1.0), -math.inf, high, COSINE)
         yield Row(key, "largest transmission angle", transmission_cosine(*lengths, -1.0), low, math.inf, COSINE)
         return
-    for which, phi in enumerate(turning_points(start.phi0, problem.span)):
+    for phi in turning_points(start.phi0, problem.span):
         yield Row(
             key,
-            f"transmission angle over the span ({which})",
+            "transmission angle over the span",
             transmission_cosine(*lengths, np.cos(phi)),
             low,
             high,
@@ -155,7 +159,7 @@ def _within(interval: Interval | None) -> tuple[float, float]:
 
 def stroke(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:
     """Swing angle of the rocker and time ratio of its two strokes."""
-    lengths = [values[name] for name in LENGTHS]
+    lengths = lengths_of(values)
     if problem.limits.swing_angle is not None:
         value = swing(*lengths, problem.side)
         yield Row("limits.swing_angle", "swing angle of the rocker", value, *_within(problem.limits.swing_angle), DEGREES)

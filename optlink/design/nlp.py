@@ -69,9 +69,9 @@ class Compiled:
         self._results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
         self._buffer, self._evaluate = function.buffer()
         for i, argument in enumerate(self._arguments):
-            self._buffer.set_arg(i, memoryview(argument))
+            self._buffer.set_arg(i, memoryview(argument))  # type: ignore[call-arg, arg-type]
         for i, result in enumerate(self._results):
-            self._buffer.set_res(i, memoryview(result))
+            self._buffer.set_res(i, memoryview(result))  # type: ignore[call-arg, arg-type]
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Evaluate; matrices come flat, column by column."""
@@ -85,8 +85,8 @@ class Compiled:
 class NLP:
     """minimise f(x, p) subject to low <= g(x, p) <= high, x_low <= x <= x_high.
 
-    `x` (n,) are the scaled free quantities (and the largest error, last, for a minimax problem); `p` is the scale of the objective
-    followed by the fixed quantities, so that they can be varied without tracing anew.
+    `x` (n,) are the scaled free quantities (and, last, the largest error of a minimax problem); `p` is the scale of the
+    objective followed by the fixed quantities, so that they can be varied without tracing anew.
     """
 
     variables: tuple[Variable, ...]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from optlink.design.problem import DesignProblem, StartPosition
 from optlink.linkage.elementwise import Value, angle_from, turn, unit
@@ -18,7 +19,7 @@ class Measure:
     name: str
     unit: str
 
-    def of(self, residuals: Sequence[float]) -> float:
+    def of(self, residuals: ArrayLike) -> float:
         """The figure."""
         r = np.asarray(residuals, dtype=float)
         if self.name == "max":
@@ -26,7 +27,7 @@ class Measure:
         square = float(r @ r)
         return square if self.name == "sum of squares" else float(np.sqrt(square / r.size))
 
-    def slope(self, residuals: Sequence[float]) -> float:
+    def slope(self, residuals: ArrayLike) -> float:
         """Change of the figure per change of what the programme minimises (sum of squares, mean square, largest)."""
         return 0.5 / max(self.of(residuals), 1e-150) if self.name == "rms" else 1.0
 

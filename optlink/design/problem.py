@@ -29,7 +29,7 @@ from optlink.design.quantity import (
     read_quantity,
 )
 from optlink.linkage.elementwise import Value, Vector, angle, unit
-from optlink.linkage.fourbar import LENGTHS, dead_centre, four_bar
+from optlink.linkage.fourbar import LENGTHS, dead_centre, four_bar, lengths_of
 from optlink.linkage.mechanism import Mechanism
 
 MAX_POINTS = 10_000
@@ -193,7 +193,7 @@ class DesignProblem(Section):
 
     def start_position(self, values: Mapping[str, Value]) -> StartPosition:
         """Start of the requirement for given quantities; elementwise, NaN where it does not exist."""
-        lengths = [values[name] for name in LENGTHS]
+        lengths = lengths_of(values)
         if "phi0" in self.quantities:
             phi0 = values["phi0"]
             crank = unit(phi0)
@@ -312,7 +312,7 @@ def _check_law(problem: DesignProblem) -> None:
     worries = [law.hazards({"phi": phi0 + offsets, "phi0": phi0, "psi0": psi0}) for phi0, psi0 in starts]
     if all(worries):
         raise Unusable(
-            f"the law {worries[0]} on the span of {np.degrees(problem.span):.6g} deg from phi0 = {np.degrees(starts[0][0]):.6g} deg",
+            f"the law {worries[0]} on the span, {np.degrees(problem.span):.6g} deg from {np.degrees(starts[0][0]):.6g} deg on",
             "Change the law, the span or the start",
             "requirement.law",
             law.text,

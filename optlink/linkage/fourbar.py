@@ -8,6 +8,7 @@ The transmission angle gamma is the angle B-C-D between coupler and rocker, 0 ..
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,11 @@ from optlink.linkage.elementwise import Value, Vector, angle, angle_from, root
 from optlink.linkage.mechanism import RRR, Link, Mechanism
 
 LENGTHS = ("crank", "coupler", "rocker", "frame")
+
+
+def lengths_of(values: Mapping[str, Value]) -> tuple[Value, Value, Value, Value]:
+    """Crank, coupler, rocker, frame in the order of this module's functions."""
+    return values["crank"], values["coupler"], values["rocker"], values["frame"]
 
 
 def four_bar(side: int = 1) -> Mechanism:

@@ -159,13 +159,14 @@ def _conflict(outcome: Result) -> Table:
 
 
 def _optima(outcome: Result) -> Table:
+    searches = outcome.starts * max(1, len(outcome.backends))
     reached = sum(optimum.count for optimum in outcome.optima)
     free = outcome.problem.problem.free
     table = _grid(
-        f"Distinct optima: {len(outcome.optima)} (feasible ends {reached} of {outcome.starts * max(1, len(outcome.backends))} searches)",
+        f"Distinct optima: {len(outcome.optima)}, reached by {reached} of {searches} searches",
         [
-            (f"objective [{outcome.unit}]", "right"),
-            *((f"{n} [{people(n, 0.0)[1]}]", "right") for n in free),
+            ("objective", "right"),
+            *((name, "right") for name in free),
             ("searches", "right"),
         ],
         header=True,
@@ -178,8 +179,8 @@ def _optima(outcome: Result) -> Table:
 
 def _backends(outcome: Result) -> Table:
     free = outcome.problem.problem.free
-    columns = [("back end", "left"), ("status", "left"), (f"[{outcome.unit}]", "right")]
-    columns += [(f"{name} [{people(name, 0.0)[1]}]", "right") for name in free]
+    columns = [("back end", "left"), ("status", "left"), ("objective", "right")]
+    columns += [(name, "right") for name in free]
     table = _grid("Back ends", [*columns, ("steps", "right"), ("KKT", "right")], header=True)
     for name, solution in outcome.backends.items():
         values = [fixed(people(key, solution.design[key])[0], 6) for key in free]

@@ -72,10 +72,9 @@ def sides(nlp: NLP) -> list[Side]:
     for j, row in enumerate(nlp.rows):
         if row.limit == EPIGRAPH:
             continue
-        group = row.label.split(" (")[0] if row.label.endswith(")") else row.label
         for upper, bound in ((False, row.low), (True, row.high)):
             if math.isfinite(bound):
-                found.setdefault((row.limit, group, upper), []).append(j)
+                found.setdefault((row.limit, row.label, upper), []).append(j)
     result = []
     for (key, name, upper), rows in found.items():
         row = nlp.rows[rows[0]]

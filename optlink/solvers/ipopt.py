@@ -32,7 +32,7 @@ OPTIONS: dict[str, Any] = {
 }
 
 
-class _Recorder(casadi.Callback):  # type: ignore[misc]
+class _Recorder(casadi.Callback):
     """Keeps the iterates."""
 
     def __init__(self, nlp: NLP) -> None:
@@ -57,7 +57,7 @@ class _Recorder(casadi.Callback):  # type: ignore[misc]
     def get_sparsity_in(self, i: int) -> Any:
         return casadi.Sparsity.dense(self.sizes[casadi.nlpsol_out(i)], 1)
 
-    def eval(self, arguments: list[Any]) -> list[Any]:
+    def eval(self, arguments: Any) -> Any:
         self.path.append(np.asarray(arguments[0], dtype=float).ravel())
         return [0]
 

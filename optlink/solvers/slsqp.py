@@ -58,7 +58,7 @@ def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False) -> Attempt:
     path = [x.copy()]
 
     def objective(y: Array) -> float:
-        f = at(y).f * weight
+        f = float(at(y).f * weight)
         return f if math.isfinite(f) else UNDEFINED
 
     result = minimize(

@@ -6,7 +6,7 @@ The solver's own flag and message are recorded, not believed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -16,6 +16,7 @@ from optlink.design.problem import EPIGRAPH
 from optlink.errors import Status
 
 if TYPE_CHECKING:
+    from optlink.design.constraints import Scale
     from optlink.design.nlp import NLP, Point
 
 Array = NDArray[np.float64]
@@ -146,9 +147,9 @@ def stationarity(nlp: NLP, x: Array, point: Point, within: float = ACTIVE) -> St
     sign = np.where(high - values <= within, 1.0, 0.0) - np.where(values - low <= within, 1.0, 0.0)
     equal = low == high
     active = [int(i) for i in np.flatnonzero((sign != 0.0) | equal)]
-    found = np.zeros(0)
+    found: Array = np.zeros(0)
     while active:
-        found = np.linalg.lstsq(jacobian[active].T, -point.gradient, rcond=None)[0]
+        found = np.asarray(np.linalg.lstsq(jacobian[active].T, -point.gradient, rcond=None)[0], dtype=float)
         wrong = [(-found[k] * sign[i], k) for k, i in enumerate(active) if not equal[i]]
         worst, k = max(wrong, default=(0.0, 0))
         if worst <= 0.0:
@@ -179,38 +180,44 @@ def curvature(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity) -
 
 
 def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float) -> list[LimitState]:
-    """Every finite bound of the free quantities and rows as people read it."""
+    """Every finite bound of the free quantities and every limit as people read it.
+
+    Rows that share a limit and a label are one limit: the tightest of them is shown, with the sum of their multipliers.
+    """
     n = len(x)
     entries = [
-        (f"mechanism.{v.name}", f"{v.name}", x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i])
+        (f"mechanism.{v.name}", v.name, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i])
         for i, v in enumerate(nlp.variables)
+        if v.name != EPIGRAPH
     ]
-    entries += [(row.limit, row.label, g[j], row.low, row.high, row.scale, multipliers[n + j]) for j, row in enumerate(nlp.rows)]
-    states = []
+    entries += [
+        (row.limit, row.label, g[j], row.low, row.high, row.scale, multipliers[n + j])
+        for j, row in enumerate(nlp.rows)
+        if row.limit != EPIGRAPH
+    ]
+    states: dict[tuple[str, str, str], LimitState] = {}
     for key, name, value, low, high, scale, multiplier in entries:
-        if key.endswith(EPIGRAPH):
-            continue
         sides = ["="] if low == high else [side for side, bound in ((">=", low), ("<=", high)) if math.isfinite(bound)]
         for side in sides:
             bound = low if side == ">=" else high
             if scale.cosine and abs(bound) >= 1.0:
                 continue
-            slack = value - low if side == ">=" else high - value if side == "<=" else -abs(value - low)
-            active = bool(abs(value - bound) <= ACTIVE)
-            mine = side == "=" or (multiplier > 0.0) == (side == "<=")
-            shown = {"<=": ">=", ">=": "<=", "=": "="}[side] if scale.cosine else side
-            at, limit = scale.people(value), scale.people(bound)
-            states.append(
-                LimitState(
-                    key,
-                    name,
-                    at,
-                    limit,
-                    shown,
-                    scale.unit,
-                    active,
-                    float(-multiplier * price / scale.slope(bound)) if active and mine and multiplier else 0.0,
-                    (limit - at if shown == "<=" else at - limit) if shown != "=" else float(slack),
-                )
-            )
-    return states
+            state = _limit_state(key, name, float(value), float(bound), side, scale, float(multiplier), price)
+            known = states.get((key, name, side))
+            if known is not None:
+                tightest = min(known, state, key=lambda s: s.slack)
+                state = replace(tightest, multiplier=known.multiplier + state.multiplier)
+            states[key, name, side] = state
+    return list(states.values())
+
+
+def _limit_state(
+    key: str, name: str, value: float, bound: float, side: str, scale: Scale, multiplier: float, price: float
+) -> LimitState:
+    active = abs(value - bound) <= ACTIVE
+    mine = side == "=" or (multiplier > 0.0) == (side == "<=")
+    shown = {"<=": ">=", ">=": "<=", "=": "="}[side] if scale.cosine else side
+    at, limit = scale.people(value), scale.people(bound)
+    slack = {"<=": limit - at, ">=": at - limit, "=": -abs(at - limit)}[shown]
+    worth = -multiplier * price / scale.slope(bound) if active and mine and multiplier else 0.0
+    return LimitState(key, name, at, limit, shown, scale.unit, active, worth, slack)
