@@ -30,6 +30,13 @@ class Backend(enum.StrEnum):
     both = "both"
 
 
+def _whole_number(text: object) -> int:
+    try:
+        return int(str(text))
+    except ValueError:
+        raise typer.BadParameter(f'"{str(text)[:40]}" is not a whole number. Give for example 20') from None
+
+
 app = typer.Typer(
     name="optlink",
     help="State a planar linkage and what it must do; get a design that is optimal, verified and explained.",
@@ -168,8 +175,13 @@ def show(
 def solve(
     problem: Problem,
     backend: Annotated[Backend, typer.Option(help="Both: each searches for itself, and they must agree.")] = Backend.ipopt,
-    starts: Annotated[int, typer.Option(help="Number of starts: the given one, and Sobol points over the bounds.")] = 1,
-    seed: Annotated[int, typer.Option(help="Seed of the Sobol points.")] = 0,
+    starts: Annotated[
+        int,
+        typer.Option(
+            parser=_whole_number, metavar="N", help="Number of starts: the given one, and Sobol points over the bounds."
+        ),
+    ] = 1,
+    seed: Annotated[int, typer.Option(parser=_whole_number, metavar="S", help="Seed of the Sobol points.")] = 0,
     changes: Set = None,
     design: Design = None,
     as_json: Json = False,

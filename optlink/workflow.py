@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from optlink.design.files import ProblemFile, parse_assignment
 from optlink.design.objectives import MEASURES
 from optlink.design.quantity import Quantity, Unusable, nearest, read_quantity
 from optlink.errors import Fault, InputError, Status
+from optlink.linkage.fourbar import LENGTHS
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove
@@ -218,7 +221,8 @@ def solve(
         if isinstance(reason, Explanation):
             conflict = tuple(Relaxed(**vars(item)) for item in reason.conflict)
             together = tuple(Relaxed(**vars(item)) for item in reason.together)
-            found = {name: search.given(nlp, reason.x, "nearest design") for name in names}
+            nearest_design = replace(search.given(nlp, reason.x, "nearest design"), status=Status.INFEASIBLE)
+            found = dict.fromkeys(names, nearest_design)
         else:
             found = {name: search.solve_from(nlp, reason, name, track=track) for name in names}
     if len(found) > 1:
@@ -282,8 +286,23 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
     return Result(problem, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds)
 
 
+def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, object]]:
+    """KEY=VALUE as one assignment; a result.json as one for each quantity (phi0 and psi0 only where they are not derived)."""
+    if not text.endswith(".json"):
+        return [parse_assignment(text)]
+    try:
+        design = json.loads(Path(text).read_text(encoding="utf-8"))["design"].items()
+        parts = [(*key.rpartition("_"), float(value)) for key, value in design]
+        return [(name, f"{value!r} {unit}") for name, _, unit, value in parts if name in quantities or name in LENGTHS]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        reason = getattr(error, "strerror", None) or f"no design in it ({type(error).__name__})"
+        raise InputError(
+            Fault(f"cannot read a design: {reason}", "Give a result.json that `solve --out` wrote", text, "--design")
+        ) from None
+
+
 def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float]:
-    """Read a design given as texts such as "coupler=412.26 mm".
+    """Read a design given as texts such as "coupler=412.26 mm", or as the name of a result.json.
 
     Raises
     ------
@@ -292,11 +311,10 @@ def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float
     """
     quantities = problem.problem.quantities
     given: dict[str, float] = {}
-    for text in assignments:
-        key, value = parse_assignment(text)
+    for key, value in (pair for text in assignments for pair in _pairs(text, quantities)):
         name = key.removeprefix("mechanism.")
         if name not in quantities:
-            raise InputError(Fault("unknown quantity of the design", nearest(name, quantities), problem.file, "--design", text))
+            raise InputError(Fault("unknown quantity of the design", nearest(name, quantities), problem.file, "--design", key))
         try:
             quantity: Quantity = read_quantity(value, quantities[name].kind)
         except Unusable as error:
@@ -304,6 +322,7 @@ def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float
         given[name] = quantity.value
     missing = [name for name in problem.problem.free if name not in given]
     if missing:
-        example = " ".join(f'--design {name}="{quantities[name].value * 1e3:.6g} mm"' for name in missing)
+        starts = ((name, *people(name, quantities[name].value)) for name in missing)
+        example = " ".join(f'--design {name}="{value:.6g} {unit}"' for name, value, unit in starts)
         raise InputError(Fault(f"the design lacks {', '.join(missing)}", f"Add for example {example}", problem.file, "--design"))
     return given

@@ -179,7 +179,7 @@ class NLP:
         return np.append(x[:-1], largest if math.isfinite(largest) else 1.0)
 
 
-SMALLEST_SCALE = 1e-12  # of the objective: a start that is already perfect must not blow up rounding errors
+SMALLEST_SCALE = 1e-6  # of the objective: where the law can be met exactly, rounding errors must not be blown up
 
 
 def _residuals(problem: DesignProblem, values: dict[str, Any], start: StartPosition) -> list[Any]:

@@ -109,8 +109,9 @@ def _pose(axes: Axes, motion: Motion) -> None:
         _ground(axes, point[0], point[1], size * 1.3)
     for name, point in zip("ABCD", (a, b, c, d), strict=True):
         axes.plot(*point, "o", markersize=5.5, markerfacecolor="white", markeredgecolor=GROUND, zorder=4)
-        right, up = (1.35, -1.5) if name in "AD" else (0.6, 1.1)
-        axes.annotate(name, (point[0] + right * size, point[1] + up * size), color=GROUND, fontsize=9, zorder=5)
+        away = point - 0.5 * (a + d)  # letters stand away from the middle of the frame, those of the pivots beside the ground
+        shift = np.array([1.9, -0.9]) if name in "AD" else 1.5 * away / max(float(np.linalg.norm(away)), 1e-12)
+        axes.annotate(name, point + shift * size, color=GROUND, fontsize=9, zorder=5, ha="center", va="center")
 
 
 def _frame(axes: Axes, motion: Motion) -> None:
@@ -251,9 +252,10 @@ def transmission(result: Result) -> Figure | None:
             )
     axes.plot(crank, gamma, color=FOUND, linewidth=1.9, label="transmission angle γ")
     for bound, low in _transmission_limits(result):
-        axes.axhline(bound, color=LIMIT, linewidth=1.1, linestyle="--")
+        ends = (crank[0], crank[-1]) if problem.transmission_over == "revolution" else tuple(sorted((start, start + span)))
+        axes.plot(ends, (bound, bound), color=LIMIT, linewidth=1.3, linestyle="--")
         text = f"{'at least' if low else 'at most'} {bound:.5g}° "
-        axes.text(crank[-1], bound, text, ha="right", va="top" if low else "bottom", color=LIMIT, fontsize=9)
+        axes.text(ends[1], bound, text, ha="right", va="top" if low else "bottom", color=LIMIT, fontsize=9)
     for index, word, place in ((int(np.argmin(gamma)), "least", -5), (int(np.argmax(gamma)), "largest", 5)):
         axes.plot(crank[index], gamma[index], "o", color=FOUND, markersize=4.5)
         axes.annotate(
@@ -414,8 +416,8 @@ def frames(result: Result, count: int = 90) -> list[Image.Image]:
     moving = [*bars, dot]
     for artist in moving:
         artist.set_animated(True)
-    canvas.draw()  # all that stands still is drawn once
-    still = canvas.copy_from_bbox(figure.bbox)
+    canvas.draw()  # type: ignore[no-untyped-call] # all that stands still is drawn once
+    still = canvas.copy_from_bbox(figure.bbox)  # type: ignore[no-untyped-call]
     pictures: list[Image.Image] = []
     for k, step in enumerate(steps):
         for bar, pair in zip(bars, ("BC", "DC", "AB"), strict=True):
@@ -423,10 +425,11 @@ def frames(result: Result, count: int = 90) -> list[Image.Image]:
         phi = math.degrees(step)
         phi = (phi - crank[0]) % 360.0 + crank[0] if full else phi
         dot.set_data([phi], [float(np.interp(phi, crank, psi))])
-        canvas.restore_region(still)
+        canvas.restore_region(still)  # type: ignore[no-untyped-call]
         for artist in moving:
             (left if artist is not dot else right).draw_artist(artist)
-        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+        drawn = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
+        picture = Image.fromarray(np.asarray(drawn)[..., :3].copy())
         pictures.append(picture.quantize(palette=pictures[0]) if pictures else picture.quantize(128))
     return pictures
 

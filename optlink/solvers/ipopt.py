@@ -26,6 +26,11 @@ OPTIONS: dict[str, Any] = {
     "ipopt.acceptable_iter": 0,
     "ipopt.max_iter": 300,
     "ipopt.mu_strategy": "adaptive",
+    # the systems here are tiny and well scaled: guesses of multipliers, scaling and refinement cost more than they save
+    "ipopt.constr_mult_init_max": 0.0,
+    "ipopt.min_refinement_steps": 0,
+    "ipopt.mumps_scaling": 0,
+    "ipopt.mumps_permuting_scaling": 0,
     # bounds are kept as they are: by default they are widened by 1e-8, which would show in the sixth digit of a millimetre
     "ipopt.bound_relax_factor": 0.0,
     "ipopt.honor_original_bounds": "yes",

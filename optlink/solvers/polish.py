@@ -19,51 +19,62 @@ Array = NDArray[np.float64]
 NEAR = 1e-4  # a limit this close (scaled units), with a multiplier of the right sign, is taken as active
 MAX_STEPS = 6
 LONGEST_STEP = 1e-2  # further away is no polishing but another search
+CONVERGED = 1e-10
 ROUNDING = 1e-14
 
 
 def polish(nlp: NLP, attempt: Attempt, p: Array) -> Attempt:
     """Refine an attempt; one that does not become better is returned as it was."""
     x = attempt.x
-    point = nlp.at(x, p)
-    if not point.finite:
+    begin = here = nlp.at(x, p)
+    if not begin.finite:
         return attempt
-    proof = stationarity(nlp, x, point, NEAR)
-    active = proof.active
-    multipliers = proof.multipliers[active]
-    lower, upper = nlp.lower, nlp.upper
-    n, k = len(x), len(active)
-    values = np.concatenate([x, point.g])
-    bound = np.where(upper - values <= values - lower, upper, lower)[active]
-    y, best = x, np.inf
+    proof = stationarity(nlp, x, begin, NEAR)
+    active = np.array(proof.active, dtype=int)
+    n = len(x)
+    rows = active[active >= n] - n
+    values = np.concatenate([x, begin.g])
+    bound = np.where(nlp.upper - values <= values - nlp.lower, nlp.upper, nlp.lower)[active]
+    multipliers = proof.multipliers.copy()
+    unit = np.eye(n)
+    y, last = x, np.inf
     for _ in range(MAX_STEPS):
-        here = nlp.at(y, p)
-        if not here.finite:
-            break
-        jacobian = np.vstack([np.eye(n), here.jacobian])[active]
-        rows = np.concatenate([y, here.g])[active] - bound
-        residual = np.concatenate([here.gradient + jacobian.T @ multipliers, rows])
+        jacobian = np.vstack([unit, here.jacobian])[active]
+        missing = np.concatenate([y, here.g])[active] - bound
+        residual = np.concatenate([here.gradient + jacobian.T @ multipliers[active], missing])
         size = float(np.max(np.abs(residual), initial=0.0))
-        if size >= 0.5 * best:
+        if not size < 0.5 * last:
             break
-        best = size
+        last = size
         if size <= ROUNDING:
             break
-        full = np.zeros(len(values) - n)
-        for i, multiplier in zip(active, multipliers, strict=True):
-            if i >= n:
-                full[i - n] = multiplier
-        hessian = nlp.hessian(y, p, full)
-        if not np.all(np.isfinite(hessian)):
+        weights = np.zeros(len(here.g))
+        weights[rows] = multipliers[rows + n]
+        hessian = nlp.hessian(y, p, weights)
+        step = _newton(hessian, jacobian, residual)
+        if step is None:
             break
-        system = np.block([[hessian, jacobian.T], [jacobian, np.zeros((k, k))]])
-        step = np.linalg.lstsq(system, -residual, rcond=1e-12)[0]
-        y, multipliers = np.clip(y + step[:n], nlp.x_low, nlp.x_high), multipliers + step[n:]
-        if float(np.max(np.abs(y - x))) > LONGEST_STEP:
+        y = np.clip(y + step[:n], nlp.x_low, nlp.x_high)
+        multipliers[active] += step[n:]
+        here = nlp.at(y, p)
+        if not here.finite or float(np.max(np.abs(y - x))) > LONGEST_STEP:
             return attempt
-    there = nlp.at(y, p)
-    if not there.finite or violation(nlp, y, there.g) > max(FEASIBLE, violation(nlp, x, point.g)):
+    if last > CONVERGED or violation(nlp, y, here.g) > max(FEASIBLE, violation(nlp, x, begin.g)):
         return attempt
-    after, before = stationarity(nlp, y, there).kkt, stationarity(nlp, x, point).kkt
-    worse = after >= before or there.f > point.f + 1e-3 * abs(point.f)
+    worse = stationarity(nlp, y, here).kkt > max(proof.kkt, CONVERGED) or here.f > begin.f + 1e-3 * abs(begin.f)
     return attempt if worse else replace(attempt, x=y)
+
+
+def _newton(hessian: Array, jacobian: Array, residual: Array) -> Array | None:
+    """Step of the optimality system; least squares where limits depend on one another or the objective is flat."""
+    k = len(jacobian)
+    system = np.block([[hessian, jacobian.T], [jacobian, np.zeros((k, k))]])
+    if not np.all(np.isfinite(system)):
+        return None
+    try:
+        step = np.linalg.solve(system, -residual)
+        if np.max(np.abs(step)) < 1.0:
+            return step
+    except np.linalg.LinAlgError:
+        pass
+    return np.asarray(np.linalg.lstsq(system, -residual, rcond=1e-12)[0], dtype=float)

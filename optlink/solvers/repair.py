@@ -26,13 +26,13 @@ def repair(nlp: NLP, x: Array, p: Array) -> Array | None:
     """
     low, high = nlp.low, nlp.high
     inset = np.minimum(INSIDE, 0.25 * (high - low))
+    low_inside, high_inside = low + inset, high - inset
     x = np.clip(x, nlp.x_low, nlp.x_high)
     for _ in range(MAX_STEPS):
         point = nlp.at(x, p)
         if math.isfinite(point.f) and violation(nlp, x, point.g) <= FEASIBLE:
             return x
-        with np.errstate(invalid="ignore"):
-            miss = np.where(point.g < low + inset, low + inset - point.g, np.minimum(high - inset - point.g, 0.0))
+        miss = np.maximum(low_inside - point.g, 0.0) + np.minimum(high_inside - point.g, 0.0)
         rows = np.flatnonzero(np.isfinite(miss) & (miss != 0.0) & np.isfinite(point.jacobian).all(axis=1))
         if rows.size == 0:
             return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,54 +18,74 @@ Array = NDArray[np.float64]
 UNDEFINED = 1e20
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """The programme at one x in SLSQP's terms: f, c_eq = 0, c_in >= 0, everything finite."""
+
+    f: float
+    gradient: Array
+    equal: Array
+    equal_jacobian: Array
+    inside: Array
+    inside_jacobian: Array
+
+
+class _View:
+    """The programme as SLSQP wants it, each x evaluated once although SciPy asks for its parts one by one."""
+
+    def __init__(self, nlp: NLP, x: Array, p: Array) -> None:
+        self.nlp, self.p = nlp, p
+        low, high = nlp.low, nlp.high
+        below = np.flatnonzero(np.isfinite(low) & (low != high))
+        above = np.flatnonzero(np.isfinite(high) & (low != high))
+        self.equal = np.flatnonzero(low == high)
+        self.inside = np.concatenate([below, above])
+        self.sign = np.concatenate([np.ones(below.size), -np.ones(above.size)])
+        self.bound = np.concatenate([low[below], -high[above]])
+        # SLSQP takes the unit matrix as its first Hessian: measured in the largest true curvature its first step is no leap
+        bend = np.linalg.norm(nlp.hessian(x, p, np.zeros(len(low))), 2) if nlp.at(x, p).finite else 1.0
+        self.weight = float(1.0 / bend) if math.isfinite(bend) and bend > 0.0 else 1.0
+        self.key, self.seen = b"", self._look(x)
+
+    def at(self, x: Array) -> _Seen:
+        """Everything at x."""
+        key = x.tobytes()
+        if key != self.key:
+            self.key, self.seen = key, self._look(x)
+        return self.seen
+
+    def _look(self, x: Array) -> _Seen:
+        point = self.nlp.at(x, self.p)
+        if not point.finite:
+            point = Point(
+                point.f if math.isfinite(point.f) else UNDEFINED,
+                np.nan_to_num(point.gradient),
+                np.nan_to_num(point.g, nan=-UNDEFINED, posinf=UNDEFINED, neginf=-UNDEFINED),
+                np.nan_to_num(point.jacobian),
+            )
+        return _Seen(
+            point.f * self.weight,
+            point.gradient * self.weight,
+            point.g[self.equal] - self.nlp.low[self.equal],
+            point.jacobian[self.equal],
+            self.sign * point.g[self.inside] - self.bound,
+            self.sign[:, None] * point.jacobian[self.inside],
+        )
+
+
 def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False) -> Attempt:
     """Minimise from x. Iterations stop where the objective no longer changes in its last digits."""
-    cache: dict[bytes, Point] = {}
-
-    def at(y: Array) -> Point:
-        key = y.tobytes()
-        if key not in cache:
-            cache.clear()
-            cache[key] = nlp.at(y, p)
-        return cache[key]
-
-    # SLSQP takes the unit matrix as its first Hessian: measured in the largest true curvature its first step is no leap
-    bend = np.linalg.norm(nlp.hessian(x, p, np.zeros(len(nlp.rows))), 2) if at(x).finite else 1.0
-    weight = 1.0 / bend if math.isfinite(bend) and bend > 0.0 else 1.0
-    low, high = nlp.low, nlp.high
-    equal = low == high
-    below, above = np.isfinite(low) & ~equal, np.isfinite(high) & ~equal
-
-    def finite(values: Array) -> Array:
-        return np.nan_to_num(values, nan=-UNDEFINED, posinf=UNDEFINED, neginf=-UNDEFINED)
-
+    view = _View(nlp, x, p)
     constraints = []
-    if equal.any():
-        constraints.append(
-            {
-                "type": "eq",
-                "fun": lambda y: finite(at(y).g[equal] - low[equal]),
-                "jac": lambda y: np.nan_to_num(at(y).jacobian[equal]),
-            }
-        )
-    if below.any() or above.any():
-        constraints.append(
-            {
-                "type": "ineq",
-                "fun": lambda y: finite(np.concatenate([at(y).g[below] - low[below], high[above] - at(y).g[above]])),
-                "jac": lambda y: np.nan_to_num(np.vstack([at(y).jacobian[below], -at(y).jacobian[above]])),
-            }
-        )
+    if view.equal.size:
+        constraints.append({"type": "eq", "fun": lambda y: view.at(y).equal, "jac": lambda y: view.at(y).equal_jacobian})
+    if view.inside.size:
+        constraints.append({"type": "ineq", "fun": lambda y: view.at(y).inside, "jac": lambda y: view.at(y).inside_jacobian})
     path = [x.copy()]
-
-    def objective(y: Array) -> float:
-        f = float(at(y).f * weight)
-        return f if math.isfinite(f) else UNDEFINED
-
     result = minimize(
-        objective,
+        lambda y: view.at(y).f,
         x,
-        jac=lambda y: np.nan_to_num(at(y).gradient * weight),
+        jac=lambda y: view.at(y).gradient,
         bounds=list(zip(nlp.x_low, nlp.x_high, strict=True)),
         constraints=constraints,
         method="SLSQP",

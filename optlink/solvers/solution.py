@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -64,20 +65,46 @@ class LimitState:
 
 
 @dataclass(frozen=True)
-class Solution:
-    """A point of the programme with its proof. `x` scaled, `design` and `objective` in SI."""
+class Stationarity:
+    """First-order proof at x: `multipliers` of bounds (n) then rows, `active` of these, KKT residual."""
 
+    multipliers: Array
+    active: list[int]
+    kkt: float
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A point of the programme with its proof. `x` scaled, `design` and `objective` in SI.
+
+    `price` converts multipliers (of bounds, then rows) from the scaled objective to that of `objective`.
+    """
+
+    nlp: NLP
     x: Array
+    g: Array
+    price: float
     design: dict[str, float]
     objective: float
     status: Status
     violation: float
     kkt: float
-    curvature: float
-    limits: tuple[LimitState, ...]
+    p: Array
+    proof: Stationarity
     iterations: int
     message: str
     path: Array | None = None
+
+    @cached_property
+    def curvature(self) -> float:
+        """Least eigenvalue of the Lagrangian's Hessian along the active limits; see `curvature`."""
+        point = self.nlp.at(self.x, self.p)
+        return curvature(self.nlp, self.x, self.p, point, self.proof) if point.finite else math.nan
+
+    @cached_property
+    def limits(self) -> tuple[LimitState, ...]:
+        """Every bound and limit as people read it."""
+        return tuple(_limit_states(self.nlp, self.x, self.g, self.proof.multipliers, self.price))
 
     @property
     def usable(self) -> bool:
@@ -98,10 +125,8 @@ def examine(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
     residuals = nlp.residuals(x)
     worst = violation(nlp, x, point.g)
     proof = Stationarity(np.zeros(len(x) + len(point.g)), [], math.inf)
-    bend = math.nan
     if point.finite:
         proof = stationarity(nlp, x, point)
-        bend = curvature(nlp, x, p, point, proof)
     if not point.finite and not math.isfinite(point.f):
         status = Status.NON_FINITE
     elif worst > FEASIBLE:
@@ -112,27 +137,21 @@ def examine(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
         status = Status.OPTIMAL if proof.kkt <= STATIONARY else Status.STALLED
     price = p[0] * nlp.measure.slope(residuals) if np.all(np.isfinite(residuals)) else 0.0
     return Solution(
+        nlp=nlp,
         x=x,
+        g=point.g,
+        price=price,
         design=nlp.design(x),
         objective=nlp.measure.of(residuals),
         status=status,
         violation=worst,
         kkt=proof.kkt,
-        curvature=bend,
-        limits=tuple(_limit_states(nlp, x, point.g, proof.multipliers, price)),
+        p=p,
+        proof=proof,
         iterations=attempt.iterations,
         message=attempt.message,
         path=attempt.path,
     )
-
-
-@dataclass(frozen=True)
-class Stationarity:
-    """First-order proof at x: `multipliers` of bounds (n) then rows, `active` of these, KKT residual."""
-
-    multipliers: Array
-    active: list[int]
-    kkt: float
 
 
 def stationarity(nlp: NLP, x: Array, point: Point, within: float = ACTIVE) -> Stationarity:

@@ -1,0 +1,70 @@
+"""Heavy libraries stay in their room, and the package is what it says."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import optlink
+
+ROOT = Path(__file__).parent.parent
+HEAVY = {"casadi", "matplotlib", "cvxpy", "plotly", "scipy.optimize", "scipy.stats", "pint"}
+
+
+def loaded_after(code: str) -> set[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport sys; print('\\n'.join(sys.modules))"], capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.split())
+
+
+def test_help_loads_nothing_heavy():
+    code = "import sys; sys.argv = ['optlink', '--help']\nfrom optlink.cli import main\ntry: main()\nexcept SystemExit: pass"
+    assert loaded_after(code) & HEAVY == set()
+
+
+def test_the_check_would_notice():
+    assert loaded_after("import casadi") & HEAVY == {"casadi"}
+
+
+@pytest.mark.parametrize(
+    ("code", "unwanted"),
+    [
+        ("import optlink", HEAVY | {"numpy", "pydantic"}),
+        ("import optlink.linkage.motion, optlink.linkage.fourbar", HEAVY | {"pydantic"}),
+        ("import optlink.validation", HEAVY - {"pint"}),
+        ("import optlink; optlink.load('crank-rocker')", HEAVY - {"pint"}),
+        ("import optlink; optlink.solve(optlink.load('crank-rocker'))", HEAVY - {"pint", "casadi"}),
+    ],
+)
+def test_each_task_loads_only_what_it_needs(code, unwanted):
+    assert loaded_after(code) & unwanted == set()
+
+
+def test_public_names_exist():
+    for name in optlink.__all__:
+        assert getattr(optlink, name) is not None
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = optlink.nonsense
+
+
+def test_version_is_that_of_the_package():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["version"] == optlink.__version__
+
+
+def test_no_module_evaluates_text():
+    """Problem files are data: neither eval nor exec nor compile nor pickle anywhere in the package."""
+    import ast
+
+    forbidden = {"eval", "exec", "compile", "__import__"}
+    for path in (ROOT / "optlink").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in forbidden, f"{path}: {node.func.id}"
+            if isinstance(node, ast.Import):
+                assert not {alias.name for alias in node.names} & {"pickle", "shelve", "marshal"}, path

@@ -1,0 +1,104 @@
+"""Every notebook runs from top to bottom in a fresh kernel: its own asserts are the tests. What is stored in it is fit to read."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
+from nbformat import NotebookNode
+
+FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+LARGEST = 1_500_000  # bytes of a notebook in the repository
+FOREIGN = {
+    "traceback": re.compile(r"Traceback \(most recent call last\)"),
+    "warning": re.compile(r"\w*Warning\b"),
+    "machine path": re.compile(r"(?<![\w.:/])/(?:home|root|work|tmp|usr|opt|var|mnt|Users)/|\b[A-Za-z]:\\\\?\w"),
+    "memory address": re.compile(r"\bat 0x[0-9a-f]{6,}"),
+}
+
+
+def read(path: Path) -> NotebookNode:
+    return nbformat.read(path, as_version=4)
+
+
+def run(notebook: NotebookNode) -> NotebookNode:
+    """Execute in place; CellExecutionError where a cell fails."""
+    client = NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(FOLDER)}}, record_timing=False
+    )
+    return client.execute()
+
+
+def code_cells(notebook: NotebookNode) -> list[NotebookNode]:
+    return [cell for cell in notebook.cells if cell.cell_type == "code" and cell.source.strip()]
+
+
+def faults(notebook: NotebookNode) -> Iterator[str]:
+    """What a reader should not meet in the outputs; pictures are left out."""
+    for cell in code_cells(notebook):
+        for output in cell.outputs:
+            if output.output_type == "error" or output.get("name") == "stderr":
+                yield f"{cell.id}: {output.output_type} {output.get('text', '')}"
+            data = {kind: value for kind, value in output.get("data", {}).items() if not kind.startswith("image/")}
+            text = "\n".join([output.get("text", ""), *map(str, data.values()), *output.get("traceback", [])])
+            yield from (f"{cell.id}: {name}" for name, pattern in FOREIGN.items() if pattern.search(text))
+
+
+@pytest.fixture(autouse=True)
+def own_ipython(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No profile, history or start-up file of the user."""
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+
+
+def test_there_are_notebooks() -> None:
+    assert NOTEBOOKS
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_runs_in_a_fresh_kernel(path: Path) -> None:
+    assert list(faults(run(read(path)))) == []
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_stored_outputs_are_fit_to_read(path: Path) -> None:
+    notebook = read(path)
+    nbformat.validate(notebook)
+    assert path.stat().st_size < LARGEST
+    assert notebook.metadata.kernelspec.name == "python3"
+    cells = code_cells(notebook)
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1)), "run it from top to bottom, then save"
+    assert list(faults(notebook)) == []
+    words = [cell.source for cell in notebook.cells] + [json.dumps(notebook.metadata)]
+    assert not [text for text in words if FOREIGN["machine path"].search(text)]
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("Traceback (most recent call last):", "traceback"),
+        ("RuntimeWarning: invalid value", "warning"),
+        ("File /home/someone/optlink/x.py", "machine path"),
+        (r"C:\Users\someone", "machine path"),
+        ("<Figure at 0x7f3a2b1c>", "memory address"),
+    ],
+)
+def test_a_planted_output_is_found(text: str, name: str) -> None:
+    cell = nbformat.v4.new_code_cell("1", outputs=[nbformat.v4.new_output("stream", name="stdout", text=text)])
+    assert name in [fault.split(": ")[1] for fault in faults(nbformat.v4.new_notebook(cells=[cell]))]
+
+
+def test_a_wrong_figure_in_a_copy_is_found() -> None:
+    notebook = read(FOLDER / "crank_rocker.ipynb")
+    right, wrong = "abs(solution.objective - 0.00759237)", "abs(solution.objective - 0.00759337)"
+    last = next(k for k, cell in enumerate(notebook.cells) if right in cell.source)
+    notebook.cells = notebook.cells[: last + 1]
+    notebook.cells[last].source = notebook.cells[last].source.replace(right, wrong)
+    with pytest.raises(CellExecutionError, match="AssertionError"):
+        run(notebook)
