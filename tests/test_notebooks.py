@@ -1,4 +1,4 @@
-"""Every notebook runs from top to bottom in a fresh kernel: its own asserts are the tests. What is stored in it is fit to read."""
+"""Every notebook runs from top to bottom in a fresh kernel: its own asserts are the tests. What it stores is fit to read."""
 
 from __future__ import annotations
 

@@ -1,0 +1,58 @@
+"""The wheel holds what it must, and works from outside the checkout."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="module")
+def unpacked(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True)
+    with zipfile.ZipFile(next(folder.glob("*.whl"))) as wheel:
+        wheel.extractall(folder / "site")
+    return folder / "site"
+
+
+def test_wheel_holds_problems_and_types(unpacked):
+    assert (unpacked / "optlink" / "problems" / "crank-rocker.toml").is_file()
+    assert (unpacked / "optlink" / "py.typed").is_file()
+    assert not (unpacked / "tests").exists()
+
+
+def test_wheel_works_elsewhere(unpacked, tmp_path):
+    environment = {**os.environ, "PYTHONPATH": str(unpacked)}
+    code = "import optlink, sys; assert optlink.__file__.startswith(sys.argv.pop(1)), optlink.__file__; from optlink.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(unpacked), "solve", "crank-rocker", "--json"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=environment,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["valid"] is True
+
+
+def test_repository_speaks_of_the_project_alone():
+    """No absolute path of a developer's machine in any tracked text."""
+    listing = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listing.returncode != 0:
+        pytest.skip("not a git checkout")
+    for name in listing.stdout.split("\n"):
+        path = ROOT / name
+        if path.suffix in {".py", ".md", ".toml", ".ipynb", ".yml", ".m"} and path.is_file() and path.name != Path(__file__).name:
+            text = path.read_text(encoding="utf-8")
+            assert "/home/" not in text, name
+            assert "/work/" not in text, name
