@@ -32,7 +32,7 @@ def test_wheel_holds_problems_and_types(unpacked):
 
 def test_wheel_works_elsewhere(unpacked, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(unpacked)}
-    code = "import optlink, sys; assert optlink.__file__.startswith(sys.argv.pop(1)), optlink.__file__; from optlink.cli import main; main()"
+    code = "import optlink, sys; assert optlink.__file__.startswith(sys.argv.pop(1)); from optlink.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, str(unpacked), "solve", "crank-rocker", "--json"],
         capture_output=True,
@@ -54,5 +54,4 @@ def test_repository_speaks_of_the_project_alone():
         path = ROOT / name
         if path.suffix in {".py", ".md", ".toml", ".ipynb", ".yml", ".m"} and path.is_file() and path.name != Path(__file__).name:
             text = path.read_text(encoding="utf-8")
-            assert "/home/" not in text, name
-            assert "/work/" not in text, name
+            assert str(ROOT) not in text, name
