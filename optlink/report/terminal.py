@@ -14,16 +14,16 @@ from rich.text import Text
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import Interval, Quantity
 from optlink.errors import Status
-from optlink.workflow import Result, people
+from optlink.workflow import Relaxed, Result, people
 
 GOOD, BAD, QUIET, HEAD = "green", "bold red", "dim", "bold"
 
 
 def _grid(title: str, columns: Iterable[tuple[str, str]], header: bool = False) -> Table:
     table = Table(
-        title=title,
+        title=Text(title, style=HEAD),
         title_justify="left",
-        title_style=HEAD,
+        min_width=min(len(title), 79),
         box=box.SIMPLE_HEAD if header else None,
         show_header=header,
         header_style=QUIET,
@@ -140,22 +140,28 @@ def _checks(outcome: Result) -> Table:
 def _conflict(outcome: Result) -> Table:
     table = _grid(
         "These limits cannot hold together",
-        [("limit", "left"), ("asked", "left"), ("feasible if it were (all else kept)", "left"), ("key", "left")],
+        [("limit", "left"), ("asked", "left"), ("feasible if it alone gave", "left")],
         header=True,
     )
     for item in outcome.conflict:
-        alone = "no relaxation of it alone is enough"
-        if math.isfinite(item.relaxed):
-            alone = f"{item.sense} {item.relaxed:.6g} {item.unit} (give {item.amount:.4g} {item.unit})"
-        elif math.isfinite(item.amount):
-            alone = f"give {item.amount:.4g} {item.unit}"
-        table.add_row(item.name, f"{item.sense} {item.bound:g} {item.unit}", alone, Text(item.key, style=QUIET))
-    if any(not math.isfinite(item.relaxed) for item in outcome.conflict):
+        table.add_row(item.name, _asked(item), _given(item) or "never: see below")
+    if any(not math.isfinite(item.amount) for item in outcome.conflict):
         table.add_section()
         for item in outcome.together:
-            told = f"{item.sense} {item.relaxed:.6g} {item.unit}" if math.isfinite(item.relaxed) else "given up"
-            table.add_row(f"together: {item.name}", f"{item.sense} {item.bound:g} {item.unit}", told, Text(item.key, style=QUIET))
+            table.add_row(item.name, _asked(item), f"together: {_given(item) or 'dropped'}")
     return table
+
+
+def _asked(item: Relaxed) -> str:
+    return "must hold" if "<=" in item.name else f"{item.sense} {item.bound:g} {item.unit}"
+
+
+def _given(item: Relaxed) -> str:
+    if not math.isfinite(item.amount):
+        return ""
+    if "<=" in item.name:
+        return f"missed by {item.amount:.4g} {item.unit}"
+    return f"{item.sense} {item.relaxed:.6g} {item.unit} ({item.amount:.4g} {item.unit})"
 
 
 def _optima(outcome: Result) -> Table:
@@ -220,14 +226,19 @@ def problem(file: ProblemFile) -> RenderableType:
         for name, field in type(model).model_fields.items():
             value = getattr(model, name)
             stated = name in model.model_fields_set
-            table.add_row(field.alias or name, _plain(name, value), Text("" if stated else "default", style=QUIET))
+            if section == "expected" and not stated:
+                continue
+            text = wanted.transmission_over if name == "transmission_over" else _plain(name, value)
+            table.add_row(field.alias or name, text, Text("" if stated else "default", style=QUIET))
         parts.append(table)
     return Group(*parts)
 
 
 def _plain(name: str, value: object) -> str:
     if value is None:
-        return {"psi0": "the rocker's own angle at the start", "span": "that of the table"}.get(name, "-")
+        return {"psi0": "the rocker's own angle at the start", "span": "that of the table", "points": "its rows"}.get(
+            name, "no limit"
+        )
     if isinstance(value, Quantity | Interval | str | int | float):
         return str(value)
     text = getattr(value, "text", None)
