@@ -264,7 +264,7 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
         "one circuit: C moves without a jump",
         bool(jump <= fastest),
         jump * 1e3,
-        f"<= {fastest * 1e3:.3g} per step",
+        f"<= {fastest * 1e3:.3g}",
         "mm",
     )
 
@@ -296,12 +296,12 @@ def _requirement(tested: _Tested) -> Iterator[Check]:
         yield Check("rocker at rest at its dead centre", bool(rate <= 1e-6), rate, "<= 1e-06", "")
         reach = tested.reach(tested.phi0) if math.isfinite(tested.phi0) else math.nan
         wanted = tested.design["coupler"] + (1.0 if start == DEAD_CENTRES[0] else -1.0) * tested.design["crank"]
-        gap = abs(reach - abs(wanted)) * 1e3
+        gap, near = abs(reach - abs(wanted)) * 1e3, 1e-6 * tested.design["frame"] * 1e3
         yield Check(
             "crank and coupler in line there",
-            bool(gap <= 1e-6 * tested.design["frame"] * 1e3),
+            bool(gap <= near),
             gap,
-            "<= 1e-6 frame",
+            f"<= {near:.1e}",
             "mm",
         )
     if problem.tied:

@@ -10,11 +10,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from optlink.design.files import ProblemFile, parse_assignment
 from optlink.design.objectives import MEASURES
 from optlink.design.quantity import Quantity, Unusable, nearest, read_quantity
 from optlink.errors import Fault, InputError, Status
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.motion import sweep
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove
@@ -77,6 +81,22 @@ class Result:
         return self.status in (Status.OPTIMAL, Status.NOT_SEARCHED) and self.validation.valid
 
     @property
+    def sizes(self) -> dict[str, float]:
+        """The four lengths of the design [m]."""
+        return {name: self.design[name] for name in LENGTHS}
+
+    def error(self, offsets: ArrayLike | None = None) -> NDArray[np.float64]:
+        """Wanted minus generated rocker angle [rad], in (-pi, pi], at crank rotations [rad] from the start.
+
+        At the design positions if no `offsets` are given.
+        """
+        problem = self.problem.problem
+        at = problem.law.offsets if offsets is None else np.asarray(offsets, dtype=float)
+        wanted = problem.law.curve(at, self.design["phi0"], self.design["psi0"])
+        motion = sweep(problem.linkage, self.sizes, self.design["phi0"] + at)
+        return np.asarray(np.remainder(wanted - motion.body_angle("rocker").value + np.pi, 2.0 * np.pi) - np.pi)
+
+    @property
     def measure(self) -> str:
         """Name of the objective's measure."""
         return self.problem.problem.requirement.measure
@@ -99,7 +119,13 @@ class Result:
             "valid": self.valid,
             "backend": self.backend,
             "design": _design(self.design),
-            "objective": {"value": self.objective, "unit": self.unit, "measure": self.measure},
+            "objective": {
+                "value": self.objective,
+                "unit": self.unit,
+                "measure": self.measure,
+                "rms_deg": math.degrees(MEASURES["rms"].of(self.error())),
+                "largest_deg": math.degrees(MEASURES["max"].of(self.error())),
+            },
             "limits": [vars(limit) | {} for limit in self.solution.limits] if self.solution else [],
             "validation": [vars(check) | {} for check in self.validation.checks],
             "iterations": self.solution.iterations if self.solution else 0,

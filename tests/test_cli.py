@@ -41,7 +41,13 @@ def test_solve_as_json_has_the_promised_keys():
     assert result["design"]["coupler_mm"] == pytest.approx(412.86542, abs=1e-3)
     assert result["design"]["rocker_mm"] == pytest.approx(232.24617, abs=1e-3)
     assert result["design"]["phi0_deg"] == pytest.approx(26.472, abs=1e-3)
-    assert result["objective"] == {"value": pytest.approx(0.00759237, abs=1e-8), "unit": "rad^2", "measure": "sum of squares"}
+    assert result["objective"] == {
+        "value": pytest.approx(0.00759237, abs=1e-8),
+        "unit": "rad^2",
+        "measure": "sum of squares",
+        "rms_deg": pytest.approx(0.911494, abs=1e-5),
+        "largest_deg": pytest.approx(2.290047, abs=1e-5),
+    }
     assert {"name", "value", "bound", "unit", "active", "multiplier"} <= set(result["limits"][0])
     assert {"name", "passed", "value", "limit", "unit"} == set(result["validation"][0])
     assert set(result["seconds"]) == {"build", "solve", "validate"}

@@ -60,6 +60,12 @@ def test_hash_changes_with_the_problem_and_not_with_its_words(crank_rocker):
     assert crank_rocker.override({"requirement.points": 31}).hash != crank_rocker.hash
 
 
+def test_none_takes_a_key_away(crank_rocker):
+    without = crank_rocker.override({"limits.transmission_angle": None})
+    assert without.problem.limits.transmission_angle is None
+    assert "transmission_angle" not in tomllib.loads(dump(without))["limits"]
+
+
 def test_expected_goes_when_the_problem_changes(crank_rocker):
     assert crank_rocker.problem.expected is not None
     assert crank_rocker.override({"mechanism.frame": "501 mm"}).problem.expected is None

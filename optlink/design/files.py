@@ -38,7 +38,7 @@ class ProblemFile:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def override(self, changes: Mapping[str, object]) -> ProblemFile:
-        """The same problem with other values: {"mechanism.frame": "480 mm"}.
+        """The same problem with other values: {"mechanism.frame": "480 mm"}; None takes a key away.
 
         `[expected]` is dropped when something that it depends on changes.
         """
@@ -183,7 +183,10 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
         if not isinstance(table, dict):
             above = ".".join(path[: depth + 1])
             raise InputError(Fault(f"{above} is one value, it has no {last}", f"Set {above} itself", file, key, value))
-    table[last] = value
+    if value is None:
+        table.pop(last, None)
+    else:
+        table[last] = value
 
 
 def _known(path: tuple[str | int, ...]) -> list[str]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -24,6 +27,7 @@ Array = NDArray[np.float64]
 
 CRANK, COUPLER, ROCKER, GROUND = "#c0392b", "#2c6fbb", "#2e8b57", "#444444"
 QUIET, WANTED, FOUND, LIMIT = "#9a9a9a", "#111111", "#2c6fbb", "#c0392b"
+HALO = [patheffects.withStroke(linewidth=2.5, foreground="white")]
 STYLE: dict[Any, Any] = {
     "font.size": 9.5,
     "axes.spines.top": False,
@@ -33,24 +37,36 @@ STYLE: dict[Any, Any] = {
 }
 
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def _styled(draw: Callable[P, T]) -> Callable[P, T]:
+    """Draw in the house's style, whatever the caller's is."""
+
+    @functools.wraps(draw)
+    def styled(*args: P.args, **kwargs: P.kwargs) -> T:
+        with mpl.rc_context(STYLE):
+            return draw(*args, **kwargs)
+
+    return styled
+
+
 def write_all(result: Result, folder: Path) -> list[Path]:
     """Write result.json and every picture that the result has something for; return the files."""
-    import matplotlib as mpl
-
     written = [folder / "result.json"]
     write_json(written[0], result.to_dict())
-    with mpl.rc_context(STYLE):
-        for name, draw in PICTURES.items():
-            figure = draw(result)
-            if figure is not None:
-                written.append(folder / f"{name}.png")
-                with whole(written[-1]) as temporary:
-                    figure.savefig(temporary, dpi=150)
-        film = frames(result)
-        if film:
-            written.append(folder / "motion.gif")
-            with whole(written[-1]) as temporary:
-                film[0].save(temporary, save_all=True, append_images=film[1:], duration=40, loop=0, optimize=False)
+    for name, draw in PICTURES.items():
+        figure = draw(result)
+        if figure is not None:
+            written.append(folder / f"{name}.png")
+            with whole(written[-1]) as temporary, mpl.rc_context(STYLE):
+                figure.savefig(temporary, dpi=150)
+    film = frames(result)
+    if film:
+        written.append(folder / "motion.gif")
+        with whole(written[-1]) as temporary:
+            film[0].save(temporary, save_all=True, append_images=film[1:], duration=40, loop=0, optimize=False)
     return written
 
 
@@ -60,18 +76,14 @@ def _figure(width: float, height: float) -> Figure:
     return figure
 
 
-def _sizes(result: Result) -> dict[str, float]:
-    return {name: result.design[name] for name in LENGTHS}
-
-
 def _moved(result: Result, angles: Array) -> Motion:
-    return sweep(result.problem.problem.linkage, _sizes(result), angles)
+    return sweep(result.problem.problem.linkage, result.sizes, angles)
 
 
 def _range(result: Result) -> Array:
     """Crank angles [rad] of the whole motion: a revolution, or the reachable range that holds the start."""
     start = result.design["phi0"]
-    for low, high in reachable(*lengths_of(_sizes(result))):
+    for low, high in reachable(*lengths_of(result.sizes)):
         if high - low > 2.0 * np.pi - 1e-9:
             return np.linspace(0.0, 2.0 * np.pi, 721)
         for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi):
@@ -111,7 +123,7 @@ def _pose(axes: Axes, motion: Motion) -> None:
         axes.plot(*point, "o", markersize=5.5, markerfacecolor="white", markeredgecolor=GROUND, zorder=4)
         away = point - 0.5 * (a + d)  # letters stand away from the middle of the frame, those of the pivots beside the ground
         shift = np.array([1.9, -0.9]) if name in "AD" else 1.5 * away / max(float(np.linalg.norm(away)), 1e-12)
-        axes.annotate(name, point + shift * size, color=GROUND, fontsize=9, zorder=5, ha="center", va="center")
+        axes.text(*(point + shift * size), name, color=GROUND, fontsize=9, zorder=5, ha="center", va="center", path_effects=HALO)
 
 
 def _frame(axes: Axes, motion: Motion) -> None:
@@ -129,7 +141,7 @@ def _frame(axes: Axes, motion: Motion) -> None:
 
 def positions(result: Result) -> dict[str, float]:
     """The telling crank angles [rad] by name: start and end of the requirement, dead centres, transmission extremes."""
-    problem, sizes = result.problem.problem, _sizes(result)
+    problem, sizes = result.problem.problem, result.sizes
     found: dict[str, float] = {"start": result.design["phi0"], "end of the span": result.design["phi0"] + problem.span}
     whole_turn = [(low, high) for low, high in reachable(*lengths_of(sizes)) if high - low > 2.0 * np.pi - 1e-9]
     if whole_turn:
@@ -148,6 +160,7 @@ def positions(result: Result) -> dict[str, float]:
     return merged
 
 
+@_styled
 def mechanism(result: Result) -> Figure | None:
     """The mechanism in its telling positions, side by side on one scale."""
     angles = _range(result)
@@ -171,7 +184,7 @@ def mechanism(result: Result) -> Figure | None:
         axes.set_ylabel("y [mm]")
     for axes in figure.axes[len(named) :]:
         axes.remove()
-    lengths = "   ".join(f"{name} {value * 1e3:.3f}" for name, value in _sizes(result).items())
+    lengths = "   ".join(f"{name} {value * 1e3:.3f}" for name, value in result.sizes.items())
     figure.suptitle(f"{result.problem.problem.title}\n{lengths} mm", fontsize=11)
     return figure
 
@@ -179,6 +192,7 @@ def mechanism(result: Result) -> Figure | None:
 # --- what it does ----------------------------------------------------------------------------------------------------
 
 
+@_styled
 def law(result: Result) -> Figure | None:
     """Wanted and generated law over the span, the error below, the design positions marked."""
     problem, design = result.problem.problem, result.design
@@ -193,8 +207,7 @@ def law(result: Result) -> Figure | None:
     if not np.any(np.isfinite(found)):
         return None
     marks = np.degrees(problem.law.curve(at, design["phi0"], design["psi0"]))
-    error = (wanted - found + 180.0) % 360.0 - 180.0
-    at_marks = np.interp(at, *((offsets, error) if problem.span > 0 else (offsets[::-1], error[::-1])))
+    error, at_marks = np.degrees(result.error(offsets)), np.degrees(result.error())
     figure = _figure(7.2, 5.6)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
     top.plot(crank, wanted, color=WANTED, linewidth=1.4, linestyle="--", label="wanted")
@@ -233,6 +246,7 @@ def _unit(result: Result) -> str:
     return result.unit.replace("^2", "²")
 
 
+@_styled
 def transmission(result: Result) -> Figure | None:
     """Transmission angle over the whole motion with its limits."""
     problem, angles = result.problem.problem, _range(result)
@@ -254,8 +268,9 @@ def transmission(result: Result) -> Figure | None:
     for bound, low in _transmission_limits(result):
         ends = (crank[0], crank[-1]) if problem.transmission_over == "revolution" else tuple(sorted((start, start + span)))
         axes.plot(ends, (bound, bound), color=LIMIT, linewidth=1.3, linestyle="--")
-        text = f"{'at least' if low else 'at most'} {bound:.5g}° "
-        axes.text(ends[1], bound, text, ha="right", va="top" if low else "bottom", color=LIMIT, fontsize=9)
+        text = f"{'at least' if low else 'at most'} {bound:.5g}°"
+        label = axes.annotate(text, (ends[1], bound), (-4, -4 if low else 4), textcoords="offset points", ha="right", fontsize=9)
+        label.set(color=LIMIT, path_effects=HALO, va="top" if low else "bottom")
     for index, word, place in ((int(np.argmin(gamma)), "least", -5), (int(np.argmax(gamma)), "largest", 5)):
         axes.plot(crank[index], gamma[index], "o", color=FOUND, markersize=4.5)
         axes.annotate(
@@ -292,6 +307,7 @@ def _transmission_limits(result: Result) -> list[tuple[float, bool]]:
 # --- where the optimum lies ------------------------------------------------------------------------------------------
 
 
+@_styled
 def objective_map(result: Result) -> Figure | None:
     """Contours of the objective over two free quantities, the feasible region, the iterations and the optimum."""
     problem, solution = result.problem.problem, result.solution
@@ -373,6 +389,7 @@ def _iterations(axes: Axes, result: Result, scale_x: float, scale_y: float) -> N
 # --- film ------------------------------------------------------------------------------------------------------------
 
 
+@_styled
 def frames(result: Result, count: int = 90) -> list[Image.Image]:
     """One revolution (or there and back through the reachable range), with the rocker angle beside it, as pictures."""
     angles = _range(result)

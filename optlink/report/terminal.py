@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from optlink.design.files import ProblemFile
+from optlink.design.objectives import MEASURES
 from optlink.design.quantity import Interval, Quantity
 from optlink.errors import Status
 from optlink.workflow import Relaxed, Result, people
@@ -99,11 +100,10 @@ def _design(outcome: Result) -> Table:
 
 def _objective(outcome: Result) -> Table:
     table = _grid("Objective", [("", "left"), ("", "right"), ("", "left"), ("", "left")])
-    in_degrees = f"= {number(math.degrees(outcome.objective), 5)} deg" if outcome.unit == "rad" else ""
-    if outcome.measure == "sum of squares":
-        rms = math.sqrt(outcome.objective / len(outcome.problem.problem.law.offsets)) if outcome.objective >= 0 else math.nan
-        in_degrees = f"rms {number(math.degrees(rms), 4)} deg over {len(outcome.problem.problem.law.offsets)} positions"
-    table.add_row(outcome.measure, Text(number(outcome.objective), style=HEAD), outcome.unit, Text(in_degrees, style=QUIET))
+    rms, largest = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
+    count = len(outcome.problem.problem.law.offsets)
+    remark = f"error of the rocker over {count} positions: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
+    table.add_row(outcome.measure, Text(number(outcome.objective), style=HEAD), outcome.unit, Text(remark, style=QUIET))
     return table
 
 

@@ -238,5 +238,5 @@ def _limit_state(
     shown = {"<=": ">=", ">=": "<=", "=": "="}[side] if scale.cosine else side
     at, limit = scale.people(value), scale.people(bound)
     slack = {"<=": limit - at, ">=": at - limit, "=": -abs(at - limit)}[shown]
-    worth = -multiplier * price / scale.slope(bound) if active and mine and multiplier else 0.0
+    worth = float(-multiplier * price / scale.slope(bound)) if active and mine and multiplier else 0.0
     return LimitState(key, name, at, limit, shown, scale.unit, active, worth, slack)

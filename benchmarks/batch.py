@@ -1,0 +1,191 @@
+"""Positions of a batch of four-bars: joints B and C of DESIGNS designs at ANGLES crank angles.
+
+Every contender runs in a process of its own (`python batch.py NAME` prints its median seconds): how fast memory is
+handed out depends on what the process did before, and nobody shall profit from another's arrays.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from timing import ROOT, Row, child, race
+
+Array = NDArray[np.float64]
+
+DESIGNS, ANGLES = 1000, 360
+STEP = 2.0 * np.pi / ANGLES
+PHI = np.arange(ANGLES) * STEP
+REPETITIONS, ROUNDS = 15, 3
+
+# Operations on full arrays in `Mechanism.pose` of a four-bar, counted in its formulas: the crank pin takes 2 products
+# and 2 sums; the dyad 10 products, 5 sums, 4 differences, 1 quotient, 1 root. One value per design is not counted.
+OPERATIONS: tuple[tuple[np.ufunc, int], ...] = (
+    (np.add, 7),
+    (np.subtract, 4),
+    (np.multiply, 12),
+    (np.divide, 1),
+)  # and one np.sqrt
+
+
+def designs() -> dict[str, Array]:
+    """Random crank-rockers [m], each size of shape (designs, 1)."""
+    rng = np.random.default_rng(0)
+    ranges = {"crank": (0.08, 0.12), "coupler": (0.40, 0.50), "rocker": (0.35, 0.45), "frame": (0.45, 0.55)}
+    return {name: rng.uniform(*limits, (DESIGNS, 1)) for name, limits in ranges.items()}
+
+
+def whole(sizes: dict[str, Array]) -> Callable[[], object]:
+    """One call of the pose formula on full arrays, as the formulas are used inside a programme."""
+    from optlink.linkage.fourbar import four_bar
+
+    linkage = four_bar()
+    return lambda: linkage.pose(sizes, (np.cos(PHI), np.sin(PHI)))
+
+
+def portions(sizes: dict[str, Array]) -> Callable[[], object]:
+    """The batch call: portions that stay in the cache, gathered in one array."""
+    from optlink.linkage.fourbar import four_bar
+    from optlink.linkage.motion import positions
+
+    linkage = four_bar()
+    return lambda: positions(linkage, sizes, PHI)
+
+
+def bare() -> Callable[[], object]:
+    """The limit: as many ufunc calls on arrays of that shape, each result thrown away at once."""
+    x, y = np.random.default_rng(1).uniform(1.0, 2.0, (2, DESIGNS, ANGLES))
+
+    def run() -> None:
+        np.cos(PHI), np.sin(PHI)
+        for ufunc, count in OPERATIONS:
+            for _ in range(count):
+                ufunc(x, y)
+        np.sqrt(x)
+
+    return run
+
+
+def formulas(sizes: dict[str, Array]) -> Callable[[], object]:
+    """The same formulas written out for numpy, no toolkit around them."""
+    r, a, b, f = (sizes[name] for name in ("crank", "coupler", "rocker", "frame"))
+
+    def run() -> tuple[Array, ...]:
+        bx, by = 0.0 + r * np.cos(PHI), 0.0 + r * np.sin(PHI)
+        dx, dy = f - bx, 0.0 - by
+        inverse = 1.0 / (dx * dx + dy * dy)
+        foot = 0.5 + (0.5 * (a * a - b * b)) * inverse
+        margin = (a * a) * inverse - foot * foot
+        height = 1 * np.sqrt(margin)
+        return bx, by, bx + foot * dx - height * dy, by + foot * dy + height * dx, margin
+
+    return run
+
+
+def pylinkage(sizes: dict[str, Array]) -> dict[str, Callable[[], object]]:
+    """Its batch call, and its compiled loop over one linkage for as many positions; checked against ours first."""
+    from pylinkage.actuators import Crank
+    from pylinkage.components import Ground
+    from pylinkage.dyads import RRRDyad
+    from pylinkage.population import Ensemble
+    from pylinkage.simulation import Linkage
+
+    from optlink.linkage.fourbar import four_bar
+
+    one = {name: float(values[0, 0]) for name, values in sizes.items()}
+    a, d = Ground(0.0, 0.0, name="A"), Ground(one["frame"], 0.0, name="D")
+    crank = Crank(anchor=a, radius=one["crank"], angular_velocity=STEP, name="crank")
+    rocker = RRRDyad(anchor1=crank.output, anchor2=d, distance1=one["coupler"], distance2=one["rocker"], name="rocker")
+    linkage = Linkage([a, d, crank, rocker], name="four-bar")
+    before = four_bar().pose(sizes, (np.cos(-STEP), np.sin(-STEP)))  # it steps before it records
+    start = np.zeros((DESIGNS, 4, 2))
+    start[:, 1, 0] = sizes["frame"][:, 0]
+    for k, joint in ((2, "B"), (3, "C")):
+        start[:, k] = np.hstack(before.points[joint])
+    ensemble = Ensemble(linkage, np.hstack([sizes[name] for name in ("crank", "coupler", "rocker")]), start)
+    found = ensemble.simulate(ANGLES, store=False)[:, :, 3]
+    pose = four_bar().pose(sizes, (np.cos(PHI), np.sin(PHI)))
+    np.testing.assert_allclose(found, np.stack(pose.points["C"], axis=-1), rtol=0.0, atol=1e-12)
+    linkage.set_completely([one["crank"], one["coupler"], one["rocker"]], [tuple(xy) for xy in start[0]])
+    return {
+        "Ensemble.simulate": lambda: ensemble.simulate(ANGLES, store=False),
+        "Linkage.step_fast": lambda: linkage.step_fast(DESIGNS * ANGLES),
+    }
+
+
+def measure(name: str) -> dict[str, Any]:
+    """Median seconds of a contender in this process."""
+    sizes = designs()
+    if name == "pylinkage":
+        from pylinkage._numba_compat import HAS_NUMBA
+
+        taken = race(pylinkage(sizes), REPETITIONS if HAS_NUMBA else 1, 1 if HAS_NUMBA else 0)
+        way = min(taken, key=lambda key: taken[key])
+        return {"seconds": taken[way], "way": way, "compiled": HAS_NUMBA}
+    makers = {
+        "positions": lambda: portions(sizes),
+        "pose": lambda: whole(sizes),
+        "bare": bare,
+        "formulas": lambda: formulas(sizes),
+    }
+    run = makers[name]()
+    return {"seconds": race({name: run}, REPETITIONS)[name]}
+
+
+def rows() -> list[Row]:
+    """Ours against the limit, plain numpy and pylinkage."""
+    names = ["positions", "pose", "bare", "formulas", "pylinkage"]
+    results: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+    for turn in range(ROUNDS):
+        for name in names:
+            if name == "pylinkage" and turn and (not results[name] or not results[name][0]["compiled"]):
+                continue  # absent, or so slow without its compiler that once is enough
+            done = child(str(ROOT / "benchmarks" / "batch.py"), name)
+            if done.returncode == 0:
+                results[name].append(json.loads(done.stdout.splitlines()[-1]))
+            elif "No module named 'pylinkage" not in done.stderr:
+                raise RuntimeError(done.stderr)
+    rate = {
+        name: DESIGNS * ANGLES / statistics.median(result["seconds"] for result in found)
+        for name, found in results.items()
+        if found
+    }
+    peer = results["pylinkage"][0] if results["pylinkage"] else None
+    if peer is None:
+        about = "pylinkage is not installed"
+    elif peer["compiled"]:
+        about = f"pylinkage's fastest: {peer['way']}, compiled, warm"
+    else:
+        about = "without numba pylinkage is plain Python, not at its best: install numba"
+
+    def row(mine: str, theirs: str, what: str, target: str, note: str, percent: bool) -> Row:
+        if theirs not in rate:
+            return Row(what, millions(rate[mine]), "skipped", target=target, note=note, percent=percent)
+        figures = {"ours": rate[mine], "theirs": rate[theirs]}
+        ratio = rate[mine] / rate[theirs]
+        return Row(what, millions(rate[mine]), millions(rate[theirs]), ratio, target, note, percent, figures)
+
+    of = f"positions/s, {DESIGNS} designs x {ANGLES} angles"
+    limit = f"the limit: {sum(count for _, count in OPERATIONS) + 1} ufunc calls, results thrown away at once"
+    fair = ">= 5" if peer is None or peer["compiled"] else ""
+    alone = "what the toolkit itself costs; both wait for memory handed back and forth"
+    return [
+        row("positions", "bare", f"{of}, against bare ufuncs", ">= 0.5", limit, True),
+        row("positions", "pylinkage", f"{of}, against pylinkage", fair, about, False),
+        row("pose", "formulas", f"{of}: one pose call on full arrays, against its formulas in plain numpy", "", alone, True),
+    ]
+
+
+def millions(rate: float) -> str:
+    return f"{rate / 1e6:.3g} M/s"
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, os.fspath(ROOT))
+    print(json.dumps(measure(sys.argv[1])))

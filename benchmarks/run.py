@@ -1,0 +1,124 @@
+"""Speed against peers and limits, everything measured in this one run: `python benchmarks/run.py [--json FILE]`.
+
+Medians only, contenders in turn. A peer that is not installed is skipped. Nothing here asserts a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from timing import ROOT, Row, child, race
+
+sys.path.insert(0, str(ROOT))  # the checkout is measured, whether it is installed or not
+
+PROCESS_RUNS = 9
+YARDSTICK = ("-c", "import numpy, scipy.optimize, casadi")
+PROCESSES = {
+    "help": (("-m", "optlink.cli", "--help"), "<= 0.5"),
+    "solve crank-rocker": (("-m", "optlink.cli", "solve", "crank-rocker"), "<= 1.8"),
+}
+
+
+def process_rows() -> list[Row]:
+    """Whole processes against the imports that no solve can do without."""
+    codes = {name: child(*arguments).returncode for name, (arguments, _) in PROCESSES.items()}
+    commands = {"yardstick": YARDSTICK} | {name: arguments for name, (arguments, _) in PROCESSES.items()}
+    contenders = {name: partial(child, *arguments) for name, arguments in commands.items()}
+    taken = race(contenders, PROCESS_RUNS, warm_up=1)
+    rows = []
+    for name, (_, target) in PROCESSES.items():
+        if codes[name]:
+            rows.append(Row(f"process: optlink {name}", "failed", "", target=target, note=f"exit code {codes[name]}"))
+            continue
+        figures = {"ours": taken[name], "theirs": taken["yardstick"]}
+        rows.append(
+            Row(
+                f"process: optlink {name}",
+                f"{1e3 * taken[name]:.0f} ms",
+                f"{1e3 * taken['yardstick']:.0f} ms",
+                taken[name] / taken["yardstick"],
+                target,
+                f"ours / python {YARDSTICK[0]} '{YARDSTICK[1]}'",
+                figures=figures,
+            )
+        )
+    return rows
+
+
+def table(rows: list[Row]) -> Table:
+    """The rows as people read them."""
+    result = Table(title="optlink: medians of this run; ratio > 1: optlink is better (processes: less is better)")
+    result.add_column("what", ratio=3)
+    for heading in ("ours", "theirs", "ratio", "target"):
+        result.add_column(heading, justify="right", no_wrap=True)
+    result.add_column("note", ratio=4)
+    colours = {None: "", True: "green", False: "bold red"}
+    for row in rows:
+        ratio = row.shown(row.ratio) + (" !" if row.holds is False else "")
+        cells = (row.what, row.ours, row.theirs, f"[{colours[row.holds]}]{ratio}[/]" if colours[row.holds] else ratio)
+        result.add_row(*cells, row.wanted, row.note)
+    return result
+
+
+def version(package: str) -> str | None:
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+        return importlib.metadata.version(package)
+    return None
+
+
+def document(rows: list[Row]) -> dict[str, Any]:
+    """The rows with what they were measured on; seconds, positions per second, ratios."""
+    return {
+        "schema": "optlink/benchmarks/1",
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
+        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "pylinkage", "numba")},
+        "rows": [
+            {
+                "what": row.what,
+                **row.figures,
+                "ratio": None if math.isnan(row.ratio) else row.ratio,
+                "target": row.target or None,
+                "holds": row.holds,
+                "note": row.note,
+            }
+            for row in rows
+        ],
+    }
+
+
+def main() -> None:
+    """Measure, print one table, write the JSON document if asked."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
+    arguments = parser.parse_args()
+    import batch
+    import solves
+
+    progress = Console(stderr=True)
+    rows: list[Row] = []
+    for what, measure in (("solves", solves.rows), ("batches", batch.rows), ("processes", process_rows)):
+        with progress.status(f"Timing {what} ..."):
+            rows += measure()
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=160)
+    console.print(table(rows))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(document(rows), indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
