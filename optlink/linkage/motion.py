@@ -47,7 +47,8 @@ class Motion:
 
     def body_angle(self, body: str) -> Jet:
         """Angle of a body [rad] (continuous along the sweep), its angular velocity and acceleration [rad/s, rad/s^2]."""
-        jet = angle(self.mechanism.direction(self.pose.points, self.sizes, body))
+        with np.errstate(all="ignore"):
+            jet = angle(self.mechanism.direction(self.pose.points, self.sizes, body))
         return Jet(np.unwrap(self._full(jet.value)), self._full(jet.rate), self._full(jet.acceleration))
 
     def _full(self, x: Any) -> Array:
@@ -129,4 +130,6 @@ def sweep(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: ArrayLi
     Motion; NaN where the mechanism cannot be assembled (see `Motion.margin`).
     """
     angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
-    return Motion(mechanism, sizes, angles, speed, mechanism.pose(sizes, unit(Jet(angles, speed, 0.0))))
+    with np.errstate(all="ignore"):  # at a dead position of a group its speeds are infinite or NaN, as they are
+        pose = mechanism.pose(sizes, unit(Jet(angles, speed, 0.0)))
+    return Motion(mechanism, sizes, angles, speed, pose)

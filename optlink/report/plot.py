@@ -123,7 +123,8 @@ def _pose(axes: Axes, motion: Motion) -> None:
         axes.plot(*point, "o", markersize=5.5, markerfacecolor="white", markeredgecolor=GROUND, zorder=4)
         away = point - 0.5 * (a + d)  # letters stand away from the middle of the frame, those of the pivots beside the ground
         shift = np.array([1.9, -0.9]) if name in "AD" else 1.5 * away / max(float(np.linalg.norm(away)), 1e-12)
-        axes.text(*(point + shift * size), name, color=GROUND, fontsize=9, zorder=5, ha="center", va="center", path_effects=HALO)
+        x, y = point + shift * size
+        axes.text(x, y, name, color=GROUND, fontsize=9, zorder=5, ha="center", va="center", path_effects=HALO)
 
 
 def _frame(axes: Axes, motion: Motion) -> None:

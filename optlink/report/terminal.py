@@ -101,8 +101,7 @@ def _design(outcome: Result) -> Table:
 def _objective(outcome: Result) -> Table:
     table = _grid("Objective", [("", "left"), ("", "right"), ("", "left"), ("", "left")])
     rms, largest = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
-    count = len(outcome.problem.problem.law.offsets)
-    remark = f"error of the rocker over {count} positions: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
+    remark = f"error: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
     table.add_row(outcome.measure, Text(number(outcome.objective), style=HEAD), outcome.unit, Text(remark, style=QUIET))
     return table
 
