@@ -21,6 +21,7 @@ import optlink
 from optlink.design import constraints, objectives
 from optlink.design.expression import FUNCTIONS, parse
 from optlink.design.nlp import NLP, build, tracing
+from optlink.design.objectives import MEASURES
 from optlink.design.problem import DesignProblem, StartPosition
 from optlink.linkage import dyads, elementwise, fourbar
 from optlink.linkage.jet import _CHAIN, Jet
@@ -217,9 +218,7 @@ def cases() -> Iterator[Case]:
     for side, where in SIDES.items():
         yield Case(
             f"rrr {where}",
-            lambda px, py, qx, qy, a, b, side=side: (lambda joint, m: [*joint, m])(
-                *dyads.rrr((px, py), (qx, qy), a, b, side)
-            ),
+            lambda px, py, qx, qy, a, b, side=side: (lambda joint, m: [*joint, m])(*dyads.rrr((px, py), (qx, qy), a, b, side)),
             ((0.0, 0.0, 0.5, 0.1, 0.4), (0.2, -0.3, -0.6, 0.2, 0.7), (1.0, 2.0, 1.5, 2.5, 0.6)),
             (0.45, 0.61),
             undefined=((0.0, 0.0, 0.5, 0.1, 3.0), (0.0, 0.0, 5.0, 0.1, 0.4)),
@@ -493,6 +492,61 @@ def rows_of(name: str) -> list[constraints.Row]:
     rule = LIMITS[name][0]
     design = rule.design({})
     return constraints.rows(rule, design, rule.start_position(design), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("residuals", "expected"),
+    [([3.0, -4.0], {"sum of squares": 25.0, "rms": math.sqrt(12.5), "max": 4.0}), ([0.5], dict.fromkeys(MEASURES, 0.5))],
+)
+def test_measures_by_hand(residuals, expected):
+    expected = expected | ({"sum of squares": 0.25} if len(residuals) == 1 else {})
+    assert {name: measure.of(residuals) for name, measure in MEASURES.items()} == pytest.approx(expected, rel=1e-15)
+
+
+def test_slope_of_a_measure_is_its_derivative():
+    """Of the figure that people read, by what the programme minimises: mean square for rms, the same thing else."""
+    residuals = np.array([0.3, -0.4, 0.1])
+    mean = float(residuals @ residuals) / 3.0
+    h = 1e-6
+    assert MEASURES["rms"].slope(residuals) == pytest.approx((math.sqrt(mean + h) - math.sqrt(mean - h)) / (2.0 * h), rel=1e-9)
+    assert MEASURES["sum of squares"].slope(residuals) == MEASURES["max"].slope(residuals) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("scale", "value", "people"),
+    [
+        (constraints.COSINE, math.cos(1.1), math.degrees(1.1)),
+        (constraints.COSINE, -0.4, math.degrees(math.acos(-0.4))),
+        (constraints.DEGREES, -0.7, math.degrees(-0.7)),
+        (constraints.PLAIN, 1.3, 1.3),
+        (constraints.Scale("mm", 500.0), 0.8, 400.0),
+    ],
+)
+def test_scales_turn_rows_into_peoples_figures_and_back(scale, value, people):
+    assert scale.people(value) == pytest.approx(people, rel=1e-14)
+    assert scale.own(people) == pytest.approx(value, rel=1e-14)
+    slope = (scale.people(value + 1e-6) - scale.people(value - 1e-6)) / 2e-6
+    assert scale.slope(value) == pytest.approx(slope, rel=1e-8)
+
+
+def test_bounds_of_the_rows_are_the_limits_of_the_file():
+    wide = {"transmission_angle": ["40 deg", "130 deg"], "time_ratio": {"max": 1.5}, **ALL}
+    rule = problem(None, None, wide)
+    design = rule.design({})
+    found = {row.label: row for row in constraints.rows(rule, design, rule.start_position(design), 0.5)}
+
+    def people(words: str) -> tuple[float, float]:
+        (row,) = (row for label, row in found.items() if words in label)
+        return tuple(row.scale.people(bound) if math.isfinite(bound) else bound for bound in (row.low, row.high))
+
+    assert people("smallest transmission angle") == (-math.inf, pytest.approx(40.0, rel=1e-12))
+    assert people("largest transmission angle") == (pytest.approx(130.0, rel=1e-12), math.inf)
+    assert people("swing angle") == (pytest.approx(1.0, rel=1e-12), pytest.approx(170.0, rel=1e-12))
+    assert people("time ratio") == (-math.inf, 1.5)
+    assert people("frame length") == (pytest.approx(1.0, rel=1e-12), pytest.approx(9000.0, rel=1e-12))
+    assert people("rocker / frame") == (0.01, 9.0)
+    assert people("crank <= rocker") == (0.0, math.inf)
+    assert people("crank + frame <=") == (pytest.approx(0.05, rel=1e-12), math.inf)  # a ten-thousandth of the frame, in mm
 
 
 def test_jets_take_every_function_that_has_a_rule():

@@ -276,9 +276,7 @@ REFUSED = [  # text, kind, what the message says
 ]
 
 
-@pytest.mark.parametrize(
-    ("text", "kind", "says"), REFUSED, ids=[f"{str(text)[:20]!r} {kind}" for text, kind, _ in REFUSED]
-)
+@pytest.mark.parametrize(("text", "kind", "says"), REFUSED, ids=[f"{str(text)[:20]!r} {kind}" for text, kind, _ in REFUSED])
 def test_refused_with_a_reason_and_a_remedy(text, kind, says):
     with pytest.raises(UnitProblem) as caught:
         parse(text, kind)

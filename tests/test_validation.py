@@ -13,6 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import optlink
+from optlink.design import constraints
 from optlink.design.problem import DesignProblem
 from optlink.linkage.dyads import rrr
 from optlink.linkage.fourbar import LENGTHS, Inversion, dead_centre, four_bar, grashof, swing, time_ratio
@@ -294,9 +295,7 @@ def defects() -> dict[str, Defect]:
     found["changes its side"] = defect(LOOSE, LOOSE_DESIGN, "circuit, branch", mechanism=flipping(LOOSE))
     degrees = {**BEST, "phi0": math.degrees(BEST["phi0"])}
     found["degrees for radians"] = defect(SHIPPED, degrees, "at rest, in line, psi0")
-    found["degrees for radians, claimed"] = defect(
-        SHIPPED, degrees, "at rest, in line, psi0, objective", objective=claimed
-    )
+    found["degrees for radians, claimed"] = defect(SHIPPED, degrees, "at rest, in line, psi0, objective", objective=claimed)
     found["degrees for radians in psi0"] = defect(SHIPPED, {**BEST, "psi0": math.degrees(BEST["psi0"])}, "psi0")
     inner = dead_centre(*BEST_LENGTHS, 1, False)
     there = {**BEST, "phi0": float(inner.phi), "psi0": float(inner.psi)}
@@ -361,6 +360,14 @@ def defects() -> dict[str, Defect]:
     }.items():
         over = problem(None, None, {"transmission_angle": limit, "transmission_over": "span"})
         found[f"transmission angle over the span, {name}"] = defect(over, BEST, name)
+    # the extreme lies between two positions of the sweep, 6e-5 deg away from the nearer one
+    past = {"from": "60.1 deg", "psi0": "120 deg", "span": "150 deg"}
+    extremes = span_extremes(problem(None, past), LOOSE_DESIGN | {"phi0": math.radians(60.1)})
+    limit = {"transmission_angle": ["1 deg", f"{extremes[1] - 1e-5!r} deg"], "transmission_over": "span"}
+    between = problem(None, past, limit)
+    found["transmission angle between two positions"] = defect(
+        between, between.design({"coupler": 0.41, "rocker": 0.3}), "largest"
+    )
     swings = fixed(0.3, 0.2, 0.25, 0.34, swing_angle=["1 deg", "170 deg"])
     found["swing of what does not turn"] = defect(
         swings, swings.design({}), "grashof, assembled", "branch, circuit, lengths, finite, dead centres, swing"
@@ -475,6 +482,49 @@ def test_verdict_on_random_designs_is_that_of_the_formulas(coupler, rocker):
         assert measured(proof, "largest") == pytest.approx(largest, abs=1e-7)
     else:
         assert "assembled" in found
+
+
+WIDE = {"transmission_angle": ["20 deg", "160 deg"]}
+SAME_VERDICT = {  # problems whose rows and whose validator must draw the same line
+    "revolution": problem(None, None, {"transmission_angle": ["45 deg", "135 deg"]}),
+    "only a least angle": problem(None, None, {"transmission_angle": {"min": "60 deg"}}),
+    "only a largest angle": problem(None, None, {"transmission_angle": {"max": "120 deg"}}),
+    "cosine": problem(None, None, {"transmission_angle": None, "transmission_cosine": [-0.5, 0.6]}),
+    "only a least cosine": problem(None, None, {"transmission_angle": None, "transmission_cosine": {"min": -0.5}}),
+    "over the span": problem(None, {"span": "200 deg"}, {"transmission_over": "span"}),
+    "right, clockwise over the span": problem({"assembly": "right"}, {"span": "-150 deg"}, {"transmission_over": "span"}),
+    "swing": problem(None, None, {"transmission_angle": None, "swing_angle": ["25 deg", "90 deg"]}),
+    "time ratio": problem(None, None, {"transmission_angle": None, "time_ratio": [1.05, 1.4]}),
+    "proportions": problem(None, None, {"transmission_angle": None, "link_ratio": [0.1, 0.9]}),
+    "span": problem(None, {"from": "50 deg", "span": "100 deg"}, {"crank": "span", **WIDE}),
+    "span, clockwise, right": problem(
+        {"assembly": "right", "crank": "300 mm"}, {"from": "-40 deg", "span": "-60 deg"}, {"crank": "span", **WIDE}
+    ),
+    "span from a dead centre": problem({"crank": "300 mm"}, {"span": "60 deg"}, {"crank": "span", **WIDE}),
+    "double-crank": problem(
+        {"crank": "500 mm", "frame": "200 mm"},
+        {"from": "60 deg"},
+        {"crank": "double-crank", "transmission_angle": ["20 deg", "160 deg"]},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SAME_VERDICT)
+def test_rows_of_the_programme_and_the_validator_draw_the_same_line(name):
+    """Two routes to one verdict: the optimiser's rows by formula, the validator's checks by sweep; both verdicts are met."""
+    rule = SAME_VERDICT[name]
+    rng = np.random.default_rng(21)
+    verdicts = []
+    for coupler, rocker in rng.uniform(0.1, 0.9, (80, 2)):
+        design = rule.design({"coupler": coupler, "rocker": rocker})
+        rows = constraints.rows(rule, design, rule.start_position(design), 0.5)
+        spare = float(np.min([[float(row.value) - row.low, row.high - float(row.value)] for row in rows]))
+        if abs(spare) < 1e-3:  # on the line itself tolerances decide
+            continue
+        verdicts.append(spare > 0.0)
+        assert validate(rule, design).valid == verdicts[-1], (coupler, rocker, spare)
+    assert len(verdicts) > 70
+    assert min(verdicts.count(True), verdicts.count(False)) >= 4
 
 
 def test_random_designs_meet_both_verdicts():

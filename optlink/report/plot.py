@@ -121,10 +121,18 @@ def _pose(axes: Axes, motion: Motion) -> None:
         _ground(axes, point[0], point[1], size * 1.3)
     for name, point in zip("ABCD", (a, b, c, d), strict=True):
         axes.plot(*point, "o", markersize=5.5, markerfacecolor="white", markeredgecolor=GROUND, zorder=4)
-        away = point - 0.5 * (a + d)  # letters stand away from the middle of the frame, those of the pivots beside the ground
-        shift = np.array([1.9, -0.9]) if name in "AD" else 1.5 * away / max(float(np.linalg.norm(away)), 1e-12)
+        shift = {"B": _outside(b, a, c), "C": _outside(c, b, d)}.get(name, np.array([1.9, -0.9]))
         x, y = point + shift * size
         axes.text(x, y, name, color=GROUND, fontsize=9, zorder=5, ha="center", va="center", path_effects=HALO)
+
+
+def _outside(joint: Array, p: Array, q: Array) -> Array:
+    """Where a letter stands clear of the two links that meet at a joint: opposite to their bisector."""
+    to_p, to_q = ((other - joint) / max(float(np.linalg.norm(other - joint)), 1e-12) for other in (p, q))
+    bisector = to_p + to_q
+    size = float(np.linalg.norm(bisector))
+    away: Array = np.array([-to_p[1], to_p[0]]) if size < 0.2 else -bisector / size
+    return 1.5 * away
 
 
 def _frame(axes: Axes, motion: Motion) -> None:
