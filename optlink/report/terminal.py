@@ -188,11 +188,11 @@ def _backends(outcome: Result) -> Table:
     columns += [(name, "right") for name in free]
     table = _grid("Back ends", [*columns, ("steps", "right"), ("KKT", "right")], header=True)
     for name, solution in outcome.backends.items():
-        values = [fixed(people(key, solution.design[key])[0], 6) for key in free]
+        values = [fixed(people(key, solution.design[key])[0], 6 if len(free) < 3 else 3) for key in free]
         table.add_row(
             name,
             solution.status.value,
-            number(solution.objective, 9),
+            number(solution.objective, 9 if len(free) < 3 else 7),
             *values,
             str(solution.iterations),
             f"{solution.kkt:.1e}",

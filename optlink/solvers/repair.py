@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.design.nlp import NLP
+from optlink.design.problem import EPIGRAPH
 from optlink.solvers.solution import FEASIBLE, violation
 
 Array = NDArray[np.float64]
@@ -28,12 +29,14 @@ def repair(nlp: NLP, x: Array, p: Array) -> Array | None:
     inset = np.minimum(INSIDE, 0.25 * (high - low))
     low_inside, high_inside = low + inset, high - inset
     x = np.clip(x, nlp.x_low, nlp.x_high)
+    own = np.array([row.limit != EPIGRAPH for row in nlp.rows], dtype=bool)  # the others follow from lifting x
     for _ in range(MAX_STEPS):
+        x = nlp.lifted(x)
         point = nlp.at(x, p)
         if math.isfinite(point.f) and violation(nlp, x, point.g) <= FEASIBLE:
             return x
         miss = np.maximum(low_inside - point.g, 0.0) + np.minimum(high_inside - point.g, 0.0)
-        rows = np.flatnonzero(np.isfinite(miss) & (miss != 0.0) & np.isfinite(point.jacobian).all(axis=1))
+        rows = np.flatnonzero(own & np.isfinite(miss) & (miss != 0.0) & np.isfinite(point.jacobian).all(axis=1))
         if rows.size == 0:
             return None
         step = _shortest(point.jacobian[rows], miss[rows], nlp.x_low - x, nlp.x_high - x)

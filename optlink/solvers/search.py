@@ -61,9 +61,9 @@ def given(nlp: NLP, x: Array, message: str) -> Solution:
 def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solution:
     """One local search from x."""
     start = repair(nlp, x, nlp.p)
-    if start is None:
+    if start is None and not math.isfinite(nlp.values(x, nlp.p)[0]):
         return replace(given(nlp, x, "the start could not be repaired"), status=Status.INFEASIBLE)
-    start = nlp.lifted(start)
+    start = nlp.lifted(x if start is None else start)
     p = scaled(nlp, start)
     run = backend(name)
     solution = examine(nlp, polish(nlp, run(nlp, start, p, track=track), p), p)
