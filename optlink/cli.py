@@ -200,6 +200,8 @@ def solve(
         searches = starts * (2 if backend is Backend.both else 1)
         with _progress(searches) as progress:
             result = search(file, str(backend), starts, seed, progress, track=out is not None)
+        if result.starts < starts:
+            print(f"Interrupted: the result is that of the first {result.starts} of {starts} starts.", file=sys.stderr)
         _finish(result, as_json, out)
 
 

@@ -236,7 +236,10 @@ def solve(
         if progress:
             progress(done)
 
-    runs = {name: search.multistart(nlp, name, starts, seed, advance, track=track) for name in names}
+    runs: dict[str, list[Solution]] = {}
+    for name in names:
+        runs[name] = search.multistart(nlp, name, starts, seed, advance, track=track)
+        starts = len(runs[name])  # fewer if interrupted; the other back end then searches from as many
     found = {name: search.best(run) for name, run in runs.items()}
     conflict: tuple[Relaxed, ...] = ()
     together: tuple[Relaxed, ...] = ()

@@ -488,6 +488,25 @@ def check_rows_over_a_span(rule: DesignProblem) -> None:
     np.testing.assert_allclose([min(found), max(found)], [np.min(cosine), np.max(cosine)], atol=1e-6)
 
 
+@pytest.mark.parametrize("coupler_longer", [True, False], ids=["coupler longer", "crank longer"])
+@pytest.mark.parametrize("start", ["outer dead centre", "inner dead centre"])
+def test_rows_of_a_dead_centre_are_met_exactly_where_it_exists(start, coupler_longer):
+    rule = problem(None, {"from": start}, {"crank": "span", "transmission_angle": None})
+    rng = np.random.default_rng(17)
+    verdicts = []
+    for crank, coupler, rocker, frame in rng.uniform(0.05, 1.0, (300, 4)):
+        crank, coupler = sorted((crank, coupler), reverse=not coupler_longer)
+        values = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
+        limit = fourbar.dead_centre(crank, coupler, rocker, frame, 1, start == "outer dead centre")
+        if abs(limit.margin) < 1e-6:
+            continue
+        rows = constraints.rows(rule, values, rule.start_position(values), 0.5)
+        met = [row.value >= row.low for row in rows if row.limit == "requirement.from"]
+        verdicts.append(limit.margin > 0.0)
+        assert all(met) == verdicts[-1], values
+    assert min(verdicts.count(True), verdicts.count(False)) > 40
+
+
 def rows_of(name: str) -> list[constraints.Row]:
     rule = LIMITS[name][0]
     design = rule.design({})

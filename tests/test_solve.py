@@ -261,6 +261,24 @@ def test_many_starts_are_clustered(crank_rocker):
     assert again.design == result.design
 
 
+def test_an_interrupted_search_keeps_what_it_has(crank_rocker, monkeypatch):
+    real, calls = search.solve_from, []
+
+    def interrupted(*args, **kwargs):
+        calls.append(1)
+        if len(calls) > 4:
+            raise KeyboardInterrupt
+        return real(*args, **kwargs)
+
+    monkeypatch.setattr(search, "solve_from", interrupted)
+    result = optlink.solve(crank_rocker, "slsqp", starts=50)
+    assert result.starts == 4
+    assert result.valid
+    monkeypatch.setattr(search, "solve_from", lambda *_args, **_kwargs: interrupted())
+    with pytest.raises(KeyboardInterrupt):
+        optlink.solve(crank_rocker, "slsqp", starts=50)
+
+
 def test_several_optima_are_told_apart(crank_rocker):
     """With a free start angle the problem has more than one local optimum; the best is taken."""
     problem = crank_rocker.override(

@@ -192,7 +192,7 @@ def _backends(outcome: Result) -> Table:
         table.add_row(
             name,
             solution.status.value,
-            number(solution.objective, 9 if len(free) < 3 else 7),
+            number(solution.objective, 9 if len(free) < 3 else 6),
             *values,
             str(solution.iterations),
             f"{solution.kkt:.1e}",

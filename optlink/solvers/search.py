@@ -112,12 +112,16 @@ def cluster(nlp: NLP, solutions: list[Solution]) -> list[Cluster]:
 def multistart(
     nlp: NLP, name: str, count: int, seed: int, progress: Callable[[int], None] | None = None, *, track: bool = False
 ) -> list[Solution]:
-    """One solution per start, in the order of the starts."""
-    solutions = []
-    for k, x in enumerate(starts(nlp, count, seed)):
-        solutions.append(solve_from(nlp, x, name, track=track and k == 0))
-        if progress:
-            progress(k + 1)
+    """One solution per start, in the order of the starts; an interrupt (Ctrl-C) keeps those that are done, if there are any."""
+    solutions: list[Solution] = []
+    try:
+        for k, x in enumerate(starts(nlp, count, seed)):
+            solutions.append(solve_from(nlp, x, name, track=track and k == 0))
+            if progress:
+                progress(k + 1)
+    except KeyboardInterrupt:
+        if not solutions:
+            raise
     return solutions
 
 
