@@ -71,7 +71,8 @@ KINDS = {
 }
 
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*([^\s\d].*?)?\s*", re.DOTALL | re.ASCII)
-_UNIT = re.compile(r"[A-Za-z°µμ_]+(?:(?:\s*[*/·]\s*|\s*(?:\^|\*\*)\s*-?)[A-Za-z0-9°µμ_]+){0,8}")
+_FACTOR = r"[A-Za-z°µμ_]+(?:\s*(?:\^|\*\*)\s*-?[1-4])?"
+_UNIT = re.compile(rf"{_FACTOR}(?:\s*[*/·]\s*{_FACTOR}){{0,4}}")
 
 
 class UnitProblem(ValueError):

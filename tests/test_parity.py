@@ -402,7 +402,7 @@ def check_jets(case: Case, form: str) -> None:
             jets = [Jet(*(np.array([p]) for p in parts)) for parts in zip(x, v, a, strict=True)]
         found = [y if isinstance(y, Jet) else Jet(y) for y in case.function(*jets)]
         values, rates, accelerations = (
-            np.array([float(np.squeeze(getattr(y, part))) for y in found]) for part in Jet.__slots__[::-1]
+            np.array([float(np.squeeze(getattr(y, part))) for y in found]) for part in ("value", "rate", "acceleration")
         )
         rate, acceleration = traced(case).motion(x, v, a)
         np.testing.assert_allclose(values, traced(case).values(x), rtol=SAME, atol=1e-14)
@@ -472,7 +472,7 @@ def test_every_elementwise_function_is_compared():
     assert compared == wanted | {"requirement.from"}
 
 
-@pytest.mark.parametrize("start", ["-300 deg", "60 deg", "340 deg", "700 deg", "-730 deg"])
+@pytest.mark.parametrize("start", ["-300 deg", "60 deg", "340 deg", "360 deg", "-360 deg"])
 def test_rows_over_a_span_hold_its_extremes_wherever_it_starts(start):
     """Either such a start is refused, or no extreme of the transmission angle over the span escapes the rows."""
     beyond_a_turn = abs(float(start.split()[0])) > 360.0

@@ -110,7 +110,7 @@ def crank(problem: DesignProblem, values: Mapping[str, Value], start: StartPosit
             yield Row("limits.crank", label, slack / size, least, math.inf, millimetres)
     if problem.limits.crank == "span" and "phi0" not in problem.quantities:
         r, a, b, f = lengths
-        reach = a + r if problem.requirement.start == DEAD_CENTRES[0] else a - r
+        reach = a + r if problem.requirement.start == DEAD_CENTRES[0] else np.abs(a - r)
         for label, slack in {
             "the dead centre exists: A-C <= rocker + frame": b + f - reach,
             "the dead centre exists: rocker <= A-C + frame": reach + f - b,

@@ -18,6 +18,7 @@ from optlink.linkage.elementwise import Value
 
 MAX_CHARACTERS = 2_000
 MAX_DEPTH = 60
+SPACE = " \t\r\n\f\v"
 
 FUNCTIONS: dict[str, np.ufunc] = {
     "sin": np.sin,
@@ -161,12 +162,12 @@ class _Parser:
 
     def advance(self) -> None:
         rest = self.text[self.end :]
-        if not rest.strip():
+        if not rest.strip(SPACE):
             self.here = None
             return
         match = _TOKEN.match(rest)
         if match is None:
-            self.end += len(rest) - len(rest.lstrip()) + 1
+            self.end += len(rest) - len(rest.lstrip(SPACE)) + 1
             self.fail(
                 f'"{self.text[self.end - 1]}" does not belong in a law',
                 f"A law has numbers, {', '.join(sorted(self.names))}, pi, + - * / ^, brackets and the usual functions",

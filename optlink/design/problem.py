@@ -247,6 +247,11 @@ def cross_check(problem: DesignProblem) -> None:
             "requirement.span",
             f"{np.degrees(problem.span):.6g} deg",
         )
+    turns = problem.quantities.get("phi0")
+    if turns is not None and max(abs(bound) for bound in turns.bounds) > FULL_TURN * (1.0 + 1e-12):
+        raise Unusable(
+            "the start angle lies beyond one revolution", "Give it within -360 deg ... 360 deg", "requirement.from", str(turns)
+        )
     if limits.transmission_angle is not None and limits.transmission_cosine is not None:
         raise Unusable(
             "the transmission angle is limited twice",

@@ -16,6 +16,9 @@ from pydantic import BeforeValidator
 from optlink.units import KINDS, UnitProblem, parse, show
 
 
+SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow before anything is designed
+
+
 class Unusable(ValueError):
     """A value that will not do: why, what would, and the key below the present one that is to blame."""
 
@@ -81,6 +84,8 @@ class Interval:
 def _positive(value: float, text: object, kind: str, key: str = "") -> float:
     if kind == "length" and value <= 0.0:
         raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"', key, text)
+    if kind == "length" and not SHORTEST <= value <= LONGEST:
+        raise Unusable("no linkage has such a length", "Give one between 1e-9 m and 1000 km, and check its unit", key, text)
     return value
 
 

@@ -34,9 +34,9 @@ def rrr(p: Vector, q: Vector, a: Value, b: Value, side: int) -> tuple[Vector, Va
     """
     dx, dy = q[0] - p[0], q[1] - p[1]
     square = dx * dx + dy * dy
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = 1.0 / square
+    with np.errstate(all="ignore"):
+        inverse = np.divide(1.0, square)
         foot = 0.5 + (0.5 * (a * a - b * b)) * inverse  # along p -> q, as a fraction of it
         margin = (a * a) * inverse - foot * foot
         height = side * root(margin)
-    return (p[0] + foot * dx - height * dy, p[1] + foot * dy + height * dx), margin
+        return (p[0] + foot * dx - height * dy, p[1] + foot * dy + height * dx), margin

@@ -143,11 +143,13 @@ def transmission_cosine(crank: Value, coupler: Value, rocker: Value, frame: Valu
 def turning_points(start: Value, span: float) -> list[Value]:
     """Crank angles [rad] among which every function of cos phi takes its extremes over start ... start + span.
 
+    Both `start` and `span` lie within one revolution, -2 pi ... 2 pi.
+
     Both ends, and the multiples of pi moved into the range: where one lies outside it becomes an end, and because cos is
     flat there the extreme stays continuously differentiable in `start`.
     """
     low, high = (start, start + span) if span >= 0.0 else (start + span, start)
-    inner = [np.minimum(np.maximum(k * np.pi, low), high) for k in range(-3, 4)]
+    inner = [np.minimum(np.maximum(k * np.pi, low), high) for k in range(-4, 5)]
     return [low, high, *inner]
 
 
@@ -207,16 +209,17 @@ def dead_centre(crank: Value, coupler: Value, rocker: Value, frame: Value, side:
     side : int
         Assembly mode.
     outer : bool
-        True: crank and coupler extended (A-C = coupler + crank); False: overlapping (A-C = coupler - crank).
+        True: crank and coupler extended (A-C = coupler + crank); False: overlapping (A-C = |coupler - crank|).
 
     Source: triangle A-C-D, law of cosines.
     """
     reach = coupler + crank if outer else coupler - crank
-    cos_ac = (reach * reach - rocker * rocker + frame * frame) / (2.0 * (reach * frame))
-    margin = 1.0 - cos_ac * cos_ac
-    sin_ac = side * root(margin)
-    direction = (cos_ac, sin_ac) if outer else (-cos_ac, -sin_ac)
-    return DeadCentre(direction, ((reach * cos_ac - frame) / rocker, reach * sin_ac / rocker), margin)
+    with np.errstate(all="ignore"):  # crank = coupler has no inner dead centre: C would sit on A, in no direction
+        cos_ac = np.divide(reach * reach - rocker * rocker + frame * frame, 2.0 * (reach * frame))
+        margin = 1.0 - cos_ac * cos_ac
+        sin_ac = side * root(margin)
+        direction = (cos_ac, sin_ac) if outer else (-cos_ac, -sin_ac)
+        return DeadCentre(direction, ((reach * cos_ac - frame) / rocker, reach * sin_ac / rocker), margin)
 
 
 def swing(crank: Value, coupler: Value, rocker: Value, frame: Value, side: int) -> Value:

@@ -44,7 +44,13 @@ class Jet(NDArrayOperatorsMixin):
         rule = _RULES.get(ufunc)
         if rule is None:
             return NotImplemented
-        return rule(*(x if isinstance(x, Jet) else Jet(x) for x in inputs))
+        return rule(*(x if isinstance(x, Jet) else _Constant(x) for x in inputs))
+
+
+class _Constant(Jet):
+    """What is known not to move."""
+
+    __slots__ = ()
 
 
 def _multiply(a: Jet, b: Jet) -> Jet:
@@ -70,9 +76,11 @@ def _arctan2(y: Jet, x: Jet) -> Jet:
 
 
 def _power(base: Jet, exponent: Jet) -> Jet:
-    n = exponent.value
-    if not isinstance(exponent.rate, float):  # an exponent that moves; a constant one must not ask for log(base)
+    if not isinstance(exponent, _Constant):  # only an exponent that moves needs log(base)
         return np.exp(exponent * np.log(base))  # type: ignore[no-any-return]
+    n = exponent.value
+    if isinstance(n, float | int) and n in (0, 1, 2):  # where the general rule would multiply zero by infinity at zero
+        return (Jet(np.power(base.value, n)), base, base * base)[int(n)]
     first = n * np.power(base.value, n - 1.0)
     second = n * (n - 1.0) * np.power(base.value, n - 2.0)
     return Jet(np.power(base.value, n), first * base.rate, first * base.acceleration + second * base.rate * base.rate)

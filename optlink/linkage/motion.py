@@ -49,7 +49,7 @@ class Motion:
         """Angle of a body [rad] (continuous along the sweep), its angular velocity and acceleration [rad/s, rad/s^2]."""
         with np.errstate(all="ignore"):
             jet = angle(self.mechanism.direction(self.pose.points, self.sizes, body))
-        return Jet(np.unwrap(self._full(jet.value)), self._full(jet.rate), self._full(jet.acceleration))
+        return Jet(_continuous(self._full(jet.value)), self._full(jet.rate), self._full(jet.acceleration))
 
     def _full(self, x: Any) -> Array:
         shape = np.broadcast_shapes(self.crank_angle.shape, *(np.shape(size) for size in self.sizes.values()))
@@ -58,6 +58,17 @@ class Motion:
     def _stack(self, point: str, part: Callable[[Jet], Value]) -> Array:
         coordinates = (x if isinstance(x, Jet) else Jet(x) for x in self.pose.points[point])
         return np.stack([self._full(part(x)) for x in coordinates], axis=-1)
+
+
+def _continuous(angles: Array) -> Array:
+    """Angles without jumps of a turn along the last axis; NaN stays NaN and what follows a gap is kept near what was before."""
+    if np.all(np.isfinite(angles)):
+        return np.unwrap(angles)
+    result = np.array(angles)
+    for row in result.reshape(-1, result.shape[-1]):
+        known = np.isfinite(row)
+        row[known] = np.unwrap(row[known])
+    return result
 
 
 BATCH = 46_000
