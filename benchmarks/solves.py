@@ -203,6 +203,6 @@ def from_anywhere(nlp: NLP) -> list[Row]:
 
 def rows() -> list[Row]:
     """Every comparison of a solve, without the build."""
-    nlp = build(optlink.load("crank-rocker").problem)
+    nlp = build(optlink.load("crank-rocker").spec)
     with np.errstate(all="ignore"):  # the plain transcription has no value where no linkage can be assembled
         return [*from_the_start(nlp), *from_anywhere(nlp)]

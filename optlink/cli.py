@@ -140,7 +140,7 @@ def list_problems(as_json: Json = False) -> None:
 
         files = [load(name) for name in shipped()]
         if as_json:
-            rows = [{"name": f.name, "kind": f.problem.requirement.kind, "title": f.problem.title} for f in files]
+            rows = [{"name": f.name, "kind": f.spec.requirement.kind, "title": f.spec.title} for f in files]
             _print_json({"schema": "optlink/list/1", "problems": rows})
             return
         from optlink.report import terminal

@@ -90,7 +90,7 @@ class Result:
 
         At the design positions if no `offsets` are given.
         """
-        problem = self.problem.problem
+        problem = self.problem.spec
         at = problem.law.offsets if offsets is None else np.asarray(offsets, dtype=float)
         wanted = problem.law.curve(at, self.design["phi0"], self.design["psi0"])
         motion = sweep(problem.linkage, self.sizes, self.design["phi0"] + at)
@@ -99,7 +99,7 @@ class Result:
     @property
     def measure(self) -> str:
         """Name of the objective's measure."""
-        return self.problem.problem.requirement.measure
+        return self.problem.spec.requirement.measure
 
     @property
     def unit(self) -> str:
@@ -112,7 +112,7 @@ class Result:
             "schema": SCHEMA,
             "optlink": _version(),
             "problem": self.problem.name,
-            "title": self.problem.problem.title,
+            "title": self.problem.spec.title,
             "problem_hash": self.problem.hash,
             "status": self.status.value,
             "message": self.status.text,
@@ -151,7 +151,7 @@ class Result:
     def _solution(self, solution: Solution) -> dict[str, Any]:
         return {
             "status": solution.status.value,
-            "design": _design(self.problem.problem.design(solution.design)),
+            "design": _design(self.problem.spec.design(solution.design)),
             "objective": solution.objective,
             "iterations": solution.iterations,
             "kkt": solution.kkt,
@@ -217,14 +217,14 @@ def solve(
         raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_STARTS}", key="starts", value=starts))
     if seed < 0:
         raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
-    if not problem.problem.free:
+    if not problem.spec.free:
         example = 'Free one: coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
         raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
     names = search.BACKENDS if backend == "both" else (backend,)
     for name in names:
         search.backend(name)  # imports are nobody's solving time
     clock = [time.perf_counter()]
-    nlp = build(problem.problem)
+    nlp = build(problem.spec)
     for name in names:
         search.prepare(nlp, name)
     clock.append(time.perf_counter())
@@ -259,8 +259,8 @@ def solve(
     winner = search.best(list(found.values()))
     chosen = next(name for name, solution in found.items() if solution is winner)
     clock.append(time.perf_counter())
-    design = problem.problem.design(winner.design)
-    proof = prove(problem.problem, design, winner.objective)
+    design = problem.spec.design(winner.design)
+    proof = prove(problem.spec, design, winner.objective)
     checks = (*proof.checks, *_optimality(winner))
     if len(found) > 1:
         checks += _agreement(search.compare(*found.values()), winner, nlp.x_start.size)
@@ -278,7 +278,7 @@ def solve(
         starts=starts,
         solution=winner,
         backends=found if backend == "both" else {},
-        optima=tuple(Optimum(problem.problem.design(c.solution.design), c.solution.objective, c.count) for c in clusters),
+        optima=tuple(Optimum(problem.spec.design(c.solution.design), c.solution.objective, c.count) for c in clusters),
         conflict=conflict,
         together=together,
     )
@@ -309,8 +309,8 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
     design : mapping of every free quantity to its value [m, rad]; see `read_design`
     """
     begin = time.perf_counter()
-    full = problem.problem.design(design)
-    proof = prove(problem.problem, full)
+    full = problem.spec.design(design)
+    proof = prove(problem.spec, full)
     seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
     return Result(problem, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds)
 
@@ -338,7 +338,7 @@ def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float
     InputError
         unknown or missing names, values that are no quantities.
     """
-    quantities = problem.problem.quantities
+    quantities = problem.spec.quantities
     given: dict[str, float] = {}
     for key, value in (pair for text in assignments for pair in _pairs(text, quantities)):
         name = key.removeprefix("mechanism.")
@@ -349,7 +349,7 @@ def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float
         except Unusable as error:
             raise InputError(Fault(error.message, error.remedy, problem.file, f"--design {name}", value)) from None
         given[name] = quantity.value
-    missing = [name for name in problem.problem.free if name not in given]
+    missing = [name for name in problem.spec.free if name not in given]
     if missing:
         starts = ((name, *people(name, quantities[name].value)) for name in missing)
         example = " ".join(f'--design {name}="{value:.6g} {unit}"' for name, value, unit in starts)

@@ -157,7 +157,7 @@ def test_table_from_csv(crank_rocker, tmp_path):
     rows = [f"{phi},{math.degrees(2 / (3 * math.pi) * math.radians(phi) ** 2)!r}" for phi in angles]
     (tmp_path / "law.csv").write_text("phi_deg, psi_deg\n" + "\n".join(rows) + "\n")
     text = {**crank_rocker.raw, "requirement": {"law": {"csv": "law.csv"}, "from": "outer dead centre"}}
-    problem = read(text, folder=tmp_path).problem
+    problem = read(text, folder=tmp_path).spec
     assert math.degrees(problem.span) == pytest.approx(90.0)
     np.testing.assert_allclose(np.degrees(problem.law.offsets), angles[1:])
     np.testing.assert_allclose(problem.law.tabulated, 2 / (3 * math.pi) * np.radians(angles[1:]) ** 2, rtol=1e-12)
@@ -184,9 +184,9 @@ def test_bad_csv_names_the_row(crank_rocker, tmp_path, content, words):
 def test_table_rows_or_points_between_them(crank_rocker):
     table = {"phi": ["0 deg", "30 deg", "60 deg", "90 deg"], "psi": ["0 deg", "3 deg", "13 deg", "30 deg"]}
     raw = {**crank_rocker.raw, "requirement": {"law": table}}
-    assert len(read(raw).problem.law.offsets) == 3
+    assert len(read(raw).spec.law.offsets) == 3
     raw["requirement"] = {"law": table, "points": 18}
-    law = read(raw).problem.law
+    law = read(raw).spec.law
     assert len(law.offsets) == 18
     assert math.degrees(law.tabulated[5]) == pytest.approx(3.0)
     assert math.degrees(law.tabulated[-1]) == pytest.approx(30.0)
@@ -269,9 +269,9 @@ def test_five_thousand_mutated_problems_never_break_the_loader(crank_rocker):
             assert all(fault.remedy and fault.message for fault in error.faults)
             continue
         loaded += 1
-        assert all(math.isfinite(bound) for q in problem.problem.quantities.values() for bound in (q.value, *q.bounds))
-        assert len(problem.problem.law.offsets) >= 1
-        assert np.all(np.isfinite(problem.problem.law.tabulated))
+        assert all(math.isfinite(bound) for q in problem.spec.quantities.values() for bound in (q.value, *q.bounds))
+        assert len(problem.spec.law.offsets) >= 1
+        assert np.all(np.isfinite(problem.spec.law.tabulated))
     assert loaded > 200
     assert refused > 2000
 

@@ -115,7 +115,7 @@ def problem(
     for section, changes in (("mechanism", mechanism), ("requirement", requirement), ("limits", limits)):
         merged = {**raw[section], **(changes or {})}
         raw[section] = {key: value for key, value in merged.items() if value is not None}
-    return optlink.read(raw).problem
+    return optlink.read(raw).spec
 
 
 TABLE = {"phi": ["10 deg", "40 deg", "95 deg"], "psi": ["1 deg", "8 deg", "25 deg"]}

@@ -23,14 +23,14 @@ def test_round_trip(name, tmp_path):
     copy = tmp_path / "copy.toml"
     copy.write_text(dump(problem), encoding="utf-8")
     again = optlink.load(copy)
-    assert again.problem == problem.problem
+    assert again.spec == problem.spec
     assert again.hash == problem.hash
     assert tomllib.loads(dump(again)) == dict(problem.raw)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_source_is_cited(name):
-    problem = optlink.load(name).problem
+    problem = optlink.load(name).spec
     assert len(problem.source) > 20
     assert problem.expected is not None
     assert len(problem.expected.source) > 20
@@ -39,7 +39,7 @@ def test_source_is_cited(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_expected_is_reached(name):
     problem = optlink.load(name)
-    expected = problem.problem.expected
+    expected = problem.spec.expected
     result = optlink.solve(problem, "both")
     assert result.valid
     checked = 0
@@ -62,11 +62,11 @@ def test_hash_changes_with_the_problem_and_not_with_its_words(crank_rocker):
 
 def test_none_takes_a_key_away(crank_rocker):
     without = crank_rocker.override({"limits.transmission_angle": None})
-    assert without.problem.limits.transmission_angle is None
+    assert without.spec.limits.transmission_angle is None
     assert "transmission_angle" not in tomllib.loads(dump(without))["limits"]
 
 
 def test_expected_goes_when_the_problem_changes(crank_rocker):
-    assert crank_rocker.problem.expected is not None
-    assert crank_rocker.override({"mechanism.frame": "501 mm"}).problem.expected is None
-    assert crank_rocker.override({"title": "Another title"}).problem.expected is not None
+    assert crank_rocker.spec.expected is not None
+    assert crank_rocker.override({"mechanism.frame": "501 mm"}).spec.expected is None
+    assert crank_rocker.override({"title": "Another title"}).spec.expected is not None

@@ -75,7 +75,7 @@ def test_variation_is_solved_proven_and_agreed(crank_rocker, name):
     assert result.status is Status.OPTIMAL
     a, b = (result.backends[n] for n in BACKENDS)
     assert a.objective == pytest.approx(b.objective, rel=1e-7)
-    for free in problem.problem.free:
+    for free in problem.spec.free:
         assert a.design[free] == pytest.approx(b.design[free], abs=1e-8)
 
 
@@ -101,7 +101,7 @@ def test_freedom_never_hurts(crank_rocker, solved):
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_thousand_random_starts(crank_rocker, backend):
     """At least 999 of 1000 starts in [100, 900]^2 mm end at the optimum; none is called optimal elsewhere."""
-    nlp = build(crank_rocker.problem)
+    nlp = build(crank_rocker.spec)
     rng = np.random.default_rng(20240601)
     reached = 0
     for point in rng.uniform(0.1, 0.9, (1000, 2)):
@@ -115,7 +115,7 @@ def test_thousand_random_starts(crank_rocker, backend):
 def test_minimax_error_alternates(crank_rocker):
     """Largest error: it is reached with both signs, which the sum-of-squares optimum does not do."""
     result = optlink.solve(crank_rocker.override(VARIATIONS["measure max"]))
-    nlp = build(result.problem.problem)
+    nlp = build(result.problem.spec)
     residuals = nlp.residuals(nlp.x_of(result.design))
     peak = np.max(np.abs(residuals))
     assert peak == pytest.approx(result.objective, rel=1e-9)
@@ -237,7 +237,7 @@ def test_bounds_can_be_the_conflict(crank_rocker):
 
 
 def test_explain_gives_a_design_when_there_is_one(crank_rocker):
-    nlp = build(crank_rocker.problem)
+    nlp = build(crank_rocker.spec)
     x = explain(nlp)
     assert not isinstance(x, Explanation)
     assert search.given(nlp, x, "").violation < 1e-6
@@ -339,7 +339,7 @@ def test_a_point_that_is_no_optimum_is_not_called_one(crank_rocker):
     """Planted: the solver's flag says success at a feasible point beside the optimum; the proof does not believe it."""
     from optlink.solvers.solution import Attempt
 
-    nlp = build(crank_rocker.problem)
+    nlp = build(crank_rocker.spec)
     for offset, status in (((0.02, 0.02), Status.STALLED), ((-0.02, -0.02), Status.INFEASIBLE)):
         x = nlp.x_of({"coupler": 0.41286542 + offset[0], "rocker": 0.23224617 + offset[1]})
         assert examine(nlp, Attempt(x, 1, "Optimization terminated successfully"), nlp.p).status is status
@@ -349,7 +349,7 @@ def test_a_point_that_is_no_optimum_is_not_called_one(crank_rocker):
 
 def test_kkt_of_the_solution_is_that_of_the_programme(crank_rocker, solved):
     """Stationarity from finite differences of the objective and the active row alone."""
-    nlp = build(crank_rocker.problem)
+    nlp = build(crank_rocker.spec)
     x = nlp.x_of(solved.design)
     p = search.scaled(nlp, nlp.x_start)
     names = [row.label for row in nlp.rows]

@@ -70,7 +70,7 @@ def problem(
     for section, changes in (("mechanism", mechanism), ("requirement", requirement), ("limits", limits)):
         merged = {**raw[section], **(changes or {})}
         raw[section] = {key: value for key, value in merged.items() if value is not None}
-    return optlink.read(raw).problem
+    return optlink.read(raw).spec
 
 
 def lengths(crank: float, coupler: float, rocker: float, frame: float) -> dict[str, str]:

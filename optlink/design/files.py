@@ -22,18 +22,21 @@ MAX_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class ProblemFile:
-    """A problem with where it came from: `name` and `file` for people, `raw` as written (overrides applied)."""
+    """A problem with where it came from.
+
+    `name` and `file` for people, `raw` as written (overrides applied), `spec` read and checked.
+    """
 
     name: str
     file: str
     folder: Path
     raw: Mapping[str, Any]
-    problem: DesignProblem
+    spec: DesignProblem
 
     @property
     def hash(self) -> str:
         """Sixteen hexadecimal digits that change with anything that can change the answer."""
-        law = self.problem.requirement.law
+        law = self.spec.requirement.law
         text = json.dumps([{k: v for k, v in self.raw.items() if k not in _WORDS}, repr(law)], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -77,7 +77,7 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _moved(result: Result, angles: Array) -> Motion:
-    return sweep(result.problem.problem.linkage, result.sizes, angles)
+    return sweep(result.problem.spec.linkage, result.sizes, angles)
 
 
 def _range(result: Result) -> Array:
@@ -150,7 +150,7 @@ def _frame(axes: Axes, motion: Motion) -> None:
 
 def positions(result: Result) -> dict[str, float]:
     """The telling crank angles [rad] by name: start and end of the requirement, dead centres, transmission extremes."""
-    problem, sizes = result.problem.problem, result.sizes
+    problem, sizes = result.problem.spec, result.sizes
     found: dict[str, float] = {"start": result.design["phi0"], "end of the span": result.design["phi0"] + problem.span}
     whole_turn = [(low, high) for low, high in reachable(*lengths_of(sizes)) if high - low > 2.0 * np.pi - 1e-9]
     if whole_turn:
@@ -194,7 +194,7 @@ def mechanism(result: Result) -> Figure | None:
     for axes in figure.axes[len(named) :]:
         axes.remove()
     lengths = "   ".join(f"{name} {value * 1e3:.3f}" for name, value in result.sizes.items())
-    figure.suptitle(f"{result.problem.problem.title}\n{lengths} mm", fontsize=11)
+    figure.suptitle(f"{result.problem.spec.title}\n{lengths} mm", fontsize=11)
     return figure
 
 
@@ -204,7 +204,7 @@ def mechanism(result: Result) -> Figure | None:
 @_styled
 def law(result: Result) -> Figure | None:
     """Wanted and generated law over the span, the error below, the design positions marked."""
-    problem, design = result.problem.problem, result.design
+    problem, design = result.problem.spec, result.design
     offsets = problem.span * np.linspace(0.0, 1.0, 361)
     at = problem.law.offsets
     if not math.isfinite(design["phi0"]):
@@ -258,7 +258,7 @@ def _unit(result: Result) -> str:
 @_styled
 def transmission(result: Result) -> Figure | None:
     """Transmission angle over the whole motion with its limits."""
-    problem, angles = result.problem.problem, _range(result)
+    problem, angles = result.problem.spec, _range(result)
     if angles.size == 0:
         return None
     gamma, crank = _transmission(_moved(result, angles)), np.degrees(angles)
@@ -302,7 +302,7 @@ def transmission(result: Result) -> Figure | None:
 
 
 def _transmission_limits(result: Result) -> list[tuple[float, bool]]:
-    limits = result.problem.problem.limits
+    limits = result.problem.spec.limits
     if limits.transmission_angle is not None:
         both = (limits.transmission_angle.low, limits.transmission_angle.high)
     elif limits.transmission_cosine is not None:
@@ -319,7 +319,7 @@ def _transmission_limits(result: Result) -> list[tuple[float, bool]]:
 @_styled
 def objective_map(result: Result) -> Figure | None:
     """Contours of the objective over two free quantities, the feasible region, the iterations and the optimum."""
-    problem, solution = result.problem.problem, result.solution
+    problem, solution = result.problem.spec, result.solution
     if solution is None or len(problem.free) != 2:
         return None
     from optlink.design.constraints import rows as limit_rows
@@ -387,7 +387,7 @@ def objective_map(result: Result) -> Figure | None:
 def _iterations(axes: Axes, result: Result, scale_x: float, scale_y: float) -> None:
     colors = {"slsqp": "#e67e22", "ipopt": "#8e44ad"}
     found = result.backends or ({result.backend: result.solution} if result.solution else {})
-    sizes = [result.problem.problem.quantities["frame"].value if n in LENGTHS else 1.0 for n in result.problem.problem.free]
+    sizes = [result.problem.spec.quantities["frame"].value if n in LENGTHS else 1.0 for n in result.problem.spec.free]
     for name, solution in found.items():
         if solution.path is not None and len(solution.path) > 1:
             path = solution.path[:, :2] * sizes * [scale_x, scale_y]
@@ -429,7 +429,7 @@ def frames(result: Result, count: int = 90) -> list[Image.Image]:
     ]
     left.set_xlabel("x [mm]")
     left.set_ylabel("y [mm]")
-    begin, span = math.degrees(result.design["phi0"]), math.degrees(result.problem.problem.span)
+    begin, span = math.degrees(result.design["phi0"]), math.degrees(result.problem.spec.span)
     radius = 1.1 * result.design["crank"] * 1e3
     ends = {"theta1": min(begin, begin + span), "theta2": max(begin, begin + span)}
     left.add_patch(Arc((0.0, 0.0), radius, radius, color=QUIET, linewidth=1.3, **ends))
@@ -438,7 +438,7 @@ def frames(result: Result, count: int = 90) -> list[Image.Image]:
     right.set_xlabel("crank angle φ [deg]")
     right.set_ylabel("rocker angle ψ [deg]")
     right.set_xlim(crank[0], crank[-1])
-    figure.suptitle(result.problem.problem.title, fontsize=10)
+    figure.suptitle(result.problem.spec.title, fontsize=10)
     moving = [*bars, dot]
     for artist in moving:
         artist.set_animated(True)

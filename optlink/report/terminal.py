@@ -69,7 +69,7 @@ def result(outcome: Result) -> RenderableType:
 
 
 def _headline(outcome: Result) -> Text:
-    title = Text(outcome.problem.problem.title, style=HEAD)
+    title = Text(outcome.problem.spec.title, style=HEAD)
     word = "valid" if outcome.valid else "not valid"
     if outcome.conflict:
         word = "no feasible design"
@@ -81,7 +81,7 @@ def _headline(outcome: Result) -> Text:
 
 
 def _design(outcome: Result) -> Table:
-    problem = outcome.problem.problem
+    problem = outcome.problem.spec
     note = "Design" if not outcome.conflict else "Nearest design found (it does not meet the limits)"
     table = _grid(note, [("", "left"), ("", "right"), ("", "left"), ("", "left")])
     for name, value in outcome.design.items():
@@ -166,7 +166,7 @@ def _given(item: Relaxed) -> str:
 def _optima(outcome: Result) -> Table:
     searches = outcome.starts * max(1, len(outcome.backends))
     reached = sum(optimum.count for optimum in outcome.optima)
-    free = outcome.problem.problem.free
+    free = outcome.problem.spec.free
     table = _grid(
         f"Distinct optima: {len(outcome.optima)}, reached by {reached} of {searches} searches",
         [
@@ -183,7 +183,7 @@ def _optima(outcome: Result) -> Table:
 
 
 def _backends(outcome: Result) -> Table:
-    free = outcome.problem.problem.free
+    free = outcome.problem.spec.free
     columns = [("back end", "left"), ("status", "left"), ("objective", "right")]
     columns += [(name, "right") for name in free]
     table = _grid("Back ends", [*columns, ("steps", "right"), ("KKT", "right")], header=True)
@@ -208,7 +208,7 @@ def _times(outcome: Result) -> Text:
 
 def problem(file: ProblemFile) -> RenderableType:
     """A problem in full: every key with its value or default, in units."""
-    wanted = file.problem
+    wanted = file.spec
     parts: list[RenderableType] = [Text(wanted.title, style=HEAD)]
     if wanted.about:
         parts.append(Text(wanted.about.strip()))
@@ -252,7 +252,7 @@ def listing(files: Iterable[ProblemFile]) -> Table:
     """The shipped problems, a line each."""
     table = _grid("Shipped problems", [("name", "left"), ("kind", "left"), ("what it is", "left")], header=True)
     for file in files:
-        table.add_row(file.name, f"{file.problem.mechanism.type}, {file.problem.requirement.kind}", file.problem.title)
+        table.add_row(file.name, f"{file.spec.mechanism.type}, {file.spec.requirement.kind}", file.spec.title)
     return table
 
 
