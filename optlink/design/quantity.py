@@ -15,7 +15,6 @@ from pydantic import BeforeValidator
 
 from optlink.units import KINDS, UnitProblem, parse, show
 
-
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow before anything is designed
 
 
