@@ -143,23 +143,27 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     """
     wanted = KINDS[kind]
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
-        raise UnitProblem(f"expected a {kind}, found {type(text).__name__}", f'Write it as text: "{wanted.example}"')
+        raise UnitProblem(f"expected {_a(kind)}, found {type(text).__name__}", f'Write it as text: "{wanted.example}"')
     if not isinstance(text, str):
         if not math.isfinite(text):
-            raise UnitProblem(f"a {kind} must be finite", f'Write a number and a unit: "{wanted.example}"')
-        raise UnitProblem(f"a {kind} needs a unit", f'Write "{_digits(text)} {wanted.people}", with the quotes')
+            raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
+        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{_digits(text)} {wanted.people}", with the quotes')
     match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None
     if match is None:
         if re.match(r"\s*[-+]?(nan|inf)", text, re.IGNORECASE):
-            raise UnitProblem(f"a {kind} must be finite", f'Write a number and a unit: "{wanted.example}"')
-        raise UnitProblem(f"this is not a {kind}", f'Write a number and a unit: "{wanted.example}"')
+            raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
+        raise UnitProblem(f"this is not {_a(kind)}", f'Write a number and a unit: "{wanted.example}"')
     number, unit = match.groups()
     if unit is None:
-        raise UnitProblem(f"a {kind} needs a unit", f'Write "{number} {wanted.people}"')
+        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{number} {wanted.people}"')
     value = float(number) * factor(unit, kind)
     if not math.isfinite(value):
-        raise UnitProblem(f"a {kind} must be finite", f'Write a number and a unit: "{wanted.example}"')
+        raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
     return value, unit
+
+
+def _a(kind: str) -> str:
+    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 def _digits(number: float) -> str:

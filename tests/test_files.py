@@ -77,6 +77,8 @@ BAD = {
     "law: empty": ({"requirement.law": ""}, "requirement.law", "ends too early"),
     "law: a number": ({"requirement.law": 3}, "requirement.law", "expression or a table"),
     "law: pole between the points": ({"requirement.law": "psi0 + 1/(phi - phi0 - 0.7)"}, "requirement.law", "divides by zero"),
+    "law: pole of even order": ({"requirement.law": "psi0 + 1/(phi - phi0 - 0.7)^2"}, "requirement.law", "exceeds"),
+    "law: far too large": ({"requirement.law": "psi0 + 1e6*(phi - phi0)"}, "requirement.law", "exceeds 1000 rad"),
     "law: pole at the start": ({"requirement.law": "psi0 + 1/(phi - phi0)"}, "requirement.law", "divides by zero"),
     "law: logarithm of a negative": ({"requirement.law": "log(phi0 - phi - 1)"}, "requirement.law", "no finite real value"),
     "table: empty": ({"requirement.law": {}}, "requirement.law.phi", "list of angles"),

@@ -110,13 +110,11 @@ def crank(problem: DesignProblem, values: Mapping[str, Value], start: StartPosit
             yield Row("limits.crank", label, slack / size, least, math.inf, millimetres)
     if problem.limits.crank == "span" and "phi0" not in problem.quantities:
         r, a, b, f = lengths
-        reach = a + r if problem.requirement.start == DEAD_CENTRES[0] else np.abs(a - r)
-        for label, slack in {
-            "the dead centre exists: A-C <= rocker + frame": b + f - reach,
-            "the dead centre exists: rocker <= A-C + frame": reach + f - b,
-            "the dead centre exists: frame <= A-C + rocker": reach + b - f,
-        }.items():
-            yield Row("requirement.from", label, slack / size, 0.0, math.inf, millimetres)
+        reach = a + r if problem.requirement.start == DEAD_CENTRES[0] else a - r  # its sign does not matter
+        square = reach * reach / size**2
+        longest, shortest = (b + f) * (b + f) / size**2, (b - f) * (b - f) / size**2
+        yield Row("requirement.from", "dead centre: C not too far from A", longest - square, 0.0, math.inf, PLAIN)
+        yield Row("requirement.from", "dead centre: C not too near to A", square - shortest, 0.0, math.inf, PLAIN)
 
 
 def transmission(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
 
 from optlink.design.expression import Expression
@@ -35,6 +34,7 @@ from optlink.linkage.mechanism import Mechanism
 MAX_POINTS = 10_000
 DEAD_CENTRES = ("outer dead centre", "inner dead centre")
 EPIGRAPH = "largest error"  # name of the extra variable of a minimax programme, and of its rows
+ABSURD = 1e3  # rad; a rocker that shall turn further follows a slip of the pen, or a pole
 FULL_TURN = 2.0 * float(np.pi)
 
 
@@ -306,19 +306,36 @@ def _check_ranges(problem: DesignProblem) -> None:
 
 
 def _check_law(problem: DesignProblem) -> None:
-    """Follow an expression over the span: it must have a value everywhere, whatever the start angle."""
+    """Follow an expression over the span: it must have a sensible value everywhere, whatever the start angle."""
     law = problem.requirement.law
     if not isinstance(law, Expression):
         return
-    offsets: NDArray[np.float64] = problem.span * np.linspace(0.0, 1.0, 721)
     nominal = problem.design({})
-    known = [nominal[name] for name in ("phi0", "psi0")]
-    starts = [known] if np.all(np.isfinite(known)) else [[0.3, 0.5], [0.9, 1.2], [1.7, 2.1]]
-    worries = [law.hazards({"phi": phi0 + offsets, "phi0": phi0, "psi0": psi0}) for phi0, psi0 in starts]
+    known = (nominal["phi0"], nominal["psi0"])
+    starts = [known] if np.all(np.isfinite(known)) else [(0.3, 0.5), (0.9, 1.2), (1.7, 2.1)]
+    worries = [_worry(law, problem.span, phi0, psi0) for phi0, psi0 in starts]
     if all(worries):
+        span, begin = (f"{np.degrees(angle):.6g} deg" for angle in (problem.span, starts[0][0]))
         raise Unusable(
-            f"the law {worries[0]} on the span, {np.degrees(problem.span):.6g} deg from {np.degrees(starts[0][0]):.6g} deg on",
+            f"the law {worries[0]} on the span, {span} from {begin} on",
             "Change the law, the span or the start",
             "requirement.law",
             law.text,
         )
+
+
+def _worry(law: Expression, span: float, phi0: float, psi0: float) -> str | None:
+    """What is wrong with a law along the span, if anything; poles of even order are found by closing in on the largest value."""
+    low, high = 0.0, 1.0
+    for _ in range(5):
+        share = np.linspace(low, high, 721)
+        values = {"phi": phi0 + span * share, "phi0": phi0, "psi0": psi0}
+        worry = law.hazards(values)
+        if worry:
+            return worry
+        size = np.abs(np.asarray(law(values), dtype=float) + 0.0 * share)
+        peak, step = float(share[int(np.argmax(size))]), (high - low) / 720.0
+        if np.max(size) > ABSURD:
+            return f"exceeds {ABSURD:g} rad"
+        low, high = max(0.0, peak - 2.0 * step), min(1.0, peak + 2.0 * step)
+    return None

@@ -19,13 +19,22 @@ def root(x: Value) -> Value:
         return np.sqrt(x)
 
 
+def _complex(x: Value) -> bool:
+    return isinstance(x, np.ndarray | np.generic | complex) and bool(np.iscomplexobj(x))
+
+
+def magnitude(x: Value) -> Value:
+    """Absolute value; under a complex step its analytic continuation, where numpy's would forget the step."""
+    return np.where(np.real(x) < 0.0, -x, x) if _complex(x) else np.abs(x)
+
+
 def angle(v: Vector) -> Value:
     """Angle of the direction v from +x, counter-clockwise [rad], in (-pi, pi].
 
     numpy's arctan2 knows no complex numbers; for a complex step the analytic continuation about the real direction is used.
     """
     x, y = v
-    if isinstance(x, np.ndarray | np.generic | complex) and (np.iscomplexobj(x) or np.iscomplexobj(y)):
+    if _complex(x) or _complex(y):
         real = np.arctan2(np.real(y), np.real(x))
         c, s = np.cos(real), np.sin(real)
         return real + np.arctan((c * y - s * x) / (c * x + s * y))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.linkage.elementwise import Value, Vector, angle, angle_from, root
+from optlink.linkage.elementwise import Value, Vector, angle, angle_from, magnitude, root
 from optlink.linkage.mechanism import RRR, Link, Mechanism
 
 LENGTHS = ("crank", "coupler", "rocker", "frame")
@@ -236,5 +236,5 @@ def time_ratio(crank: Value, coupler: Value, rocker: Value, frame: Value, side: 
     """
     outer = dead_centre(crank, coupler, rocker, frame, side, outer=True)
     inner = dead_centre(crank, coupler, rocker, frame, side, outer=False)
-    theta = np.abs(angle_from(outer.crank, (-inner.crank[0], -inner.crank[1])))
+    theta = magnitude(angle_from(outer.crank, (-inner.crank[0], -inner.crank[1])))
     return (np.pi + theta) / (np.pi - theta)
