@@ -240,7 +240,7 @@ def cross_check(problem: DesignProblem) -> None:
             "requirement.from",
             str(requirement.start),
         )
-    if not 1e-6 <= abs(problem.span) <= FULL_TURN * (1.0 + 1e-12):
+    if not 1e-6 <= abs(problem.span) <= FULL_TURN * (1.0 + 1e-9):
         raise Unusable(
             "the span must not be zero, nor exceed one revolution",
             'Give one such as "90 deg" (negative: clockwise)',
@@ -248,7 +248,7 @@ def cross_check(problem: DesignProblem) -> None:
             f"{np.degrees(problem.span):.6g} deg",
         )
     turns = problem.quantities.get("phi0")
-    if turns is not None and max(abs(bound) for bound in turns.bounds) > FULL_TURN * (1.0 + 1e-12):
+    if turns is not None and max(abs(bound) for bound in turns.bounds) > FULL_TURN * (1.0 + 1e-9):
         raise Unusable(
             "the start angle lies beyond one revolution", "Give it within -360 deg ... 360 deg", "requirement.from", str(turns)
         )

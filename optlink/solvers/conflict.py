@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from optlink.design.constraints import PLAIN, Row, Scale
 from optlink.design.nlp import NLP, Variable
 from optlink.design.problem import EPIGRAPH
+from optlink.linkage.fourbar import LENGTHS
 from optlink.solvers.search import BACKENDS, backend, starts
 
 Array = NDArray[np.float64]
@@ -101,15 +102,18 @@ def elastic(nlp: NLP, limits: list[Side]) -> NLP:
         rows += [Row(side.key, side.name, g[j] + give, low, high, side.scale) for j in side.rows]
         rows += [Row(side.key, side.name, x[j] + give, low, high, side.scale) for j in side.variables]
     bounded = [v.name != EPIGRAPH for v in nlp.variables]
-    wide = np.where(bounded, nlp.x_high + np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
+    length = np.array([v.name in LENGTHS for v in nlp.variables])
+    room = np.where(bounded, np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
+    lowest = np.where(length, 1e-3 * nlp.x_low, nlp.x_low - room)  # a length gives way towards zero, never beyond
+    highest = np.where(bounded, nlp.x_high + room, 1.0)
     return NLP(
         variables=(*nlp.variables, *(Variable(f"slack {i}", 1.0, PLAIN) for i in range(k))),
         fixed=(),
         rows=tuple(rows),
         measure=nlp.measure,
         x_start=np.concatenate([nlp.x_start, np.zeros(k)]),
-        x_low=np.concatenate([np.where(bounded, 1e-3 * nlp.x_low, 0.0), np.zeros(k)]),
-        x_high=np.concatenate([wide, np.full(k, FREE)]),
+        x_low=np.concatenate([np.where(bounded, lowest, 0.0), np.zeros(k)]),
+        x_high=np.concatenate([highest, np.full(k, FREE)]),
         p=np.ones(k),
         x_symbol=casadi.vertcat(x, s),
         p_symbol=weights,

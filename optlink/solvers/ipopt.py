@@ -17,12 +17,14 @@ OPTIONS: dict[str, Any] = {
     "print_time": False,
     "error_on_fail": False,
     "show_eval_warnings": False,
+    "calc_lam_x": False,
+    "calc_lam_p": False,
     "calc_multipliers": False,  # ours are recomputed from the programme
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
-    "ipopt.tol": 1e-6,
-    "ipopt.constr_viol_tol": 1e-6,
-    "ipopt.compl_inf_tol": 1e-6,
+    "ipopt.tol": 1e-8,
+    "ipopt.constr_viol_tol": 1e-8,
+    "ipopt.compl_inf_tol": 1e-8,
     "ipopt.acceptable_iter": 0,
     "ipopt.max_iter": 300,
     "ipopt.mu_strategy": "adaptive",
@@ -35,6 +37,8 @@ OPTIONS: dict[str, Any] = {
     "ipopt.bound_relax_factor": 0.0,
     "ipopt.honor_original_bounds": "yes",
 }
+
+TIGHT = {f"ipopt.{name}": 1e-11 for name in ("tol", "constr_viol_tol", "compl_inf_tol", "dual_inf_tol")}
 
 
 class _Recorder(casadi.Callback):
@@ -72,17 +76,18 @@ def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
     return casadi.nlpsol("ipopt", "ipopt", programme, {**OPTIONS, **extra})
 
 
-def compiled(nlp: NLP) -> Any:
+def compiled(nlp: NLP, tight: bool = False) -> Any:
     """The solver of a programme, made once."""
-    if "ipopt" not in nlp.cache:
-        nlp.cache["ipopt"] = _solver(nlp, {})
-    return nlp.cache["ipopt"]
+    key = "ipopt, tight" if tight else "ipopt"
+    if key not in nlp.cache:
+        nlp.cache[key] = _solver(nlp, TIGHT if tight else {})
+    return nlp.cache[key]
 
 
-def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False) -> Attempt:
+def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
     """Minimise from x; the compiled solver is kept as long as the programme lives."""
     recorder = _Recorder(nlp) if track else None
-    solver = compiled(nlp) if recorder is None else _solver(nlp, {"iteration_callback": recorder})
+    solver = compiled(nlp, tight) if recorder is None else _solver(nlp, {"iteration_callback": recorder})
     result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)
     statistics = solver.stats()
     end = np.asarray(result["x"], dtype=float).ravel()

@@ -21,6 +21,7 @@ MAX_STEPS = 6
 LONGEST_STEP = 1e-2  # further away is no polishing but another search
 CONVERGED = 1e-10
 ROUNDING = 1e-14
+NOISE = 1e-14  # of the largest second derivative: how exactly a gradient can vanish
 
 
 def polish(nlp: NLP, attempt: Attempt, p: Array) -> Attempt:
@@ -37,7 +38,7 @@ def polish(nlp: NLP, attempt: Attempt, p: Array) -> Attempt:
     bound = np.where(nlp.upper - values <= values - nlp.lower, nlp.upper, nlp.lower)[active]
     multipliers = proof.multipliers.copy()
     unit = np.eye(n)
-    y, last = x, np.inf
+    y, last, stiffness = x, np.inf, 0.0
     for _ in range(MAX_STEPS):
         jacobian = np.vstack([unit, here.jacobian])[active]
         missing = np.concatenate([y, here.g])[active] - bound
@@ -51,6 +52,7 @@ def polish(nlp: NLP, attempt: Attempt, p: Array) -> Attempt:
         weights = np.zeros(len(here.g))
         weights[rows] = multipliers[rows + n]
         hessian = nlp.hessian(y, p, weights)
+        stiffness = max(stiffness, float(np.max(np.abs(hessian), initial=0.0)))
         step = _newton(hessian, jacobian, residual)
         if step is None:
             break
@@ -59,9 +61,10 @@ def polish(nlp: NLP, attempt: Attempt, p: Array) -> Attempt:
         here = nlp.at(y, p)
         if not here.finite or float(np.max(np.abs(y - x))) > LONGEST_STEP:
             return attempt
-    if last > CONVERGED or violation(nlp, y, here.g) > max(FEASIBLE, violation(nlp, x, begin.g)):
+    settled = max(CONVERGED, NOISE * stiffness)
+    if last > settled or violation(nlp, y, here.g) > max(FEASIBLE, violation(nlp, x, begin.g)):
         return attempt
-    worse = stationarity(nlp, y, here).kkt > max(proof.kkt, CONVERGED) or here.f > begin.f + 1e-3 * abs(begin.f)
+    worse = stationarity(nlp, y, here).kkt > max(proof.kkt, settled) or here.f > begin.f + 1e-3 * abs(begin.f)
     return attempt if worse else replace(attempt, x=y)
 
 

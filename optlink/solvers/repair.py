@@ -18,7 +18,7 @@ MAX_STEPS = 60
 LONGEST_STEP = 0.5
 
 
-def repair(nlp: NLP, x: Array, p: Array) -> Array | None:
+def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None:
     """Move x until every limit is met and the objective has a value.
 
     Returns
@@ -26,7 +26,7 @@ def repair(nlp: NLP, x: Array, p: Array) -> Array | None:
     The nearby usable x (x itself if it is usable), or None where the violation stops at a value above zero.
     """
     low, high = nlp.low, nlp.high
-    inset = np.minimum(INSIDE, 0.25 * (high - low))
+    inset = np.minimum(inside, 0.25 * (high - low))
     low_inside, high_inside = low + inset, high - inset
     x = np.clip(x, nlp.x_low, nlp.x_high)
     own = np.array([row.limit != EPIGRAPH for row in nlp.rows], dtype=bool)  # the others follow from lifting x

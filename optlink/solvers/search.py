@@ -13,13 +13,16 @@ from optlink.design.nlp import NLP, SMALLEST_SCALE
 from optlink.errors import Status
 from optlink.solvers.polish import polish
 from optlink.solvers.repair import repair
-from optlink.solvers.solution import Attempt, Backend, Solution, examine
+from optlink.solvers.solution import FEASIBLE, Attempt, Backend, Solution, examine, violation
 
 Array = NDArray[np.float64]
 
 BACKENDS = ("slsqp", "ipopt")
-SAME_OBJECTIVE = 1e-7  # relative
+SAME_OBJECTIVE = 1e-6  # relative
+SAME_ERROR = 1e-8  # rad; half a millionth of a degree is no difference
 SAME_DESIGN = 1e-5  # in scaled units
+CONTINUATIONS = 3  # an end that is no optimum is searched on from, more tightly
+NEARLY = 1e-3  # a violation up to this, in scaled units, is a solver's tolerance rather than another design
 RESCALE = 1e-3  # an optimum this far below its start is searched again from there, on its own scale
 
 
@@ -63,16 +66,30 @@ def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solutio
     start = repair(nlp, x, nlp.p)
     if start is None and not math.isfinite(nlp.values(x, nlp.p)[0]):
         return replace(given(nlp, x, "the start could not be repaired"), status=Status.INFEASIBLE)
-    start = nlp.lifted(x if start is None else start)
-    p = scaled(nlp, start)
+    x = nlp.lifted(x if start is None else start)
     run = backend(name)
-    solution = examine(nlp, polish(nlp, run(nlp, start, p, track=track), p), p)
-    fine = scaled(nlp, solution.x)
-    if solution.usable and fine[0] < RESCALE * p[0]:
-        again = examine(nlp, polish(nlp, run(nlp, solution.x, fine), fine), fine)
-        if again.usable and again.objective <= solution.objective:
-            solution = replace(again, iterations=again.iterations + solution.iterations, path=solution.path)
+    p = scaled(nlp, x)
+    solution = _ended(nlp, run(nlp, x, p, track=track), p)
+    for _ in range(CONTINUATIONS):
+        fine = scaled(nlp, solution.x)
+        if solution.status is Status.OPTIMAL and fine[0] >= RESCALE * p[0]:
+            break
+        again = _ended(nlp, run(nlp, solution.x, fine, tight=True), fine)
+        p = fine
+        if not again.usable or (solution.usable and again.objective > solution.objective and again.status is not Status.OPTIMAL):
+            break
+        steps = solution.iterations + again.iterations
+        solution = replace(best([again, solution]), iterations=steps, path=solution.path)
     return solution
+
+
+def _ended(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
+    """What a back end brought back: put back onto a limit that it missed by a little, polished and examined."""
+    x = nlp.lifted(attempt.x)
+    if FEASIBLE < violation(nlp, x, nlp.values(x, p)[1]) <= NEARLY:
+        mended = repair(nlp, x, p, inside=0.0)
+        x = x if mended is None else mended
+    return examine(nlp, polish(nlp, replace(attempt, x=x), p), p)
 
 
 def starts(nlp: NLP, count: int, seed: int) -> list[Array]:
@@ -135,7 +152,11 @@ def best(solutions: list[Solution]) -> Solution:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far two back ends are apart at the end: relative objective, largest scaled difference of the design."""
+    """How far two back ends are apart at the end.
+
+    `objective`: difference of the errors (for a sum of squares: of its root) over their size, differences below `SAME_ERROR`
+    counting as none; `design`: largest difference in scaled units.
+    """
 
     objective: float
     design: float
@@ -150,8 +171,10 @@ def compare(a: Solution, b: Solution) -> Agreement:
     """Difference of two solutions."""
     if not (a.usable and b.usable):
         return Agreement(math.inf, math.inf)
-    scale = max(abs(a.objective), abs(b.objective), SMALLEST_SCALE)
-    return Agreement(abs(a.objective - b.objective) / scale, float(np.max(np.abs(a.x - b.x), initial=0.0)))
+    root = math.sqrt if a.nlp.measure.name == "sum of squares" else float
+    one, other = root(a.objective), root(b.objective)
+    gap = max(0.0, abs(one - other) - SAME_ERROR)
+    return Agreement(gap / max(one, other, SAME_ERROR), float(np.max(np.abs(a.x - b.x), initial=0.0)))
 
 
 def reconcile(nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:

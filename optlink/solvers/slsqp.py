@@ -73,7 +73,7 @@ class _View:
         )
 
 
-def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False) -> Attempt:
+def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
     """Minimise from x. Iterations stop where the objective no longer changes in its last digits."""
     view = _View(nlp, x, p)
     constraints = []
@@ -90,7 +90,7 @@ def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False) -> Attempt:
         constraints=constraints,
         method="SLSQP",
         callback=(lambda y: path.append(np.array(y))) if track else None,
-        options={"ftol": 1e-11, "maxiter": 300},
+        options={"ftol": (1e-16 if tight else 1e-11) * min(1.0, view.weight), "maxiter": 300},
     )
     end = np.clip(np.asarray(result.x, dtype=float), nlp.x_low, nlp.x_high)
     return Attempt(end, int(result.nit), str(result.message), np.array(path) if track else None)

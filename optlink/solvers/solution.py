@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 FEASIBLE = 1e-8  # largest violation, in scaled units, that counts as met
 STATIONARY = 1e-6  # largest KKT residual, for an objective scaled to 1 at the start, that counts as optimal
+EXACT = 1e-9  # rad; a law met this closely everywhere is met
+NEXT_TO = 1e-9  # scaled units
+STEEPEST = 1e-3
 ACTIVE = 1e-6  # distance, in scaled units, at which a limit counts as active
 
 
@@ -40,8 +43,8 @@ class Attempt:
 class Backend(Protocol):
     """The whole contract of a solver: from a programme and a start to an attempt. It must not raise for a hard problem."""
 
-    def __call__(self, nlp: NLP, x: Array, p: Array, *, track: bool = False) -> Attempt:
-        """Minimise from x with parameters p; `track` keeps the iterates."""
+    def __call__(self, nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
+        """Minimise from x with parameters p; `track` keeps the iterates, `tight` asks for the last digits."""
         ...
 
 
@@ -134,7 +137,7 @@ def examine(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
     elif not point.finite:
         status = Status.NON_FINITE
     else:
-        status = Status.OPTIMAL if proof.kkt <= STATIONARY else Status.STALLED
+        status = Status.OPTIMAL if _optimal(nlp, x, p, point, proof, residuals) else Status.STALLED
     price = p[0] * nlp.measure.slope(residuals) if np.all(np.isfinite(residuals)) else 0.0
     return Solution(
         nlp=nlp,
@@ -196,6 +199,17 @@ def curvature(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity) -
         return math.nan
     hessian = basis.T @ nlp.hessian(x, p, proof.multipliers[n:]) @ basis
     return float(np.linalg.eigvalsh(hessian)[0]) if np.all(np.isfinite(hessian)) else math.nan
+
+
+def _optimal(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity, residuals: Array) -> bool:
+    """Whether no small change of the design improves the objective by anything that could be measured.
+
+    Either the KKT residual vanishes; or the law is met to rounding, so that nothing is left to improve; or the objective is so
+    strongly curved that the stationary point is less than `NEXT_TO` away although the residual, in its steep scale, is not tiny.
+    """
+    if proof.kkt <= STATIONARY or float(np.max(np.abs(residuals))) <= EXACT:
+        return True
+    return proof.kkt <= STEEPEST and proof.kkt <= NEXT_TO * curvature(nlp, x, p, point, proof)
 
 
 def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float) -> list[LimitState]:
