@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import io
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from optlink.errors import InputError, OptlinkError, Status
+from optlink.errors import InputError, OptlinkError, Status, shown
 
 if TYPE_CHECKING:
     from optlink.design.files import ProblemFile
@@ -46,6 +47,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+_printed = False
+
 Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help="A shipped problem (see `list`) or the path of a TOML file.")]
 Set = Annotated[
     list[str] | None,
@@ -74,14 +77,17 @@ def _reported(as_json: bool) -> Iterator[None]:
             print(f"Error: {line}", file=sys.stderr)
         if as_json:
             listed = [
-                {k: (v if v is None or isinstance(v, str | int) else str(v)) for k, v in vars(fault).items()} for fault in faults
+                {key: item if item is None or isinstance(item, str) else shown(item) for key, item in vars(fault).items()}
+                for fault in faults
             ]
             _print_json({"schema": "optlink/error/1", "status": "error", "message": str(error), "faults": listed})
         raise typer.Exit(error.exit_code) from None
 
 
 def _print_json(document: dict[str, Any]) -> None:
-    print(json.dumps(document, indent=2, ensure_ascii=False))
+    global _printed  # noqa: PLW0603 - whether the one document is out
+    _printed = True
+    print(json.dumps(document, indent=2))
 
 
 def _load(problem: str, changes: list[str] | None) -> ProblemFile:
@@ -246,7 +252,16 @@ def _options(
 
 def main() -> None:
     """Entry point of the `optlink` command."""
-    app()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal that lacks a letter is no reason to break down
+    try:
+        app()
+    except SystemExit as end:
+        if end.code == 2 and "--json" in sys.argv and not _printed:
+            message = "the command line cannot be used; the reason is on standard error"
+            _print_json({"schema": "optlink/error/1", "status": "error", "message": message, "faults": []})
+        raise
 
 
 if __name__ == "__main__":

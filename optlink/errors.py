@@ -18,6 +18,8 @@ SHOWN = 80  # characters of a bad value that are worth showing
 
 def shown(value: object) -> str:
     """Give a value as people should see it in a message: short, on one line."""
+    if isinstance(value, int) and value.bit_length() > 256:  # Python refuses to print the largest ones
+        return f"an integer of {value.bit_length():,} bits"
     text = f'"{value}"' if isinstance(value, str) else str(value)
     text = " ".join(text.split())
     return text if len(text) <= SHOWN else text[: SHOWN - 4] + " ..."

@@ -145,7 +145,7 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
         raise UnitProblem(f"expected {_a(kind)}, found {type(text).__name__}", f'Write it as text: "{wanted.example}"')
     if not isinstance(text, str):
-        if not math.isfinite(text):
+        if abs(text) > 1e300 or not math.isfinite(text):
             raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
         raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{_digits(text)} {wanted.people}", with the quotes')
     match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None

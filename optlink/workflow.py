@@ -326,9 +326,9 @@ def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, obj
         return [parse_assignment(text)]
     try:
         design = json.loads(Path(text).read_text(encoding="utf-8"))["design"].items()
-        parts = [(*key.rpartition("_"), float(value)) for key, value in design]
+        parts = [(*key.rpartition("_"), float(value)) for key, value in design if not isinstance(value, bool)]
         return [(name, f"{value!r} {unit}") for name, _, unit, value in parts if name in quantities or name in LENGTHS]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or f"no design in it ({type(error).__name__})"
         raise InputError(
             Fault(f"cannot read a design: {reason}", "Give a result.json that `solve --out` wrote", text, "--design")

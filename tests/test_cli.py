@@ -163,6 +163,69 @@ def test_error_with_json_is_one_document():
     assert "Traceback" not in done.stderr
 
 
+def test_usage_error_with_json_is_one_document_too():
+    for arguments in (("solve", "crank-rocker", "--json", "--starts", "many"), ("solve", "--json"), ("fly", "--json")):
+        done = process(*arguments)
+        assert done.returncode == 2
+        assert json.loads(done.stdout)["status"] == "error"
+
+
+NASTY = [
+    ("--set", f"mechanism.frame={'9' * 400}"),
+    ("--set", f"requirement.points=0x{'F' * 4000}"),
+    ("--set", "requirement.points=3\nfoo=4"),
+    ("--set", "requirement.law=psi0 + 1e999"),
+    ("--set", "mechanism.frame=[/red]"),
+    ("--set", "mechanism.frame=\udcff mm"),
+    ("--set", "..=3"),
+    ("--set", "mechanism.=3"),
+    ("--set", "title=5"),
+    ("--set", 'limits={crank="span", transmission_over="revolution"}'),
+]
+
+
+@pytest.mark.parametrize("arguments", NASTY)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_nasty_values_get_a_sentence_and_no_traceback(arguments, as_json):
+    done = process("solve", "crank-rocker", *arguments, *(["--json"] if as_json else []))
+    assert done.returncode == 2
+    assert done.stderr.startswith("Error: ")
+    assert "Traceback" not in done.stderr
+    assert json.loads(done.stdout)["faults"] if as_json else done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "[" * 100_000,
+        '{"design": {"coupler_mm": 1' + "0" * 400 + "}}",
+        '{"design": {"coupler_mm": true, "rocker_mm": 232}}',
+        '{"design": [1]}',
+        "",
+    ],
+)
+def test_broken_designs_are_refused(tmp_path, content):
+    path = tmp_path / "design.json"
+    path.write_text(content)
+    done = run("validate", "crank-rocker", "--design", str(path))
+    assert done.exit_code == 2
+    assert "--design" in done.stderr
+
+
+def test_titles_are_printed_as_they_are(tmp_path):
+    """Brackets in a title are no markup, and a terminal that lacks a letter does not break the run."""
+    path = tmp_path / "mine.toml"
+    text = run("show", "crank-rocker", "--toml").stdout
+    path.write_text("\ufeff" + text.replace("Crank-rocker that", "[/red] ψ [bold] that"), encoding="utf-8")
+    assert "[/red] ψ [bold] that" in run("solve", str(path)).stdout
+    assert "[/red]" in run("show", str(path)).stdout
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    command = [sys.executable, "-m", "optlink", "solve", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0
+    assert "412.865" in done.stdout
+
+
 def test_list_and_show():
     assert "crank-rocker" in run("list").stdout
     assert json.loads(run("list", "--json").stdout)["problems"][0]["name"] == "crank-rocker"

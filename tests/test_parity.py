@@ -564,7 +564,7 @@ def test_bounds_of_the_rows_are_the_limits_of_the_file():
     assert people("swing angle") == (pytest.approx(1.0, rel=1e-12), pytest.approx(170.0, rel=1e-12))
     assert people("time ratio") == (-math.inf, 1.5)
     assert people("frame length") == (pytest.approx(1.0, rel=1e-12), pytest.approx(9000.0, rel=1e-12))
-    assert people("rocker / frame") == (0.01, 9.0)
+    assert people("moving link / frame") == (0.01, 9.0)
     assert people("crank <= rocker") == (0.0, math.inf)
     assert people("crank + frame <=") == (pytest.approx(0.05, rel=1e-12), math.inf)  # a ten-thousandth of the frame, in mm
 

@@ -181,7 +181,7 @@ def proportions(problem: DesignProblem, values: Mapping[str, Value], start: Star
     if problem.limits.link_ratio is not None:
         low, high = _within(problem.limits.link_ratio)
         for name in LENGTHS[:3]:
-            yield Row("limits.link_ratio", f"{name} / frame", values[name] / values["frame"], low, high, PLAIN)
+            yield Row("limits.link_ratio", "moving link / frame", values[name] / values["frame"], low, high, PLAIN)
 
 
 TERMS: tuple[Term, ...] = (crank, transmission, stroke, proportions)

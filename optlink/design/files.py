@@ -142,7 +142,10 @@ def parse_assignment(text: str) -> tuple[str, object]:
     if not equals or not key or not value:
         raise InputError(Fault("expected KEY=VALUE", 'Write for example mechanism.frame="480 mm"', key="--set", value=text))
     try:
-        return key, tomllib.loads(f"value = {value}")["value"]
+        read_back = tomllib.loads(f"value = {value}")
+        if len(read_back) == 1:
+            return key, read_back["value"]
+        raise InputError(Fault("a value is one line", "Repeat --set for every key", key=key, value=value))
     except (tomllib.TOMLDecodeError, ValueError, RecursionError):
         if value[0] in "[{\"'":
             raise InputError(Fault("the value is not valid TOML", "Check brackets and quotes", key=key, value=value)) from None
@@ -164,7 +167,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     if len(data) > MAX_BYTES:
         raise InputError(Fault(f"the file is larger than {MAX_BYTES:,} bytes", "Put long tables into a CSV file", file))
     try:
-        return tomllib.loads(data.decode("utf-8"))
+        return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(Fault(f"not UTF-8 text: byte {error.start}", "Save the file as UTF-8", file)) from None
     except RecursionError:

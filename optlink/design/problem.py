@@ -240,6 +240,8 @@ def cross_check(problem: DesignProblem) -> None:
             "requirement.from",
             str(requirement.start),
         )
+    if table is not None and not table.from_start and requirement.psi0 is not None:
+        raise Unusable("a table measured from the frame has no psi0", "Leave psi0 out", "requirement.psi0", str(requirement.psi0))
     if not 1e-6 <= abs(problem.span) <= FULL_TURN * (1.0 + 1e-9):
         raise Unusable(
             "the span must not be zero, nor exceed one revolution",

@@ -257,5 +257,5 @@ def listing(files: Iterable[ProblemFile]) -> Table:
 
 
 def console(*, stderr: bool = False) -> Console:
-    """A console that never guesses colours into plain numbers."""
-    return Console(stderr=stderr, highlight=False, soft_wrap=False)
+    """A console that prints texts as they are: no guessed colours, and nothing in a file is markup."""
+    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)

@@ -18,6 +18,7 @@ from optlink.design.nlp import NLP, Variable
 from optlink.design.problem import EPIGRAPH
 from optlink.linkage.fourbar import LENGTHS
 from optlink.solvers.search import BACKENDS, backend, starts
+from optlink.solvers.solution import key_of
 
 Array = NDArray[np.float64]
 
@@ -84,7 +85,7 @@ def sides(nlp: NLP) -> list[Side]:
         if variable.name == EPIGRAPH:
             continue
         for upper, bound in ((False, nlp.x_low[i]), (True, nlp.x_high[i])):
-            result.append(Side(f"mechanism.{variable.name}", variable.name, upper, (), (i,), float(bound), variable.scale))
+            result.append(Side(key_of(variable.name), variable.name, upper, (), (i,), float(bound), variable.scale))
     return result
 
 

@@ -115,6 +115,11 @@ class Solution:
         return self.status in (Status.OPTIMAL, Status.STALLED)
 
 
+def key_of(variable: str) -> str:
+    """Key of a free quantity in the problem file."""
+    return {"phi0": "requirement.from", "psi0": "requirement.psi0"}.get(variable, f"mechanism.{variable}")
+
+
 def violation(nlp: NLP, x: Array, g: Array) -> float:
     """Largest distance by which a row or bound is missed, in scaled units; infinite where a row has no value."""
     values = np.concatenate([x, g])
@@ -219,7 +224,7 @@ def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float
     """
     n = len(x)
     entries = [
-        (f"mechanism.{v.name}", v.name, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i])
+        (key_of(v.name), v.name, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i])
         for i, v in enumerate(nlp.variables)
         if v.name != EPIGRAPH
     ]
