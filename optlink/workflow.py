@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 SCHEMA = "optlink/result/1"
 MAX_STARTS = 100_000
 SAME_DESIGN = 1e-6  # of the frame
+FLAT = 1e-7  # least curvature, for an objective scaled to 1, that singles out one design
 PEOPLE = {"length": (1e3, "mm"), "angle": (math.degrees(1.0), "deg")}
 
 
@@ -85,6 +86,16 @@ class Result:
         return self.status in (Status.OPTIMAL, Status.NOT_SEARCHED) and self.validation.valid
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know beside the figures."""
+        free = set(self.problem.spec.free)
+        if self.solution is None or not free.issuperset(LENGTHS) or self.solution.curvature > FLAT:
+            return ()
+        return (
+            "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one",
+        )
+
+    @property
     def sizes(self) -> dict[str, float]:
         """The four lengths of the design [m]."""
         return {name: self.design[name] for name in LENGTHS}
@@ -121,6 +132,7 @@ class Result:
             "status": self.status.value,
             "message": self.status.text,
             "valid": self.valid,
+            "notes": list(self.notes),
             "backend": self.backend,
             "design": _design(self.design),
             "objective": {

@@ -324,6 +324,23 @@ def test_perfect_law_is_found_to_rounding(crank_rocker):
     assert result.valid
 
 
+def test_only_ratios_matter_is_told(solved):
+    starts = dict(zip(LENGTHS, ("100 mm", "400 mm", "300 mm", "500 mm"), strict=True))
+    raw = {
+        "title": "all lengths free",
+        "mechanism": {name: {"start": start, "bounds": ["20 mm", "3000 mm"]} for name, start in starts.items()},
+        "requirement": {"law": "psi0 + 0.3*sin(2*(phi - phi0))", "from": "40 deg", "span": "80 deg", "points": 20},
+        "limits": {"transmission_angle": ["45 deg", "135 deg"], "link_ratio": [0.15, 2]},
+    }
+    result = optlink.solve(optlink.read(raw), "both")
+    assert result.valid
+    assert "only their ratios matter" in result.notes[0]
+    larger = optlink.validate(result.problem, {name: 1.5 * value for name, value in result.sizes.items()})
+    assert larger.valid
+    assert larger.objective == pytest.approx(result.objective, rel=1e-9)
+    assert solved.notes == ()
+
+
 def test_nothing_free_is_refused(crank_rocker):
     with pytest.raises(InputError, match="nothing to find"):
         optlink.solve(crank_rocker.override({"mechanism.coupler": "400 mm", "mechanism.rocker": "300 mm"}))

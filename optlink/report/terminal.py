@@ -77,6 +77,8 @@ def _headline(outcome: Result) -> Text:
         word = "no design"
     title.append(f"\n{outcome.status.value}, " if outcome.status is not Status.NOT_SEARCHED else "\ngiven design, ")
     title.append(word, style=GOOD if outcome.valid else BAD)
+    for note in outcome.notes:
+        title.append(f"\nNote: {note}")
     return title.append(f"\n{outcome.status.text}", style=QUIET)
 
 
