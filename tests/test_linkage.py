@@ -12,7 +12,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from optlink.linkage import mechanism as mechanism_module
+from optlink.linkage import groups as groups_module
 from optlink.linkage.dyads import rrr
 from optlink.linkage.elementwise import unit
 from optlink.linkage.fourbar import (
@@ -29,7 +29,8 @@ from optlink.linkage.fourbar import (
     transmission_cosine,
     turning_points,
 )
-from optlink.linkage.mechanism import RRR, BodyPoint, Link, Mechanism
+from optlink.linkage.groups import RRR
+from optlink.linkage.mechanism import BodyPoint, Link, Mechanism
 from optlink.linkage.motion import Motion, sweep
 
 seeded = settings(derandomize=True, deadline=None, max_examples=150)
@@ -218,7 +219,7 @@ def swapped_links(p, q, a, b, side):
 def test_length_check_sees_a_defective_dyad(defect, monkeypatch):
     mechanism, sizes = four_bar(1), sized((0.1, 0.41, 0.23, 0.5))
     check_lengths(mechanism, mechanism.pose(sizes, unit(1.0)).points, sizes)
-    monkeypatch.setattr(mechanism_module, "rrr", defect)
+    monkeypatch.setattr(groups_module, "rrr", defect)
     points = mechanism.pose(sizes, unit(1.0)).points
     assert np.isfinite(points["C"]).all()
     with pytest.raises(AssertionError, match="coupler"):

@@ -91,7 +91,7 @@ def coupler_point_pose(side: int) -> Callable[..., list[object]]:
         sizes = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame, "along": along, "across": across}
         found = mechanism.pose(sizes, elementwise.unit(phi))
         moving = [found.points[name] for name in ("B", "C", "P", "Q")]
-        moving += [mechanism.direction(found.points, sizes, link.body) for link in mechanism.links]
+        moving += [found.direction(link.body) for link in mechanism.links]
         return [coordinate for vector in moving for coordinate in vector] + [found.margins["C"]]
 
     return pose
@@ -224,6 +224,22 @@ def cases() -> Iterator[Case]:
             undefined=((0.0, 0.0, 0.5, 0.1, 3.0), (0.0, 0.0, 5.0, 0.1, 0.4)),
         )
         yield Case(
+            f"rrp {where}",
+            lambda px, py, gx, gy, direction, offset, a, side=side: (lambda joint, m: [*joint, m])(
+                *dyads.rrp((px, py), (gx, gy), elementwise.unit(direction), a, offset, side)
+            ),
+            ((0.0, 0.3, 0.5, 0.1, 0.2, 0.05), (0.2, -0.3, -0.6, 0.2, 2.5, -0.1)),
+            (1.1, 0.9),
+            undefined=((0.0, 3.0, 0.5, 0.1, 0.2, 0.05),),
+        )
+        yield Case(
+            f"rpr {where}",
+            lambda px, py, qx, qy, offset, side=side: (lambda line, m: [*line, m])(*dyads.rpr((px, py), (qx, qy), offset, side)),
+            ((0.0, 0.3, 0.5, 0.1), (0.2, -0.3, -0.6, 0.2)),
+            (0.0, 0.1, -0.3),
+            undefined=((0.0, 0.0, 0.05, 0.0), (0.0, 0.0, 0.0, -0.05)),
+        )
+        yield Case(
             f"pose {where}",
             coupler_point_pose(side),
             ((0.1, 0.41286, 0.23224, 0.5, 0.2, 0.15), (0.5, 0.41, 0.43, 0.1, -0.1, 0.3)),
@@ -247,6 +263,20 @@ def cases() -> Iterator[Case]:
                 complex_step=not has_abs,
                 undefined=((0.1, 0.9, 0.1),),
             )
+    yield Case(
+        "rpp line",
+        lambda px, py, yx, yy, w, u, offset: dyads.rpp((px, py), (yx, yy), elementwise.unit(w), elementwise.unit(u), offset),
+        ((0.0, 0.3, 0.5, 0.1, 0.2, 1.7), (0.2, -0.3, -0.6, 0.2, 2.5, 0.4)),
+        (0.0, 0.07, -0.2),
+    )
+    yield Case(
+        "prp line",
+        lambda gx, gy, w, hx, hy, u, first, second: (lambda joint, m: [*joint, m])(
+            *dyads.prp((gx, gy), elementwise.unit(w), (hx, hy), elementwise.unit(u), first, second)
+        ),
+        ((0.0, 0.3, 0.2, 0.5, 0.1, 1.7, 0.05), (0.2, -0.3, 2.5, -0.6, 0.2, 0.4, -0.1)),
+        (0.0, 0.07, -0.2),
+    )
     for conditions in (fourbar.crank_rocker_conditions, fourbar.double_crank_conditions):
         yield Case(
             conditions.__name__,
@@ -284,6 +314,12 @@ def cases() -> Iterator[Case]:
         (0.45, -0.37),
     )
     yield Case("turn", lambda *v: elementwise.turn(v[:2], v[2:]), ((0.3, -0.4, 0.8), (2.0, 1.0, -0.6)), (0.6, -0.8))
+    vectors = ((0.3, -0.4, 0.8), (2.0, 1.0, -0.6))
+    yield Case("turn_back", lambda *v: elementwise.turn_back(v[:2], v[2:]), vectors, (0.6, -0.8))
+    yield Case("dot", lambda *v: [elementwise.dot(v[:2], v[2:])], vectors, (0.6, -0.8))
+    yield Case("cross", lambda *v: [elementwise.cross(v[:2], v[2:])], vectors, (0.6, -0.8))
+    yield Case("plus", lambda *v: elementwise.plus(v[:2], v[2:]), vectors, (0.6, -0.8))
+    yield Case("minus", lambda *v: elementwise.minus(v[:2], v[2:]), vectors, (0.6, -0.8))
     yield Case("unit", lambda k, phi: elementwise.unit(k * phi), ((1.0,), (-3.0,)), (0.0, 1.0, 4.0))
     yield Case("magnitude", lambda k, x: [elementwise.magnitude(k * x)], ((1.0,), (-3.0,)), (0.2, 5.0))
     yield Case("root", lambda k, x: [elementwise.root(k * x)], ((1.0,), (3.0,)), (0.2, 5.0), undefined=((-1.0,),))

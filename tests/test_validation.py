@@ -17,8 +17,9 @@ from optlink.design import constraints
 from optlink.design.problem import DesignProblem
 from optlink.linkage.dyads import rrr
 from optlink.linkage.fourbar import LENGTHS, Inversion, dead_centre, four_bar, grashof, swing, time_ratio
+from optlink.linkage.groups import RRR
 from optlink.linkage.jet import Jet
-from optlink.linkage.mechanism import RRR, Link, Mechanism
+from optlink.linkage.mechanism import Link, Mechanism
 from optlink.validation import Validation, validate
 
 OPTIMUM = {"coupler": 0.41286541580, "rocker": 0.23224617124}
@@ -230,10 +231,10 @@ def exchanged(rule: DesignProblem) -> Mechanism:
 class Flipping(RRR):
     """A group that changes its assembly mode while the crank passes the frame line, as a linkage after a collision would."""
 
-    def solve(self, points, sizes):
-        height = points["B"][1]
+    def solve(self, pose):
+        height, sizes = pose.points["B"][1], pose.sizes
         side = np.where((height.value if isinstance(height, Jet) else height) > 0.0, 1, -1)
-        points["C"], margin = rrr(points["B"], points["D"], sizes["coupler"], sizes["rocker"], side)
+        pose.points["C"], margin = rrr(pose.points["B"], pose.points["D"], sizes["coupler"], sizes["rocker"], side)
         return margin
 
 

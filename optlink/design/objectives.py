@@ -47,4 +47,4 @@ def output_error(
     """
     pose = problem.linkage.pose(values, turn(start.crank, unit(offset)))
     wanted = problem.law.wanted(offset, tabulated, start.phi0, start.psi0)
-    return angle_from(problem.linkage.direction(pose.points, values, "rocker"), unit(wanted))
+    return angle_from(pose.direction("rocker"), unit(wanted))

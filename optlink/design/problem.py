@@ -197,8 +197,7 @@ class DesignProblem(Section):
         if "phi0" in self.quantities:
             phi0 = values["phi0"]
             crank = unit(phi0)
-            pose = self.linkage.pose(values, crank)
-            rocker = self.linkage.direction(pose.points, values, "rocker")
+            rocker = self.linkage.pose(values, crank).direction("rocker")
         else:
             limit = dead_centre(*lengths, self.side, outer=self.requirement.start == DEAD_CENTRES[0])
             crank, phi0, rocker = limit.crank, limit.phi, limit.rocker

@@ -46,6 +46,31 @@ def turn(v: Vector, by: Vector) -> Vector:
     return v[0] * by[0] - v[1] * by[1], v[0] * by[1] + v[1] * by[0]
 
 
+def turn_back(v: Vector, by: Vector) -> Vector:
+    """Rotate the direction v back by the angle whose unit vector is `by`: what `turn` undoes."""
+    return v[0] * by[0] + v[1] * by[1], v[1] * by[0] - v[0] * by[1]
+
+
+def dot(a: Vector, b: Vector) -> Value:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1]
+
+
+def cross(a: Vector, b: Vector) -> Value:
+    """Vector product: the moment of the force b at the lever a, positive counter-clockwise."""
+    return a[0] * b[1] - a[1] * b[0]
+
+
+def plus(a: Vector, b: Vector) -> Vector:
+    """Sum."""
+    return a[0] + b[0], a[1] + b[1]
+
+
+def minus(a: Vector, b: Vector) -> Vector:
+    """Difference: from b to a."""
+    return a[0] - b[0], a[1] - b[1]
+
+
 def angle_from(reference: Vector, v: Vector) -> Value:
     """Angle from `reference` to `v`, counter-clockwise [rad], in (-pi, pi]: no branch cut between two close directions."""
     return angle((reference[0] * v[0] + reference[1] * v[1], reference[0] * v[1] - reference[1] * v[0]))

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.linkage.elementwise import Value, Vector, angle, angle_from, magnitude, root
-from optlink.linkage.mechanism import RRR, Link, Mechanism
+from optlink.linkage.groups import RRR
+from optlink.linkage.mechanism import Link, Mechanism
 
 LENGTHS = ("crank", "coupler", "rocker", "frame")
 

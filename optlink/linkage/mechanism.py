@@ -1,64 +1,43 @@
 """A mechanism is data: ground points, a driving crank and dyads solved one after the other.
 
 Sizes are names of parameters, so one description serves every design: `pose` takes the parameters and the crank's direction,
-each a Value (float, batch, symbol or jet), and returns the points and assembly margins.
+each a Value (float, batch, symbol or jet), and returns where everything is, and the assembly margins.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
 
-from optlink.linkage.dyads import rrr
-from optlink.linkage.elementwise import Value, Vector
+import numpy as np
+
+from optlink.linkage.elementwise import Value, Vector, cross, dot, minus, plus, turn, turn_back, unit
 
 Size = str | float
 """The name of a parameter, or a number in SI."""
 
+FRAME = "frame"
+"""Name of the body that does not move; its own coordinates are those of the plane."""
+
 
 @dataclass(frozen=True)
 class Link:
-    """A rigid body with two joints at a fixed distance: `start` to `end` over `length`."""
+    """A moving body. Its own axes begin at the point `start`; x points to `end`, `length` away.
+
+    A body without an `end` (a block, a ram, a yoke) gets the direction of its x axis from a guide.
+    """
 
     body: str
     start: str
-    end: str
-    length: Size
-
-
-@dataclass(frozen=True)
-class RRR:
-    """Two links pinned to known joints and to one another: `first.end` is `second.end`, the new joint."""
-
-    first: Link
-    second: Link
-    side: int  # +1: new joint left of first.start -> second.start
-
-    @property
-    def joint(self) -> str:
-        """Name of the joint that the group adds."""
-        return self.first.end
-
-    @property
-    def links(self) -> tuple[Link, ...]:
-        """The bodies that the group adds."""
-        return self.first, self.second
-
-    def solve(self, points: dict[str, Vector], sizes: Mapping[str, Value]) -> Value:
-        """Add the new joint to `points`; return the assembly margin."""
-        points[self.joint], margin = rrr(
-            points[self.first.start],
-            points[self.second.start],
-            _size(self.first.length, sizes),
-            _size(self.second.length, sizes),
-            self.side,
-        )
-        return margin
+    end: str = ""
+    length: Size = 0.0
 
 
 @dataclass(frozen=True)
 class BodyPoint:
-    """A point fixed on a body: `along` the line start -> end of its link, `across` to the left of it."""
+    """A further point fixed on a body: `along` its x axis from its start, `across` to the left of it."""
 
     name: str
     body: str
@@ -67,41 +46,217 @@ class BodyPoint:
 
 
 @dataclass(frozen=True)
-class Pose:
-    """Where everything is: `points` by name, one assembly margin per group (by the name of its joint)."""
+class Guide:
+    """A prismatic joint: the body `slider` slides along a line that is fixed on the body `on`, and does not turn against it.
 
-    points: dict[str, Vector]
-    margins: dict[str, Value]
+    The line passes `offset` to the left of the point `through` of `on` (its name, or coordinates on that body), at the angle
+    `direction` to the x axis of `on`; there the slide is counted from. The point `at` of the slider (its start, if not said) lies
+    on the line, and the slider's x axis is turned by `tilt` against the line.
+    """
+
+    name: str
+    slider: str
+    on: str = FRAME
+    through: str | tuple[Size, Size] = (0.0, 0.0)
+    direction: Size = 0.0
+    offset: Size = 0.0
+    at: str = ""
+    tilt: Size = 0.0
+
+    @property
+    def bodies(self) -> tuple[str, str]:
+        """The two bodies that slide on one another, the slider first."""
+        return self.slider, self.on
+
+    def other(self, body: str) -> str:
+        """The body at the other side."""
+        return self.on if body == self.slider else self.slider
+
+
+class Group(Protocol):
+    """A dyad: two bodies that can be placed once their neighbours are."""
+
+    @property
+    def kind(self) -> str:
+        """RRR, RRP, RPR, RPP or PRP."""
+        ...
+
+    @property
+    def joint(self) -> str:
+        """Name of the inner joint, which is that of the group too."""
+        ...
+
+    @property
+    def links(self) -> tuple[Link, Link]:
+        """The two bodies that the group adds."""
+        ...
+
+    def solve(self, pose: Pose) -> Value:
+        """Add what the group adds to `pose`; return the assembly margin."""
+        ...
+
+    def gap(self, pose: Pose) -> Value:
+        """By how much the group fails to close [m]: negative where it closes."""
+        ...
+
+
+class Pose:
+    """Where everything is. Filled group by group; `points` in [m], `directions` of bodies as unit vectors, `margins` by joint."""
+
+    __slots__ = ("directions", "margins", "mechanism", "points", "sizes")
+
+    def __init__(self, mechanism: Mechanism, sizes: Mapping[str, Value]) -> None:
+        self.mechanism, self.sizes = mechanism, sizes
+        self.points: dict[str, Vector] = {}
+        self.directions: dict[str, Vector] = {FRAME: (1.0, 0.0)}
+        self.margins: dict[str, Value] = {}
+
+    def size(self, size: Size) -> Value:
+        """The value of a parameter."""
+        return self.sizes[size] if isinstance(size, str) else size
+
+    def local(self, body: str, point: str) -> Vector:
+        """Coordinates of a point in the body's own axes [m]."""
+        if body == FRAME:
+            x, y = self.mechanism.ground[point]
+            return self.size(x), self.size(y)
+        link = self.mechanism.bodies[body]
+        if point == link.start:
+            return 0.0, 0.0
+        if point == link.end:
+            return self.size(link.length), 0.0
+        own = self.mechanism.marks[body, point]
+        return self.size(own.along), self.size(own.across)
+
+    def point(self, name: str) -> Vector:
+        """Where a point is [m]; one that is fixed on a placed body is found on demand."""
+        if name not in self.points:
+            body = next(body for body in self.mechanism.owners[name] if self._placed(body))
+            link = self.mechanism.bodies[body]
+            self.points[name] = plus(self.points[link.start], turn(self.local(body, name), self.direction(body)))
+        return self.points[name]
+
+    def direction(self, body: str) -> Vector:
+        """Unit vector of a body's x axis."""
+        if body not in self.directions:
+            link = self.mechanism.bodies[body]
+            start, end, length = self.points[link.start], self.points[link.end], self.size(link.length)
+            self.directions[body] = (end[0] - start[0]) / length, (end[1] - start[1]) / length
+        return self.directions[body]
+
+    def line(self, guide: Guide, body: str) -> tuple[Vector, Vector]:
+        """A point and the unit vector of a guide's line, from where one of its bodies is."""
+        point, direction = self.local_line(guide, body)
+        if body == FRAME:
+            return point, direction
+        axis, start = self.direction(body), self.point(self.mechanism.bodies[body].start)
+        return plus(start, turn(point, axis)), turn(direction, axis)
+
+    def local_line(self, guide: Guide, body: str) -> tuple[Vector, Vector]:
+        """A point and the unit vector of a guide's line in the axes of one of its bodies."""
+        if body == guide.slider:
+            at = guide.at or self.mechanism.bodies[body].start
+            return self.local(body, at), unit(-self.size(guide.tilt))
+        if isinstance(guide.through, str):
+            point = self.local(body, guide.through)
+        else:
+            point = self.size(guide.through[0]), self.size(guide.through[1])
+        direction, offset = unit(self.size(guide.direction)), self.size(guide.offset)
+        return (point[0] - offset * direction[1], point[1] + offset * direction[0]), direction
+
+    def slide(self, guide: Guide) -> Value:
+        """How far the slider has moved along its line [m]."""
+        begin, direction = self.line(guide, guide.on)
+        return dot(minus(self.point(guide.at or self.mechanism.bodies[guide.slider].start), begin), direction)
+
+    def distance(self, link: Link, p: str, q: str) -> Value:
+        """Distance of two points of a body [m]."""
+        if {p, q} == {link.start, link.end}:
+            return self.size(link.length)
+        (px, py), (qx, qy) = self.local(link.body, p), self.local(link.body, q)
+        return np.sqrt((qx - px) * (qx - px) + (qy - py) * (qy - py))
+
+    def fit(self, link: Link, p: str, q: str) -> None:
+        """Place a body by two of its points that are known."""
+        if {p, q} != {link.start, link.end}:
+            (px, py), (qx, qy) = self.local(link.body, p), self.local(link.body, q)
+            lever = (qx - px, qy - py)
+            square = dot(lever, lever)
+            x, y = turn_back(minus(self.points[q], self.points[p]), lever)
+            self.place(link, (x / square, y / square), p)
+
+    def place(self, link: Link, direction: Vector, known: str) -> None:
+        """Place a body by its direction and one of its points that is known."""
+        self.directions[link.body] = direction
+        if link.start not in self.points:
+            self.points[link.start] = minus(self.points[known], turn(self.local(link.body, known), direction))
+        if link.end and link.end not in self.points:
+            self.point(link.end)
+
+    def offset(self, guide: Guide, link: Link, point: str) -> Value:
+        """How far to the left of a guide's line a point of one of its bodies lies [m]."""
+        begin, direction = self.local_line(guide, link.body)
+        return cross(direction, minus(self.local(link.body, point), begin))
+
+    def _placed(self, body: str) -> bool:
+        if body == FRAME:
+            return False
+        link = self.mechanism.bodies[body]
+        return link.start in self.points and (body in self.directions or link.end in self.points)
 
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Ground + driving crank + ordered dyads (+ points fixed on bodies)."""
+    """Ground + driving crank + ordered dyads (+ points fixed on bodies, + guides)."""
 
     name: str
     ground: Mapping[str, tuple[Size, Size]]
     crank: Link
-    groups: tuple[RRR, ...]
+    groups: tuple[Group, ...]
     points: tuple[BodyPoint, ...] = field(default=())
+    guides: tuple[Guide, ...] = field(default=())
 
-    @property
+    @cached_property
     def links(self) -> tuple[Link, ...]:
-        """All moving bodies, the crank first."""
+        """All moving bodies, the crank first, in the order in which they are placed."""
         return (self.crank, *(link for group in self.groups for link in group.links))
+
+    @cached_property
+    def bodies(self) -> dict[str, Link]:
+        """The moving bodies by name."""
+        return {link.body: link for link in self.links}
+
+    @cached_property
+    def marks(self) -> dict[tuple[str, str], BodyPoint]:
+        """Further points by body and name."""
+        return {(point.body, point.name): point for point in self.points}
+
+    @cached_property
+    def owners(self) -> dict[str, tuple[str, ...]]:
+        """Every named point with the bodies that have it, the frame first; more than one body makes it a pin."""
+        found: dict[str, list[str]] = {name: [FRAME] for name in self.ground}
+        for link in self.links:
+            marks = [name for body, name in self.marks if body == link.body]
+            for name in (link.start, link.end, *marks):
+                if name:
+                    found.setdefault(name, []).append(link.body)
+        return {name: tuple(bodies) for name, bodies in found.items()}
+
+    @cached_property
+    def pins(self) -> dict[str, tuple[str, ...]]:
+        """The revolute joints: points that two or more bodies share."""
+        return {name: bodies for name, bodies in self.owners.items() if len(bodies) > 1}
 
     def link(self, body: str) -> Link:
         """The link of that name; KeyError if there is none."""
-        for link in self.links:
-            if link.body == body:
-                return link
-        raise KeyError(body)
+        return self.bodies[body]
 
     def pose(self, sizes: Mapping[str, Value], crank: Vector) -> Pose:
         """Positions of every point.
 
         Parameters
         ----------
-        sizes : mapping of parameter name to Value [m]
+        sizes : mapping of parameter name to Value [m, rad]
             Broadcast against the crank: (designs, 1) against (angles,) gives (designs, angles).
         crank : pair of Value
             Unit vector of the crank.
@@ -110,23 +265,12 @@ class Mechanism:
         -------
         Pose, coordinates in [m], NaN from the first group on that cannot be assembled (its margin is negative).
         """
-        points: dict[str, Vector] = {name: (_size(x, sizes), _size(y, sizes)) for name, (x, y) in self.ground.items()}
-        length = _size(self.crank.length, sizes)
-        pivot = points[self.crank.start]
-        points[self.crank.end] = pivot[0] + length * crank[0], pivot[1] + length * crank[1]
-        margins = {group.joint: group.solve(points, sizes) for group in self.groups}
+        pose = Pose(self, sizes)
+        for name, (x, y) in self.ground.items():
+            pose.points[name] = pose.size(x), pose.size(y)
+        pose.place(self.crank, crank, self.crank.start)
+        for group in self.groups:
+            pose.margins[group.joint] = group.solve(pose)
         for point in self.points:
-            (x, y), (c, s) = points[self.link(point.body).start], self.direction(points, sizes, point.body)
-            along, across = _size(point.along, sizes), _size(point.across, sizes)
-            points[point.name] = x + along * c - across * s, y + along * s + across * c
-        return Pose(points, margins)
-
-    def direction(self, points: Mapping[str, Vector], sizes: Mapping[str, Value], body: str) -> Vector:
-        """Unit vector of a body from the start to the end of its link."""
-        link = self.link(body)
-        start, end, length = points[link.start], points[link.end], _size(link.length, sizes)
-        return (end[0] - start[0]) / length, (end[1] - start[1]) / length
-
-
-def _size(size: Size, sizes: Mapping[str, Value]) -> Value:
-    return sizes[size] if isinstance(size, str) else size
+            pose.point(point.name)
+        return pose

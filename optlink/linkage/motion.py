@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Motion:
-    """How a mechanism moves while its crank turns evenly.
+    """How a mechanism moves while its crank turns.
 
     Arrays have the shape of sizes broadcast against `crank_angle`: (angles,) for one design, (designs, angles) for a batch.
     """
@@ -26,8 +27,9 @@ class Motion:
     mechanism: Mechanism
     sizes: Mapping[str, Value]
     crank_angle: Array
-    speed: float
+    speed: Value
     pose: Pose
+    crank_acceleration: Value = 0.0
 
     def position(self, point: str) -> Array:
         """Coordinates [m], shape (..., 2)."""
@@ -43,21 +45,41 @@ class Motion:
 
     def margin(self, joint: str) -> Array:
         """Assembly margin [-] of the group that ends in that joint."""
-        return self._full(self.pose.margins[joint].value)
+        return self._full(_jet(self.pose.margins[joint]).value)
 
     def body_angle(self, body: str) -> Jet:
         """Angle of a body [rad] (continuous along the sweep), its angular velocity and acceleration [rad/s, rad/s^2]."""
         with np.errstate(all="ignore"):
-            jet = angle(self.mechanism.direction(self.pose.points, self.sizes, body))
+            jet = _jet(angle(self.pose.direction(body)))
         return Jet(_continuous(self._full(jet.value)), self._full(jet.rate), self._full(jet.acceleration))
 
+    def slide(self, guide: str) -> Jet:
+        """Slide in a guide [m], its velocity and acceleration [m/s, m/s^2]."""
+        found = next(known for known in self.mechanism.guides if known.name == guide)
+        with np.errstate(all="ignore"):
+            jet = _jet(self.pose.slide(found))
+        return Jet(self._full(jet.value), self._full(jet.rate), self._full(jet.acceleration))
+
+    @property
+    def assembled(self) -> NDArray[np.bool_]:
+        """Where every group closes."""
+        margins = [self.margin(joint) for joint in self.pose.margins]
+        return np.all([margin >= 0.0 for margin in margins], axis=0) if margins else np.ones(self._shape, dtype=bool)
+
+    @cached_property
+    def _shape(self) -> tuple[int, ...]:
+        return np.broadcast_shapes(self.crank_angle.shape, *(np.shape(size) for size in self.sizes.values()))
+
     def _full(self, x: Any) -> Array:
-        shape = np.broadcast_shapes(self.crank_angle.shape, *(np.shape(size) for size in self.sizes.values()))
-        return np.broadcast_to(np.asarray(x, dtype=float), shape)
+        return np.broadcast_to(np.asarray(x, dtype=float), self._shape)
 
     def _stack(self, point: str, part: Callable[[Jet], Value]) -> Array:
-        coordinates = (x if isinstance(x, Jet) else Jet(x) for x in self.pose.points[point])
-        return np.stack([self._full(part(x)) for x in coordinates], axis=-1)
+        return np.stack([self._full(part(_jet(x))) for x in self.pose.points[point]], axis=-1)
+
+
+def _jet(x: Value) -> Jet:
+    """What stands still as a jet."""
+    return x if isinstance(x, Jet) else Jet(x)
 
 
 def _continuous(angles: Array) -> Array:
@@ -126,15 +148,18 @@ def positions(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Arr
     return Positions(wanted, points, margins)
 
 
-def sweep(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: ArrayLike, speed: float = 1.0) -> Motion:
-    """Move a mechanism through the given crank angles at a constant crank speed.
+def sweep(
+    mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0
+) -> Motion:
+    """Move a mechanism through the given crank angles, at a constant crank speed if no acceleration is given.
 
     Parameters
     ----------
     mechanism : Mechanism
     sizes : mapping of parameter name to float or array (designs, 1) [m]
     crank_angle : array (angles,) [rad]
-    speed : float [rad/s], positive counter-clockwise
+    speed : float or array (angles,) [rad/s], positive counter-clockwise
+    acceleration : float or array (angles,) [rad/s^2]
 
     Returns
     -------
@@ -142,5 +167,5 @@ def sweep(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: ArrayLi
     """
     angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
     with np.errstate(all="ignore"):  # at a dead position of a group its speeds are infinite or NaN, as they are
-        pose = mechanism.pose(sizes, unit(Jet(angles, speed, 0.0)))
-    return Motion(mechanism, sizes, angles, speed, pose)
+        pose = mechanism.pose(sizes, unit(Jet(angles, speed, acceleration)))
+    return Motion(mechanism, sizes, angles, speed, pose, acceleration)

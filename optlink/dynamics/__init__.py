@@ -1,0 +1,1 @@
+"""What the motion costs: inertia, loads, reactions, torque, work, motion under a torque."""

@@ -1,0 +1,101 @@
+"""Mass properties of a body, and the wrench that its motion needs, linear in them.
+
+A body's parameters are its mass m, its first moments m*c (c: centroid in the body's own axes) and its moment of inertia about
+the start of the body; the wrench that moves it is their linear function, so a regressor is the wrench of unit parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from optlink.linkage.elementwise import Value, Vector, cross, dot, turn
+
+
+class Wrench(NamedTuple):
+    """A force [N] and the moment [N m] about the start of the body that it acts on."""
+
+    force: Vector
+    moment: Value
+
+    def about(self, start: Vector, point: Vector) -> Value:
+        """Moment about another point [N m]."""
+        return self.moment + cross((start[0] - point[0], start[1] - point[1]), self.force)
+
+    def __add__(self, other: Wrench) -> Wrench:  # type: ignore[override]
+        (ax, ay), (bx, by) = self.force, other.force
+        return Wrench((ax + bx, ay + by), self.moment + other.moment)
+
+
+class Parameters(NamedTuple):
+    """What the wrench is linear in: mass [kg], first moments [kg m], moment of inertia about the start [kg m^2]."""
+
+    mass: Value
+    along: Value
+    across: Value
+    moment: Value
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Mass [kg], centroid in the body's own axes [m], moment of inertia about the centroid [kg m^2]."""
+
+    mass: Value = 0.0
+    along: Value = 0.0
+    across: Value = 0.0
+    moment: Value = 0.0
+
+    @property
+    def parameters(self) -> Parameters:
+        """The same about the start of the body (Steiner)."""
+        square = self.along * self.along + self.across * self.across
+        return Parameters(self.mass, self.mass * self.along, self.mass * self.across, self.moment + self.mass * square)
+
+
+class State(NamedTuple):
+    """How a body moves: its start [m, m/s, m/s^2], its x axis (unit vector), angular velocity and acceleration."""
+
+    start: Vector
+    velocity: Vector
+    acceleration: Vector
+    axis: Vector
+    omega: Value
+    alpha: Value
+
+
+def wrench(parameters: Parameters, state: State, gravity: Vector) -> Wrench:
+    """Force and moment (about the start of the body) that all joints and loads together must exert for this motion.
+
+    Gravity counts as an acceleration of the whole scene: pass (0, 0) for the inertia alone.
+
+    Source: Newton and Euler, with the Steiner term.
+    """
+    ax, ay = state.acceleration[0] - gravity[0], state.acceleration[1] - gravity[1]
+    rx, ry = turn((parameters.along, parameters.across), state.axis)
+    square = state.omega * state.omega
+    force = (
+        parameters.mass * ax - square * rx - state.alpha * ry,
+        parameters.mass * ay - square * ry + state.alpha * rx,
+    )
+    return Wrench(force, parameters.moment * state.alpha + rx * ay - ry * ax)
+
+
+UNITS = tuple(Parameters(*(float(i == k) for i in range(4))) for k in range(4))
+"""One parameter at a time: the wrench of each is a column of the regressor."""
+
+
+def kinetic(parameters: Parameters, state: State) -> Value:
+    """Kinetic energy [J]."""
+    first = turn((parameters.along, parameters.across), state.axis)
+    square = dot(state.velocity, state.velocity)
+    return (
+        0.5 * parameters.mass * square
+        + state.omega * cross(first, state.velocity)
+        + 0.5 * parameters.moment * state.omega * state.omega
+    )
+
+
+def potential(parameters: Parameters, state: State, gravity: Vector) -> Value:
+    """Potential energy in the field of gravity [J], zero at the origin."""
+    first = turn((parameters.along, parameters.across), state.axis)
+    return -(parameters.mass * dot(gravity, state.start) + dot(gravity, first))

@@ -1,0 +1,250 @@
+"""What acts on a machine beside inertia and gravity: forces, torques, springs, dampers.
+
+A load is a small object that says what it exerts on a machine in motion. Forces may be constant, follow a table or expression,
+oppose the motion, or act in one stroke only; which stroke that is, is found from the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from optlink.dynamics.inertia import State, Wrench
+from optlink.linkage.elementwise import Value, Vector, angle_from, cross, dot, minus, unit
+from optlink.linkage.mechanism import FRAME
+
+if TYPE_CHECKING:
+    from optlink.dynamics.machine import Moving
+
+Magnitude = Callable[[Mapping[str, Value]], Value]
+"""Force [N] or torque [N m] from phi (crank angle) [rad], omega (crank speed), and s, v of a slider or theta, w of a body."""
+
+Stroke = Literal["both", "forward", "backward"]
+
+
+class Acting(NamedTuple):
+    """A force [N] at a point of a body [m], and a torque [N m] on it."""
+
+    body: str
+    point: Vector
+    force: Vector
+    torque: Value
+
+    def wrench(self, state: State) -> Wrench:
+        """The same about the start of the body."""
+        return Wrench(self.force, self.torque + cross(minus(self.point, state.start), self.force))
+
+    def power(self, state: State) -> Value:
+        """What it feeds into the machine [W]."""
+        lever = minus(self.point, state.start)
+        speed = (state.velocity[0] - state.omega * lever[1], state.velocity[1] + state.omega * lever[0])
+        return dot(self.force, speed) + self.torque * state.omega
+
+
+class Load(Protocol):
+    """What every load can say."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the problem file."""
+        ...
+
+    @property
+    def switching(self) -> bool:
+        """Whether it jumps where a motion reverses."""
+        ...
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """What it exerts, body by body."""
+        ...
+
+    def reversing(self, moving: Moving) -> tuple[Value, Value] | None:
+        """The velocity at whose reversal it jumps, and its acceleration."""
+        ...
+
+    def potential(self, moving: Moving) -> Value:
+        """Its potential energy [J]; zero for what is no spring."""
+        ...
+
+
+def _sense(load: Load, moving: Moving, opposing: bool, stroke: Stroke) -> Value:
+    """Factor of the magnitude: -1 against a positive velocity where it opposes, 0 in the other stroke."""
+    if not opposing and stroke == "both":
+        return 1.0
+    sign = moving.sense(lambda source: load.reversing(source) or (0.0, 0.0))
+    share = 1.0
+    if stroke != "both":
+        share = 0.5 * (1.0 + (sign if stroke == "forward" else -sign))
+    return share * (-sign if opposing else 1.0)
+
+
+@dataclass(frozen=True)
+class Force:
+    """A force on a point of a body, along a direction fixed in the plane or along the guide of a slider."""
+
+    name: str
+    body: str
+    point: str
+    magnitude: Magnitude
+    direction: float | str  # angle [rad], or the guide that the body slides in
+    opposing: bool = False
+    stroke: Stroke = "both"
+
+    @property
+    def switching(self) -> bool:
+        """Whether it jumps where the motion reverses."""
+        return self.opposing or self.stroke != "both"
+
+    def along(self, moving: Moving) -> Vector:
+        """Unit vector of the direction."""
+        return moving.line(self.direction) if isinstance(self.direction, str) else unit(self.direction)
+
+    def reversing(self, moving: Moving) -> tuple[Value, Value]:
+        """Velocity and acceleration along the direction."""
+        if isinstance(self.direction, str):
+            return moving.slides[self.direction][1:]
+        way = unit(self.direction)
+        return dot(way, moving.velocity(self.point)), dot(way, moving.acceleration(self.point))
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """The force."""
+        known = moving.variables
+        if isinstance(self.direction, str):
+            s, v, _ = moving.slides[self.direction]
+            known = {**known, "s": s, "v": v}
+        size = self.magnitude(known) * _sense(self, moving, self.opposing, self.stroke)
+        x, y = self.along(moving)
+        yield Acting(self.body, moving.position(self.point), (size * x, size * y), 0.0)
+
+    def potential(self, moving: Moving) -> Value:
+        """None is kept."""
+        return 0.0
+
+
+@dataclass(frozen=True)
+class Torque:
+    """A torque on a body."""
+
+    name: str
+    body: str
+    magnitude: Magnitude
+    opposing: bool = False
+    stroke: Stroke = "both"
+
+    @property
+    def switching(self) -> bool:
+        """Whether it jumps where the motion reverses."""
+        return self.opposing or self.stroke != "both"
+
+    def reversing(self, moving: Moving) -> tuple[Value, Value]:
+        """Angular velocity and acceleration of the body."""
+        state = moving.state(self.body)
+        return state.omega, state.alpha
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """The torque."""
+        state = moving.state(self.body)
+        known = {**moving.variables, "theta": angle_from((1.0, 0.0), state.axis), "w": state.omega}
+        yield Acting(self.body, state.start, (0.0, 0.0), self.magnitude(known) * _sense(self, moving, self.opposing, self.stroke))
+
+    def potential(self, moving: Moving) -> Value:
+        """None is kept."""
+        return 0.0
+
+
+class _Steady:
+    """What does not jump."""
+
+    switching = False
+
+    def reversing(self, moving: Moving) -> None:
+        """Nothing."""
+        return
+
+
+@dataclass(frozen=True)
+class Spring(_Steady):
+    """A linear spring and damper between two points: `stiffness` [N/m], `free` length [m], `damping` [N s/m]."""
+
+    name: str
+    ends: tuple[tuple[str, str], tuple[str, str]]  # (body, point) twice
+    stiffness: Value
+    free: Value
+    damping: Value
+
+    def _stretch(self, moving: Moving) -> tuple[Value, Vector, Value]:
+        """Length, direction from the first end to the second, rate of the length."""
+        (_, p), (_, q) = self.ends
+        between = minus(moving.position(q), moving.position(p))
+        length = np.sqrt(dot(between, between))
+        along = (between[0] / length, between[1] / length)
+        return length, along, dot(along, minus(moving.velocity(q), moving.velocity(p)))
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Pull on both ends."""
+        length, (x, y), rate = self._stretch(moving)
+        pull = self.stiffness * (length - self.free) + self.damping * rate
+        for (body, point), sign in zip(self.ends, (1.0, -1.0), strict=True):
+            yield Acting(body, moving.position(point), (sign * pull * x, sign * pull * y), 0.0)
+
+    def potential(self, moving: Moving) -> Value:
+        """Energy of the spring."""
+        stretch = self._stretch(moving)[0] - self.free
+        return 0.5 * self.stiffness * stretch * stretch
+
+
+@dataclass(frozen=True)
+class TorsionSpring(_Steady):
+    """A torsion spring and damper between two bodies: `stiffness` [N m/rad], `free` angle [rad], `damping` [N m s/rad]."""
+
+    name: str
+    body: str
+    against: str
+    stiffness: Value
+    free: Value
+    damping: Value
+
+    def _deflection(self, moving: Moving) -> Value:
+        axis, other = moving.state(self.body).axis, moving.state(self.against).axis
+        c, s = unit(self.free)
+        return angle_from((other[0] * c - other[1] * s, other[1] * c + other[0] * s), axis)
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Twist both bodies."""
+        one, two = moving.state(self.body), moving.state(self.against)
+        torque = -self.stiffness * self._deflection(moving) - self.damping * (one.omega - two.omega)
+        yield Acting(self.body, one.start, (0.0, 0.0), torque)
+        yield Acting(self.against, two.start, (0.0, 0.0), -torque)
+
+    def potential(self, moving: Moving) -> Value:
+        """Energy of the spring."""
+        deflection = self._deflection(moving)
+        return 0.5 * self.stiffness * deflection * deflection
+
+
+@dataclass(frozen=True)
+class SlideDamper(_Steady):
+    """Viscous damping in a guide: `damping` [N s/m]."""
+
+    name: str
+    guide: str
+    slider: str
+    on: str
+    point: str
+    damping: Value
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Resist on the slider, push on what carries the line."""
+        x, y = moving.line(self.guide)
+        force = -self.damping * moving.slides[self.guide][1]
+        point = moving.position(self.point)
+        yield Acting(self.slider, point, (force * x, force * y), 0.0)
+        if self.on != FRAME:
+            yield Acting(self.on, point, (-force * x, -force * y), 0.0)
+
+    def potential(self, moving: Moving) -> Value:
+        """None is kept."""
+        return 0.0

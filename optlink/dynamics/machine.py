@@ -1,0 +1,179 @@
+"""A machine: a mechanism of given sizes with masses, gravity, loads and friction; and a machine in motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optlink.dynamics.inertia import Inertia, State, kinetic, potential
+from optlink.linkage.elementwise import Value, Vector, cross
+from optlink.linkage.jet import Jet
+from optlink.linkage.mechanism import FRAME, Mechanism, Pose
+from optlink.linkage.motion import Motion, sweep
+
+if TYPE_CHECKING:
+    from optlink.dynamics.loads import Load
+
+INSTANT = 1e-10
+"""Crank rotation [rad] after which a one-sided value is meant where a load jumps."""
+
+
+def parts(x: Value) -> tuple[Value, Value, Value]:
+    """Value, rate and acceleration of what may be a jet."""
+    return (x.value, x.rate, x.acceleration) if isinstance(x, Jet) else (x, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A mechanism with everything that makes forces.
+
+    `inertias` by body (a body that is not named has no mass), `gravity` [m/s^2], `loads`, `friction` coefficients by guide,
+    `reported`: the body on which the reaction at a pin is told, where that is not the usual one.
+    """
+
+    mechanism: Mechanism
+    sizes: Mapping[str, Value]
+    inertias: Mapping[str, Inertia] = field(default_factory=dict)
+    gravity: Vector = (0.0, 0.0)
+    loads: tuple[Load, ...] = ()
+    friction: Mapping[str, Value] = field(default_factory=dict)
+    reported: Mapping[str, str] = field(default_factory=dict)
+
+    def moving(
+        self, crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0, side: int = 1, direction: Value = None
+    ) -> Moving:
+        """The machine at these crank angles.
+
+        Parameters
+        ----------
+        crank_angle : array (angles,) [rad]
+        speed, acceleration : float or array (angles,) [rad/s], [rad/s^2]
+        side : int
+            Where a load jumps, at the reversal of what it opposes: +1 the value just after, -1 just before.
+        direction : +1 or -1, optional
+            Sense of the crank's rotation; that of the speed if left out (needed where the crank starts from rest).
+        """
+        return Moving(self, sweep(self.mechanism, self.sizes, crank_angle, speed, acceleration), side, direction)
+
+    def with_(self, **changes: object) -> Machine:
+        """The same machine with other fields."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+    @cached_property
+    def switching(self) -> bool:
+        """Whether some force jumps where a motion reverses."""
+        return bool(self.friction) or any(load.switching for load in self.loads)
+
+
+class Moving:
+    """A machine in motion: states of the bodies, found once and shared by inertia, loads and reactions.
+
+    Where the crank stands still, senses of motion are those of a crank that is about to turn in `direction`.
+    """
+
+    def __init__(self, machine: Machine, motion: Motion, side: int = 1, direction: Value = None) -> None:
+        self.machine, self.motion, self.side = machine, motion, side
+        self.direction = np.sign(motion.speed) if direction is None else direction
+        self._states: dict[str, State] = {}
+
+    @property
+    def pose(self) -> Pose:
+        """Positions with their time derivatives."""
+        return self.motion.pose
+
+    def position(self, point: str) -> Vector:
+        """Where a point is [m]."""
+        x, y = self.pose.points[point]
+        return parts(x)[0], parts(y)[0]
+
+    def velocity(self, point: str) -> Vector:
+        """Velocity of a point [m/s]."""
+        x, y = self.pose.points[point]
+        return parts(x)[1], parts(y)[1]
+
+    def acceleration(self, point: str) -> Vector:
+        """Acceleration of a point [m/s^2]."""
+        x, y = self.pose.points[point]
+        return parts(x)[2], parts(y)[2]
+
+    @property
+    def variables(self) -> dict[str, Value]:
+        """What every load may depend on: crank angle [rad] and speed [rad/s]."""
+        return {"phi": self.motion.crank_angle, "omega": self.motion.speed}
+
+    def axis(self, body: str) -> Vector:
+        """Unit vector of a body's x axis."""
+        x, y = self.pose.direction(body)
+        return parts(x)[0], parts(y)[0]
+
+    def line(self, guide: str) -> Vector:
+        """Unit vector of a guide's line."""
+        return self._lines[guide]
+
+    @cached_property
+    def _lines(self) -> dict[str, Vector]:
+        found = {}
+        for guide in self.machine.mechanism.guides:
+            x, y = self.pose.line(guide, guide.on)[1]
+            found[guide.name] = parts(x)[0], parts(y)[0]
+        return found
+
+    @cached_property
+    def slides(self) -> dict[str, tuple[Value, Value, Value]]:
+        """Slide in every guide, its velocity and acceleration [m, m/s, m/s^2]."""
+        return {guide.name: parts(self.pose.slide(guide)) for guide in self.machine.mechanism.guides}
+
+    def state(self, body: str) -> State:
+        """How a body moves."""
+        if body not in self._states:
+            if body == FRAME:
+                nothing = (0.0, 0.0)
+                self._states[body] = State(nothing, nothing, nothing, (1.0, 0.0), 0.0, 0.0)
+            else:
+                x, y = (parts(v) for v in self.pose.points[self.machine.mechanism.bodies[body].start])
+                c, s = (parts(v) for v in self.pose.direction(body))
+                axis = (c[0], s[0])
+                self._states[body] = State(
+                    (x[0], y[0]), (x[1], y[1]), (x[2], y[2]), axis, cross(axis, (c[1], s[1])), cross(axis, (c[2], s[2]))
+                )
+        return self._states[body]
+
+    def sense(self, of: Callable[[Moving], tuple[Value, Value]]) -> Value:
+        """Sign of a velocity; where it reverses, the sign just after (or before).
+
+        Parameters
+        ----------
+        of : function of a machine in motion to the velocity in question and its acceleration
+        """
+        source = self._geared if self._still else self
+        rate, acceleration = of(source)
+        speed, turning = source.motion.speed, source.motion.crank_acceleration
+        first = rate / speed  # per crank rotation, as is the second
+        second = (acceleration - first * turning) / (speed * speed)
+        return self.direction * np.sign(first + (self.side * INSTANT) * self.direction * second)
+
+    @cached_property
+    def _still(self) -> bool:
+        return not isinstance(self.motion.speed, Jet) and bool(np.all(np.asarray(self.motion.speed) == 0.0))
+
+    @cached_property
+    def _geared(self) -> Moving:
+        """The same positions with a crank that turns at 1 rad/s."""
+        return self.machine.moving(self.motion.crank_angle, self.direction, 0.0, self.side, self.direction)
+
+    @cached_property
+    def kinetic(self) -> Value:
+        """Kinetic energy [J]."""
+        return sum(kinetic(inertia.parameters, self.state(body)) for body, inertia in self.machine.inertias.items())
+
+    @cached_property
+    def potential(self) -> Value:
+        """Potential energy of gravity and springs [J]."""
+        gravity = self.machine.gravity
+        weight = sum(potential(i.parameters, self.state(body), gravity) for body, i in self.machine.inertias.items())
+        return weight + sum(load.potential(self) for load in self.machine.loads)
