@@ -56,6 +56,9 @@ Set = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, pictures and tables there.")]
+Speed = Annotated[
+    str | None, typer.Option("--speed", metavar="SPEED", help='Of the crank: --speed "64 rpm"; negative: clockwise.')
+]
 Design = Annotated[
     list[str] | None,
     typer.Option(
@@ -146,7 +149,7 @@ def list_problems(as_json: Json = False) -> None:
 
         files = [load(name) for name in shipped()]
         if as_json:
-            rows = [{"name": f.name, "kind": f.spec.requirement.kind, "title": f.spec.title} for f in files]
+            rows = [{"name": f.name, "kind": f.kind, "title": f.model.title} for f in files]
             _print_json({"schema": "optlink/list/1", "problems": rows})
             return
         from optlink.report import terminal
@@ -227,6 +230,74 @@ def _validate(problem: str, design: list[str], changes: list[str] | None, as_jso
     if out is not None:
         _folder(out)
     _finish(prove(file, given), as_json, out)
+
+
+@app.command()
+def analyze(
+    problem: Problem,
+    points: Annotated[int, typer.Option(parser=_whole_number, metavar="N", help="Steps of the table per revolution.")] = 360,
+    step: Annotated[str | None, typer.Option(metavar="ANGLE", help='Instead of --points: --step "5 deg".')] = None,
+    speed: Annotated[
+        str | None, typer.Option(metavar="SPEED", help='Of the crank: --speed "64 rpm"; negative: clockwise.')
+    ] = None,
+    changes: Set = None,
+    design: Design = None,
+    csv: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the whole table there.")] = None,
+    as_json: Json = False,
+    out: Out = None,
+) -> None:
+    """Motion, joint reactions, driving torque and work over the cycle."""
+    with _reported(as_json):
+        from optlink.analysis import analyze as run
+        from optlink.workflow import read_design
+
+        file = _load(problem, changes)
+        given = read_design(file, design) if design else None
+        _places(csv, out)
+        result = run(file, points, _quantity(step, "angle", "--step"), _quantity(speed, "angular velocity", "--speed"), given)
+        if csv is not None:
+            from optlink.report.store import write_csv
+
+            write_csv(csv, result.columns)
+        if out is not None:
+            from optlink.report.cycle import write_all
+
+            with _working(f"Drawing into {out}"):
+                write_all(result, out)
+        if as_json:
+            _print_json(result.to_dict())
+        else:
+            from optlink.report import machine, terminal
+
+            terminal.console().print(machine.analysis(result))
+        if not result.sound:
+            raise typer.Exit(1)
+
+
+def _quantity(text: str | None, kind: str, option: str) -> float | None:
+    """An option that is a number with a unit."""
+    if text is None:
+        return None
+    from optlink.errors import Fault
+    from optlink.units import UnitProblem, parse
+
+    try:
+        return parse(text, kind)[0]
+    except UnitProblem as error:
+        raise InputError(Fault(error.message, error.remedy, key=option, value=text)) from None
+
+
+def _places(csv: Path | None, out: Path | None) -> None:
+    """Make sure that results can be written before any work is done."""
+    if csv is not None and csv.is_dir():
+        from optlink.errors import Fault
+
+        raise InputError(
+            Fault("this is a folder", "Give the name of a file, for example motion.csv", key="--csv", value=str(csv))
+        )
+    for folder in (out, None if csv is None else csv.parent):
+        if folder is not None:
+            _folder(folder)
 
 
 def _folder(out: Path) -> None:

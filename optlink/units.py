@@ -62,17 +62,25 @@ KINDS = {
     kind.name: kind
     for kind in (
         Kind("length", "m", "mm", "100 mm"),
+        Kind("coordinate", "m", "mm", "100 mm"),
         Kind("angle", "rad", "deg", "45 deg"),
         Kind("angular velocity", "rad/s", "rpm", "64 rpm"),
         Kind("time", "s", "s", "2 s"),
         Kind("mass", "kg", "kg", "1.2 kg"),
         Kind("force", "N", "N", "1000 N"),
+        Kind("torque", "N*m", "N*m", "5 N*m"),
+        Kind("moment of inertia", "kg*m**2", "kg*m^2", "0.016 kg*m^2"),
+        Kind("acceleration", "m/s**2", "m/s^2", "9.81 m/s^2"),
+        Kind("stiffness", "N/m", "N/m", "500 N/m"),
+        Kind("damping", "N*s/m", "N*s/m", "20 N*s/m"),
+        Kind("torsional stiffness", "N*m/rad", "N*m/rad", "5 N*m/rad"),
+        Kind("torsional damping", "N*m*s/rad", "N*m*s/rad", "0.1 N*m*s/rad"),
     )
 }
 
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*([^\s\d].*?)?\s*", re.DOTALL | re.ASCII)
 _FACTOR = r"[A-Za-z°µμ_]+(?:\s*(?:\^|\*\*)\s*-?[1-4])?"
-_UNIT = re.compile(rf"{_FACTOR}(?:\s*[*/·]\s*{_FACTOR}){{0,4}}")
+_UNIT = re.compile(rf"{_FACTOR}(?:(?:\s*[*/·]\s*|\s+){_FACTOR}){{0,4}}")  # "kg m^2" is kg*m^2
 
 
 class UnitProblem(ValueError):

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from optlink.design.files import ProblemFile, parse_assignment
 from optlink.design.objectives import MEASURES
 from optlink.design.quantity import Quantity, Unusable, nearest, read_quantity
+from optlink.documents import finite, version
 from optlink.errors import Fault, InputError, Status
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
@@ -125,7 +126,7 @@ class Result:
         """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
         document: dict[str, Any] = {
             "schema": SCHEMA,
-            "optlink": _version(),
+            "optlink": version(),
             "problem": self.problem.name,
             "title": self.problem.spec.title,
             "problem_hash": self.problem.hash,
@@ -162,7 +163,7 @@ class Result:
         if self.conflict:
             document["conflict"] = [vars(item) | {} for item in self.conflict]
             document["relax_together"] = [vars(item) | {} for item in self.together]
-        return _finite(document)  # type: ignore[no-any-return]
+        return finite(document)  # type: ignore[no-any-return]
 
     def _solution(self, solution: Solution) -> dict[str, Any]:
         return {
@@ -176,22 +177,8 @@ class Result:
         }
 
 
-def _version() -> str:
-    from optlink import __version__
-
-    return __version__
-
-
 def _design(design: Mapping[str, float]) -> dict[str, float]:
     return {f"{name}_{people(name, value)[1]}": people(name, value)[0] for name, value in design.items()}
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def solve(

@@ -13,7 +13,8 @@ from typing import Any
 
 import pydantic
 
-from optlink.design.problem import DesignProblem, cross_check
+from optlink.design.machines import Problem, cross_check
+from optlink.design.problem import DesignProblem, cross_check_design
 from optlink.design.quantity import Unusable, nearest
 from optlink.errors import Fault, InputError, shown
 
@@ -24,21 +25,50 @@ MAX_BYTES = 1_000_000
 class ProblemFile:
     """A problem with where it came from.
 
-    `name` and `file` for people, `raw` as written (overrides applied), `spec` read and checked.
+    `name` and `file` for people, `raw` as written (overrides applied), `model` read and checked.
     """
 
     name: str
     file: str
     folder: Path
     raw: Mapping[str, Any]
-    spec: DesignProblem
+    model: Problem
+
+    @property
+    def spec(self) -> DesignProblem:
+        """The model of a problem that states a requirement.
+
+        Raises
+        ------
+        InputError
+            when it states none: there is nothing to solve.
+        """
+        if isinstance(self.model, DesignProblem):
+            return self.model
+        raise InputError(
+            Fault(
+                "the problem has no [requirement], so there is nothing to solve", "Use `optlink analyze`, or add one", self.file
+            )
+        )
+
+    @property
+    def kind(self) -> str:
+        """The type of the linkage, and what is asked of it."""
+        asked = f"{self.model.requirement.kind} design" if isinstance(self.model, DesignProblem) else "analysis"
+        return f"{self.model.mechanism.type}, {asked}"
 
     @property
     def hash(self) -> str:
         """Sixteen hexadecimal digits that change with anything that can change the answer."""
-        law = self.spec.requirement.law
-        text = json.dumps([{k: v for k, v in self.raw.items() if k not in _WORDS}, repr(law)], sort_keys=True, default=str)
+        law = getattr(getattr(self.model, "requirement", None), "law", None)
+        read = [repr(part) for part in (self.model.loads, self.model.drive)] if self._tabled else []  # from files beside this
+        stated = {key: value for key, value in self.raw.items() if key not in _WORDS}
+        text = json.dumps([stated, repr(law), *read], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @property
+    def _tabled(self) -> bool:
+        return "csv" in json.dumps([self.raw.get("loads"), self.raw.get("drive")], default=str)
 
     def override(self, changes: Mapping[str, object]) -> ProblemFile:
         """The same problem with other values: {"mechanism.frame": "480 mm"}; None takes a key away.
@@ -111,15 +141,28 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
         with one fault per thing to mend.
     """
     where = folder or Path()
+    raw = _typed(raw)
+    model = DesignProblem if "requirement" in raw or "limits" in raw else Problem
     try:
-        problem = DesignProblem.model_validate(raw, context={"folder": where})
+        problem = model.model_validate(raw, context={"folder": where})
     except pydantic.ValidationError as error:
         raise InputError(list(_faults(error, raw, file))) from None
     try:
+        if isinstance(problem, DesignProblem):
+            cross_check_design(problem)
         cross_check(problem)
     except Unusable as error:
         raise InputError(Fault(error.message, error.remedy, file, error.key, error.value)) from None
     return ProblemFile(name, file, where, raw, problem)
+
+
+def _typed(raw: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A mechanism without a type is a four-bar, unless it has links."""
+    mechanism = raw.get("mechanism")
+    if isinstance(mechanism, dict) and "type" not in mechanism:
+        kind = "dyads" if {"links", "ground", "guides"} & set(mechanism) else "four-bar"
+        return {**raw, "mechanism": {"type": kind, **mechanism}}
+    return raw
 
 
 def dump(problem: ProblemFile) -> str:
@@ -197,15 +240,22 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
 
 def _known(path: tuple[str | int, ...]) -> list[str]:
     """Keys that the model knows at a path of sections."""
-    model: Any = DesignProblem
+    models: list[Any] = [DesignProblem, Problem]
     for step in path:
-        field = next((f for name, f in model.model_fields.items() if step in (f.alias, name)), None)
-        inner = None if field is None else field.annotation
-        options = (inner, *getattr(inner, "__args__", ()))
-        model = next((o for o in options if isinstance(o, type) and issubclass(o, pydantic.BaseModel)), None)
-        if model is None:
+        fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
+        if fields or not any(getattr(model, "named", False) for model in models):
+            models = [model for f in fields for model in _models(f.annotation)]
+        if not models:
             return ["start", "bounds"]
-    return [field.alias or name for name, field in model.model_fields.items()]
+    return list(dict.fromkeys(field.alias or name for model in models for name, field in model.model_fields.items()))
+
+
+def _models(annotation: Any) -> Iterator[Any]:
+    """The sections that a key may hold."""
+    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+        yield annotation
+    for inner in getattr(annotation, "__args__", ()):
+        yield from _models(inner)
 
 
 def _faults(error: pydantic.ValidationError, raw: Mapping[str, Any], file: str) -> Iterator[Fault]:

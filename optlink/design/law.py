@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from optlink.design.expression import Expression, LawError, parse
 from optlink.design.quantity import Unusable, nearest, read_scalar
 from optlink.linkage.elementwise import Value
+from optlink.units import factor
 
 Array = NDArray[np.float64]
 NAMES = ("phi", "phi0", "psi0")
@@ -148,15 +149,33 @@ def _read_angles(column: object, name: str) -> list[float]:
     return [read_scalar(cell, "angle", f"{name}[{row}]")[0] for row, cell in enumerate(column)]
 
 
-_UNITS = {"deg": math.pi / 180.0, "rad": 1.0}
-
-
 def read_csv(path: Path) -> tuple[list[float], list[float]]:
     """Read a law from a CSV file whose header names the columns phi_deg or phi_rad, psi_deg or psi_rad.
 
     Returns
     -------
     phi, psi : lists [rad]
+
+    Raises
+    ------
+    Unusable
+        naming the file, and the row where a row is at fault.
+    """
+    phi, psi = read_columns(path, {"phi": "angle", "psi": "angle"})
+    return phi, psi
+
+
+def read_columns(path: Path, kinds: Mapping[str, str]) -> list[list[float]]:
+    """Read columns of a CSV file whose header names them with their units: phi_deg, s_mm, force_N.
+
+    Parameters
+    ----------
+    path : Path
+    kinds : mapping of column name to the kind of its unit
+
+    Returns
+    -------
+    lists in the order of `kinds` [SI]
 
     Raises
     ------
@@ -173,32 +192,40 @@ def read_csv(path: Path) -> tuple[list[float], list[float]]:
     except (UnicodeDecodeError, csv.Error) as error:
         raise Unusable(f"not a CSV text file: {error}", "Save it as CSV, UTF-8", "csv", str(path)) from None
     header = [cell.strip() for cell in rows[0]] if rows else []
-    return _column(rows, header, "phi", path), _column(rows, header, "psi", path)
+    return [_column(rows, header, name, kind, path) for name, kind in kinds.items()]
 
 
-def _column(rows: Sequence[Sequence[str]], header: list[str], name: str, path: Path) -> list[float]:
-    for unit, factor in _UNITS.items():  # noqa: B007
-        if f"{name}_{unit}" in header:
-            break
-    else:
+_UNITS = {
+    "angle": {"deg": "deg", "rad": "rad"},
+    "coordinate": {"mm": "mm", "m": "m"},
+    "force": {"N": "N", "kN": "kN"},
+    "torque": {"Nm": "N*m"},
+    "angular velocity": {"rpm": "rpm", "rad_s": "rad/s"},
+}  # as they may end the name of a column
+
+
+def _column(rows: Sequence[Sequence[str]], header: list[str], name: str, kind: str, path: Path) -> list[float]:
+    titles = {f"{name}_{ending}": unit for ending, unit in _UNITS[kind].items()}
+    title = next((title for title in header if title in titles), None)
+    if title is None:
         raise Unusable(
-            f"{path.name} has no column {name}_deg or {name}_rad",
-            "Name the columns in the first row: phi_deg,psi_deg",
+            f"{path.name} has no column {' or '.join(titles)}",
+            f"Name the columns in the first row, one of them {next(iter(titles))}",
             "csv",
         )
     if len(rows) - 1 > MAX_ROWS:
         raise Unusable(f"{path.name} has {len(rows) - 1:,} rows, more than {MAX_ROWS:,}", "Thin them out", "csv")
-    index = header.index(f"{name}_{unit}")
+    index, size = header.index(title), factor(titles[title], kind)
     values = []
     for number, row in enumerate(rows[1:], start=2):
         try:
-            value = float(row[index]) * factor
+            value = float(row[index]) * size
         except (ValueError, IndexError):
             value = math.nan
         if not math.isfinite(value):
             found = row[index] if index < len(row) else "nothing"
             raise Unusable(
-                f"row {number} of {path.name} has no finite number in column {header[index]}",
+                f"row {number} of {path.name} has no finite number in column {title}",
                 "Correct or remove the row",
                 "csv",
                 found,

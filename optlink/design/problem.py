@@ -9,50 +9,32 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from optlink.design.expression import Expression
 from optlink.design.law import Law, Table, read_law
+from optlink.design.linkages import FourBarSection
+from optlink.design.machines import Expected, Problem
 from optlink.design.quantity import (
     Angle,
     AngleInterval,
     FixedAngle,
-    FixedLength,
-    Length,
     LengthInterval,
-    Number,
     NumberInterval,
     Quantity,
     Unusable,
     nearest,
     read_quantity,
 )
+from optlink.design.section import Section
 from optlink.linkage.elementwise import Value, Vector, angle, unit
-from optlink.linkage.fourbar import LENGTHS, dead_centre, four_bar, lengths_of
-from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.fourbar import dead_centre, lengths_of
 
 MAX_POINTS = 10_000
 DEAD_CENTRES = ("outer dead centre", "inner dead centre")
 EPIGRAPH = "largest error"  # name of the extra variable of a minimax programme, and of its rows
 ABSURD = 1e3  # rad; a rocker that shall turn further follows a slip of the pen, or a pole
 FULL_TURN = 2.0 * float(np.pi)
-
-
-class Section(BaseModel):
-    """A table of the problem file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
-
-class MechanismSection(Section):
-    """The linkage: its type and its sizes, each fixed or free."""
-
-    type: Literal["four-bar"] = "four-bar"
-    crank: Length
-    coupler: Length
-    rocker: Length
-    frame: Length
-    assembly: Literal["left", "right"] = "left"
 
 
 def _read_start(raw: object) -> str | Quantity:
@@ -93,21 +75,6 @@ class Limits(Section):
     link_ratio: NumberInterval | None = None
 
 
-class Expected(Section):
-    """What a trusted source says that the answer is, and how closely it must be met."""
-
-    source: str
-    crank: FixedLength | None = None
-    coupler: FixedLength | None = None
-    rocker: FixedLength | None = None
-    frame: FixedLength | None = None
-    phi0: FixedAngle | None = None
-    psi0: FixedAngle | None = None
-    length_tolerance: FixedLength | None = None
-    objective: Number | None = None
-    objective_tolerance: Number | None = None
-
-
 @dataclass(frozen=True)
 class StartPosition:
     """Where the requirement begins: crank direction, crank angle and wanted rocker angle [rad] there."""
@@ -117,13 +84,10 @@ class StartPosition:
     psi0: Value
 
 
-class DesignProblem(Section):
-    """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
+class DesignProblem(Problem):
+    """A problem file that states a requirement: what `solve` takes. Immutable; change it with `optlink.load(..., overrides)`."""
 
-    title: str = Field(min_length=1, max_length=200)
-    source: str = ""
-    about: str = ""
-    mechanism: MechanismSection
+    mechanism: FourBarSection
     requirement: Requirement
     limits: Limits = Limits()
     expected: Expected | None = None
@@ -131,7 +95,7 @@ class DesignProblem(Section):
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Every quantity that can be fixed or free, by name: the four lengths, phi0 and psi0 where they are given."""
-        found = {name: getattr(self.mechanism, name) for name in LENGTHS}
+        found = dict(self.mechanism.quantities)
         if isinstance(self.requirement.start, Quantity):
             found["phi0"] = self.requirement.start
         elif isinstance(self.requirement.law, Table) and not self.requirement.law.from_start:
@@ -141,19 +105,9 @@ class DesignProblem(Section):
         return found
 
     @property
-    def free(self) -> tuple[str, ...]:
-        """Names of the free quantities, in the order of the design vector."""
-        return tuple(name for name, quantity in self.quantities.items() if quantity.free)
-
-    @property
     def side(self) -> int:
         """Assembly mode: +1 left, -1 right of B -> D."""
         return 1 if self.mechanism.assembly == "left" else -1
-
-    @cached_property
-    def linkage(self) -> Mechanism:
-        """The mechanism as data."""
-        return four_bar(self.side)
 
     @cached_property
     def span(self) -> float:
@@ -210,7 +164,7 @@ class DesignProblem(Section):
         return {**full, "phi0": float(start.phi0), "psi0": float(start.psi0)}
 
 
-def cross_check(problem: DesignProblem) -> None:
+def cross_check_design(problem: DesignProblem) -> None:
     """Find what no single key shows.
 
     Raises

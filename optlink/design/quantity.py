@@ -174,6 +174,14 @@ def _read_fixed(raw: object, kind: str) -> Quantity:
     return read_quantity(raw, kind)
 
 
+def read_positive(raw: object, kind: str) -> Quantity:
+    """Read a fixed quantity that is not negative."""
+    quantity = _read_fixed(raw, kind)
+    if quantity.value < 0.0:
+        raise Unusable(f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} is not negative", "Give zero or more", "", raw)
+    return quantity
+
+
 def _reader(function: Any, kind: str | None) -> BeforeValidator:
     return BeforeValidator(lambda raw: function(raw, kind))
 
@@ -182,7 +190,15 @@ Length = Annotated[Quantity, _reader(read_quantity, "length")]
 Angle = Annotated[Quantity, _reader(read_quantity, "angle")]
 FixedLength = Annotated[Quantity, _reader(_read_fixed, "length")]
 FixedAngle = Annotated[Quantity, _reader(_read_fixed, "angle")]
+Coordinate = Annotated[Quantity, _reader(read_quantity, "coordinate")]
 LengthInterval = Annotated[Interval, _reader(_read_interval, "length")]
 AngleInterval = Annotated[Interval, _reader(_read_interval, "angle")]
 NumberInterval = Annotated[Interval, _reader(_read_interval, None)]
+Speed = Annotated[Quantity, _reader(_read_fixed, "angular velocity")]
+Duration = Annotated[Quantity, _reader(read_positive, "time")]
+Mass = Annotated[Quantity, _reader(read_positive, "mass")]
+Stiffness = Annotated[Quantity, _reader(read_positive, "stiffness")]
+Damping = Annotated[Quantity, _reader(read_positive, "damping")]
+TorsionalStiffness = Annotated[Quantity, _reader(read_positive, "torsional stiffness")]
+TorsionalDamping = Annotated[Quantity, _reader(read_positive, "torsional damping")]
 Number = Annotated[float, BeforeValidator(lambda raw: _read_number(raw, ""))]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import json
+import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +51,15 @@ def whole(path: Path) -> Iterator[Path]:
         ) from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_csv(path: Path, columns: Mapping[str, Iterable[float]]) -> None:
+    """Write columns under their names, every digit of a number, nothing where there is no finite value."""
+    with whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow([repr(float(value)) if math.isfinite(value) else "" for value in row])
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:

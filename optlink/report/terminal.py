@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from rich import box
@@ -12,15 +12,19 @@ from rich.table import Table
 from rich.text import Text
 
 from optlink.design.files import ProblemFile
+from optlink.design.linkages import FourBarSection
 from optlink.design.objectives import MEASURES
+from optlink.design.problem import DesignProblem
 from optlink.design.quantity import Interval, Quantity
+from optlink.design.section import Section
 from optlink.errors import Status
 from optlink.workflow import Relaxed, Result, people
 
 GOOD, BAD, QUIET, HEAD = "green", "bold red", "dim", "bold"
 
 
-def _grid(title: str, columns: Iterable[tuple[str, str]], header: bool = False) -> Table:
+def grid(title: str, columns: Iterable[tuple[str, str]], header: bool = False) -> Table:
+    """An empty table with its title; columns as (name, left or right)."""
     table = Table(
         title=Text(title, style=HEAD),
         title_justify="left",
@@ -85,7 +89,7 @@ def _headline(outcome: Result) -> Text:
 def _design(outcome: Result) -> Table:
     problem = outcome.problem.spec
     note = "Design" if not outcome.conflict else "Nearest design found (it does not meet the limits)"
-    table = _grid(note, [("", "left"), ("", "right"), ("", "left"), ("", "left")])
+    table = grid(note, [("", "left"), ("", "right"), ("", "left"), ("", "left")])
     for name, value in outcome.design.items():
         shown, unit = people(name, value)
         quantity = problem.quantities.get(name)
@@ -101,7 +105,7 @@ def _design(outcome: Result) -> Table:
 
 
 def _objective(outcome: Result) -> Table:
-    table = _grid("Objective", [("", "left"), ("", "right"), ("", "left"), ("", "left")])
+    table = grid("Objective", [("", "left"), ("", "right"), ("", "left"), ("", "left")])
     rms, largest = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
     remark = f"error: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
     table.add_row(outcome.measure, Text(number(outcome.objective), style=HEAD), outcome.unit, Text(remark, style=QUIET))
@@ -113,7 +117,7 @@ def _active(outcome: Result) -> RenderableType:
     active = [limit for limit in outcome.solution.limits if limit.active]
     if not active:
         return Text.assemble(("Active limits", HEAD), "\nnone: only the requirement shapes this design")
-    table = _grid("Active limits, and what relaxing each by one unit would buy", [("", "left"), ("", "left"), ("", "left")])
+    table = grid("Active limits, and what relaxing each by one unit would buy", [("", "left"), ("", "left"), ("", "left")])
     for limit in active:
         bound = f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip()
         gain = abs(limit.multiplier)
@@ -127,7 +131,7 @@ def _active(outcome: Result) -> RenderableType:
 def _checks(outcome: Result) -> Table:
     checks = outcome.validation.checks
     passed = sum(check.passed for check in checks)
-    table = _grid(
+    table = grid(
         f"Validation: {passed} of {len(checks)} checks passed",
         [("", "left"), ("check", "left"), ("found", "right"), ("", "left"), ("allowed", "left")],
         header=True,
@@ -139,7 +143,7 @@ def _checks(outcome: Result) -> Table:
 
 
 def _conflict(outcome: Result) -> Table:
-    table = _grid(
+    table = grid(
         "These limits cannot hold together",
         [("limit", "left"), ("asked", "left"), ("feasible if it alone gave", "left")],
         header=True,
@@ -169,7 +173,7 @@ def _optima(outcome: Result) -> Table:
     searches = outcome.starts * max(1, len(outcome.backends))
     reached = sum(optimum.count for optimum in outcome.optima)
     free = outcome.problem.spec.free
-    table = _grid(
+    table = grid(
         f"Distinct optima: {len(outcome.optima)}, reached by {reached} of {searches} searches",
         [
             ("objective", "right"),
@@ -188,7 +192,7 @@ def _backends(outcome: Result) -> Table:
     free = outcome.problem.spec.free
     columns = [("back end", "left"), ("status", "left"), ("objective", "right")]
     columns += [(name, "right") for name in free]
-    table = _grid("Back ends", [*columns, ("steps", "right"), ("KKT", "right")], header=True)
+    table = grid("Back ends", [*columns, ("steps", "right"), ("KKT", "right")], header=True)
     for name, solution in outcome.backends.items():
         values = [fixed(people(key, solution.design[key])[0], 6 if len(free) < 3 else 3) for key in free]
         table.add_row(
@@ -210,29 +214,33 @@ def _times(outcome: Result) -> Text:
 
 def problem(file: ProblemFile) -> RenderableType:
     """A problem in full: every key with its value or default, in units."""
-    wanted = file.spec
-    parts: list[RenderableType] = [Text(wanted.title, style=HEAD)]
-    if wanted.about:
-        parts.append(Text(wanted.about.strip()))
-    parts.append(Text(f"Source: {wanted.source or '-'}", style=QUIET))
-    for section, model in (
-        ("mechanism", wanted.mechanism),
-        ("requirement", wanted.requirement),
-        ("limits", wanted.limits),
-        ("expected", wanted.expected),
-    ):
-        if model is None:
-            continue
-        table = _grid(f"\n[{section}]", [("", "left"), ("", "left"), ("", "left")])
-        for name, field in type(model).model_fields.items():
-            value = getattr(model, name)
-            stated = name in model.model_fields_set
-            if section == "expected" and not stated:
-                continue
-            text = wanted.transmission_over if name == "transmission_over" else _plain(name, value)
-            table.add_row(field.alias or name, text, Text("" if stated else "default", style=QUIET))
-        parts.append(table)
+    model = file.model
+    parts: list[RenderableType] = [Text(model.title, style=HEAD)]
+    if model.about:
+        parts.append(Text(model.about.strip()))
+    parts.append(Text(f"Source: {model.source or '-'}", style=QUIET))
+    if isinstance(model.mechanism, FourBarSection):
+        parts.append(_section("mechanism", model.mechanism))
+    if isinstance(model, DesignProblem):
+        over = {"transmission_over": model.transmission_over}
+        parts += [_section("requirement", model.requirement), _section("limits", model.limits, over)]
+    if not isinstance(model, DesignProblem) or model.bodies or model.loads:
+        from optlink.report.machine import machine
+
+        parts += machine(file)
+    if model.expected is not None:
+        parts.append(_section("expected", model.expected, only_stated=True))
     return Group(*parts)
+
+
+def _section(name: str, section: Section, instead: Mapping[str, str] | None = None, *, only_stated: bool = False) -> Table:
+    table = grid(f"\n[{name}]", [("", "left"), ("", "left"), ("", "left")])
+    for key, field in type(section).model_fields.items():
+        stated = key in section.model_fields_set
+        if stated or not only_stated:
+            text = (instead or {}).get(key) or _plain(key, getattr(section, key))
+            table.add_row(field.alias or key, text, Text("" if stated else "default", style=QUIET))
+    return table
 
 
 def _plain(name: str, value: object) -> str:
@@ -242,6 +250,8 @@ def _plain(name: str, value: object) -> str:
         )
     if isinstance(value, Quantity | Interval | str | int | float):
         return str(value)
+    if isinstance(value, dict):
+        return "\n".join(f"{key}  {item}" for key, item in value.items()) or "none"
     text = getattr(value, "text", None)
     if text is not None:
         return str(text)
@@ -252,9 +262,9 @@ def _plain(name: str, value: object) -> str:
 
 def listing(files: Iterable[ProblemFile]) -> Table:
     """The shipped problems, a line each."""
-    table = _grid("Shipped problems", [("name", "left"), ("kind", "left"), ("what it is", "left")], header=True)
+    table = grid("Shipped problems", [("name", "left"), ("kind", "left"), ("what it is", "left")], header=True)
     for file in files:
-        table.add_row(file.name, f"{file.spec.mechanism.type}, {file.spec.requirement.kind}", file.spec.title)
+        table.add_row(file.name, file.kind, file.model.title)
     return table
 
 

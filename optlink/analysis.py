@@ -1,0 +1,365 @@
+"""Analysis of a machine over its cycle: what `optlink analyze`, notebooks and reports call."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.files import ProblemFile
+from optlink.design.quantity import Unusable
+from optlink.documents import finite, version
+from optlink.dynamics.flywheel import Flywheel, flywheel
+from optlink.dynamics.machine import Machine
+from optlink.dynamics.reactions import acting_on, reported_on
+from optlink.dynamics.record import Record, slider_names
+from optlink.dynamics.work import Work
+from optlink.errors import Fault, InputError
+from optlink.linkage.cycle import TURN, Ranges, Travel, failure, reachable, travels
+from optlink.linkage.refine import extremes, zeros
+
+Array = NDArray[np.float64]
+SCHEMA = "optlink/analysis/1"
+MAX_POINTS = 1_000_000
+GRID = 720  # positions among which extremes are bracketed
+MARGIN = 1e-3  # share of a limited range that is left out at either end: speeds are infinite at a dead position
+
+
+class Extreme(NamedTuple):
+    """Least and largest value of a column over the motion, and the crank angles [rad] at which they are met."""
+
+    least: float
+    least_at: float
+    largest: float
+    largest_at: float
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """A machine over its cycle.
+
+    `columns` by name (unit at the end), each an array over the sampled crank angles; `meanings` of them; `extremes` refined to
+    their exact crank angles, one-sided where a load jumps; `swings` of bodies and `strokes` of sliders (by slider name).
+    """
+
+    problem: ProblemFile
+    machine: Machine
+    speed: float
+    ranges: Ranges
+    low: float
+    high: float
+    columns: Mapping[str, Array]
+    meanings: Mapping[str, str]
+    extremes: Mapping[str, Extreme]
+    swings: Mapping[str, Travel]
+    strokes: Mapping[str, Travel]
+    jumps: Array
+    work: float
+    singular: Array
+    jammed: Array
+    notes: tuple[str, ...]
+    flywheel: Flywheel | None = None
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    @property
+    def full(self) -> bool:
+        """Whether the crank turns fully."""
+        return self.ranges.full
+
+    @property
+    def sound(self) -> bool:
+        """Whether every position has finite reactions."""
+        return self.singular.size == 0 and self.jammed.size == 0
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """The figures that sum it up, by name: extremes, strokes, swings, time ratios, work."""
+        found = {}
+        for name, extreme in self.extremes.items():
+            found[f"{name}.min"], found[f"{name}.max"] = extreme.least, extreme.largest
+        for name, travel in self.strokes.items():
+            found[f"{name}.stroke_m"], found[f"{name}.time_ratio"] = travel.span, travel.time_ratio
+        for name, travel in self.swings.items():
+            found[f"{name}.swing_rad"], found[f"{name}.time_ratio"] = travel.span, travel.time_ratio
+        found["input.work_per_revolution_J" if self.full else "input.work_over_range_J"] = self.work
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """The analysis as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        mechanism = self.machine.mechanism
+        deg = math.degrees
+        document = {
+            "schema": SCHEMA,
+            "optlink": version(),
+            "problem": self.problem.name,
+            "title": self.problem.model.title,
+            "problem_hash": self.problem.hash,
+            "seed": None,
+            "status": "analysed" if self.sound else "singular positions",
+            "sound": self.sound,
+            "notes": list(self.notes),
+            "groups": [{"kind": g.kind, "joint": g.joint, "bodies": [link.body for link in g.links]} for g in mechanism.groups],
+            "sizes": dict(self.machine.sizes),
+            "speed_rad_s": self.speed,
+            "full_rotation": self.full,
+            "reachable_deg": [[deg(low), deg(high)] for low, high in self.ranges.ranges],
+            "reactions": reactions_told(self.machine),
+            "strokes": {name: _travel(travel, "m") for name, travel in self.strokes.items()},
+            "swings": {name: _travel(travel, "rad") for name, travel in self.swings.items()},
+            "extremes": {
+                name: {"min": e.least, "min_at_deg": deg(e.least_at), "max": e.largest, "max_at_deg": deg(e.largest_at)}
+                for name, e in self.extremes.items()
+            },
+            "load_jumps_deg": np.degrees(self.jumps),
+            "work_J": self.work,
+            "singular_deg": np.degrees(self.singular),
+            "jammed_deg": np.degrees(self.jammed),
+            "meanings": dict(self.meanings),
+            "columns": dict(self.columns),
+        }
+        if self.flywheel:
+            document["flywheel"] = vars(self.flywheel) | {}
+        return finite(document)  # type: ignore[no-any-return]
+
+
+def _travel(travel: Travel, unit: str) -> dict[str, Any]:
+    return {
+        f"span_{unit}": travel.span,
+        f"low_{unit}": travel.low,
+        f"high_{unit}": travel.high,
+        "low_at_deg": math.degrees(travel.low_at),
+        "high_at_deg": math.degrees(travel.high_at),
+        "dead_centres_deg": [math.degrees(at) for at in travel.dead_centres],
+        "time_ratio": travel.time_ratio,
+    }
+
+
+def reactions_told(machine: Machine) -> dict[str, str]:
+    """For every joint which body acts on which, as columns tell it."""
+    found = {}
+    for point, bodies in machine.mechanism.pins.items():
+        if len(bodies) == 2:
+            by, on = acting_on(machine, point)
+            found[point] = f"{by} on {on}"
+        else:
+            first = reported_on(machine)[point]
+            found |= {f"{point}.{body}": f"pin on {body}" for body in (first, *(b for b in bodies if b != first))}
+    for guide in machine.mechanism.guides:
+        found[guide.name] = f"{guide.on} on {guide.slider}, normal to the left of the line"
+    return found
+
+
+def machine_of(problem: ProblemFile, design: Mapping[str, float] | None = None) -> Machine:
+    """The machine that a problem states, of a given design (else its fixed values and starts).
+
+    Raises
+    ------
+    InputError
+    """
+    try:
+        return problem.model.machine(design)
+    except Unusable as error:
+        raise InputError(Fault(error.message, error.remedy, problem.file, error.key, error.value)) from None
+
+
+def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[Ranges, float, float]:
+    """Where the crank can turn, and the range that holds `start` (a revolution from there if the crank turns fully).
+
+    Raises
+    ------
+    InputError
+        when the mechanism cannot be assembled at the start.
+    """
+    ranges = reachable(machine.mechanism, machine.sizes)
+    if ranges.full:
+        return ranges, start, start + TURN
+    holding = ranges.holding(start)
+    if holding is None:
+        failed = failure(machine.mechanism, machine.sizes, start)
+        reach = ", ".join(f"{math.degrees(a):.6g} ... {math.degrees(b):.6g} deg" for a, b in ranges.ranges)
+        remedy = f"Start in a range that can be reached: {reach}" if reach else "No crank angle can be reached: change the sizes"
+        message = f"{failed}" if failed else "the mechanism cannot be assembled"
+        raise InputError(Fault(message, remedy, problem.file, "drive.start", f"{math.degrees(start):.6g} deg"))
+    low, high = holding
+    return ranges, low, high
+
+
+def sampled(start: float, low: float, high: float, speed: float, full: bool, points: int, step: float | None) -> Array:
+    """Crank angles [rad] of the table: from the start once round in the sense of the speed, or through the range."""
+    way = 1.0 if speed > 0.0 else -1.0
+    if not full:
+        edge = MARGIN * (high - low)
+        first, last = (low + edge, high - edge) if way > 0.0 else (high - edge, low + edge)
+        count = points if step is None else max(1, round((high - low) / step))
+        return np.asarray(first + (last - first) * (np.arange(count + 1) / count), dtype=float)
+    if step is None:
+        return np.asarray(start + way * TURN * np.arange(points + 1) / points, dtype=float)
+    count = math.floor(TURN / step * (1.0 + 1e-12))
+    return np.asarray(start + way * step * np.arange(count + 1), dtype=float)
+
+
+def analyze(
+    problem: ProblemFile,
+    points: int = 360,
+    step: float | None = None,
+    speed: float | None = None,
+    design: Mapping[str, float] | None = None,
+) -> Analysis:
+    """Move a machine through its cycle at a constant crank speed: motion, reactions, torque, work.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        From `optlink.load`.
+    points : int
+        Steps of the table per revolution (or over the range); it has one row more.
+    step : float [rad], optional
+        Instead of `points`.
+    speed : float [rad/s], optional
+        Of the crank, negative clockwise; that of the problem if left out.
+    design : mapping of quantity to value [SI], optional
+        For problems with free quantities; their starts are taken if left out.
+
+    Raises
+    ------
+    InputError
+        when the mechanism cannot be assembled, or an argument is out of range.
+    """
+    model = problem.model
+    speed = model.drive.speed.value if speed is None else speed
+    _check(points, step, speed)
+    machine, start = machine_of(problem, design), model.drive.start.value
+    ranges, low, high = motion_range(problem, machine, start)
+    angles = sampled(start, low, high, speed, ranges.full, points, step)
+    if not ranges.full:
+        edge = MARGIN * (high - low)
+        low, high = low + edge, high - edge
+        start = float(angles[0])
+    elif speed < 0.0:
+        low, high = start - TURN, start
+    work = Work(machine, start, low, high, speed)
+    columns, meanings, singular, jammed = _table(machine, angles, speed, start, work)
+    found = _extremes(machine, low, high, speed, work)
+    swings, strokes = travels(machine.mechanism, machine.sizes, low, high, ranges.full)
+    names = slider_names(machine)
+    share = model.drive.fluctuation
+    return Analysis(
+        problem,
+        machine,
+        speed,
+        ranges,
+        low,
+        high,
+        columns,
+        meanings,
+        found,
+        swings,
+        {names[guide]: travel for guide, travel in strokes.items()},
+        work.jumps,
+        float(work(np.array([start + math.copysign(TURN, speed)]))[0]) if ranges.full else float(work(angles[-1:])[0]),
+        singular,
+        jammed,
+        tuple(_notes(problem, ranges, design, machine, singular, jammed)),
+        flywheel(machine, speed, share, low) if share is not None and ranges.full else None,
+    )
+
+
+def _check(points: int, step: float | None, speed: float) -> None:
+    if not 1 <= points <= MAX_POINTS:
+        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_POINTS:,}", key="points", value=points))
+    if step is not None and not TURN / MAX_POINTS <= step <= TURN:
+        raise InputError(Fault("out of range", "Give a step of at most one revolution", key="step", value=f"{step:.6g} rad"))
+    if not math.isfinite(speed) or speed == 0.0 or not 1e-9 <= abs(speed) <= 1e6:
+        remedy = 'Give a speed other than zero, for statics a low one such as "0.01 rpm"'
+        raise InputError(Fault("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s"))
+
+
+CHUNK = 20_000  # positions of the table that are worked on at a time
+
+
+def _table(
+    machine: Machine, angles: Array, speed: float, start: float, work: Work
+) -> tuple[dict[str, Array], dict[str, str], Array, Array]:
+    """Columns of the table, what they mean, and the positions without finite reactions."""
+    parts = [Record(machine.moving(angles[k : k + CHUNK], speed)) for k in range(0, len(angles), CHUNK)]
+    columns = {"crank_angle_deg": np.degrees(angles), "time_s": np.abs(angles - angles[0]) / abs(speed)}
+    meanings = {"crank_angle_deg": "crank angle", "time_s": "time since the first row"}
+    for name, column in parts[0].columns.items():
+        columns[name] = np.concatenate([part[name] for part in parts])
+        meanings[name] = column.meaning
+        if name.endswith(".angle_rad") and len(parts) > 1:
+            columns[name] = np.unwrap(columns[name])
+        if name == "input.power_W":
+            columns["input.work_J"], meanings["input.work_J"] = work(angles), "work of the drive since the first row"
+    singular = np.concatenate([part.singular for part in parts])
+    return columns, meanings, angles[singular], angles[np.concatenate([part.jammed for part in parts])]
+
+
+def _extremes(machine: Machine, low: float, high: float, speed: float, work: Work) -> dict[str, Extreme]:
+    """Least and largest of every column over the motion, one-sided where a load jumps."""
+    pins = [(p, b) for p, bodies in machine.mechanism.pins.items() for b in (bodies[:1] if len(bodies) == 2 else bodies)]
+
+    def values(angles: Array, side: int = 1) -> Array:
+        record = Record(machine.moving(angles, speed, side=side))
+        rows = [column.values for column in record.columns.values() if not column.name.endswith(".angle_rad")]
+        for point, body in pins:
+            x, y = (record.full(part) for part in record.reactions.pins[point][body])
+            rows.append(np.where(record.singular, np.nan, np.sqrt(x * x + y * y)))
+        return np.array(rows)
+
+    first = Record(machine.moving(np.array([low]), speed))
+    names = [name for name in first.columns if not name.endswith(".angle_rad")]
+    names += [f"{p}.f_N" if len(machine.mechanism.pins[p]) == 2 else f"{p}.{b}.f_N" for p, b in pins]
+    grid = np.unique(np.concatenate([np.linspace(low, high, GRID + 1), work.jumps]))
+    at, best = extremes(values, grid, tuple(work.jumps))
+    if work.jumps.size:
+        before = values(work.jumps, side=-1)
+        for k, sign in ((0, 1.0), (1, -1.0)):
+            scored = np.where(np.isfinite(before), before * sign, np.inf)
+            place = np.argmin(scored, axis=1)
+            other = before[np.arange(len(before)), place]
+            better = np.isfinite(other) & ~(best[:, k] * sign <= other * sign)
+            best[:, k], at[:, k] = np.where(better, other, best[:, k]), np.where(better, work.jumps[place], at[:, k])
+    found = {
+        name: Extreme(float(best[i, 0]), float(at[i, 0]), float(best[i, 1]), float(at[i, 1])) for i, name in enumerate(names)
+    }
+    turning = zeros(lambda angles: work.torque(angles)[None, :], grid)[0]
+    places = np.unique(np.concatenate([[low, high], turning, work.jumps]))
+    amounts = work(places)
+    if np.any(np.isfinite(amounts)):
+        i, j = int(np.nanargmin(amounts)), int(np.nanargmax(amounts))
+        found["input.work_J"] = Extreme(float(amounts[i]), float(places[i]), float(amounts[j]), float(places[j]))
+    return found
+
+
+def _notes(
+    problem: ProblemFile, ranges: Ranges, design: Mapping[str, float] | None, machine: Machine, singular: Array, jammed: Array
+) -> list[str]:
+    notes = []
+    free = [name for name in problem.model.free if design is None or name not in design]
+    if free:
+        notes.append(f"free quantities stand at their start values: {', '.join(free)} (--design takes a result)")
+    if not ranges.full:
+        reach = ", ".join(f"{math.degrees(a):.6g} ... {math.degrees(b):.6g} deg" for a, b in ranges.ranges)
+        notes.append(f"the crank cannot turn fully; reachable: {reach} (the last 0.1 % at either end is left out)")
+        for low, high in ranges.ranges[:1]:
+            for end, way in ((low, -1.0), (high, 1.0)):
+                failed = failure(machine.mechanism, machine.sizes, end + way * math.radians(1.0))
+                if failed:
+                    notes.append(f"one degree further, {failed}")
+    for angles, what in (
+        (singular, "a group is in a singular position, no finite reaction holds it"),
+        (jammed, "friction jams a guide"),
+    ):
+        if angles.size:
+            shown = ", ".join(f"{math.degrees(angle):.6g}" for angle in angles[:6]) + (" ..." if angles.size > 6 else "")
+            notes.append(f"{what} at crank angle {shown} deg")
+    if not machine.inertias and not machine.loads:
+        notes.append("no masses and no loads are given, so there are no forces")
+    return notes

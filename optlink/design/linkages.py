@@ -1,0 +1,224 @@
+"""The linkage of a problem file: a four-bar in four lengths, or any chain of dyads as ground points, links and guides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from optlink.design.quantity import Angle, Coordinate, Length, Number, Quantity, Unusable, nearest, read_quantity
+from optlink.design.section import RESERVED, Name, Section
+from optlink.linkage.fourbar import LENGTHS, four_bar
+from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
+from optlink.linkage.structure import StructureError, assemble
+
+
+class FourBarSection(Section):
+    """A four-bar: its sizes, each fixed or free. Pivots A and D on the frame, joints B and C."""
+
+    type: Literal["four-bar"] = "four-bar"
+    crank: Length
+    coupler: Length
+    rocker: Length
+    frame: Length
+    assembly: Literal["left", "right"] = "left"
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """The four lengths."""
+        return {name: getattr(self, name) for name in LENGTHS}
+
+    def linkage(self, name: str, driver: str | None) -> Mechanism:
+        """The mechanism as data."""
+        if driver not in (None, "crank"):
+            raise Unusable("a four-bar is driven at its crank", 'Leave body out, or write body = "crank"', "drive.body", driver)
+        return four_bar(1 if self.assembly == "left" else -1)
+
+    @property
+    def friction(self) -> dict[str, float]:
+        """It has no guides."""
+        return {}
+
+
+def _read_place(raw: object) -> tuple[Quantity, Quantity]:
+    if not isinstance(raw, list | tuple) or len(raw) != 2:
+        raise Unusable("a place is a list of two coordinates", 'Write ["100 mm", "0 mm"]', "", raw)
+    found = []
+    for axis, coordinate in zip(("x", "y"), raw, strict=True):
+        try:
+            found.append(read_quantity(coordinate, "coordinate"))
+        except Unusable as error:
+            raise Unusable(error.message, error.remedy, axis, coordinate) from None
+    return found[0], found[1]
+
+
+def _read_joints(raw: object) -> tuple[str, ...]:
+    if not isinstance(raw, list | tuple) or not 1 <= len(raw) <= 2 or not all(isinstance(name, str) for name in raw):
+        raise Unusable(
+            "expected the names of one or two joints",
+            'Write joints = ["B", "C"] (more under points), or joints = ["E"] for a body that a guide carries',
+            "",
+            raw,
+        )
+    return tuple(raw)
+
+
+def _read_through(raw: object) -> Any:
+    return raw if isinstance(raw, str) else _read_place(raw)
+
+
+Place = Annotated[Any, BeforeValidator(_read_place)]
+
+
+class LinkSection(Section):
+    """A moving body: one or two joints, their distance, and further points (along and across the line of the two)."""
+
+    joints: Annotated[tuple[Name, ...], BeforeValidator(_read_joints)]
+    length: Length | None = None
+    points: dict[Name, Place] = Field(default_factory=dict)
+
+
+class GuideSection(Section):
+    """A prismatic joint: see `optlink.linkage.mechanism.Guide`."""
+
+    slider: str
+    on: str = FRAME
+    through: Annotated[Any, BeforeValidator(_read_through)] = None
+    direction: Angle | None = None
+    offset: Coordinate | None = None
+    at: str = ""
+    tilt: Angle | None = None
+    friction: Number = 0.0
+
+
+class DyadsSection(Section):
+    """Any linkage that is a driving crank and dyads: what is fixed on the ground, the links, the guides, the assembly modes."""
+
+    type: Literal["dyads"]
+    ground: dict[Name, Place]
+    links: dict[Name, LinkSection]
+    guides: dict[Name, GuideSection] = Field(default_factory=dict)
+    assembly: dict[str, str] = Field(default_factory=dict)
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every size of the file by name: D.x, crank.length, link2.P.along, F.offset, F.direction."""
+        found = {}
+        for point, (x, y) in self.ground.items():
+            found[f"{point}.x"], found[f"{point}.y"] = x, y
+        for name, link in self.links.items():
+            if link.length is not None:
+                found[f"{name}.length"] = link.length
+            for point, (along, across) in link.points.items():
+                found[f"{name}.{point}.along"], found[f"{name}.{point}.across"] = along, across
+        for name, guide in self.guides.items():
+            if isinstance(guide.through, tuple):
+                found[f"{name}.x"], found[f"{name}.y"] = guide.through
+            for key in ("direction", "offset", "tilt"):
+                if getattr(guide, key) is not None:
+                    found[f"{name}.{key}"] = getattr(guide, key)
+        return found
+
+    @property
+    def friction(self) -> dict[str, float]:
+        """Coefficients of friction of the guides that have one."""
+        return {name: guide.friction for name, guide in self.guides.items() if guide.friction}
+
+    def linkage(self, name: str, driver: str | None) -> Mechanism:
+        """The mechanism as data.
+
+        Raises
+        ------
+        Unusable
+            when the bodies are no chain of dyads.
+        """
+        self._check_names()
+        links = [link for link, _ in self._links()]
+        body = driver or ("crank" if "crank" in self.links else None)
+        if body is None:
+            raise Unusable("no body is driven", f"Add [drive] body, one of: {', '.join(self.links)}", "drive.body")
+        if body not in self.links:
+            raise Unusable("no such body", nearest(body, self.links), "drive.body", body)
+        points = [point for _, own in self._links() for point in own]
+        try:
+            return assemble(name, self._ground(), links, points, list(self._guides()), body, self.assembly)
+        except StructureError as error:
+            raise Unusable(
+                error.message, error.remedy, f"mechanism.{error.key}" if error.key else "mechanism", error.value
+            ) from None
+
+    def _ground(self) -> dict[str, tuple[Size, Size]]:
+        return {point: (f"{point}.x", f"{point}.y") for point in self.ground}
+
+    def _links(self) -> Iterator[tuple[Link, list[BodyPoint]]]:
+        for name, link in self.links.items():
+            key = f"mechanism.links.{name}"
+            start, end = (*link.joints, "")[:2]
+            if end and link.length is None:
+                raise Unusable("a link with two joints has a length", 'Add length = "100 mm"', f"{key}.length")
+            if not end and link.length is not None:
+                raise Unusable("a body with one joint has no length", 'Add its other joint: joints = ["B", "C"]', f"{key}.joints")
+            own = [start, *([end] if end else []), *link.points]
+            for point in own:
+                if own.count(point) > 1:
+                    raise Unusable("the point is given twice", "Take one of the two out, or rename it", key, point)
+            points = [BodyPoint(p, name, f"{name}.{p}.along", f"{name}.{p}.across") for p in link.points]
+            yield Link(name, start, end, f"{name}.length" if end else 0.0), points
+
+    def _guides(self) -> Iterator[Guide]:
+        for name, guide in self.guides.items():
+            key = f"mechanism.guides.{name}"
+            for what in ("slider", "on"):
+                body = getattr(guide, what)
+                if body not in self.links and not (what == "on" and body == FRAME):
+                    known = [*self.links, FRAME] if what == "on" else list(self.links)
+                    raise Unusable("no such body", nearest(body, known), f"{key}.{what}", body)
+            if guide.slider == guide.on:
+                raise Unusable("a body cannot slide on itself", "Name the body that carries the line", f"{key}.on", guide.on)
+            through: str | tuple[Size, Size]
+            if isinstance(guide.through, tuple):
+                through = (f"{name}.x", f"{name}.y")
+            elif guide.through is None:
+                if guide.on == FRAME:
+                    example = f'through = "{next(iter(self.ground), "D")}", or through = ["0 mm", "575 mm"]'
+                    raise Unusable("a guide on the frame passes through a point", f"Add {example}", f"{key}.through")
+                through = self.links[guide.on].joints[0]
+            else:
+                through = self._point(guide.through, guide.on, f"{key}.through")
+            at = self._point(guide.at, guide.slider, f"{key}.at") if guide.at else ""
+            sizes = {k: f"{name}.{k}" if getattr(guide, k) is not None else 0.0 for k in ("direction", "offset", "tilt")}
+            if not 0.0 <= guide.friction < 10.0:
+                raise Unusable(
+                    "out of range", "A coefficient of friction lies between 0 and 10", f"{key}.friction", guide.friction
+                )
+            yield Guide(name, guide.slider, guide.on, through, at=at, **sizes)
+
+    def _point(self, point: str, body: str, key: str) -> str:
+        known = [*self.ground] if body == FRAME else [*self.links[body].joints, *self.links[body].points]
+        if point not in known:
+            raise Unusable(f"{body} has no such point", nearest(point, known), key, point)
+        return point
+
+    def _check_names(self) -> None:
+        seen: dict[str, str] = {}
+        points = dict.fromkeys(
+            [*self.ground, *(p for link in self.links.values() for p in (*link.joints, *link.points))], "point"
+        )
+        for kind, names in (("body", self.links), ("point", points), ("guide", self.guides)):
+            for name in names:
+                if name in RESERVED:
+                    raise Unusable(f"{name} is a reserved name", "Choose another", "mechanism", name)
+                if name in seen:
+                    raise Unusable(f"{name} names a {seen[name]} and a {kind}", "Rename one of them", "mechanism", name)
+                seen[name] = kind
+        if not self.ground:
+            raise Unusable("nothing is fixed on the ground", 'Add A = ["0 mm", "0 mm"]', "mechanism.ground")
+        if not self.links:
+            raise Unusable("no link is given", 'Add crank = { joints = ["A", "B"], length = "100 mm" }', "mechanism.links")
+
+
+def sizes_of(quantities: Mapping[str, Quantity]) -> dict[str, float]:
+    """Values [SI] of quantities; the start of those that are free."""
+    return {name: quantity.value for name, quantity in quantities.items()}

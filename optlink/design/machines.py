@@ -1,0 +1,150 @@
+"""Problem: a linkage with its masses, loads and drive, checked; what `analyze` and `simulate` take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+from pydantic import Field
+
+from optlink.design.forces import BodySection, DriveSection, Gravity, JointSection, LoadSection
+from optlink.design.linkages import DyadsSection, FourBarSection, sizes_of
+from optlink.design.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
+from optlink.design.section import Name, Section
+from optlink.dynamics.loads import Load, Stroke
+from optlink.dynamics.machine import Machine
+from optlink.linkage.elementwise import Value
+from optlink.linkage.mechanism import FRAME, Mechanism
+
+STROKES = 720  # positions at which the strokes of a load's motion are told apart
+EVEN = 2.0 / STROKES  # share of the revolution below which two strokes count as equally long
+
+
+class Expected(Section):
+    """What a trusted source says that the answer is, and how closely it must be met."""
+
+    source: str
+    crank: FixedLength | None = None
+    coupler: FixedLength | None = None
+    rocker: FixedLength | None = None
+    frame: FixedLength | None = None
+    phi0: FixedAngle | None = None
+    psi0: FixedAngle | None = None
+    length_tolerance: FixedLength | None = None
+    objective: Number | None = None
+    objective_tolerance: Number | None = None
+    figures: dict[str, Number] = Field(default_factory=dict)  # of an analysis, by name
+    figure_tolerance: Number = 1e-6  # relative
+
+
+class Problem(Section):
+    """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
+
+    title: str = Field(min_length=1, max_length=200)
+    source: str = ""
+    about: str = ""
+    gravity: Gravity = (0.0, 0.0)
+    mechanism: FourBarSection | DyadsSection = Field(discriminator="type")
+    bodies: dict[Name, BodySection] = Field(default_factory=dict)
+    joints: dict[Name, JointSection] = Field(default_factory=dict)
+    loads: dict[Name, LoadSection] = Field(default_factory=dict)
+    drive: DriveSection = DriveSection()
+    expected: Expected | None = None
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every quantity that can be fixed or free, by name."""
+        return self.mechanism.quantities
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the free quantities, in the order of the design vector."""
+        return tuple(name for name, quantity in self.quantities.items() if quantity.free)
+
+    @cached_property
+    def linkage(self) -> Mechanism:
+        """The mechanism as data."""
+        return self.mechanism.linkage(self.title, self.drive.body)
+
+    def machine(self, design: Mapping[str, Value] | None = None) -> Machine:
+        """The machine for given quantities [SI] (the values and starts of the file where none are given).
+
+        Raises
+        ------
+        Unusable
+            naming the full key that is to blame.
+        """
+        mechanism, sizes = self.linkage, {**sizes_of(self.mechanism.quantities), **(design or {})}
+        for section, names in (("bodies", mechanism.bodies), ("joints", mechanism.pins)):
+            for name in getattr(self, section):
+                if name not in names:
+                    what = "no such body" if section == "bodies" else "no such pin joint"
+                    raise Unusable(what, nearest(name, names), f"{section}.{name}")
+        for name, joint in self.joints.items():
+            if joint.on is not None and joint.on not in mechanism.pins[name]:
+                remedy = nearest(joint.on, mechanism.pins[name])
+                raise Unusable("the joint is not one of that body", remedy, f"joints.{name}.on", joint.on)
+        inertias = {}
+        for name, body in self.bodies.items():
+            with _below(f"bodies.{name}"):
+                inertias[name] = body.inertia_of(name, mechanism, sizes)
+        bare = Machine(mechanism, sizes)
+        loads = []
+        for name, section_ in self.loads.items():
+            if name in (*mechanism.bodies, *mechanism.owners, *(guide.name for guide in mechanism.guides), FRAME):
+                raise Unusable("the name of a body, point or guide", "Choose another for the load", f"loads.{name}")
+            with _below(f"loads.{name}"):
+                loads.append(section_.build(name, mechanism, lambda load: slow_stroke(bare, load)))
+        return Machine(
+            mechanism,
+            sizes,
+            inertias,
+            self.gravity,
+            tuple(loads),
+            self.mechanism.friction,
+            {name: joint.on for name, joint in self.joints.items() if joint.on is not None},
+        )
+
+
+class _below:
+    """Put a key before the one that an error names."""
+
+    def __init__(self, key: str) -> None:
+        self.key = key
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, Unusable):
+            error.key = f"{self.key}.{error.key}" if error.key else self.key
+
+
+def slow_stroke(machine: Machine, load: Load) -> Stroke:
+    """Which stroke of a load's motion takes longer while the crank turns evenly.
+
+    Raises
+    ------
+    Unusable
+        when both take equally long, or there is no motion.
+    """
+    moving = machine.moving(np.linspace(0.0, 2.0 * np.pi, STROKES, endpoint=False) + 1e-4)
+    velocity = load.reversing(moving)
+    rate = np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), np.shape(moving.motion.assembled))
+    known = rate[np.isfinite(rate)]
+    balance = float(np.mean(np.sign(known))) if known.size else 0.0
+    if abs(balance) <= 2.0 * EVEN:
+        raise Unusable("both strokes take equally long", 'Write stroke = "forward" or "backward"', "stroke")
+    return "forward" if balance > 0.0 else "backward"
+
+
+def cross_check(problem: Problem) -> None:
+    """Find what no single key shows.
+
+    Raises
+    ------
+    Unusable
+        with the full key that is to blame.
+    """
+    problem.machine()

@@ -1,0 +1,123 @@
+"""Speed fluctuation in the steady state, and the flywheel that keeps it small."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.machine import Machine
+from optlink.dynamics.reactions import reactions
+from optlink.dynamics.work import Work
+
+Array = NDArray[np.float64]
+TURN = 2.0 * np.pi
+POSITIONS = 2880
+
+
+@dataclass(frozen=True)
+class Flywheel:
+    """What it takes to run evenly under a constant driving torque.
+
+    `mean_torque` [N m] balances the loads over a revolution at the mean speed [rad/s]; `fluctuation` is (largest - least) / mean
+    speed without a flywheel, `allowed` the one that is asked for, `inertia` the flywheel's [kg m^2] that just keeps it.
+    """
+
+    mean_speed: float
+    mean_torque: float
+    fluctuation: float
+    allowed: float
+    inertia: float
+
+
+@dataclass(frozen=True)
+class SpeedCurve:
+    """Crank speed [rad/s] over the crank angle [rad] in the steady state."""
+
+    crank_angle: Array
+    speed: Array
+
+    @property
+    def mean(self) -> float:
+        """Mean over the crank angle [rad/s]."""
+        return float(np.mean(self.speed))
+
+    @property
+    def fluctuation(self) -> float:
+        """(largest - least) / mean."""
+        return float(np.ptp(self.speed)) / self.mean
+
+
+class Fluctuation:
+    """Energy of a machine over a revolution, from which its speed follows.
+
+    The work that feeds the motion is that of a constant torque minus what loads and gravity take. It is found at the mean speed,
+    so loads that depend on the speed are taken as they are there.
+
+    Source: energy equation of a machine with one degree of freedom (Wittenbauer): (I + J) w^2 / 2 changes by the work done.
+    """
+
+    def __init__(self, machine: Machine, speed: float, start: float = 0.0) -> None:
+        self.machine, self.mean_speed = machine, speed
+        low, high = (start, start + TURN) if speed > 0.0 else (start - TURN, start)
+        self.angles = np.linspace(low, high, POSITIONS, endpoint=False)
+        work = Work(machine, start, low, high, speed)
+        self.mean_torque = float(work(np.array([high]))[0] - work(np.array([low]))[0]) / TURN
+        moving = machine.moving(self.angles, speed)
+        self.inertia = np.broadcast_to(2.0 * moving.kinetic / speed**2, self.angles.shape)  # reduced to the crank [kg m^2]
+        kinetic = np.broadcast_to(moving.kinetic, self.angles.shape)
+        taken = work(self.angles) - kinetic  # what loads and gravity take: the drive's work without the kinetic energy it made
+        self.gain = self.mean_torque * (self.angles - start) - taken
+
+    def curve(self, flywheel: float = 0.0) -> SpeedCurve:
+        """Speed over the revolution with a flywheel [kg m^2] at the crank, its mean the machine's mean speed."""
+        total = self.inertia + flywheel
+        gain = self.gain - np.min(self.gain)
+
+        def speed(energy: float) -> Array:
+            found: Array = np.sqrt(np.maximum(2.0 * (energy + gain) / total, 0.0))
+            return found
+
+        wanted = abs(self.mean_speed)
+        low, high = 0.0, 2.0 * float(np.max(total)) * wanted**2
+        while np.mean(speed(high)) < wanted:
+            high *= 4.0
+        for _ in range(200):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if np.mean(speed(middle)) < wanted else (low, middle)
+        return SpeedCurve(self.angles, np.copysign(speed(high), self.mean_speed))
+
+
+def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0) -> Flywheel:
+    """The flywheel that keeps the fluctuation of the crank speed at `allowed` (share of the mean speed).
+
+    Parameters
+    ----------
+    speed : float [rad/s], mean
+    allowed : float [-], for example 0.02
+    start : float [rad]
+
+    Returns
+    -------
+    Flywheel, inertia 0 if the machine runs evenly enough by itself
+    """
+    balance = Fluctuation(machine, speed, start)
+    alone = abs(balance.curve().fluctuation)
+    low, high = 0.0, max(float(np.ptp(balance.gain)) / (allowed * speed**2), 1e-12)
+    if alone <= allowed:
+        return Flywheel(speed, balance.mean_torque, alone, allowed, 0.0)
+    while abs(balance.curve(high).fluctuation) > allowed:
+        high *= 2.0
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if abs(balance.curve(middle).fluctuation) > allowed else (low, middle)
+        if high - low <= 1e-12 * high:
+            break
+    return Flywheel(speed, balance.mean_torque, alone, allowed, high)
+
+
+def torque_at_rest(machine: Machine, crank_angle: Array, direction: float) -> Array:
+    """Driving torque [N m] that loads, friction and gravity need of a crank that is about to turn in `direction`."""
+    torque = reactions(machine.moving(crank_angle, 0.0, 0.0, direction=direction)).torque
+    return np.broadcast_to(np.asarray(torque, dtype=float), crank_angle.shape)

@@ -1,0 +1,70 @@
+"""Work of the drive over the crank angle, by Gauss's quadrature between the angles where a load jumps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.machine import Machine
+from optlink.dynamics.reactions import reactions
+from optlink.linkage.refine import zeros
+
+Array = NDArray[np.float64]
+PANELS = 180  # per range: 2 degrees each in a revolution
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+def jumps(machine: Machine, low: float, high: float) -> Array:
+    """Crank angles [rad] between `low` and `high` at which a load or friction may jump, rising."""
+    found: list[Array] = []
+    for load in machine.loads:
+        knots = np.asarray(getattr(getattr(load, "magnitude", None), "knots", ()), dtype=float)
+        turns = np.arange(np.floor(low / (2.0 * np.pi)) - 1.0, np.ceil(high / (2.0 * np.pi)) + 1.0) * 2.0 * np.pi
+        found.append((knots[:, None] + turns).ravel())
+    switching = [load for load in machine.loads if load.switching]
+    if switching or machine.friction:
+
+        def rates(angles: Array) -> Array:
+            moving = machine.moving(angles)
+            values = [(load.reversing(moving) or (0.0, 0.0))[0] for load in switching]
+            values += [moving.slides[guide][1] for guide in machine.friction]
+            return np.array([np.broadcast_to(value, angles.shape) for value in values])
+
+        grid = low + (high - low) * np.linspace(0.0, 1.0, 8 * PANELS + 1)
+        found += zeros(rates, grid)
+    angles = np.unique(np.concatenate([*found, np.empty(0)]))
+    inside = angles[(angles > low) & (angles < high)]
+    keep = np.concatenate([np.ones(min(1, len(inside)), dtype=bool), np.diff(inside) > 1e-12])
+    rising: Array = inside[keep]
+    return rising
+
+
+class Work:
+    """Work [J] of the drive since the crank angle `start` [rad], for any crank angle from `low` to `high`."""
+
+    def __init__(self, machine: Machine, start: float, low: float, high: float, speed: float) -> None:
+        self.machine, self.speed = machine, speed
+        self.jumps = jumps(machine, low, high)
+        self.knots = np.unique(np.concatenate([np.linspace(low, high, PANELS + 1), self.jumps]))
+        pieces = self._integral(self.knots[:-1], self.knots[1:])
+        self._sum = np.concatenate([[0.0], np.cumsum(pieces)])
+        self._start = 0.0
+        self._start = float(self(np.array([start]))[0])
+
+    def torque(self, angles: Array) -> Array:
+        """Driving torque [N m] at crank angles (n,)."""
+        torque = reactions(self.machine.moving(angles, self.speed)).torque
+        return np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
+
+    def _integral(self, a: Array, b: Array) -> Array:
+        half = 0.5 * (b - a)
+        points = (0.5 * (a + b))[:, None] + half[:, None] * NODES
+        values = self.torque(points.ravel()).reshape(points.shape)
+        integral: Array = half * (values @ WEIGHTS)
+        return integral
+
+    def __call__(self, angles: Array) -> Array:
+        """Work [J] from the start to crank angles (n,)."""
+        place = np.clip(np.searchsorted(self.knots, angles, side="right") - 1, 0, len(self.knots) - 2)
+        work: Array = self._sum[place] + self._integral(self.knots[place], angles) - self._start
+        return work

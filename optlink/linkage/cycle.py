@@ -1,0 +1,194 @@
+"""What a mechanism does over its whole motion: where the crank can turn, dead centres, strokes, swings, time ratios."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.elementwise import Value, unit
+from optlink.linkage.mechanism import Group, Mechanism
+from optlink.linkage.motion import sweep
+from optlink.linkage.refine import zeros
+
+Array = NDArray[np.float64]
+TURN = 2.0 * math.pi
+GRID = 1440
+"""Positions per revolution among which everything is bracketed."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A position that cannot be reached: which group fails there, and by how much it does not close [m]."""
+
+    crank_angle: float
+    group: Group
+    gap: float
+
+    def __str__(self) -> str:
+        first, second = (link.body for link in self.group.links)
+        what = f"the {self.group.kind} group {first}-{second} (joint {self.group.joint})"
+        amount = f" by {self.gap * 1e3:.6g} mm" if self.gap > 0.0 else ""
+        return f"at crank angle {math.degrees(self.crank_angle):.6g} deg {what} fails to close{amount}"
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Ranges of crank angle [rad] in which every group closes; `full` where that is the whole revolution."""
+
+    ranges: tuple[tuple[float, float], ...]
+    full: bool
+
+    def holding(self, crank_angle: float) -> tuple[float, float] | None:
+        """The range that holds a crank angle, shifted by whole turns to it."""
+        for low, high in self.ranges:
+            shift = TURN * math.ceil((low - crank_angle) / TURN - 1e-12)
+            if low - 1e-12 <= crank_angle + shift <= high + 1e-12:
+                return low - shift, high - shift
+        return None
+
+
+def closing(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Array) -> Array:
+    """Least assembly margin of all groups [-] at crank angles (n,); negative (never NaN) where one fails to close."""
+    with np.errstate(all="ignore"):
+        pose = mechanism.pose(sizes, unit(crank_angle))
+    least = np.full(crank_angle.shape, np.inf)
+    for margin in pose.margins.values():
+        least = np.minimum(least, np.where(np.isnan(margin), np.where(least < 0.0, np.inf, -1.0), margin))
+    return least
+
+
+def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
+    """Where the crank can turn, ends to the last digits.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float [m, rad]
+    """
+    grid = np.linspace(0.0, TURN, GRID + 1)
+
+    def function(angles: Array) -> Array:
+        return closing(mechanism, sizes, angles)[None, :]
+
+    margin = function(grid)[0]
+    if np.all(margin >= 0.0):
+        return Ranges(((0.0, TURN),), True)
+    if np.all(margin < 0.0):
+        return Ranges((), False)
+    ends = zeros(function, grid)[0]
+    if len(ends) == 0:
+        return Ranges((), False)
+    ranges = []
+    for a, b in zip(ends, [*ends[1:], ends[0] + TURN], strict=True):
+        if function(np.array([0.5 * (a + b)]))[0, 0] >= 0.0:
+            ranges.append((_inside(function, a, 1.0), _inside(function, b, -1.0)))
+    return Ranges(tuple(ranges), False)
+
+
+def _inside(function: Callable[[Array], Array], end: float, way: float) -> float:
+    """The end of a range, on the side where the mechanism closes."""
+    for step in (0.0, 1e-15, 1e-14, 1e-13, 1e-12):
+        at = end + way * step * TURN
+        if function(np.array([at]))[0, 0] >= 0.0:
+            return float(at)
+    return float(end)
+
+
+def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float) -> Failure | None:
+    """What fails to close at a crank angle [rad], if anything."""
+    with np.errstate(all="ignore"):
+        pose = mechanism.pose(sizes, unit(np.array([crank_angle])))
+        for group in mechanism.groups:
+            margin = float(np.asarray(pose.margins[group.joint]).ravel()[0])
+            if not margin >= 0.0:
+                return Failure(crank_angle, group, float(np.asarray(group.gap(pose)).ravel()[0]))
+    return None
+
+
+@dataclass(frozen=True)
+class Travel:
+    """The limited motion of a body or slider.
+
+    `dead_centres`: crank angles [rad] at which it reverses, rising within a turn; `low`, `high`: its limits, and `low_at`,
+    `high_at` the crank angles there; `span` = high - low: stroke [m] or swing [rad]; `time_ratio`: duration of the slow stroke
+    over that of the quick one, for two dead centres and an evenly turning crank (NaN else).
+    """
+
+    dead_centres: tuple[float, ...]
+    low: float
+    high: float
+    low_at: float
+    high_at: float
+    time_ratio: float
+
+    @property
+    def span(self) -> float:
+        """Stroke [m] or swing angle [rad]."""
+        return self.high - self.low
+
+
+def travels(
+    mechanism: Mechanism, sizes: Mapping[str, Value], low: float, high: float, full: bool
+) -> tuple[dict[str, Travel], dict[str, Travel]]:
+    """Swinging bodies, and sliders (by guide), over a range of crank angles [rad].
+
+    Parameters
+    ----------
+    low, high : float [rad]
+        The range; one revolution if `full`.
+
+    Returns
+    -------
+    swings, strokes : mappings of body and of guide to Travel; bodies that turn fully or do not turn are left out
+    """
+    bodies = [link.body for link in mechanism.links]
+    guides = [guide.name for guide in mechanism.guides]
+
+    def rates(angles: Array) -> Array:
+        motion = sweep(mechanism, sizes, angles)
+        found = [motion.body_angle(body).rate for body in bodies] + [motion.slide(guide).rate for guide in guides]
+        return np.array(found).reshape(-1, len(angles))
+
+    grid = low + (high - low) * np.linspace(0.0, 1.0, GRID + 1)
+    if full:
+        grid = grid + 0.37 * (grid[1] - grid[0])  # so that no dead centre at a round angle lies on the seam
+    motion = sweep(mechanism, sizes, grid)
+    swings: dict[str, Travel] = {}
+    strokes: dict[str, Travel] = {}
+    for k, centres in enumerate(zeros(rates, grid)):
+        body = k < len(bodies)
+        jet = motion.body_angle(bodies[k]) if body else motion.slide(guides[k - len(bodies)])
+        size = float(np.nanmax(np.abs(jet.rate), initial=0.0))
+        scale = 1.0 if body else float(np.nanmax(np.abs(jet.value), initial=1e-12))
+        if size <= 1e-9 * scale or (body and full and (len(centres) == 0 or abs(jet.value[-1] - jet.value[0]) > math.pi)):
+            continue
+        ends = np.sort(np.concatenate([centres, [] if full else [low, high]]))
+        if len(ends) == 0:
+            continue
+        at = np.concatenate([[grid[0]], ends])  # the first value fixes the branch of a body's angle
+        there = sweep(mechanism, sizes, at)
+        if body:
+            values = np.interp(ends, grid, np.asarray(jet.value))
+            exact = np.asarray(there.body_angle(bodies[k]).value)[1:]
+            values = exact + TURN * np.round((values - exact) / TURN)
+        else:
+            values = np.asarray(there.slide(guides[k - len(bodies)]).value)[1:]
+        ratio = math.nan
+        if full and len(centres) == 2:
+            one = float(centres[1] - centres[0])
+            ratio = max(one, TURN - one) / min(one, TURN - one)
+        first, last = int(np.argmin(values)), int(np.argmax(values))
+        travel = Travel(
+            tuple(float(c) % TURN if full else float(c) for c in centres),
+            float(values[first]),
+            float(values[last]),
+            float(ends[first]),
+            float(ends[last]),
+            ratio,
+        )
+        (swings if body else strokes)[bodies[k] if body else guides[k - len(bodies)]] = travel
+    return swings, strokes

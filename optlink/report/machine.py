@@ -1,0 +1,187 @@
+"""A machine, its analysis and its motion under a torque as well-set tables for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from optlink.analysis import Analysis, machine_of, reactions_told
+from optlink.design.files import ProblemFile
+from optlink.design.linkages import DyadsSection
+from optlink.linkage.cycle import Travel
+from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
+
+COLUMN = tuple[str, str]
+
+
+def machine(file: ProblemFile) -> list[RenderableType]:
+    """What a machine is made of: bodies, joints, groups, masses, loads, drive; and which body acts on which."""
+    model, built = file.model, machine_of(file)
+    mechanism = built.mechanism
+    parts: list[RenderableType] = []
+    if isinstance(model.mechanism, DyadsSection):
+        sizes = grid("\n[mechanism] sizes", [("", "left"), ("", "left")])
+        for name, quantity in model.quantities.items():
+            sizes.add_row(name, str(quantity))
+        parts.append(sizes)
+    order = grid("\nOrder of solution", [("", "left"), ("", "left"), ("", "left"), ("", "left")])
+    order.add_row("crank", mechanism.crank.body, f"pivot {mechanism.crank.start}", "")
+    for group in mechanism.groups:
+        mode = model.mechanism.assembly.get(group.joint, "") if isinstance(model.mechanism, DyadsSection) else ""
+        order.add_row(group.kind, ", ".join(link.body for link in group.links), f"joint {group.joint}", Text(mode, style=QUIET))
+    parts.append(order)
+    if built.inertias:
+        masses = grid(
+            "\n[bodies]",
+            [("body", "left"), ("mass kg", "right"), ("centroid mm", "right"), ("inertia kg m^2", "right")],
+            header=True,
+        )
+        for name, inertia in built.inertias.items():
+            place = f"({number(inertia.along * 1e3)}, {number(inertia.across * 1e3)})"
+            masses.add_row(name, number(inertia.mass), place, number(inertia.moment))
+        parts.append(masses)
+    gravity = math.hypot(*built.gravity)
+    drive = grid("\n[drive] and loads", [("", "left"), ("", "left")])
+    drive.add_row("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}")
+    if model.drive.torque is not None:
+        drive.add_row("torque", "as the file states, for simulate")
+    drive.add_row("gravity", f"({built.gravity[0]:g}, {built.gravity[1]:g}) m/s^2" if gravity else "none")
+    for name, section in model.loads.items():
+        stated = {key: getattr(section, key) for key in type(section).model_fields if key in section.model_fields_set}
+        words = ", ".join(f"{key} {_plain(value)}" for key, value in stated.items())
+        stroke = getattr(next(load for load in built.loads if load.name == name), "stroke", "both")
+        drive.add_row(name, words + (f" (the {stroke} one)" if section.stroke in ("slow", "fast") else ""))
+    for name, coefficient in built.friction.items():
+        drive.add_row(f"friction in {name}", number(coefficient))
+    parts.append(drive)
+    told = grid("\nReactions: force of which body on which", [("", "left"), ("", "left")])
+    for joint, words in reactions_told(built).items():
+        told.add_row(joint, words)
+    parts.append(told)
+    return parts
+
+
+def _plain(value: object) -> str:
+    inner = getattr(value, "value", None)
+    if inner is not None and type(value).__name__ == "Constant":
+        return f"{inner:g}"
+    text = getattr(getattr(value, "expression", None), "text", None)
+    return str(text if text is not None else value)
+
+
+def analysis(outcome: Analysis) -> RenderableType:
+    """Everything about an analysis that fits on a screen or two."""
+    model = outcome.problem.model
+    title = Text(model.title, style=HEAD)
+    sound = "analysed" if outcome.sound else "no finite reactions at some positions"
+    turn = "the crank turns fully" if outcome.full else "the crank cannot turn fully"
+    title.append(f"\n{sound}", style=GOOD if outcome.sound else BAD)
+    title.append(f", {turn}; {_speed(outcome.speed)}")
+    for note in outcome.notes:
+        title.append(f"\nNote: {note}")
+    parts: list[RenderableType] = [title, Text(), _travels(outcome), Text(), _extremes(outcome), Text(), _work(outcome)]
+    return Group(*parts)
+
+
+def _speed(speed: float) -> str:
+    sense = "" if speed > 0.0 else ", clockwise"
+    return f"{abs(speed):.6g} rad/s = {abs(speed) * 30.0 / math.pi:.6g} rpm{sense}"
+
+
+def _travels(outcome: Analysis) -> RenderableType:
+    if not outcome.strokes and not outcome.swings:
+        return Text("No body swings and no slider moves to and fro")
+    columns: list[COLUMN] = [("", "left"), ("from", "right"), ("to", "right"), ("span", "right"), ("", "left")]
+    table = grid("Strokes and swings", [*columns, ("dead centres, crank deg", "left"), ("time ratio", "right")], header=True)
+    for travels, factor, unit in ((outcome.strokes, 1e3, "mm"), (outcome.swings, math.degrees(1.0), "deg")):
+        for name, travel in travels.items():
+            _travel_row(table, name, travel, factor, unit)
+    return table
+
+
+def _travel_row(table: Table, name: str, travel: Travel, factor: float, unit: str) -> None:
+    centres = ", ".join(f"{math.degrees(at):.4f}" for at in travel.dead_centres)
+    low, high, span = (f"{value * factor:.4f}" for value in (travel.low, travel.high, travel.span))
+    table.add_row(name, low, high, span, unit, centres, fixed(travel.time_ratio, 5))
+
+
+WORTH = {
+    ".v_m_s": "m/s",
+    ".a_m_s2": "m/s^2",
+    ".transmission_rad": "deg",
+    ".f_N": "N",
+    ".normal_N": "N",
+    ".moment_Nm": "N m",
+    "input.torque_Nm": "N m",
+    "input.power_W": "W",
+    "frame.shaking_fx_N": "N",
+    "frame.shaking_fy_N": "N",
+    "frame.shaking_moment_Nm": "N m",
+}
+"""Endings of the columns whose extremes are worth a line, and their units for people."""
+
+WORDS = {
+    "v_m_s": "velocity",
+    "a_m_s2": "acceleration",
+    "transmission_rad": "transmission angle",
+    "f_N": "force",
+    "normal_N": "normal force",
+    "moment_Nm": "moment",
+    "torque_Nm": "torque",
+    "power_W": "power",
+    "shaking_fx_N": "shaking force in x",
+    "shaking_fy_N": "shaking force in y",
+    "shaking_moment_Nm": "shaking moment",
+    "omega_rad_s": "angular velocity",
+    "alpha_rad_s2": "angular acceleration",
+}
+
+
+def _extremes(outcome: Analysis) -> Table:
+    columns: list[COLUMN] = [("", "left"), ("least", "right"), ("at deg", "right"), ("largest", "right"), ("at deg", "right")]
+    table = grid("Extremes over the motion, at their exact crank angles", [*columns, ("", "left")], header=True)
+    moving = {name for name, extreme in outcome.extremes.items() if max(abs(extreme.least), abs(extreme.largest)) > 0.0}
+    for name, extreme in outcome.extremes.items():
+        unit = next((unit for ending, unit in WORTH.items() if name.endswith(ending)), None)
+        if unit is None or name not in moving or not math.isfinite(extreme.least):
+            continue
+        factor = math.degrees(1.0) if unit == "deg" else 1.0
+        owner, _, what = name.rpartition(".")
+        table.add_row(
+            f"{owner}: {WORDS.get(what, what)}",
+            number(extreme.least * factor, 7),
+            fixed(math.degrees(extreme.least_at), 4),
+            number(extreme.largest * factor, 7),
+            fixed(math.degrees(extreme.largest_at), 4),
+            Text(unit, style=QUIET),
+        )
+    return table
+
+
+def _work(outcome: Analysis) -> Table:
+    table = grid("Work of the drive", [("", "left"), ("", "right"), ("", "left")])
+    scale = max((abs(v) for v in outcome.extremes.get("input.work_J", (0.0,))), default=0.0)
+    work = outcome.work if abs(outcome.work) > 1e-12 * scale else 0.0  # rounding of what cancels
+    table.add_row("per revolution" if outcome.full else "over the range", number(work, 9), "J")
+    if "input.work_J" in outcome.extremes:
+        extreme = outcome.extremes["input.work_J"]
+        table.add_row("least since the start", number(extreme.least, 9), f"J at {math.degrees(extreme.least_at):.4f} deg")
+        table.add_row("largest since the start", number(extreme.largest, 9), f"J at {math.degrees(extreme.largest_at):.4f} deg")
+    wheel = outcome.flywheel
+    if wheel:
+        table.add_row("mean torque", number(wheel.mean_torque), "N m")
+        table.add_row("speed fluctuation", number(wheel.fluctuation), "of the mean speed under that constant torque, no flywheel")
+        table.add_row("flywheel", number(wheel.inertia), f"kg m^2 at the crank keeps it at {wheel.allowed:g}")
+    return table
+
+
+def figures(found: Mapping[str, float]) -> Table:
+    """Named figures, a line each."""
+    table = grid("", [("", "left"), ("", "right")])
+    for name, value in found.items():
+        table.add_row(name, number(value, 9))
+    return table
