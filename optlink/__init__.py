@@ -11,16 +11,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from optlink.version import VERSION as __version__
 
 if TYPE_CHECKING:
+    from optlink.analysis import Analysis, analyze
     from optlink.design.files import ProblemFile, load, read, shipped
     from optlink.errors import InputError, OptlinkError, SolverError, Status
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.linkage.motion import sweep
+    from optlink.simulation import Simulation, simulate
     from optlink.workflow import Result, read_design, solve, validate
 
 _HOME = {
+    "Analysis": "optlink.analysis",
+    "analyze": "optlink.analysis",
+    "Simulation": "optlink.simulation",
+    "simulate": "optlink.simulation",
     "InputError": "optlink.errors",
     "OptlinkError": "optlink.errors",
     "SolverError": "optlink.errors",
@@ -39,19 +45,23 @@ _HOME = {
 }
 
 __all__ = [
+    "Analysis",
     "InputError",
     "OptlinkError",
     "ProblemFile",
     "Result",
+    "Simulation",
     "SolverError",
     "Status",
     "__version__",
+    "analyze",
     "four_bar",
     "grashof",
     "load",
     "read",
     "read_design",
     "shipped",
+    "simulate",
     "solve",
     "sweep",
     "validate",

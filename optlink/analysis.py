@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import Unusable
-from optlink.documents import finite, version
+from optlink.documents import finite
 from optlink.dynamics.flywheel import Flywheel, flywheel
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.reactions import acting_on, reported_on
@@ -21,6 +21,7 @@ from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
 from optlink.linkage.cycle import TURN, Ranges, Travel, failure, reachable, travels
 from optlink.linkage.refine import extremes, zeros
+from optlink.version import VERSION
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/analysis/1"
@@ -96,7 +97,7 @@ class Analysis:
         deg = math.degrees
         document = {
             "schema": SCHEMA,
-            "optlink": version(),
+            "optlink": VERSION,
             "problem": self.problem.name,
             "title": self.problem.model.title,
             "problem_hash": self.problem.hash,

@@ -274,6 +274,70 @@ def analyze(
             raise typer.Exit(1)
 
 
+@app.command()
+def simulate(
+    problem: Problem,
+    duration: Annotated[str | None, typer.Option(metavar="TIME", help='--duration "2 s"; that of the problem else.')] = None,
+    points: Annotated[int, typer.Option(parser=_whole_number, metavar="N", help="Steps of the table.")] = 1000,
+    speed: Speed = None,
+    torque: Annotated[str | None, typer.Option(metavar="TORQUE", help='A constant driving torque: --torque "5 N*m".')] = None,
+    flywheel: Annotated[str | None, typer.Option(metavar="J", help='At the crank: --flywheel "0.2 kg*m^2".')] = None,
+    changes: Set = None,
+    design: Design = None,
+    csv: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the whole table there.")] = None,
+    as_json: Json = False,
+    out: Out = None,
+) -> None:
+    """Motion in time, under the problem's torque or at its constant speed; with drift and energy account."""
+    with _reported(as_json):
+        from optlink.simulation import simulate as run
+        from optlink.workflow import read_design
+
+        file = _load(problem, [*(changes or []), *([f'drive.torque="{torque}"'] if torque else [])])
+        given = read_design(file, design) if design else None
+        _places(csv, out)
+        with _share("simulating") as progress:
+            result = run(
+                file,
+                _quantity(duration, "time", "--duration"),
+                points,
+                _quantity(speed, "angular velocity", "--speed"),
+                given,
+                progress,
+                _quantity(flywheel, "moment of inertia", "--flywheel") or 0.0,
+            )
+        if csv is not None:
+            from optlink.report.store import write_csv
+
+            write_csv(csv, result.columns)
+        if out is not None:
+            from optlink.report.course import write_all
+
+            with _working(f"Drawing into {out}"):
+                write_all(result, out)
+        if as_json:
+            _print_json(result.to_dict())
+        else:
+            from optlink.report import machine, terminal
+
+            terminal.console().print(machine.simulation(result))
+        if not result.finished:
+            raise typer.Exit(3 if result.run.ending.value == "stalled" else 1)
+
+
+@contextlib.contextmanager
+def _share(what: str) -> Iterator[Callable[[float], None]]:
+    """A bar with the time left on standard error."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from optlink.report import terminal
+
+    columns = (TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
+    with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda share: bar.update(task, completed=share)
+
+
 def _quantity(text: str | None, kind: str, option: str) -> float | None:
     """An option that is a number with a unit."""
     if text is None:

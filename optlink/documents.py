@@ -19,10 +19,3 @@ def finite(value: Any) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def version() -> str:
-    """Version of the package."""
-    from optlink import __version__
-
-    return __version__

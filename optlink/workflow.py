@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from optlink.design.files import ProblemFile, parse_assignment
 from optlink.design.objectives import MEASURES
 from optlink.design.quantity import Quantity, Unusable, nearest, read_quantity
-from optlink.documents import finite, version
+from optlink.documents import finite
 from optlink.errors import Fault, InputError, Status
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove
+from optlink.version import VERSION
 
 if TYPE_CHECKING:
     from optlink.solvers.search import Agreement
@@ -126,7 +127,7 @@ class Result:
         """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
         document: dict[str, Any] = {
             "schema": SCHEMA,
-            "optlink": version(),
+            "optlink": VERSION,
             "problem": self.problem.name,
             "title": self.problem.spec.title,
             "problem_hash": self.problem.hash,

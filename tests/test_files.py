@@ -274,7 +274,7 @@ def test_five_thousand_mutated_problems_never_break_the_loader(crank_rocker):
         assert all(math.isfinite(bound) for q in problem.model.quantities.values() for bound in (q.value, *q.bounds))
         if "requirement" in raw:
             assert len(problem.spec.law.offsets) >= 1
-        assert np.all(np.isfinite(problem.spec.law.tabulated))
+            assert np.all(np.isfinite(problem.spec.law.tabulated))
     assert loaded > 200
     assert refused > 2000
 

@@ -56,7 +56,7 @@ class Machine:
         side : int
             Where a load jumps, at the reversal of what it opposes: +1 the value just after, -1 just before.
         direction : +1 or -1, optional
-            Sense of the crank's rotation; that of the speed if left out (needed where the crank starts from rest).
+            Sense of the crank's rotation; that of the speed if left out, positive where the crank stands still.
         """
         return Moving(self, sweep(self.mechanism, self.sizes, crank_angle, speed, acceleration), side, direction)
 
@@ -78,7 +78,7 @@ class Moving:
 
     def __init__(self, machine: Machine, motion: Motion, side: int = 1, direction: Value = None) -> None:
         self.machine, self.motion, self.side = machine, motion, side
-        self.direction = np.sign(motion.speed) if direction is None else direction
+        self.direction = np.where(np.asarray(motion.speed) < 0.0, -1.0, 1.0) if direction is None else direction
         self._states: dict[str, State] = {}
 
     @property
@@ -159,12 +159,18 @@ class Moving:
 
     @cached_property
     def _still(self) -> bool:
-        return not isinstance(self.motion.speed, Jet) and bool(np.all(np.asarray(self.motion.speed) == 0.0))
+        """Whether the crank stands still anywhere."""
+        speed = self.motion.speed
+        return isinstance(speed, float | int | np.ndarray | np.generic) and bool(np.any(np.asarray(speed) == 0.0))
 
     @cached_property
     def _geared(self) -> Moving:
         """The same positions with a crank that turns at 1 rad/s."""
         return self.machine.moving(self.motion.crank_angle, self.direction, 0.0, self.side, self.direction)
+
+    def scaled(self, speed: Value, acceleration: Value, direction: Value) -> Moving:
+        """The same positions at another crank speed and acceleration; this motion must be that of an even 1 rad/s."""
+        return Moving(self.machine, self.motion.scaled(speed, acceleration), self.side, direction)
 
     @cached_property
     def kinetic(self) -> Value:

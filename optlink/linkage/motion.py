@@ -26,7 +26,7 @@ class Motion:
 
     mechanism: Mechanism
     sizes: Mapping[str, Value]
-    crank_angle: Array
+    crank_angle: Value
     speed: Value
     pose: Pose
     crank_acceleration: Value = 0.0
@@ -65,6 +65,20 @@ class Motion:
         """Where every group closes."""
         margins = [self.margin(joint) for joint in self.pose.margins]
         return np.all([margin >= 0.0 for margin in margins], axis=0) if margins else np.ones(self._shape, dtype=bool)
+
+    def scaled(self, speed: Value, acceleration: Value) -> Motion:
+        """The same positions at another crank speed; this motion must be that of 1 rad/s without acceleration."""
+
+        def scale(x: Value) -> Value:
+            if not isinstance(x, Jet):
+                return x
+            return Jet(x.value, speed * x.rate, speed * speed * x.acceleration + acceleration * x.rate)
+
+        pose = Pose(self.mechanism, self.sizes)
+        pose.points = {name: (scale(x), scale(y)) for name, (x, y) in self.pose.points.items()}
+        pose.directions = {name: (scale(x), scale(y)) for name, (x, y) in self.pose.directions.items()}
+        pose.margins = self.pose.margins
+        return Motion(self.mechanism, self.sizes, self.crank_angle, speed, pose, acceleration)
 
     @cached_property
     def _shape(self) -> tuple[int, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -14,6 +13,7 @@ from optlink.design.files import ProblemFile
 from optlink.design.linkages import DyadsSection
 from optlink.linkage.cycle import Travel
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
+from optlink.simulation import Simulation
 
 COLUMN = tuple[str, str]
 
@@ -179,9 +179,30 @@ def _work(outcome: Analysis) -> Table:
     return table
 
 
-def figures(found: Mapping[str, float]) -> Table:
-    """Named figures, a line each."""
-    table = grid("", [("", "left"), ("", "right")])
-    for name, value in found.items():
-        table.add_row(name, number(value, 9))
-    return table
+def simulation(outcome: Simulation) -> RenderableType:
+    """How a simulation went: where it ended, works and energy account, drift, evenness of the last turn."""
+    found, course = outcome.figures, outcome.run
+    title = Text(outcome.problem.model.title, style=HEAD)
+    title.append(f"\n{course.ending.value}", style=GOOD if outcome.finished else BAD)
+    title.append(f", driven by {outcome.driven}; {course.ending.text}")
+    for note in outcome.notes:
+        title.append(f"\nNote: {note}")
+    end = grid("At the end", [("", "left"), ("", "right"), ("", "left")])
+    end.add_row("time", number(found["end.time_s"], 9), "s")
+    turns = found["end.crank_angle_rad"] / (2.0 * math.pi)
+    end.add_row("crank angle", number(found["end.crank_angle_rad"], 10), f"rad ({turns:.4f} turns)")
+    speed = found["end.speed_rad_s"]
+    end.add_row("crank speed", number(speed, 10), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)")
+    if "last_turn.mean_speed_rad_s" in found:
+        mean, share = found["last_turn.mean_speed_rad_s"], found["last_turn.fluctuation"]
+        end.add_row("last turn: mean speed", number(mean), f"rad/s, fluctuation {share:.4%}")
+    works = grid("Energy account", [("", "left"), ("", "right"), ("", "left")])
+    for name, work in course.works.items():
+        works.add_row("work of the drive" if name == "input" else f"work of {name}", number(float(work[-1]), 9), "J")
+    works.add_row("kinetic and gravity's energy gained", number(float(course.energy[-1] - course.energy[0]), 9), "J")
+    share = course.imbalance / course.turnover if course.turnover > 0.0 else 0.0
+    works.add_row("largest imbalance on the way", f"{course.imbalance:.1e}", f"J, {share:.1e} of the largest amount")
+    check = f"{course.drift:.1e} m, {course.drift_angle:.1e} rad"
+    words = f"Drift of the twice integrated positions from the closed loops: at most {check}"
+    tail = Text(f"{words}\n{course.steps} steps, {course.evaluations} evaluations", style=QUIET)
+    return Group(title, Text(), end, Text(), works, Text(), tail)
