@@ -15,6 +15,7 @@ from optlink.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from optlink.analysis import Analysis, analyze
+    from optlink.batch import analyze_batch
     from optlink.design.files import ProblemFile, load, read, shipped
     from optlink.errors import InputError, OptlinkError, SolverError, Status
     from optlink.linkage.fourbar import four_bar, grashof
@@ -27,6 +28,7 @@ _HOME = {
     "analyze": "optlink.analysis",
     "Simulation": "optlink.simulation",
     "simulate": "optlink.simulation",
+    "analyze_batch": "optlink.batch",
     "InputError": "optlink.errors",
     "OptlinkError": "optlink.errors",
     "SolverError": "optlink.errors",
@@ -55,6 +57,7 @@ __all__ = [
     "Status",
     "__version__",
     "analyze",
+    "analyze_batch",
     "four_bar",
     "grashof",
     "load",

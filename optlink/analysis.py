@@ -20,6 +20,7 @@ from optlink.dynamics.record import Record, slider_names
 from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
 from optlink.linkage.cycle import TURN, Ranges, Travel, failure, reachable, travels
+from optlink.linkage.elementwise import Value
 from optlink.linkage.refine import extremes, zeros
 from optlink.version import VERSION
 
@@ -156,7 +157,7 @@ def reactions_told(machine: Machine) -> dict[str, str]:
     return found
 
 
-def machine_of(problem: ProblemFile, design: Mapping[str, float] | None = None) -> Machine:
+def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) -> Machine:
     """The machine that a problem states, of a given design (else its fixed values and starts).
 
     Raises

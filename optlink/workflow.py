@@ -21,6 +21,7 @@ from optlink.errors import Fault, InputError, Status
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
+from optlink.units import show
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove
 from optlink.version import VERSION
@@ -343,7 +344,7 @@ def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float
     InputError
         unknown or missing names, values that are no quantities.
     """
-    quantities = problem.spec.quantities
+    quantities = problem.model.quantities
     given: dict[str, float] = {}
     for key, value in (pair for text in assignments for pair in _pairs(text, quantities)):
         name = key.removeprefix("mechanism.")
@@ -354,9 +355,9 @@ def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float
         except Unusable as error:
             raise InputError(Fault(error.message, error.remedy, problem.file, f"--design {name}", value)) from None
         given[name] = quantity.value
-    missing = [name for name in problem.spec.free if name not in given]
+    missing = [name for name in problem.model.free if name not in given]
     if missing:
-        starts = ((name, *people(name, quantities[name].value)) for name in missing)
-        example = " ".join(f'--design {name}="{value:.6g} {unit}"' for name, value, unit in starts)
+        starts = ((name, show(quantities[name].value, quantities[name].kind)) for name in missing)
+        example = " ".join(f'--design {name}="{value}"' for name, value in starts)
         raise InputError(Fault(f"the design lacks {', '.join(missing)}", f"Add for example {example}", problem.file, "--design"))
     return given

@@ -373,12 +373,13 @@ _SOLVERS: dict[type, Callable[..., _Solved]] = {RRR: _rrr, RRP: _rrp, RPR: _rpr,
 # --- what is made of them ----------------------------------------------------------------------------------------------
 
 
-def torque_parts(moving: Moving) -> dict[str, Value]:
+def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Value]:
     """Driving torque [N m] split into what inertia, gravity and loads need; friction counts among the loads."""
     smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
     inertia = reactions(smooth, required(smooth, gravity=False, loads=False)).torque
     gravity = reactions(smooth, required(smooth, inertia=False, loads=False)).torque
-    return {"inertia": inertia, "gravity": gravity, "load": reactions(moving).torque - inertia - gravity}
+    total = (whole or reactions(moving)).torque
+    return {"inertia": inertia, "gravity": gravity, "load": total - inertia - gravity}
 
 
 def shaking(moving: Moving) -> Wrench:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,10 +28,14 @@ class Column(NamedTuple):
 
 
 class Record:
-    """A machine at crank angles (n,): columns by name; positions that are singular, or at which friction locks a guide."""
+    """A machine at crank angles (n,), or a batch of designs (designs, n): columns by name.
 
-    def __init__(self, moving: Moving) -> None:
-        self.moving, self.machine = moving, moving.machine
+    `singular`: positions without finite reactions; `jammed`: where friction locks a guide. `wanted`: names of the columns that
+    are needed, all if left out.
+    """
+
+    def __init__(self, moving: Moving, wanted: Collection[str] | None = None) -> None:
+        self.moving, self.machine, self.wanted = moving, moving.machine, wanted
         self.shape = np.shape(moving.motion.assembled)
         with np.errstate(all="ignore"):
             self.reactions: Reactions = reactions(moving)
@@ -39,7 +43,10 @@ class Record:
             infinite = ~np.isfinite(self.full(self.reactions.torque)) & moving.motion.assembled
             self.jammed = self.full(self.reactions.jammed).astype(bool)
             self.singular: NDArray[np.bool_] = np.any([*near, infinite & ~self.jammed], axis=0)
-            self.columns = {column.name: column for column in self._all()}
+            self.columns = {column.name: column for column in self._all() if self._wants(column.name)}
+
+    def _wants(self, *names: str) -> bool:
+        return self.wanted is None or any(name in self.wanted for name in names)
 
     def full(self, value: Value) -> Array:
         """An array of all positions."""
@@ -58,7 +65,8 @@ class Record:
         moving, mechanism = self.moving, self.machine.mechanism
         for body in mechanism.bodies:
             state = moving.state(body)
-            yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", moving.motion.body_angle(body).value
+            if self._wants(f"{body}.angle_rad"):
+                yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", moving.motion.body_angle(body).value
             yield f"{body}.omega_rad_s", f"angular velocity of {body}", state.omega
             yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", state.alpha
         for point, bodies in mechanism.owners.items():
@@ -77,7 +85,7 @@ class Record:
             yield f"{names[guide]}.v_m_s", f"sliding velocity in the guide {guide}", v
             yield f"{names[guide]}.a_m_s2", f"sliding acceleration in the guide {guide}", a
         for group in mechanism.groups:
-            if isinstance(group, RRR):
+            if isinstance(group, RRR) and self._wants(f"{group.joint}.transmission_rad"):
                 j = moving.position(group.joint)
                 p, q = (minus(moving.position(pin), j) for pin in group.pins)
                 yield (
@@ -115,19 +123,22 @@ class Record:
                     yield f"{name}.torque_Nm", f"torque of the load {load.name} on {acting.body}", acting.torque
         torque = found.torque
         yield "input.torque_Nm", f"torque of the drive on {machine.mechanism.crank.body}", torque
-        for part, value in torque_parts(moving).items():
-            yield f"input.torque_{part}_Nm", f"what of the driving torque goes into {part}", value
+        parts = ("inertia", "gravity", "load")
+        if self._wants(*(f"input.torque_{part}_Nm" for part in parts)):
+            for part, value in torque_parts(moving, found).items():
+                yield f"input.torque_{part}_Nm", f"what of the driving torque goes into {part}", value
         yield "input.power_W", "power of the drive", torque * moving.motion.speed
-        shaken = shaking(moving)
+        if self._wants(*(f"frame.shaking_{part}" for part in ("fx_N", "fy_N", "moment_Nm"))):
+            yield from self._shaking()
+        if self._wants("energy.kinetic_J", "energy.potential_J"):
+            yield "energy.kinetic_J", "kinetic energy", moving.kinetic
+            yield "energy.potential_J", "potential energy of gravity and springs, gravity's zero at y = 0", moving.potential
+
+    def _shaking(self) -> Iterator[tuple[str, str, Value]]:
+        shaken, pivot = shaking(self.moving), self.machine.mechanism.crank.start
         for axis, value in zip("xy", shaken.force, strict=True):
             yield f"frame.shaking_f{axis}_N", f"shaking force on the frame in {axis}: minus the rate of momentum", value
-        yield (
-            "frame.shaking_moment_Nm",
-            f"shaking moment on the frame about {machine.mechanism.crank.start}",
-            shaken.moment,
-        )
-        yield "energy.kinetic_J", "kinetic energy", moving.kinetic
-        yield "energy.potential_J", "potential energy of gravity and springs, gravity's zero at y = 0", moving.potential
+        yield "frame.shaking_moment_Nm", f"shaking moment on the frame about {pivot}", shaken.moment
 
 
 def _nothing(parts: tuple[Any, Any]) -> bool:

@@ -175,6 +175,7 @@ def travels(
             values = np.interp(ends, grid, np.asarray(jet.value))
             exact = np.asarray(there.body_angle(bodies[k]).value)[1:]
             values = exact + TURN * np.round((values - exact) / TURN)
+            values = values - TURN * np.round(0.5 * (np.min(values) + np.max(values)) / TURN)
         else:
             values = np.asarray(there.slide(guides[k - len(bodies)]).value)[1:]
         ratio = math.nan

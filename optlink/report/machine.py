@@ -83,7 +83,9 @@ def analysis(outcome: Analysis) -> RenderableType:
     title.append(f", {turn}; {_speed(outcome.speed)}")
     for note in outcome.notes:
         title.append(f"\nNote: {note}")
-    parts: list[RenderableType] = [title, Text(), _travels(outcome), Text(), _extremes(outcome), Text(), _work(outcome)]
+    parts: list[RenderableType] = [title, Text(), _travels(outcome), Text(), _extremes(outcome)]
+    if outcome.machine.inertias or outcome.machine.loads:
+        parts += [Text(), _work(outcome)]
     return Group(*parts)
 
 

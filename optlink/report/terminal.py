@@ -51,7 +51,7 @@ def number(value: float, digits: int = 6) -> str:
 
 def fixed(value: float, digits: int = 3) -> str:
     """A figure with a fixed number of decimals; a dash where there is none."""
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "-"  # + 0.0: no minus before a zero
 
 
 def result(outcome: Result) -> RenderableType:

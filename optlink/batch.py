@@ -1,0 +1,85 @@
+"""Thousands of designs of one machine in one call: chosen columns of the analysis, in portions that stay in the cache."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from optlink.analysis import machine_of
+from optlink.design.files import ProblemFile
+from optlink.design.quantity import nearest
+from optlink.dynamics.record import Record
+from optlink.errors import Fault, InputError
+from optlink.linkage.cycle import TURN
+
+Array = NDArray[np.float64]
+PORTION = 12_000
+"""Positions that are worked on at a time: a few dozen intermediate arrays of them stay in the processor's cache."""
+
+
+def analyze_batch(
+    problem: ProblemFile,
+    designs: Mapping[str, ArrayLike],
+    columns: Sequence[str] = ("input.torque_Nm",),
+    points: int = 360,
+    speed: float | None = None,
+) -> dict[str, Array]:
+    """Columns of the analysis for many designs at once.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    designs : mapping of quantity (see `optlink show`) to array (designs,) [SI]
+        What is not named keeps its value.
+    columns : names as in `Analysis.columns`
+    points : int
+        Crank angles per revolution, from the start of the problem on, the last one step before the first.
+    speed : float [rad/s], optional
+        Of the crank; that of the problem if left out.
+
+    Returns
+    -------
+    columns by name, arrays (designs, points); NaN where a design cannot be assembled or is singular. Memory beside these arrays
+    does not grow with the number of designs.
+
+    Raises
+    ------
+    InputError
+        unknown quantities or columns, arrays of different length, values that are not finite.
+    """
+    arrays = _read(problem, designs)
+    count = len(next(iter(arrays.values())))
+    drive = problem.model.drive
+    way = drive.speed.value if speed is None else speed
+    angles = drive.start.value + np.copysign(TURN, way) * np.arange(points) / points
+    known = Record(machine_of(problem).moving(angles[:1], way)).columns
+    for name in columns:
+        if name not in known:
+            raise InputError(Fault("no such column", nearest(name, known), problem.file, "columns", name))
+    found = {name: np.empty((count, points)) for name in columns}
+    step = max(1, PORTION // points)
+    for first in range(0, count, step):
+        part = slice(first, first + step)
+        machine = machine_of(problem, {name: values[part, None] for name, values in arrays.items()})
+        record = Record(machine.moving(angles, way), columns)
+        for name in columns:
+            found[name][part] = record[name]
+    return found
+
+
+def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    known = problem.model.mechanism.quantities
+    arrays = {name: np.atleast_1d(np.asarray(values, dtype=float)) for name, values in designs.items()}
+    if not arrays:
+        raise InputError(Fault("no quantity is varied", f"Name one of: {', '.join(known)}", problem.file, "designs"))
+    sizes = {len(values) for values in arrays.values()}
+    for name, values in arrays.items():
+        if name not in known:
+            raise InputError(Fault("unknown quantity", nearest(name, known), problem.file, "designs", name))
+        if values.ndim != 1 or len(sizes) > 1:
+            raise InputError(Fault("one value per design is needed", "Give arrays of one length", problem.file, name))
+        if not np.all(np.isfinite(values)) or (known[name].kind == "length" and np.any(values <= 0.0)):
+            raise InputError(Fault("not a size", "Give finite values, lengths above zero", problem.file, name))
+    return arrays

@@ -1,0 +1,112 @@
+"""Labels that stand clear: of lines, of one another, and inside their axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+from numpy.typing import NDArray
+
+from optlink.report.style import HALO, WANTED
+
+Array = NDArray[np.float64]
+WAYS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)])
+REACHES = np.array([2.0, 5.0, 9.0, 15.0, 24.0, 36.0])  # [pt] from what is labelled to the label
+STEP = 3.0  # [pixel] at which lines are looked at
+
+
+@dataclass(frozen=True)
+class Label:
+    """A text beside a point (data coordinates): `clear` [pt] is the radius of what is there, `prefer` a direction (x, y)."""
+
+    axes: Axes
+    at: tuple[float, float]
+    text: str
+    colour: str = WANTED
+    size: float = 9.0
+    clear: float = 3.0
+    prefer: tuple[float, float] = (0.0, 0.0)
+
+
+def settle(figure: Figure, labels: Iterable[Label]) -> None:
+    """Lay the figure out for good, and put every label where it hides least and is not cut off."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    by_axes: dict[Axes, list[Label]] = {}
+    for label in labels:
+        if np.all(np.isfinite(label.at)):
+            by_axes.setdefault(label.axes, []).append(label)
+    for axes, own in by_axes.items():
+        _place(axes, own)
+
+
+def _place(axes: Axes, labels: list[Label]) -> None:
+    figure = axes.get_figure()
+    assert figure is not None
+    point = figure.dpi / 72.0
+    area = axes.get_window_extent()
+    inside = np.array([area.x0, area.y0, area.x1, area.y1])
+    crowd = _crowd(axes, inside, point)
+    taken: list[Array] = []
+    for label in labels:
+        text = axes.text(*label.at, label.text, ha="center", va="center", color=label.colour, fontsize=label.size, zorder=9)
+        text.set_path_effects(HALO)
+        text.set_in_layout(False)
+        extent = text.get_window_extent()
+        half = np.array([0.5 * extent.width, 0.5 * extent.height])
+        anchor = axes.transData.transform(label.at)
+        reach = (REACHES + label.clear) * point
+        # the box is pushed along each way until its near side is `reach` away
+        centres = anchor + (WAYS * reach[:, None, None] + WAYS * half).reshape(-1, 2)
+        boxes = np.concatenate([centres - half, centres + half], axis=1)
+        out = np.maximum(inside[:2] - boxes[:, :2], 0.0).sum(axis=1) + np.maximum(boxes[:, 2:] - inside[2:], 0.0).sum(axis=1)
+        hidden = np.sum(_within(boxes, crowd, 1.0), axis=1)
+        over = np.zeros(len(boxes))
+        for other in taken:
+            low, high = np.maximum(boxes[:, :2], other[:2]), np.minimum(boxes[:, 2:], other[2:])
+            over += np.prod(np.maximum(high - low + 1.0, 0.0), axis=1)
+        against = 1.0 - WAYS @ np.asarray(label.prefer) if any(label.prefer) else np.zeros(len(WAYS))
+        cost = 40.0 * out + 5.0 * hidden + 2.0 * over + np.repeat(0.35 * reach, len(WAYS)) + 5.0 * np.tile(against, len(reach))
+        best = int(np.argmin(cost))
+        taken.append(boxes[best])
+        text.set_position(tuple(axes.transData.inverted().transform(centres[best])))
+
+
+def _within(boxes: Array, points: Array, room: float) -> NDArray[np.bool_]:
+    low, high = boxes[:, None, :2] - room, boxes[:, None, 2:] + room
+    within: NDArray[np.bool_] = np.all((points >= low) & (points <= high), axis=-1)
+    return within
+
+
+def _crowd(axes: Axes, inside: Array, point: float) -> Array:
+    """Pixels that lines, outlines and markers pass."""
+    found = [np.empty((0, 2))]
+    for child in axes.get_children():
+        if isinstance(child, Line2D) and child.get_visible():
+            path = child.get_transform().transform(np.asarray(child.get_xydata(), dtype=float))
+            if child.get_linestyle() not in ("None", "none", ""):
+                found.append(_dense(path, inside))
+            if child.get_marker() not in ("None", "none", "", None):
+                ring = 0.5 * child.get_markersize() * point * WAYS[::2]
+                found.append((path[:200, None, :] + ring).reshape(-1, 2))
+        elif isinstance(child, Polygon) and child.get_gid() != "shade":
+            found.append(_dense(child.get_transform().transform(child.get_xy()), inside))
+    points = np.concatenate(found)
+    return points[np.all(np.isfinite(points), axis=1)]
+
+
+def _dense(path: Array, inside: Array) -> Array:
+    """Points every few pixels along a line, which may have gaps."""
+    near = np.clip(path, inside[:2] - 50.0, inside[2:] + 50.0)  # far outside nothing is labelled
+    lengths = np.linalg.norm(np.diff(near, axis=0), axis=1)
+    known = np.isfinite(lengths)
+    count = np.where(known, np.ceil(np.where(known, lengths, 0.0) / STEP).astype(int), 0)
+    which = np.repeat(np.arange(len(count)), count)
+    share = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count[which], 1)
+    points: Array = near[which] + share[:, None] * (near[which + 1] - near[which])
+    return points
