@@ -86,11 +86,13 @@ class Analysis:
         for name, extreme in self.extremes.items():
             found[f"{name}.min"], found[f"{name}.max"] = extreme.least, extreme.largest
         for name, travel in self.strokes.items():
-            found[f"{name}.stroke_m"], found[f"{name}.time_ratio"] = travel.span, travel.time_ratio
+            found[f"{name}.stroke_m"] = travel.span
+            found[f"{name}.time_ratio"] = travel.time_ratio
         for name, travel in self.swings.items():
-            found[f"{name}.swing_rad"], found[f"{name}.time_ratio"] = travel.span, travel.time_ratio
+            found[f"{name}.swing_rad"] = travel.span
+            found[f"{name}.swing_time_ratio" if name in self.strokes else f"{name}.time_ratio"] = travel.time_ratio
         found["input.work_per_revolution_J" if self.full else "input.work_over_range_J"] = self.work
-        return found
+        return {name: value for name, value in found.items() if math.isfinite(value)}
 
     def to_dict(self) -> dict[str, Any]:
         """The analysis as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""

@@ -322,6 +322,7 @@ def cases() -> Iterator[Case]:
     yield Case("minus", lambda *v: elementwise.minus(v[:2], v[2:]), vectors, (0.6, -0.8))
     yield Case("unit", lambda k, phi: elementwise.unit(k * phi), ((1.0,), (-3.0,)), (0.0, 1.0, 4.0))
     yield Case("magnitude", lambda k, x: [elementwise.magnitude(k * x)], ((1.0,), (-3.0,)), (0.2, 5.0))
+    yield Case("sign", lambda k, x: [elementwise.sign(k * x) * x], ((1.0,), (-3.0,)), (0.2, 5.0), jet=False)
     yield Case("root", lambda k, x: [elementwise.root(k * x)], ((1.0,), (3.0,)), (0.2, 5.0), undefined=((-1.0,),))
     for name, rule in RULES.items():
         yield Case(f"output_error {name}", output_error(rule), starts_of(rule), (0.0, 0.7, 1.9, -2.5))

@@ -29,6 +29,8 @@ from optlink.linkage.motion import Motion
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
 RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances of the integrator
+EDGE = 1e-6  # share of a limited range, at its ends, that is not entered: speeds are infinite at a dead position
+LEAST, PATIENCE = 1e-10, 500  # steps of a smaller share of the duration, so many in a row, are a stall
 NEAR = 1e-9  # rad: a jump of a load nearer than this is behind us
 STEADY = 1e-13  # share of the larger torque by which a resting machine may be out of balance and still stay at rest
 
@@ -254,7 +256,7 @@ class _Journey:
         self.may_rest = plant.drive is not None and plant.machine.switching
         self.time, self.state = 0.0, plant.start(angle, speed)
         self.kept, self.ways = [self.state], [plant.direction]
-        self.steps, self.ending = 0, Ending.FINISHED
+        self.steps, self.small, self.ending = 0, 0, Ending.FINISHED
 
     def travel(self, progress: Callable[[float], None] | None) -> None:
         """Go on until the end, or until the machine cannot."""
@@ -277,7 +279,8 @@ class _Journey:
         while event is None and solver.status == "running":
             solver.step()
             self.steps += 1
-            if solver.status == "failed" or not np.all(np.isfinite(solver.y)):
+            self.small = self.small + 1 if solver.t - (solver.t_old or 0.0) < LEAST * end else 0
+            if solver.status == "failed" or not np.all(np.isfinite(solver.y)) or self.small > PATIENCE:
                 self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
                 return
             curve = solver.dense_output()
@@ -332,7 +335,8 @@ def _ahead(angle: float, switches: Array, limits: tuple[float, float] | None) ->
         found.append(("switch", float(np.min(every[every > angle + NEAR]))))
         found.append(("switch", float(np.max(every[every < angle - NEAR]))))
     if limits is not None:
-        found += [("limit", limits[0]), ("limit", limits[1])]
+        edge = EDGE * (limits[1] - limits[0])
+        found += [("limit", limits[0] + edge), ("limit", limits[1] - edge)]
     return found
 
 

@@ -117,7 +117,7 @@ class Force:
             known = {**known, "s": s, "v": v}
         size = self.magnitude(known) * _sense(self, moving, self.opposing, self.stroke)
         x, y = self.along(moving)
-        yield Acting(self.body, moving.position(self.point), (size * x, size * y), 0.0)
+        yield Acting(self.body, moving.position(self.point), (size * x + 0.0, size * y + 0.0), 0.0)  # no minus before a zero
 
     def potential(self, moving: Moving) -> Value:
         """None is kept."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optlink.dynamics.inertia import Inertia, State, kinetic, potential
-from optlink.linkage.elementwise import Value, Vector, cross
+from optlink.linkage.elementwise import Value, Vector, cross, sign
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
@@ -155,7 +155,7 @@ class Moving:
         speed, turning = source.motion.speed, source.motion.crank_acceleration
         first = rate / speed  # per crank rotation, as is the second
         second = (acceleration - first * turning) / (speed * speed)
-        return self.direction * np.sign(first + (self.side * INSTANT) * self.direction * second)
+        return self.direction * sign(first + (self.side * INSTANT) * self.direction * second)
 
     @cached_property
     def _still(self) -> bool:

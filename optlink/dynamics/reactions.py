@@ -177,9 +177,7 @@ class _Balance:
         if not rough:
             return solver(self, group, {})
         senses = {guide.name: self._slip(guide) for guide in rough}
-        nothing = np.nan * self.moving.motion.crank_angle  # where no sign is consistent: the guide is jammed
-        chosen = _each(solver(self, group, dict.fromkeys(senses, 0.0)), lambda x: x + nothing)
-        jammed: Value = True
+        found: list[tuple[Value, _Solved]] = []
         for signs in itertools.product((1.0, -1.0), repeat=len(rough)):
             tilts = {guide.name: sign * senses[guide.name] for guide, sign in zip(rough, signs, strict=True)}
             trial = solver(self, group, tilts)
@@ -188,9 +186,18 @@ class _Balance:
                 _, body, force, _ = next(entry for entry in trial.guides if entry[0] is guide)
                 normal = cross(self.moving.line(guide.name), force) * (1.0 if body == guide.slider else -1.0)
                 fits = np.logical_and(fits, sign * normal >= 0.0)
-            chosen = _either(fits, trial, chosen)
-            jammed = np.logical_and(jammed, np.logical_not(fits))
-        self.jammed = np.logical_or(self.jammed, jammed)
+            found.append((fits, trial))
+        hits = sum(np.where(fits, 1, 0) for fits, _ in found)
+        for fits, trial in found:
+            if np.all(hits == 1) and np.all(fits):
+                return trial
+        # none is consistent where friction locks the guide, several where it cannot be told whether it does (Painleve)
+        chosen = _each(found[0][1], lambda x: np.nan * x)
+        for fits, trial in found:
+            chosen = _either(np.logical_and(fits, hits == 1), trial, chosen)
+        still = _still(senses)
+        chosen = _either(still, found[0][1], chosen)  # without motion no friction: all signs say the same
+        self.jammed = np.logical_or(self.jammed, np.logical_not(np.logical_or(hits == 1, still)))
         return chosen
 
     def _slip(self, guide: Guide) -> Value:
@@ -258,6 +265,11 @@ class _Balance:
             self.needed[body] = self.needed[body] + Wrench(force, moment + cross(minus(point, start), force))
 
 
+def _still(senses: Mapping[str, Value]) -> Value:
+    """Where no guide moves."""
+    return np.all(np.broadcast_arrays(*(np.asarray(sense) == 0.0 for sense in senses.values())), axis=0)
+
+
 def _guides(group: Group) -> tuple[Guide, ...]:
     if isinstance(group, RRP | RPR):
         return (group.guide,)
@@ -295,12 +307,14 @@ def _rrr(balance: _Balance, group: RRR, tilts: Mapping[str, Value]) -> _Solved:
     """Moments of the first link about the inner joint, of both about the other outer joint."""
     first, second = group.links
     p, q, j = (balance.moving.position(name) for name in (*group.pins, group.joint))
-    outer, sine = two(
-        _moment_row(minus(p, j)),
+    one, other = minus(p, j), minus(q, j)
+    outer, _ = two(
+        _moment_row(one),
         balance.about(first, j),
         _moment_row(minus(p, q)),
         balance.about(first, q) + balance.about(second, q),
     )
+    sine = cross(one, other) / np.sqrt(dot(one, one) * dot(other, other))  # of the transmission angle
     inner = minus(balance.needed[first.body].force, outer)
     pins = [(group.pins[0], first.body, outer), (group.joint, first.body, inner)]
     return _Solved([*pins, (group.pins[1], second.body, plus(balance.needed[second.body].force, inner))], [], sine)

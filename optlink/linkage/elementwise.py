@@ -28,6 +28,11 @@ def magnitude(x: Value) -> Value:
     return np.where(np.real(x) < 0.0, -x, x) if _complex(x) else np.abs(x)
 
 
+def sign(x: Value) -> Value:
+    """-1, 0 or 1; under a complex step that of the real part, where numpy's would keep the step."""
+    return np.sign(np.real(x)) if _complex(x) else np.sign(x)
+
+
 def angle(v: Vector) -> Value:
     """Angle of the direction v from +x, counter-clockwise [rad], in (-pi, pi].
 

@@ -154,7 +154,8 @@ def positions(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Arr
     for first in range(0, designs, step):
         part = slice(first, first + step)
         portion = {name: size[part] if size.ndim == 2 and len(size) > 1 else size for name, size in arrays.items()}
-        pose = mechanism.pose(portion, crank)
+        with np.errstate(all="ignore"):
+            pose = mechanism.pose(portion, crank)
         for i, name in enumerate(wanted):
             points[i, 0, part], points[i, 1, part] = pose.points[name]
         for i, group in enumerate(mechanism.groups):

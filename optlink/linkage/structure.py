@@ -159,6 +159,8 @@ class _Assembly:
         joint = inner[0]
         a, b = outer[0][0], outer[1][0]
         one, two = self.links[first], self.links[second]
+        if a == b and isinstance(a, str):
+            raise self.one_body(first, second, [a, joint if isinstance(joint, str) else joint.name])
         if isinstance(joint, str):
             if isinstance(a, str) and isinstance(b, str):
                 return RRR(one, two, self.side(joint, a, b), (a, b), joint)
@@ -205,6 +207,14 @@ class _Assembly:
             )
         return self.modes[joint]
 
+    def one_body(self, first: str, second: str, both: list[str]) -> StructureError:
+        """Two bodies that cannot move against one another."""
+        return StructureError(
+            f"{first} and {second} share the joints {_list(both)}, which makes them one body",
+            "Give the points to one body, or take one joint away",
+            f"links.{second}",
+        )
+
     # --- what is no chain of dyads -----------------------------------------------------------------------------------
 
     def mobility(self) -> int:
@@ -225,11 +235,7 @@ class _Assembly:
         for first, second in combinations(left, 2):
             both = [joint if isinstance(joint, str) else joint.name for joint in self.shared(first, second)]
             if len(both) > 1:
-                return StructureError(
-                    f"{first} and {second} share the joints {_list(both)}, which makes them one body",
-                    "Give the points to one body, or take one joint away",
-                    f"links.{second}",
-                )
+                return self.one_body(first, second, both)
         free = self.mobility()
         if free > 1:
             return StructureError(
@@ -243,6 +249,16 @@ class _Assembly:
                 "Take a joint away, or add a body",
                 f"links.{left[-1]}",
             )
+        for first, second in combinations(left, 2):
+            outer, inner = [self.known(body) for body in (first, second)], self.shared(first, second)
+            if len(outer[0]) == len(outer[1]) == len(inner) == 1 and not any(
+                isinstance(j, str) for j in (*outer[0], *outer[1], *inner)
+            ):
+                return StructureError(
+                    f"{first} and {second} hang on three guides and no pin, which does not place them",
+                    "Replace one guide by a pin",
+                    f"links.{first}",
+                )
         return StructureError(
             f"{_list(left)} are no chain of dyads: they form a group of a higher class (Assur class III or above), "
             "or hang on one another in a ring",

@@ -11,7 +11,6 @@ from rich.text import Text
 from optlink.analysis import Analysis, machine_of, reactions_told
 from optlink.design.files import ProblemFile
 from optlink.design.linkages import DyadsSection
-from optlink.linkage.cycle import Travel
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
 from optlink.simulation import Simulation
 
@@ -98,17 +97,18 @@ def _travels(outcome: Analysis) -> RenderableType:
     if not outcome.strokes and not outcome.swings:
         return Text("No body swings and no slider moves to and fro")
     columns: list[COLUMN] = [("", "left"), ("from", "right"), ("to", "right"), ("span", "right"), ("", "left")]
-    table = grid("Strokes and swings", [*columns, ("dead centres, crank deg", "left"), ("time ratio", "right")], header=True)
-    for travels, factor, unit in ((outcome.strokes, 1e3, "mm"), (outcome.swings, math.degrees(1.0), "deg")):
+    columns += [("reverses at crank deg", "left"), ("time ratio", "right")]
+    table = grid("Strokes of sliders, swings of bodies", columns, header=True)
+    for travels, what, factor, unit in (
+        (outcome.strokes, "slides", 1e3, "mm"),
+        (outcome.swings, "swings", math.degrees(1.0), "deg"),
+    ):
         for name, travel in travels.items():
-            _travel_row(table, name, travel, factor, unit)
+            centres = [f"{math.degrees(at) + 0.0:.3f}" for at in travel.dead_centres]
+            rows = [", ".join(centres[k : k + 2]) for k in range(0, len(centres), 2)]
+            low, high, span = (fixed(value * factor) for value in (travel.low, travel.high, travel.span))
+            table.add_row(f"{name} {what}", low, high, span, unit, "\n".join(rows), fixed(travel.time_ratio, 5))
     return table
-
-
-def _travel_row(table: Table, name: str, travel: Travel, factor: float, unit: str) -> None:
-    centres = ", ".join(f"{math.degrees(at):.4f}" for at in travel.dead_centres)
-    low, high, span = (f"{value * factor:.4f}" for value in (travel.low, travel.high, travel.span))
-    table.add_row(name, low, high, span, unit, centres, fixed(travel.time_ratio, 5))
 
 
 WORTH = {
