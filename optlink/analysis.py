@@ -249,7 +249,7 @@ def analyze(
         low, high = start - TURN, start
     work = Work(machine, start, low, high, speed)
     columns, meanings, singular, jammed = _table(machine, angles, speed, start, work)
-    found = _extremes(machine, low, high, speed, work)
+    found = _extremes(machine, low, high, ranges.full, speed, work)
     swings, strokes = travels(machine.mechanism, machine.sizes, low, high, ranges.full)
     names = slider_names(machine)
     share = model.drive.fluctuation
@@ -305,7 +305,7 @@ def _table(
     return columns, meanings, angles[singular], angles[np.concatenate([part.jammed for part in parts])]
 
 
-def _extremes(machine: Machine, low: float, high: float, speed: float, work: Work) -> dict[str, Extreme]:
+def _extremes(machine: Machine, low: float, high: float, full: bool, speed: float, work: Work) -> dict[str, Extreme]:
     """Least and largest of every column over the motion, one-sided where a load jumps."""
     pins = [(p, b) for p, bodies in machine.mechanism.pins.items() for b in (bodies[:1] if len(bodies) == 2 else bodies)]
 
@@ -320,7 +320,9 @@ def _extremes(machine: Machine, low: float, high: float, speed: float, work: Wor
     first = Record(machine.moving(np.array([low]), speed))
     names = [name for name in first.columns if not name.endswith(".angle_rad")]
     names += [f"{p}.f_N" if len(machine.mechanism.pins[p]) == 2 else f"{p}.{b}.f_N" for p, b in pins]
-    grid = np.unique(np.concatenate([np.linspace(low, high, GRID + 1), work.jumps]))
+    step, seam = (high - low) / GRID, int(full)  # a whole turn has no ends: one step further on either side
+    even = low + step * np.arange(-seam, GRID + 1 + seam)
+    grid = np.unique(np.concatenate([even, work.jumps]))
     at, best = extremes(values, grid, tuple(work.jumps))
     if work.jumps.size:
         before = values(work.jumps, side=-1)
@@ -333,7 +335,8 @@ def _extremes(machine: Machine, low: float, high: float, speed: float, work: Wor
     found = {
         name: Extreme(float(best[i, 0]), float(at[i, 0]), float(best[i, 1]), float(at[i, 1])) for i, name in enumerate(names)
     }
-    turning = zeros(lambda angles: work.torque(angles)[None, :], grid)[0]
+    inside = grid[(grid >= low) & (grid <= high)]
+    turning = zeros(lambda angles: work.torque(angles)[None, :], inside)[0]
     places = np.unique(np.concatenate([[low, high], turning, work.jumps]))
     amounts = work(places)
     if np.any(np.isfinite(amounts)):

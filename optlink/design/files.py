@@ -243,7 +243,7 @@ def _known(path: tuple[str | int, ...]) -> list[str]:
     models: list[Any] = [DesignProblem, Problem]
     for step in path:
         fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
-        if fields or not any(getattr(model, "named", False) for model in models):
+        if fields:  # else the step is the name of a body, a point ...: what it names has the fields of the models
             models = [model for f in fields for model in _models(f.annotation)]
         if not models:
             return ["start", "bounds"]
@@ -261,6 +261,8 @@ def _models(annotation: Any) -> Iterator[Any]:
 def _faults(error: pydantic.ValidationError, raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
     for item in error.errors(include_url=False):
         path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
+        if path[:1] == ["mechanism"] and path[1:2] in (["four-bar"], ["dyads"]):
+            del path[1]  # the type that pydantic chose the model by
         key = ".".join(str(step) for step in path)
         value, kind, context = item["input"], item["type"], item.get("ctx", {})
         problem = context.get("error")

@@ -37,7 +37,7 @@ def extremes(function: Function, grid: Array, breaks: Sequence[float] = ()) -> t
     centre = grid[best]
     low, high = grid[np.maximum(best - 1, 0)], grid[np.minimum(best + 1, len(grid) - 1)]
     for at in breaks:
-        low, high = np.where((low < at) & (centre >= at), at, low), np.where((high > at) & (centre <= at), at, high)
+        low, high = np.where((low < at) & (at < centre), at, low), np.where((centre < at) & (at < high), at, high)
     value = np.take_along_axis(values, best, axis=-1)
     steps = np.linspace(0.0, 1.0, POINTS)
     rows = np.arange(len(values))[:, None, None]

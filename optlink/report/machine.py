@@ -97,7 +97,7 @@ def _travels(outcome: Analysis) -> RenderableType:
     if not outcome.strokes and not outcome.swings:
         return Text("No body swings and no slider moves to and fro")
     columns: list[COLUMN] = [("", "left"), ("from", "right"), ("to", "right"), ("span", "right"), ("", "left")]
-    columns += [("reverses at crank deg", "left"), ("time ratio", "right")]
+    columns += [("reverses at", "right"), ("time ratio", "right")]
     table = grid("Strokes of sliders, swings of bodies", columns, header=True)
     for travels, what, factor, unit in (
         (outcome.strokes, "slides", 1e3, "mm"),
@@ -105,9 +105,8 @@ def _travels(outcome: Analysis) -> RenderableType:
     ):
         for name, travel in travels.items():
             centres = [f"{math.degrees(at) + 0.0:.3f}" for at in travel.dead_centres]
-            rows = [", ".join(centres[k : k + 2]) for k in range(0, len(centres), 2)]
             low, high, span = (fixed(value * factor) for value in (travel.low, travel.high, travel.span))
-            table.add_row(f"{name} {what}", low, high, span, unit, "\n".join(rows), fixed(travel.time_ratio, 5))
+            table.add_row(f"{name} {what}", low, high, span, unit, "\n".join(centres), fixed(travel.time_ratio, 5))
     return table
 
 
