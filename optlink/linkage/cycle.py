@@ -31,8 +31,11 @@ class Failure:
     def __str__(self) -> str:
         first, second = (link.body for link in self.group.links)
         what = f"the {self.group.kind} group {first}-{second} (joint {self.group.joint})"
+        where = f"at crank angle {math.degrees(self.crank_angle):.6g} deg"
+        if self.group.least > 0.0:
+            return f"{where} {what} has no place: its two guides are parallel"
         amount = f" by {self.gap * 1e3:.6g} mm" if self.gap > 0.0 else ""
-        return f"at crank angle {math.degrees(self.crank_angle):.6g} deg {what} fails to close{amount}"
+        return f"{where} {what} fails to close{amount}"
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,8 @@ def closing(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Array
     with np.errstate(all="ignore"):
         pose = mechanism.pose(sizes, unit(crank_angle))
     least = np.full(crank_angle.shape, np.inf)
-    for margin in pose.margins.values():
+    for group in mechanism.groups:
+        margin = pose.margins[group.joint] - group.least
         least = np.minimum(least, np.where(np.isnan(margin), np.where(least < 0.0, np.inf, -1.0), margin))
     return least
 
@@ -104,7 +108,7 @@ def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float
         pose = mechanism.pose(sizes, unit(np.array([crank_angle])))
         for group in mechanism.groups:
             margin = float(np.asarray(pose.margins[group.joint]).ravel()[0])
-            if not margin >= 0.0:
+            if not margin >= group.least:
                 return Failure(crank_angle, group, float(np.asarray(group.gap(pose)).ravel()[0]))
     return None
 

@@ -10,6 +10,9 @@ from optlink.linkage.dyads import prp, rpp, rpr, rrp, rrr
 from optlink.linkage.elementwise import Value, cross, dot, minus, plus, turn, turn_back
 from optlink.linkage.mechanism import Guide, Link, Pose
 
+PARALLEL = 1e-12
+"""Squared sine of the angle between two lines below which they count as parallel and meet nowhere."""
+
 
 @dataclass(frozen=True)
 class RRR:
@@ -25,6 +28,7 @@ class RRR:
     inner: str = ""
 
     kind = "RRR"
+    least = 0.0
 
     @property
     def joint(self) -> str:
@@ -71,6 +75,7 @@ class RRP:
     side: int  # +1: the joint lies forward, along the guide, of the foot of the outer joint
 
     kind = "RRP"
+    least = 0.0
 
     @property
     def joint(self) -> str:
@@ -110,6 +115,7 @@ class RPR:
     side: int  # +1: the slider's pin lies forward, along the guide, of the other
 
     kind = "RPR"
+    least = 0.0
 
     @property
     def joint(self) -> str:
@@ -150,6 +156,7 @@ class RPP:
     rail: Guide  # of the yoke
 
     kind = "RPP"
+    least = PARALLEL
 
     @property
     def joint(self) -> str:
@@ -191,6 +198,7 @@ class PRP:
     inner: str
 
     kind = "PRP"
+    least = PARALLEL
 
     @property
     def joint(self) -> str:

@@ -82,6 +82,11 @@ class Group(Protocol):
         ...
 
     @property
+    def least(self) -> float:
+        """Assembly margin below which it cannot be placed."""
+        ...
+
+    @property
     def joint(self) -> str:
         """Name of the inner joint, which is that of the group too."""
         ...

@@ -125,6 +125,9 @@ WORTH = {
 }
 """Endings of the columns whose extremes are worth a line, and their units for people."""
 
+UNITS = ("s", "s2", "rad", "N", "Nm", "W")
+"""Last parts of the names of columns that share a scale."""
+
 WORDS = {
     "v_m_s": "velocity",
     "a_m_s2": "acceleration",
@@ -145,7 +148,9 @@ WORDS = {
 def _extremes(outcome: Analysis) -> Table:
     columns: list[COLUMN] = [("", "left"), ("least", "right"), ("at deg", "right"), ("largest", "right"), ("at deg", "right")]
     table = grid("Extremes over the motion, at their exact crank angles", [*columns, ("", "left")], header=True)
-    moving = {name for name, extreme in outcome.extremes.items() if max(abs(extreme.least), abs(extreme.largest)) > 0.0}
+    sizes = {name: max(abs(extreme.least), abs(extreme.largest)) for name, extreme in outcome.extremes.items()}
+    scale = {u: max((s for name, s in sizes.items() if name.endswith(f"_{u}") and math.isfinite(s)), default=0.0) for u in UNITS}
+    moving = {name for name, size in sizes.items() if size > 1e-9 * scale.get(name.rpartition("_")[2], 0.0)}  # else rounding
     for name, extreme in outcome.extremes.items():
         unit = next((unit for ending, unit in WORTH.items() if name.endswith(ending)), None)
         if unit is None or name not in moving or not math.isfinite(extreme.least):
