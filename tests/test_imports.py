@@ -38,6 +38,8 @@ def test_the_check_would_notice():
         ("import optlink.linkage.motion, optlink.linkage.fourbar", HEAVY | {"pydantic"}),
         ("import optlink.validation", HEAVY - {"pint"}),
         ("import optlink; optlink.load('crank-rocker')", HEAVY - {"pint"}),
+        ("import optlink; optlink.analyze(optlink.load('shaper'))", HEAVY - {"pint"}),
+        ("import optlink; optlink.analyze_batch(optlink.load('six-bar'), {'link2.length': [1.2]})", HEAVY - {"pint"}),
         ("import optlink; optlink.solve(optlink.load('crank-rocker'))", HEAVY - {"pint", "casadi"}),
     ],
 )

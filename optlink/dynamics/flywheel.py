@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.reactions import reactions
 from optlink.dynamics.work import Work
 
 Array = NDArray[np.float64]
@@ -71,7 +70,10 @@ class Fluctuation:
         self.gain = self.mean_torque * (self.angles - start) - taken
 
     def curve(self, flywheel: float = 0.0) -> SpeedCurve:
-        """Speed over the revolution with a flywheel [kg m^2] at the crank, its mean the machine's mean speed."""
+        """Speed over the revolution with a flywheel [kg m^2] at the crank, its mean the machine's mean speed.
+
+        NaN where the machine has too little energy at that speed: it would come to rest.
+        """
         total = self.inertia + flywheel
         gain = self.gain - np.min(self.gain)
 
@@ -80,6 +82,8 @@ class Fluctuation:
             return found
 
         wanted = abs(self.mean_speed)
+        if np.mean(speed(0.0)) > wanted:
+            return SpeedCurve(self.angles, np.full(self.angles.shape, np.nan))
         low, high = 0.0, 2.0 * float(np.max(total)) * wanted**2
         while np.mean(speed(high)) < wanted:
             high *= 4.0
@@ -103,21 +107,20 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
     Flywheel, inertia 0 if the machine runs evenly enough by itself
     """
     balance = Fluctuation(machine, speed, start)
+
+    def much(inertia: float) -> bool:
+        found = abs(balance.curve(inertia).fluctuation)
+        return not found <= allowed  # also where it would come to rest
+
     alone = abs(balance.curve().fluctuation)
     low, high = 0.0, max(float(np.ptp(balance.gain)) / (allowed * speed**2), 1e-12)
     if alone <= allowed:
         return Flywheel(speed, balance.mean_torque, alone, allowed, 0.0)
-    while abs(balance.curve(high).fluctuation) > allowed:
+    while much(high):
         high *= 2.0
     for _ in range(100):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if abs(balance.curve(middle).fluctuation) > allowed else (low, middle)
+        low, high = (middle, high) if much(middle) else (low, middle)
         if high - low <= 1e-12 * high:
             break
     return Flywheel(speed, balance.mean_torque, alone, allowed, high)
-
-
-def torque_at_rest(machine: Machine, crank_angle: Array, direction: float) -> Array:
-    """Driving torque [N m] that loads, friction and gravity need of a crank that is about to turn in `direction`."""
-    torque = reactions(machine.moving(crank_angle, 0.0, 0.0, direction=direction)).torque
-    return np.broadcast_to(np.asarray(torque, dtype=float), crank_angle.shape)

@@ -180,7 +180,10 @@ def _work(outcome: Analysis) -> Table:
     wheel = outcome.flywheel
     if wheel:
         table.add_row("mean torque", number(wheel.mean_torque), "N m")
-        table.add_row("speed fluctuation", number(wheel.fluctuation), "of the mean speed under that constant torque, no flywheel")
+        alone = "of the mean speed under it, without a flywheel"
+        table.add_row(
+            "fluctuation", number(wheel.fluctuation), alone if wheel.fluctuation > 0.0 else "without a flywheel: it would stop"
+        )
         table.add_row("flywheel", number(wheel.inertia), f"kg m^2 at the crank keeps it at {wheel.allowed:g}")
     return table
 
