@@ -63,6 +63,7 @@ class Analysis:
     work: float
     singular: Array
     jammed: Array
+    undefined: Array
     notes: tuple[str, ...]
     flywheel: Flywheel | None = None
 
@@ -77,7 +78,7 @@ class Analysis:
     @property
     def sound(self) -> bool:
         """Whether every position has finite reactions."""
-        return self.singular.size == 0 and self.jammed.size == 0
+        return self.singular.size == 0 and self.jammed.size == 0 and self.undefined.size == 0
 
     @property
     def figures(self) -> dict[str, float]:
@@ -105,7 +106,7 @@ class Analysis:
             "title": self.problem.model.title,
             "problem_hash": self.problem.hash,
             "seed": None,
-            "status": "analysed" if self.sound else "singular positions",
+            "status": "analysed" if self.sound else "no finite reactions at some positions",
             "sound": self.sound,
             "notes": list(self.notes),
             "groups": [{"kind": g.kind, "joint": g.joint, "bodies": [link.body for link in g.links]} for g in mechanism.groups],
@@ -124,6 +125,7 @@ class Analysis:
             "work_J": self.work,
             "singular_deg": np.degrees(self.singular),
             "jammed_deg": np.degrees(self.jammed),
+            "undefined_deg": np.degrees(self.undefined),
             "meanings": dict(self.meanings),
             "columns": dict(self.columns),
         }
@@ -248,7 +250,7 @@ def analyze(
     elif speed < 0.0:
         low, high = start - TURN, start
     work = Work(machine, start, low, high, speed)
-    columns, meanings, singular, jammed = _table(machine, angles, speed, start, work)
+    columns, meanings, (singular, jammed, undefined) = _table(machine, angles, speed, work)
     found = _extremes(machine, low, high, ranges.full, speed, work)
     swings, strokes = travels(machine.mechanism, machine.sizes, low, high, ranges.full)
     names = slider_names(machine)
@@ -269,7 +271,8 @@ def analyze(
         float(work(np.array([start + math.copysign(TURN, speed)]))[0]) if ranges.full else float(work(angles[-1:])[0]),
         singular,
         jammed,
-        tuple(_notes(problem, ranges, design, machine, singular, jammed)),
+        undefined,
+        tuple(_notes(problem, ranges, design, machine, columns, singular, jammed, undefined)),
         flywheel(machine, speed, share, low) if share is not None and ranges.full else None,
     )
 
@@ -279,18 +282,17 @@ def _check(points: int, step: float | None, speed: float) -> None:
         raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_POINTS:,}", key="points", value=points))
     if step is not None and not TURN / MAX_POINTS <= step <= TURN:
         raise InputError(Fault("out of range", "Give a step of at most one revolution", key="step", value=f"{step:.6g} rad"))
-    if not math.isfinite(speed) or speed == 0.0 or not 1e-9 <= abs(speed) <= 1e6:
-        remedy = 'Give a speed other than zero, for statics a low one such as "0.01 rpm"'
+    if not 1e-9 <= abs(speed) <= 1e6:
+        remedy = 'Give one between 1e-9 and 1e6 rad/s, for statics a low one such as "0.01 rpm"'
         raise InputError(Fault("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s"))
 
 
+FAULTS = ("singular", "jammed", "undefined")
 CHUNK = 20_000  # positions of the table that are worked on at a time
 
 
-def _table(
-    machine: Machine, angles: Array, speed: float, start: float, work: Work
-) -> tuple[dict[str, Array], dict[str, str], Array, Array]:
-    """Columns of the table, what they mean, and the positions without finite reactions."""
+def _table(machine: Machine, angles: Array, speed: float, work: Work) -> tuple[dict[str, Array], dict[str, str], list[Array]]:
+    """Columns of the table, what they mean, and the positions without finite reactions (by `FAULTS`)."""
     parts = [Record(machine.moving(angles[k : k + CHUNK], speed)) for k in range(0, len(angles), CHUNK)]
     columns = {"crank_angle_deg": np.degrees(angles), "time_s": np.abs(angles - angles[0]) / abs(speed)}
     meanings = {"crank_angle_deg": "crank angle", "time_s": "time since the first row"}
@@ -301,8 +303,7 @@ def _table(
             columns[name] = np.unwrap(columns[name])
         if name == "input.power_W":
             columns["input.work_J"], meanings["input.work_J"] = work(angles), "work of the drive since the first row"
-    singular = np.concatenate([part.singular for part in parts])
-    return columns, meanings, angles[singular], angles[np.concatenate([part.jammed for part in parts])]
+    return columns, meanings, [angles[np.concatenate([getattr(p, kind) for p in parts])] for kind in FAULTS]
 
 
 def _extremes(machine: Machine, low: float, high: float, full: bool, speed: float, work: Work) -> dict[str, Extreme]:
@@ -314,7 +315,7 @@ def _extremes(machine: Machine, low: float, high: float, full: bool, speed: floa
         rows = [column.values for column in record.columns.values() if not column.name.endswith(".angle_rad")]
         for point, body in pins:
             x, y = (record.full(part) for part in record.reactions.pins[point][body])
-            rows.append(np.where(record.singular, np.nan, np.sqrt(x * x + y * y)))
+            rows.append(np.where(record.singular, np.nan, np.hypot(x, y)))
         return np.array(rows)
 
     first = Record(machine.moving(np.array([low]), speed))
@@ -346,7 +347,14 @@ def _extremes(machine: Machine, low: float, high: float, full: bool, speed: floa
 
 
 def _notes(
-    problem: ProblemFile, ranges: Ranges, design: Mapping[str, float] | None, machine: Machine, singular: Array, jammed: Array
+    problem: ProblemFile,
+    ranges: Ranges,
+    design: Mapping[str, float] | None,
+    machine: Machine,
+    columns: Mapping[str, Array],
+    singular: Array,
+    jammed: Array,
+    undefined: Array,
 ) -> list[str]:
     notes = []
     free = [name for name in problem.model.free if design is None or name not in design]
@@ -360,9 +368,12 @@ def _notes(
                 failed = failure(machine.mechanism, machine.sizes, end + way * math.radians(1.0))
                 if failed:
                     notes.append(f"one degree further, {failed}")
+    guilty = {name.rpartition(".")[0] for name, column in columns.items() if not np.all(np.isfinite(column))}
+    loads = ", ".join(load.name for load in machine.loads if load.name in guilty) or "a load"
     for angles, what in (
         (singular, "a group is in a singular position, no finite reaction holds it"),
-        (jammed, "friction jams a guide"),
+        (jammed, "friction jams a guide, or has no single answer,"),
+        (undefined, f"{loads} has no finite value"),
     ):
         if angles.size:
             shown = ", ".join(f"{math.degrees(angle):.6g}" for angle in angles[:6]) + (" ..." if angles.size > 6 else "")

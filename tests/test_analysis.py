@@ -96,7 +96,7 @@ def test_extremes_are_those_of_a_brute_sweep_and_no_less(name):
             values = sign * record[column]
             jump = any(abs(math.remainder(at - jump, TURN)) < 1e-9 for jump in result.jumps)
             assert value <= np.nanmin(values) + 1e-12 * size, column
-            assert np.nanmin(values) - value < (5e-3 if jump else 2e-5) * size, column  # beside a jump the sweep ends short
+            assert np.nanmin(values) - value < (5e-3 if jump else 2e-4) * size, column  # beside a jump the sweep ends short
             checked += 1
     assert checked > 40
 

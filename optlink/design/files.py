@@ -126,7 +126,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
     raw = _read_toml(path)
     if overrides:
         for key, value in overrides.items():
-            _assign(raw, key, value, str(path))
+            _assign(raw, key, value, path.name if text in names else text)
         if any(key.split(".")[0] not in ("expected", *_WORDS) for key in overrides):
             raw.pop("expected", None)
     return read(raw, name, path.name if text in names else text, path.parent)
@@ -142,6 +142,9 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     """
     where = folder or Path()
     raw = _typed(raw)
+    if "requirement" in raw and isinstance(raw.get("mechanism"), dict) and raw["mechanism"].get("type") == "dyads":
+        remedy = 'Use type = "four-bar", or leave the section out and `optlink analyze` it'
+        raise InputError(Fault("a motion law is designed for a four-bar only", remedy, file, "requirement"))
     model = DesignProblem if "requirement" in raw or "limits" in raw else Problem
     try:
         problem = model.model_validate(raw, context={"folder": where})
@@ -224,7 +227,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
     table: Any = raw
     for depth, step in enumerate(path):
         if step not in table:
-            known = _known(tuple(path[:depth]))
+            known = _known(tuple(path[:depth])) if _fixed(tuple(path[:depth])) else list(table)
             if step not in known:
                 raise InputError(Fault("unknown key", nearest(step, known), file, key))
             table[step] = {}
@@ -250,6 +253,18 @@ def _known(path: tuple[str | int, ...]) -> list[str]:
     return list(dict.fromkeys(field.alias or name for model in models for name, field in model.model_fields.items()))
 
 
+def _fixed(path: tuple[str, ...]) -> bool:
+    """Whether the keys at a path are those of a section, not names that the file gives."""
+    return path not in {
+        ("mechanism", "ground"),
+        ("mechanism", "links"),
+        ("mechanism", "guides"),
+        ("bodies",),
+        ("joints",),
+        ("loads",),
+    }
+
+
 def _models(annotation: Any) -> Iterator[Any]:
     """The sections that a key may hold."""
     if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
@@ -261,6 +276,7 @@ def _models(annotation: Any) -> Iterator[Any]:
 def _faults(error: pydantic.ValidationError, raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
     for item in error.errors(include_url=False):
         path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
+        path = [step for step in path if step != "[key]"]
         if path[:1] == ["mechanism"] and path[1:2] in (["four-bar"], ["dyads"]):
             del path[1]  # the type that pydantic chose the model by
         key = ".".join(str(step) for step in path)
@@ -271,6 +287,9 @@ def _faults(error: pydantic.ValidationError, raw: Mapping[str, Any], file: str) 
             yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
         elif kind == "extra_forbidden":
             yield Fault("unknown key", nearest(str(path[-1]), _known(tuple(path[:-1]))), file, key)
+        elif kind == "union_tag_invalid":
+            given = raw["mechanism"].get("type")
+            yield Fault("not a type of linkage", nearest(str(given), ("four-bar", "dyads")), file, f"{key}.type", _plain(given))
         elif kind == "missing":
             yield Fault("this key is missing", _example(key), file, key)
         elif kind == "literal_error":
@@ -298,6 +317,15 @@ _EXAMPLES = {
 
 
 def _example(key: str) -> str:
+    section, _, last = key.partition(".")[0], *key.rpartition(".")[1:]
+    if section == "bodies" and last == "mass":
+        return 'Add mass = "1.2 kg"'
+    if last == "joints":
+        return 'Add joints = ["B", "C"], or joints = ["E"] for a body that a guide carries'
+    if key.startswith(
+        ("mechanism.links", "mechanism.guides", "mechanism.ground", "bodies", "joints", "loads", "drive", "gravity")
+    ):
+        return "See `optlink show six-bar --toml` for an example"
     if key.startswith("mechanism."):
         return f'Add {key.split(".")[1]} = "100 mm", or {{ start = "400 mm", bounds = ["100 mm", "900 mm"] }}'
     return _EXAMPLES.get(key, "See `optlink show crank-rocker --toml` for an example")

@@ -28,8 +28,8 @@ from optlink.design.quantity import (
     TorsionalStiffness,
     Unusable,
     nearest,
+    read_fixed,
     read_positive,
-    read_quantity,
     read_scalar,
 )
 from optlink.design.section import Section
@@ -77,11 +77,6 @@ class Curve:
     at: tuple[float, ...]
     values: tuple[float, ...]
 
-    @property
-    def knots(self) -> tuple[float, ...]:
-        """Crank angles [rad] at which its slope jumps."""
-        return self.at if self.over == "phi" else ()
-
     def __call__(self, known: Mapping[str, Value]) -> Value:
         """The value [SI]."""
         period = 2.0 * np.pi if self.over == "phi" else None
@@ -123,6 +118,8 @@ def read_size(raw: object, kind: str, names: Iterable[str], folder: Path) -> Siz
     for key in raw:
         if key not in ("over", "at", "values", "csv"):
             raise Unusable("unknown key", nearest(str(key), ("over", "at", "values", "csv")), str(key))
+    if "csv" in raw and ("at" in raw or "values" in raw):
+        raise Unusable("the table is given twice", "Give csv, or at and values, not both", "csv", raw["csv"])
     if "csv" in raw:
         if not isinstance(raw["csv"], str) or "\0" in raw["csv"]:
             raise Unusable("expected the name of a CSV file", 'Write csv = "force.csv"', "csv", raw["csv"])
@@ -136,8 +133,9 @@ def read_size(raw: object, kind: str, names: Iterable[str], folder: Path) -> Siz
         at, values = columns
     if len(at) != len(values) or len(at) < 2:
         raise Unusable(f"at has {len(at)} values, values has {len(values)}", "Give as many, and two or more", "values")
-    if any(b <= a for a, b in itertools.pairwise(at)):
-        raise Unusable("the rows must rise", "Sort them and remove repeated ones", "at")
+    falls = next((row for row, (a, b) in enumerate(itertools.pairwise(at), start=2) if b <= a), None)
+    if falls:
+        raise Unusable(f"the rows must rise, and row {falls} does not", "Sort them and remove repeated ones", "at")
     if over == "phi" and at[-1] - at[0] > 2.0 * math.pi * (1.0 + 1e-12):
         raise Unusable("the table is longer than one revolution", "It repeats every revolution: give one", "at")
     return Curve(str(over), tuple(at), tuple(values))
@@ -151,7 +149,7 @@ def _read_centroid(raw: object) -> Any:
         return raw
     if not isinstance(raw, list) or len(raw) != 2:
         raise Unusable("a centroid is a point of the body", 'Write "middle", a point, or ["100 mm", "0 mm"]', "", raw)
-    return tuple(read_quantity(part, "coordinate") for part in raw)
+    return tuple(read_fixed(part, "coordinate") for part in raw)
 
 
 def _read_moment(raw: object) -> Any:
@@ -286,13 +284,16 @@ class LoadSection(Section):
         if self.torsional_stiffness is not None or self.torsional_damping is not None:
             body = self._body(mechanism, self.on, "on")
             against = FRAME if self.against == FRAME else self._body(mechanism, self.against, "against")
+            if against == body:
+                raise Unusable("a body does not turn against itself", "Name another body, or frame", "against", against)
             stiffness, free, damping = (
                 0.0 if x is None else x.value for x in (self.torsional_stiffness, self.free_angle, self.torsional_damping)
             )
             return TorsionSpring(name, body, against, stiffness, free, damping)
-        body, point, guide = self._target(mechanism)
-        if not guide:
+        if not any(guide.slider == self.on for guide in mechanism.guides):
+            self._body(mechanism, self.on, "on")
             raise Unusable("only a body in a guide is damped so", "Name a slider, or two points: between = [...]", "on", self.on)
+        _, _, guide = self._target(mechanism)
         known = next(g for g in mechanism.guides if g.name == guide)
         assert self.damping is not None
         return SlideDamper(
@@ -403,8 +404,8 @@ def read_gravity(raw: object) -> Any:
     if isinstance(raw, list):
         if len(raw) != 2:
             raise Unusable("gravity has two components", 'Write "9.81 m/s^2" (downwards) or ["0 m/s^2", "-9.81 m/s^2"]', "", raw)
-        return tuple(read_quantity(part, "acceleration").value for part in raw)
-    return 0.0, -read_quantity(raw, "acceleration").value
+        return tuple(read_fixed(part, "acceleration").value for part in raw)
+    return 0.0, -read_fixed(raw, "acceleration").value
 
 
 Gravity = Annotated[Any, BeforeValidator(read_gravity)]

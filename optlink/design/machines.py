@@ -11,7 +11,7 @@ from pydantic import Field
 from optlink.design.forces import BodySection, DriveSection, Gravity, JointSection, LoadSection
 from optlink.design.linkages import DyadsSection, FourBarSection, sizes_of
 from optlink.design.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
-from optlink.design.section import Name, Section
+from optlink.design.section import RESERVED, Name, Section
 from optlink.dynamics.loads import Load, Stroke
 from optlink.dynamics.machine import Machine
 from optlink.linkage.elementwise import Value
@@ -92,6 +92,8 @@ class Problem(Section):
         bare = Machine(mechanism, sizes)
         loads = []
         for name, section_ in self.loads.items():
+            if name in RESERVED:
+                raise Unusable(f"{name} is a reserved name", "Choose another", f"loads.{name}")
             if name in (*mechanism.bodies, *mechanism.owners, *(guide.name for guide in mechanism.guides), FRAME):
                 raise Unusable("the name of a body, point or guide", "Choose another for the load", f"loads.{name}")
             with _below(f"loads.{name}"):

@@ -168,7 +168,8 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
     return Interval(low[0] if low else None, high[0] if high else None, kind, unit)
 
 
-def _read_fixed(raw: object, kind: str) -> Quantity:
+def read_fixed(raw: object, kind: str) -> Quantity:
+    """Read a quantity that cannot be free."""
     if isinstance(raw, dict):
         raise Unusable("this quantity cannot be free", f'Give one value, for example "{KINDS[kind].example}"', "", raw)
     return read_quantity(raw, kind)
@@ -176,7 +177,7 @@ def _read_fixed(raw: object, kind: str) -> Quantity:
 
 def read_positive(raw: object, kind: str) -> Quantity:
     """Read a fixed quantity that is not negative."""
-    quantity = _read_fixed(raw, kind)
+    quantity = read_fixed(raw, kind)
     if quantity.value < 0.0:
         raise Unusable(f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} is not negative", "Give zero or more", "", raw)
     return quantity
@@ -188,13 +189,13 @@ def _reader(function: Any, kind: str | None) -> BeforeValidator:
 
 Length = Annotated[Quantity, _reader(read_quantity, "length")]
 Angle = Annotated[Quantity, _reader(read_quantity, "angle")]
-FixedLength = Annotated[Quantity, _reader(_read_fixed, "length")]
-FixedAngle = Annotated[Quantity, _reader(_read_fixed, "angle")]
+FixedLength = Annotated[Quantity, _reader(read_fixed, "length")]
+FixedAngle = Annotated[Quantity, _reader(read_fixed, "angle")]
 Coordinate = Annotated[Quantity, _reader(read_quantity, "coordinate")]
 LengthInterval = Annotated[Interval, _reader(_read_interval, "length")]
 AngleInterval = Annotated[Interval, _reader(_read_interval, "angle")]
 NumberInterval = Annotated[Interval, _reader(_read_interval, None)]
-Speed = Annotated[Quantity, _reader(_read_fixed, "angular velocity")]
+Speed = Annotated[Quantity, _reader(read_fixed, "angular velocity")]
 Duration = Annotated[Quantity, _reader(read_positive, "time")]
 Mass = Annotated[Quantity, _reader(read_positive, "mass")]
 Stiffness = Annotated[Quantity, _reader(read_positive, "stiffness")]

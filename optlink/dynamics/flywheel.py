@@ -112,7 +112,7 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
         found = abs(balance.curve(inertia).fluctuation)
         return not found <= allowed  # also where it would come to rest
 
-    alone = abs(balance.curve().fluctuation)
+    alone = abs(balance.curve().fluctuation) if np.min(balance.inertia) > 0.0 else np.nan
     low, high = 0.0, max(float(np.ptp(balance.gain)) / (allowed * speed**2), 1e-12)
     if alone <= allowed:
         return Flywheel(speed, balance.mean_torque, alone, allowed, 0.0)

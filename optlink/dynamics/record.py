@@ -30,8 +30,8 @@ class Column(NamedTuple):
 class Record:
     """A machine at crank angles (n,), or a batch of designs (designs, n): columns by name.
 
-    `singular`: positions without finite reactions; `jammed`: where friction locks a guide. `wanted`: names of the columns that
-    are needed, all if left out.
+    `singular`: positions without finite reactions; `jammed`: where friction locks a guide; `undefined`: where a load has no
+    finite value. `wanted`: names of the columns that are needed, all if left out.
     """
 
     def __init__(self, moving: Moving, wanted: Collection[str] | None = None) -> None:
@@ -40,9 +40,10 @@ class Record:
         with np.errstate(all="ignore"):
             self.reactions: Reactions = reactions(moving)
             near = [np.abs(self.full(sine)) < SINGULAR for sine in self.reactions.singularity.values()]
-            infinite = ~np.isfinite(self.full(self.reactions.torque)) & moving.motion.assembled
-            self.jammed = self.full(self.reactions.jammed).astype(bool)
-            self.singular: NDArray[np.bool_] = np.any([*near, infinite & ~self.jammed], axis=0)
+            closed = moving.motion.assembled
+            self.jammed = self.full(self.reactions.jammed).astype(bool) & closed
+            self.singular: NDArray[np.bool_] = np.any([*near, np.zeros(self.shape)], axis=0) & closed
+            self.undefined = ~np.isfinite(self.full(self.reactions.torque)) & closed & ~self.jammed & ~self.singular
             self.columns = {column.name: column for column in self._all() if self._wants(column.name)}
 
     def _wants(self, *names: str) -> bool:

@@ -17,10 +17,6 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 def jumps(machine: Machine, low: float, high: float) -> Array:
     """Crank angles [rad] between `low` and `high` at which a load or friction may jump, rising."""
     found: list[Array] = []
-    for load in machine.loads:
-        knots = np.asarray(getattr(getattr(load, "magnitude", None), "knots", ()), dtype=float)
-        turns = np.arange(np.floor(low / (2.0 * np.pi)) - 1.0, np.ceil(high / (2.0 * np.pi)) + 1.0) * 2.0 * np.pi
-        found.append((knots[:, None] + turns).ravel())
     switching = [load for load in machine.loads if load.switching]
     if switching or machine.friction:
 
@@ -30,8 +26,46 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
             values += [moving.slides[guide][1] for guide in machine.friction]
             return np.array([np.broadcast_to(value, angles.shape) for value in values])
 
-        grid = low + (high - low) * np.linspace(0.0, 1.0, 8 * PANELS + 1)
-        found += zeros(rates, grid)
+        found += zeros(rates, _grid(low, high))
+    return _rising(found, low, high)
+
+
+def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
+    """Crank angles [rad] at which a load or friction has a corner: the rows of its table, and where a normal force is zero."""
+    found: list[Array] = []
+    turns = np.arange(np.floor(low / (2.0 * np.pi)) - 1.0, np.ceil(high / (2.0 * np.pi)) + 1.0) * 2.0 * np.pi
+    rows: list[tuple[str, float]] = []
+    for load in machine.loads:
+        table = getattr(load, "magnitude", None)
+        at = np.asarray(getattr(table, "at", ()), dtype=float)
+        over, guide = getattr(table, "over", ""), getattr(load, "direction", None)
+        if over == "phi":
+            found.append((at[:, None] + turns).ravel())
+        elif over == "s" and isinstance(guide, str):
+            rows += [(guide, float(value)) for value in at]
+    if rows:
+
+        def distances(angles: Array) -> Array:
+            slides = machine.moving(angles).slides
+            return np.array([np.broadcast_to(slides[guide][0] - value, angles.shape) for guide, value in rows])
+
+        found += zeros(distances, _grid(low, high))
+    if machine.friction:
+
+        def normals(angles: Array) -> Array:
+            guides = reactions(machine.moving(angles, speed)).guides
+            return np.array([np.broadcast_to(guides[name].normal, angles.shape) for name in machine.friction])
+
+        found += zeros(normals, _grid(low, high))
+    return _rising(found, low, high)
+
+
+def _grid(low: float, high: float) -> Array:
+    even: Array = low + (high - low) * np.linspace(0.0, 1.0, 8 * PANELS + 1)
+    return even
+
+
+def _rising(found: list[Array], low: float, high: float) -> Array:
     angles = np.unique(np.concatenate([*found, np.empty(0)]))
     inside = angles[(angles > low) & (angles < high)]
     keep = np.concatenate([np.ones(min(1, len(inside)), dtype=bool), np.diff(inside) > 1e-12])
@@ -45,7 +79,8 @@ class Work:
     def __init__(self, machine: Machine, start: float, low: float, high: float, speed: float) -> None:
         self.machine, self.speed = machine, speed
         self.jumps = jumps(machine, low, high)
-        self.knots = np.unique(np.concatenate([np.linspace(low, high, PANELS + 1), self.jumps]))
+        bends = corners(machine, low, high, speed)
+        self.knots = np.unique(np.concatenate([np.linspace(low, high, PANELS + 1), self.jumps, bends]))
         pieces = self._integral(self.knots[:-1], self.knots[1:])
         self._sum = np.concatenate([[0.0], np.cumsum(pieces)])
         self._start = 0.0
