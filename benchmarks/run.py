@@ -28,6 +28,7 @@ YARDSTICK = ("-c", "import numpy, scipy.optimize, casadi")
 PROCESSES = {
     "help": (("-m", "optlink.cli", "--help"), "<= 0.5"),
     "solve crank-rocker": (("-m", "optlink.cli", "solve", "crank-rocker"), "<= 1.8"),
+    "analyze six-bar": (("-m", "optlink.cli", "analyze", "six-bar"), ""),
 }
 
 
@@ -84,7 +85,7 @@ def document(rows: list[Row]) -> dict[str, Any]:
         "schema": "optlink/benchmarks/1",
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
-        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "pylinkage", "numba")},
+        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "pylinkage", "numba", "exudyn")},
         "rows": [
             {
                 "what": row.what,
@@ -105,11 +106,13 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
     arguments = parser.parse_args()
     import batch
+    import dynamics
     import solves
 
     progress = Console(stderr=True)
     rows: list[Row] = []
-    for what, measure in (("solves", solves.rows), ("batches", batch.rows), ("processes", process_rows)):
+    measurements = {"solves": solves.rows, "batches": batch.rows, "dynamics": dynamics.rows, "processes": process_rows}
+    for what, measure in measurements.items():
         with progress.status(f"Timing {what} ..."):
             rows += measure()
     console = Console()

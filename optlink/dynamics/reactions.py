@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -42,15 +43,23 @@ class Reactions:
     """Joint reactions and torque of a machine in motion.
 
     `pins`: point -> body -> force that the pin exerts on that body [N] (they sum to zero); `guides` by name; `torque` of the
-    driver on the crank [N m]; `singularity`: for each group how far it is from a singular position (sine of an angle, 0 ... 1,
-    signed), `jammed` where friction locks a guide.
+    driver on the crank [N m]; `jammed` where friction locks a guide; `rows`: the directions of the two balances of each group.
     """
 
     torque: Value
     pins: dict[str, dict[str, Vector]]
     guides: dict[str, GuideForce]
-    singularity: dict[str, Value]
+    rows: dict[str, tuple[Vector, Vector]]
     jammed: Value = False
+
+    @cached_property
+    def singularity(self) -> dict[str, Value]:
+        """How far each group is from a singular position: sine of the angle between its rows, -1 ... 1.
+
+        For an RRR group that is the sine of the transmission angle.
+        """
+        with np.errstate(all="ignore"):
+            return {joint: cross(a, b) / np.sqrt(dot(a, a) * dot(b, b)) for joint, (a, b) in self.rows.items()}
 
     def pin(self, machine: Machine, point: str) -> Vector:
         """The reaction that is told for a pin [N]: on the body that `on` names."""
@@ -97,11 +106,9 @@ def required(moving: Moving, *, inertia: bool = True, gravity: bool = True, load
     for body, mass in machine.inertias.items():
         state = moving.state(body)
         if inertia:
-            found[body] = found[body] + wrench(mass.parameters, state, machine.gravity if gravity else (0.0, 0.0))
+            found[body] = wrench(mass.parameters, state, machine.gravity if gravity else (0.0, 0.0))
         elif gravity:
-            found[body] = found[body] + wrench(
-                mass.parameters, state._replace(acceleration=(0.0, 0.0), omega=0.0, alpha=0.0), machine.gravity
-            )
+            found[body] = wrench(mass.parameters, state._replace(acceleration=(0.0, 0.0), omega=0.0, alpha=0.0), machine.gravity)
     for load in machine.loads if loads else ():
         for acting in load.act(moving):
             if acting.body != FRAME:
@@ -127,11 +134,10 @@ def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Rea
         return _Balance(moving, required(moving) if needed is None else needed).solve()
 
 
-def two(row: Vector, right: Value, other: Vector, other_right: Value) -> tuple[Vector, Value]:
-    """Solve row . x = right, other . x = other_right; and the sine of the angle between the two rows."""
-    determinant = cross(row, other)
-    x = (right * other[1] - other_right * row[1]) / determinant, (row[0] * other_right - other[0] * right) / determinant
-    return x, determinant / np.sqrt(dot(row, row) * dot(other, other))
+def two(row: Vector, right: Value, other: Vector, other_right: Value) -> Vector:
+    """Solve row . x = right, other . x = other_right."""
+    inverse = 1.0 / cross(row, other)
+    return (right * other[1] - other_right * row[1]) * inverse, (row[0] * other_right - other[0] * right) * inverse
 
 
 def _moment_row(lever: Vector) -> Vector:
@@ -145,7 +151,7 @@ class _Solved:
 
     pins: list[tuple[str, str, Vector]] = field(default_factory=list)
     guides: list[tuple[Guide, str, Vector, Value]] = field(default_factory=list)
-    singularity: Value = 1.0
+    rows: tuple[Vector, Vector] = ((1.0, 0.0), (0.0, 1.0))
 
 
 class _Balance:
@@ -156,7 +162,7 @@ class _Balance:
         self.needed = dict(needed)
         self.pins: dict[str, dict[str, Vector]] = {}
         self.guides: dict[str, GuideForce] = {}
-        self.singularity: dict[str, Value] = {}
+        self.rows: dict[str, tuple[Vector, Vector]] = {}
         self.jammed: Value = False
         self.placed = [FRAME, *self.mechanism.bodies]
 
@@ -166,7 +172,7 @@ class _Balance:
         crank = self.mechanism.crank
         total = self.needed[crank.body]
         self.exert(crank.start, crank.body, total.force, FRAME)
-        return Reactions(total.moment, self.pins, self.guides, self.singularity, self.jammed)
+        return Reactions(total.moment, self.pins, self.guides, self.rows, self.jammed)
 
     # --- one group -------------------------------------------------------------------------------------------------
 
@@ -245,7 +251,7 @@ class _Balance:
             sign = 1.0 if body == guide.slider else -1.0
             line, on = self.moving.line(guide.name), (sign * force[0], sign * force[1])
             self.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
-        self.singularity[group.joint] = solved.singularity
+        self.rows[group.joint] = solved.rows
 
     def carrier(self, point: str, own: tuple[str, str]) -> str:
         """The body placed before a group that holds one of its outer joints."""
@@ -255,8 +261,8 @@ class _Balance:
     def exert(self, point: str, body: str, force: Vector, by: str) -> None:
         """At a pin one body exerts a force on another."""
         forces = self.pins.setdefault(point, {})
-        forces[body] = plus(forces.get(body, (0.0, 0.0)), force)
-        forces[by] = minus(forces.get(by, (0.0, 0.0)), force)
+        forces[body] = plus(forces[body], force) if body in forces else force
+        forces[by] = minus(forces[by], force) if by in forces else (-force[0], -force[1])
 
     def carry(self, body: str, point: Vector, force: Vector, moment: Value) -> None:
         """A body must be given what it hands on."""
@@ -279,19 +285,18 @@ def _guides(group: Group) -> tuple[Guide, ...]:
 
 
 def _each(solved: _Solved, change: Callable[[Value], Value]) -> _Solved:
+    (a, b), (c, d) = solved.rows
     return _Solved(
         [(point, body, (change(x), change(y))) for point, body, (x, y) in solved.pins],
         [(guide, body, (change(x), change(y)), change(m)) for guide, body, (x, y), m in solved.guides],
-        solved.singularity,
+        ((change(a), change(b)), (change(c), change(d))),
     )
 
 
 def _either(which: Value, one: _Solved, other: _Solved) -> _Solved:
     """Elementwise choice between two solutions of one group."""
     leaves = iter(_leaves(other))
-    return replace(
-        _each(one, lambda x: np.where(which, x, next(leaves))), singularity=np.where(which, one.singularity, other.singularity)
-    )
+    return _each(one, lambda x: np.where(which, x, next(leaves)))
 
 
 def _leaves(solved: _Solved) -> list[Value]:
@@ -308,16 +313,11 @@ def _rrr(balance: _Balance, group: RRR, tilts: Mapping[str, Value]) -> _Solved:
     first, second = group.links
     p, q, j = (balance.moving.position(name) for name in (*group.pins, group.joint))
     one, other = minus(p, j), minus(q, j)
-    outer, _ = two(
-        _moment_row(one),
-        balance.about(first, j),
-        _moment_row(minus(p, q)),
-        balance.about(first, q) + balance.about(second, q),
-    )
-    sine = cross(one, other) / np.sqrt(dot(one, one) * dot(other, other))  # of the transmission angle
+    right = balance.about(first, q) + balance.about(second, q)
+    outer = two(_moment_row(one), balance.about(first, j), _moment_row(minus(p, q)), right)
     inner = minus(balance.needed[first.body].force, outer)
     pins = [(group.pins[0], first.body, outer), (group.joint, first.body, inner)]
-    return _Solved([*pins, (group.pins[1], second.body, plus(balance.needed[second.body].force, inner))], [], sine)
+    return _Solved([*pins, (group.pins[1], second.body, plus(balance.needed[second.body].force, inner))], [], (one, other))
 
 
 def _rrp(balance: _Balance, group: RRP, tilts: Mapping[str, Value]) -> _Solved:
@@ -325,14 +325,15 @@ def _rrp(balance: _Balance, group: RRP, tilts: Mapping[str, Value]) -> _Solved:
     link, slider = group.links
     p, j, across = balance.moving.position(group.outer), balance.moving.position(group.joint), balance.across(group.guide, tilts)
     total = balance.total(group)
-    outer, sine = two(_moment_row(minus(p, j)), balance.about(link, j), across, dot(across, total))
+    lever = _moment_row(minus(p, j))
+    outer = two(lever, balance.about(link, j), across, dot(across, total))
     inner = minus(balance.needed[link.body].force, outer)  # on the link
     at = balance.at(group.guide)
     moment = balance.about(slider, at) + cross(minus(j, at), inner)
     return _Solved(
         [(group.outer, link.body, outer), (group.joint, link.body, inner)],
         [(group.guide, slider.body, minus(total, outer), moment)],
-        sine,
+        (lever, across),
     )
 
 
@@ -341,13 +342,14 @@ def _rpr(balance: _Balance, group: RPR, tilts: Mapping[str, Value]) -> _Solved:
     slider, second = group.links
     p, q = (balance.moving.position(name) for name in group.outer)
     across, needed = balance.across(group.guide, tilts), balance.needed[slider.body].force
-    outer, sine = two(_moment_row(minus(p, q)), balance.about(slider, q) + balance.about(second, q), across, dot(across, needed))
+    lever = _moment_row(minus(p, q))
+    outer = two(lever, balance.about(slider, q) + balance.about(second, q), across, dot(across, needed))
     inner, at = minus(needed, outer), balance.at(group.guide)
     moment = balance.about(slider, at) - cross(minus(p, at), outer)
     return _Solved(
         [(group.outer[0], slider.body, outer), (group.outer[1], second.body, minus(balance.total(group), outer))],
         [(group.guide, slider.body, inner, moment)],
-        sine,
+        (lever, across),
     )
 
 
@@ -356,14 +358,14 @@ def _rpp(balance: _Balance, group: RPP, tilts: Mapping[str, Value]) -> _Solved:
     first, yoke = group.links
     p, needed, total = balance.moving.position(group.outer), balance.needed[first.body].force, balance.total(group)
     across, rail = (balance.across(guide, tilts) for guide in (group.guide, group.rail))
-    outer, sine = two(across, dot(across, needed), rail, dot(rail, total))
+    outer = two(across, dot(across, needed), rail, dot(rail, total))
     inner, at, rest = minus(needed, outer), balance.at(group.guide), balance.at(group.rail)
     moment = balance.about(first, at) - cross(minus(p, at), outer)
     held = balance.about(yoke, rest) + cross(minus(at, rest), inner) + moment
     return _Solved(
         [(group.outer, first.body, outer)],
         [(group.guide, first.body, inner, moment), (group.rail, yoke.body, minus(total, outer), held)],
-        sine,
+        (across, rail),
     )
 
 
@@ -373,12 +375,12 @@ def _prp(balance: _Balance, group: PRP, tilts: Mapping[str, Value]) -> _Solved:
     j = balance.moving.position(group.joint)
     one, other = (balance.needed[link.body].force for link in group.links)
     along, across = (balance.across(guide, tilts) for guide in group.guides)
-    inner, sine = two(along, dot(along, one), across, -dot(across, other))  # on the first
+    inner = two(along, dot(along, one), across, -dot(across, other))  # on the first
     guides = []
     for link, guide, needed, sign in ((first, group.guides[0], one, 1.0), (second, group.guides[1], other, -1.0)):
         at, pin = balance.at(guide), (sign * inner[0], sign * inner[1])
         guides.append((guide, link.body, minus(needed, pin), balance.about(link, at) - cross(minus(j, at), pin)))
-    return _Solved([(group.joint, first.body, inner)], guides, sine)
+    return _Solved([(group.joint, first.body, inner)], guides, (along, across))
 
 
 _SOLVERS: dict[type, Callable[..., _Solved]] = {RRR: _rrr, RRP: _rrp, RPR: _rpr, RPP: _rpp, PRP: _prp}
