@@ -381,7 +381,7 @@ def test_rates_are_the_differences_of_positions(kind):
         phi = ANGLES[margin > 0.15]  # differences over a finite step need a smooth motion
         if kind in ("RRR", "RRP"):
             assume(radius(parts, "one", "B", "C") > 0.25)
-        if kind == "RPR":
+        if kind in ("RRR", "RPR"):  # where B passes D the group turns too fast for a finite step
             b, d = np.stack([np.cos(phi), np.sin(phi)], axis=-1) * parts.links[0].length, parts.ground["D"]
             phi = phi[np.hypot(*(b - d).T) > 0.3]
         assume(phi.size)

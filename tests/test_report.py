@@ -27,6 +27,40 @@ def test_mechanism_is_drawn_in_its_telling_positions(solved):
         assert lengths == pytest.approx([100.0, 232.246171, 412.865416], abs=1e-5)
 
 
+def test_letters_stand_clear_of_links_and_inside(solved):
+    figure = plot.mechanism(solved)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        letters = {text.get_text(): text.get_window_extent() for text in axes.texts}
+        assert set(letters) == set("ABCD")
+        area = axes.get_window_extent()
+        for name, box in letters.items():
+            assert area.x0 <= box.x0 < box.x1 <= area.x1, name
+            assert area.y0 <= box.y0 < box.y1 <= area.y1, name
+            for line in axes.get_lines():
+                if line.get_linewidth() >= 3.0:
+                    (x0, y0), (x1, y1) = axes.transData.transform(line.get_xydata())
+                    share = np.linspace(0.0, 1.0, 400)
+                    assert not any(
+                        box.contains(x, y) for x, y in zip(x0 + share * (x1 - x0), y0 + share * (y1 - y0), strict=True)
+                    )
+        assert [line.get_gid() for line in axes.get_lines() if line.get_linewidth() >= 3.0] == ["crank", "coupler", "rocker"]
+
+
+def test_a_large_four_bar_is_drawn_in_metres(crank_rocker):
+    raw = {**crank_rocker.raw, "limits": {"crank": "full rotation"}}
+    raw["mechanism"] = {"crank": "10 m", "frame": "50 m", "coupler": "41.3 m", "rocker": "23.2 m"}
+    figure = plot.mechanism(optlink.validate(optlink.read(raw), {}))
+    assert figure.axes[0].get_xlabel() == "x [m]"
+    assert "crank 10.000   coupler 41.300   rocker 23.200   frame 50.000 m" in figure.get_suptitle()
+    lengths = sorted(
+        float(np.linalg.norm(np.diff(line.get_xydata(), axis=0)))
+        for line in figure.axes[0].get_lines()
+        if line.get_linewidth() >= 3
+    )
+    assert lengths == pytest.approx([10.0, 23.2, 41.3])
+
+
 def test_law_shows_wanted_generated_and_error(solved):
     top, bottom = plot.law(solved).axes
     wanted, found, marks = (line.get_xydata() for line in top.get_lines())

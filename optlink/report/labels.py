@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon
+from matplotlib.patches import FancyArrowPatch, Polygon
 from numpy.typing import NDArray
 
 from optlink.report.style import HALO, WANTED
@@ -17,6 +17,7 @@ from optlink.report.style import HALO, WANTED
 Array = NDArray[np.float64]
 WAYS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)])
 REACHES = np.array([2.0, 5.0, 9.0, 15.0, 24.0, 36.0])  # [pt] from what is labelled to the label
+FAR = 14.0  # [pt] from which on a thin line leads to the label
 STEP = 3.0  # [pixel] at which lines are looked at
 
 
@@ -39,10 +40,17 @@ def settle(figure: Figure, labels: Iterable[Label]) -> None:
     figure.set_layout_engine("none")
     by_axes: dict[Axes, list[Label]] = {}
     for label in labels:
-        if np.all(np.isfinite(label.at)):
+        if _in_sight(label):
             by_axes.setdefault(label.axes, []).append(label)
     for axes, own in by_axes.items():
         _place(axes, own)
+
+
+def _in_sight(label: Label) -> bool:
+    if not np.all(np.isfinite(label.at)):
+        return False
+    x, y = label.axes.transData.transform(label.at)
+    return label.axes.get_window_extent().padded(2.0).contains(x, y)
 
 
 def _place(axes: Axes, labels: list[Label]) -> None:
@@ -51,7 +59,7 @@ def _place(axes: Axes, labels: list[Label]) -> None:
     point = figure.dpi / 72.0
     area = axes.get_window_extent()
     inside = np.array([area.x0, area.y0, area.x1, area.y1])
-    crowd = _crowd(axes, inside, point)
+    crowd, weights = _crowd(axes, inside, point)
     taken: list[Array] = []
     for label in labels:
         text = axes.text(*label.at, label.text, ha="center", va="center", color=label.colour, fontsize=label.size, zorder=9)
@@ -65,16 +73,21 @@ def _place(axes: Axes, labels: list[Label]) -> None:
         centres = anchor + (WAYS * reach[:, None, None] + WAYS * half).reshape(-1, 2)
         boxes = np.concatenate([centres - half, centres + half], axis=1)
         out = np.maximum(inside[:2] - boxes[:, :2], 0.0).sum(axis=1) + np.maximum(boxes[:, 2:] - inside[2:], 0.0).sum(axis=1)
-        hidden = np.sum(_within(boxes, crowd, 1.0), axis=1)
+        hidden = _within(boxes, crowd, 1.0) @ weights
         over = np.zeros(len(boxes))
         for other in taken:
             low, high = np.maximum(boxes[:, :2], other[:2]), np.minimum(boxes[:, 2:], other[2:])
             over += np.prod(np.maximum(high - low + 1.0, 0.0), axis=1)
         against = 1.0 - WAYS @ np.asarray(label.prefer) if any(label.prefer) else np.zeros(len(WAYS))
-        cost = 40.0 * out + 5.0 * hidden + 2.0 * over + np.repeat(0.35 * reach, len(WAYS)) + 5.0 * np.tile(against, len(reach))
+        cost = 40.0 * out + 5.0 * hidden + 2.0 * over + np.repeat(0.6 * reach, len(WAYS)) + 5.0 * np.tile(against, len(reach))
         best = int(np.argmin(cost))
         taken.append(boxes[best])
         text.set_position(tuple(axes.transData.inverted().transform(centres[best])))
+        if np.repeat(reach, len(WAYS))[best] > FAR * point:  # too far to tell whose label it is
+            near = axes.transData.inverted().transform(np.clip(anchor, boxes[best, :2], boxes[best, 2:]))
+            leader = Line2D(*np.array([label.at, near]).T, color=label.colour, linewidth=0.6, alpha=0.7, zorder=8, gid="leader")
+            leader.set_in_layout(False)
+            axes.add_artist(leader)
 
 
 def _within(boxes: Array, points: Array, room: float) -> NDArray[np.bool_]:
@@ -83,21 +96,29 @@ def _within(boxes: Array, points: Array, room: float) -> NDArray[np.bool_]:
     return within
 
 
-def _crowd(axes: Axes, inside: Array, point: float) -> Array:
-    """Pixels that lines, outlines and markers pass."""
-    found = [np.empty((0, 2))]
+def _crowd(axes: Axes, inside: Array, point: float) -> tuple[Array, Array]:
+    """Pixels that lines, outlines and markers pass; and how much it matters not to hide them."""
+    found, weights = [np.empty((0, 2))], [np.empty(0)]
+
+    def add(points: Array, weight: float) -> None:
+        found.append(points)
+        weights.append(np.full(len(points), weight))
+
     for child in axes.get_children():
         if isinstance(child, Line2D) and child.get_visible():
             path = child.get_transform().transform(np.asarray(child.get_xydata(), dtype=float))
             if child.get_linestyle() not in ("None", "none", ""):
-                found.append(_dense(path, inside))
+                add(_dense(path, inside), 1.0 if child.get_linewidth() > 1.35 else 0.4)
             if child.get_marker() not in ("None", "none", "", None):
                 ring = 0.5 * child.get_markersize() * point * WAYS[::2]
-                found.append((path[:200, None, :] + ring).reshape(-1, 2))
+                add((path[:200, None, :] + ring).reshape(-1, 2), 1.0)
+        elif isinstance(child, FancyArrowPatch):
+            add(_dense(axes.transData.transform(np.asarray(child.get_path().vertices)), inside), 1.0)
         elif isinstance(child, Polygon) and child.get_gid() != "shade":
-            found.append(_dense(child.get_transform().transform(child.get_xy()), inside))
+            add(_dense(child.get_transform().transform(child.get_xy()), inside), 0.7)
     points = np.concatenate(found)
-    return points[np.all(np.isfinite(points), axis=1)]
+    known = np.all(np.isfinite(points), axis=1)
+    return points[known], np.concatenate(weights)[known]
 
 
 def _dense(path: Array, inside: Array) -> Array:

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib import font_manager, patheffects
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.report.store import whole
@@ -25,7 +27,7 @@ BODIES = (COUPLER, ROCKER, "#d07d00", "#7d55a8", "#17888f", "#a0522d", "#c2527f"
 """Colours of the bodies after the crank, in the order in which they are placed."""
 QUIET, WANTED, FOUND, LIMIT = "#9a9a9a", "#111111", "#2c6fbb", "#c0392b"
 SHADE = "#f3e3c3"
-HALO = [patheffects.withStroke(linewidth=2.5, foreground="white")]
+HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=2.5, foreground="white")]
 OTHER_SCRIPTS = ("Noto Sans CJK SC", "Source Han Sans SC", "Microsoft YaHei", "SimHei", "PingFang SC", "WenQuanYi Zen Hei")
 STYLE: dict[Any, Any] = {
     "font.family": ["DejaVu Sans", *sorted({f.name for f in font_manager.fontManager.ttflist}.intersection(OTHER_SCRIPTS))],
@@ -39,6 +41,7 @@ STYLE: dict[Any, Any] = {
 
 P = ParamSpec("P")
 T = TypeVar("T")
+LARGEST = 1_500_000  # bytes of a film
 
 
 @contextlib.contextmanager
@@ -85,14 +88,31 @@ class Scale(NamedTuple):
 
     def text(self, value: float) -> str:
         """A value [SI] with its unit."""
-        shown = f"{value * self.factor:.{self.decimals}f}"
-        if float(shown) == 0.0:
-            shown = shown.lstrip("-")
+        size = abs(value * self.factor)
+        decimals = min(self.decimals, max(0, 4 - math.floor(math.log10(size)))) if size >= 1.0 else self.decimals
+        shown = f"{value * self.factor:.{decimals}f}" if size < 1e7 else f"{value * self.factor:.3e}"
+        shown = shown.lstrip("-") if float(shown) == 0.0 else shown.replace("-", "−")
         return f"{shown}{'°' if self.unit == 'deg' else ' ' + self.unit}"
 
 
-LENGTH = ((1e3, "k", 5.0), (1.0, "", 2.0), (1e-3, "m", 1.0), (1e-6, "µ", 1.0), (1e-9, "n", 0.0))
-OTHER = ((1e9, "G", 5.0), (1e6, "M", 5.0), (1e3, "k", 5.0), (1.0, "", 0.5), (1e-3, "m", 0.5), (1e-6, "µ", 0.5), (1e-9, "n", 0.0))
+def degrees(angle: float) -> str:
+    """An angle [rad] in degrees."""
+    return scale(0.0, "deg").text(angle)
+
+
+LENGTH = ((1e3, "k", 5.0), (1.0, "", 5.0), (1e-3, "m", 1.0), (1e-6, "µ", 1.0), (1e-9, "n", 0.0))
+OTHER = (
+    (1e9, "G", 5.0),
+    (1e6, "M", 5.0),
+    (1e3, "k", 5.0),
+    (1.0, "", 0.5),
+    (1e-3, "m", 0.5),
+    (1e-6, "µ", 0.5),
+    (1e-9, "n", 0.5),
+    (1e-12, "p", 0.5),
+    (1e-15, "f", 0.5),
+    (1e-18, "a", 0.0),
+)
 PREFIXED = {"m": LENGTH, "m/s": OTHER[3:], "m/s²": OTHER[3:], "N": OTHER, "N m": OTHER, "J": OTHER, "W": OTHER}
 """Prefixes by unit: size, letter, and from how many of them on it is taken."""
 
@@ -120,17 +140,42 @@ def save(drawn: Figure, path: Path) -> None:
 
 
 def save_film(pictures: Sequence[Image.Image], path: Path) -> None:
-    """Write pictures of one palette as a film that repeats."""
+    """Write pictures of one palette as a film that repeats; fewer of them where the file would be large."""
     with whole(path) as temporary:
-        pictures[0].save(temporary, save_all=True, append_images=list(pictures[1:]), duration=40, loop=0, optimize=False)
+        for every in (1, 2, 3):
+            shown = pictures[::every]
+            shown[0].save(temporary, save_all=True, append_images=list(shown[1:]), duration=40 * every, loop=0, optimize=False)
+            if temporary.stat().st_size <= LARGEST:
+                break
 
 
-def one_palette(pictures: Sequence[Image.Image], colours: int = 128) -> list[Image.Image]:
-    """Pictures in one palette that all of them were asked for, so that no colour flickers."""
-    asked = pictures[:: max(1, len(pictures) // 6)]
-    width, height = pictures[0].size
-    together = Image.new("RGB", (width, height * len(asked)))
-    for k, picture in enumerate(asked):
-        together.paste(picture, (0, k * height))
-    palette = together.quantize(colours)
-    return [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+def one_palette(pictures: Sequence[NDArray[np.uint8]], colours: int = 160) -> list[Image.Image]:
+    """Pictures (height, width, 3) in one palette, so that no colour flickers: the most frequent colours as they are."""
+    packed = [(p[..., 0].astype(np.int32) << 16) | (p[..., 1].astype(np.int32) << 8) | p[..., 2] for p in pictures]
+    asked, counts = np.unique(np.concatenate([p.ravel() for p in packed[:: max(1, len(packed) // 6)]]), return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    exact = _unpacked(asked[order[: 2 * colours // 3]])
+    chosen = exact
+    rest = _unpacked(asked[order[2 * colours // 3 :]])
+    if len(rest):
+        count = colours - len(exact)
+        found = Image.fromarray(rest[None, :, :]).quantize(count).getpalette() or []
+        chosen = np.concatenate([exact, np.array(found[: 3 * count], dtype=np.uint8).reshape(-1, 3)])
+    seen = np.zeros(1 << 24, dtype=bool)
+    for p in packed:
+        seen[p] = True
+    there = np.flatnonzero(seen)
+    nearest = np.zeros(1 << 24, dtype=np.uint8)
+    for k in range(0, len(there), 4096):
+        away = _unpacked(there[k : k + 4096]).astype(np.int32)[:, None, :] - chosen.astype(np.int32)
+        nearest[there[k : k + 4096]] = np.argmin(np.sum(away * away, axis=-1), axis=-1)
+    made = []
+    for p in packed:
+        picture = Image.fromarray(nearest[p])  # grey until it gets its palette
+        picture.putpalette(chosen.ravel().tolist())
+        made.append(picture)
+    return made
+
+
+def _unpacked(colours: NDArray[Any]) -> NDArray[np.uint8]:
+    return np.stack([colours >> 16, (colours >> 8) & 255, colours & 255], axis=-1).astype(np.uint8)
