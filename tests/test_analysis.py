@@ -412,3 +412,27 @@ def test_design_problems_are_analysed_at_a_given_design():
     document = json.loads(done.stdout)
     assert done.exit_code == 0
     assert document["extremes"]["C.transmission_rad"]["max"] == pytest.approx(math.radians(135.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("speed", [1.0, -1.0])
+def test_slow_stroke_is_the_slow_one_in_either_sense(speed):
+    """It takes pi + 2 asin(125 / 275) of the turn, whichever way the crank turns."""
+    result = optlink.analyze(optlink.load("shaper"), points=3600, speed=speed)
+    share = 0.5 + math.asin(125.0 / 275.0) / math.pi
+    assert np.mean(result["cutting.fx_N"][:-1] != 0.0) == pytest.approx(share, abs=5e-4)
+    assert np.all(result["cutting.fx_N"] * result["ram.v_m_s"] <= 0.0)
+    assert result.work == pytest.approx(5880.0 * 1.2 * 125.0 / 275.0, rel=1e-11)
+
+
+def test_slider_that_stands_still_does_not_reverse_with_every_rounding():
+    """Crank and rod of one length: the slider rests on the crank's pivot for half a turn."""
+    raw = dict(offset_slider_crank(0.0).raw)
+    raw["mechanism"] = {
+        **raw["mechanism"],
+        "links": {**raw["mechanism"]["links"], "rod": {"joints": ["B", "C"], "length": "0.1 m"}},
+    }
+    raw["loads"] = {"drag": {"on": "slider", "force": "3 N", "acts": "opposing"}}
+    result = optlink.analyze(optlink.read(raw), points=36)
+    assert len(result.jumps) <= 4
+    assert len(result.strokes["slider"].dead_centres) <= 4
+    assert result.strokes["slider"].span == pytest.approx(0.2, abs=1e-9)

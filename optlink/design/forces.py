@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -265,12 +265,12 @@ class LoadSection(Section):
                 raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
             if isinstance(self.force, Curve) and self.force.over == "s" and not isinstance(direction, str):
                 raise Unusable("s is the position of a slider along its guide", "Leave direction out, or use phi", "force")
-            load: Load = Force(name, body, point, self.force, direction, self.acts == "opposing")
-            return Force(name, body, point, self.force, direction, self.acts == "opposing", self._stroke(load, slow))
+            load = Force(name, body, point, self.force, direction, self.acts == "opposing")
+            return replace(load, **self._stroke(load, slow))
         if self.torque is not None:
             body = self._body(mechanism, self.on, "on")
-            load = Torque(name, body, self.torque, self.acts == "opposing")
-            return Torque(name, body, self.torque, self.acts == "opposing", self._stroke(load, slow))
+            twist = Torque(name, body, self.torque, self.acts == "opposing")
+            return replace(twist, **self._stroke(twist, slow))
         if self.between is not None:
             ends = []
             for point in self.between:
@@ -346,12 +346,13 @@ class LoadSection(Section):
             point = self.at
         return body, point, guide.name if guide else ""
 
-    def _stroke(self, load: Load, slow: Callable[[Load], Stroke]) -> Stroke:
-        if self.stroke in ("slow", "fast"):
-            found = slow(load)
-            other: dict[Stroke, Stroke] = {"forward": "backward", "backward": "forward"}
-            return found if self.stroke == "slow" else other[found]
-        return self.stroke  # type: ignore[return-value]
+    def _stroke(self, load: Load, slow: Callable[[Load], Stroke]) -> dict[str, Any]:
+        """In which stroke it acts, and whether that goes with the sense of the crank."""
+        if self.stroke not in ("slow", "fast"):
+            return {"stroke": self.stroke}
+        found = slow(load)
+        other: dict[Stroke, Stroke] = {"forward": "backward", "backward": "forward"}
+        return {"stroke": found if self.stroke == "slow" else other[found], "turning": True}
 
 
 # --- the drive --------------------------------------------------------------------------------------------------------

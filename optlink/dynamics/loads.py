@@ -70,14 +70,16 @@ class Load(Protocol):
         ...
 
 
-def _sense(load: Load, moving: Moving, opposing: bool, stroke: Stroke) -> Value:
+def _sense(load: Force | Torque, moving: Moving) -> Value:
     """Factor of the magnitude: -1 against a positive velocity where it opposes, 0 in the other stroke."""
+    opposing, stroke = load.opposing, load.stroke
     if not opposing and stroke == "both":
         return 1.0
     sign = moving.sense(lambda source: load.reversing(source) or (0.0, 0.0))
     share = 1.0
     if stroke != "both":
-        share = 0.5 * (1.0 + (sign if stroke == "forward" else -sign))
+        way = moving.direction if load.turning else 1.0
+        share = 0.5 * (1.0 + (sign if stroke == "forward" else -sign) * way)
     return share * (-sign if opposing else 1.0)
 
 
@@ -92,6 +94,7 @@ class Force:
     direction: float | str  # angle [rad], or the guide that the body slides in
     opposing: bool = False
     stroke: Stroke = "both"
+    turning: bool = False  # the stroke is that of a crank that turns counter-clockwise; clockwise it is the other one
 
     @property
     def switching(self) -> bool:
@@ -115,7 +118,7 @@ class Force:
         if isinstance(self.direction, str):
             s, v, _ = moving.slides[self.direction]
             known = {**known, "s": s, "v": v}
-        size = self.magnitude(known) * _sense(self, moving, self.opposing, self.stroke)
+        size = self.magnitude(known) * _sense(self, moving)
         x, y = self.along(moving)
         yield Acting(self.body, moving.position(self.point), (size * x + 0.0, size * y + 0.0), 0.0)  # no minus before a zero
 
@@ -133,6 +136,7 @@ class Torque:
     magnitude: Magnitude
     opposing: bool = False
     stroke: Stroke = "both"
+    turning: bool = False  # the stroke is that of a crank that turns counter-clockwise; clockwise it is the other one
 
     @property
     def switching(self) -> bool:
@@ -148,7 +152,7 @@ class Torque:
         """The torque."""
         state = moving.state(self.body)
         known = {**moving.variables, "theta": angle_from((1.0, 0.0), state.axis), "w": state.omega}
-        yield Acting(self.body, state.start, (0.0, 0.0), self.magnitude(known) * _sense(self, moving, self.opposing, self.stroke))
+        yield Acting(self.body, state.start, (0.0, 0.0), self.magnitude(known) * _sense(self, moving))
 
     def potential(self, moving: Moving) -> Value:
         """None is kept."""

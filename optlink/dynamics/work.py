@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.reactions import reactions
-from optlink.linkage.refine import zeros
+from optlink.linkage.refine import STILL, zeros
 
 Array = NDArray[np.float64]
 PANELS = 180  # per range: 2 degrees each in a revolution
@@ -26,7 +26,10 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
             values += [moving.slides[guide][1] for guide in machine.friction]
             return np.array([np.broadcast_to(value, angles.shape) for value in values])
 
-        found += zeros(rates, _grid(low, high))
+        with np.errstate(all="ignore"):
+            sampled = rates(_grid(low, high))
+            largest = np.max(np.abs(np.where(np.isfinite(sampled), sampled, 0.0)), axis=1, keepdims=True, initial=0.0)
+            found += zeros(lambda angles: np.where(np.abs(r := rates(angles)) <= STILL * largest, 0.0, r), _grid(low, high))
     return _rising(found, low, high)
 
 

@@ -58,6 +58,10 @@ def extremes(function: Function, grid: Array, breaks: Sequence[float] = ()) -> t
     return np.where(lost, np.nan, centre), value
 
 
+STILL = 1e-11
+"""Share of its largest value below which a rate is rounding: what stands still does not reverse."""
+
+
 def zeros(function: Function, grid: Array, count: int = 60) -> list[Array]:
     """Crank angles [rad] at which each function changes its sign, to the last digits.
 
