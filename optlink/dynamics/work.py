@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.reactions import reactions
-from optlink.linkage.refine import STILL, zeros
+from optlink.linkage.refine import zeros
 
 Array = NDArray[np.float64]
 PANELS = 180  # per range: 2 degrees each in a revolution
@@ -27,9 +27,7 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
             return np.array([np.broadcast_to(value, angles.shape) for value in values])
 
         with np.errstate(all="ignore"):
-            sampled = rates(_grid(low, high))
-            largest = np.max(np.abs(np.where(np.isfinite(sampled), sampled, 0.0)), axis=1, keepdims=True, initial=0.0)
-            found += zeros(lambda angles: np.where(np.abs(r := rates(angles)) <= STILL * largest, 0.0, r), _grid(low, high))
+            found += zeros(rates, _grid(low, high), still=True)
     return _rising(found, low, high)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from optlink.linkage.elementwise import Value, unit
 from optlink.linkage.mechanism import Group, Mechanism
 from optlink.linkage.motion import sweep
-from optlink.linkage.refine import STILL, zeros
+from optlink.linkage.refine import zeros
 
 Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
@@ -155,19 +155,15 @@ def travels(
     def rates(angles: Array) -> Array:
         motion = sweep(mechanism, sizes, angles)
         found = [motion.body_angle(body).rate for body in bodies] + [motion.slide(guide).rate for guide in guides]
-        rate = np.array(found).reshape(-1, len(angles))
-        return np.where(np.abs(rate) <= STILL * largest, 0.0, rate)
+        return np.array(found).reshape(-1, len(angles))
 
-    largest: Value = 0.0
     grid = low + (high - low) * np.linspace(0.0, 1.0, GRID + 1)
     if full:
         grid = grid + 0.37 * (grid[1] - grid[0])  # so that no dead centre at a round angle lies on the seam
     motion = sweep(mechanism, sizes, grid)
-    found = rates(grid)
-    largest = np.max(np.abs(np.where(np.isfinite(found), found, 0.0)), axis=1, keepdims=True, initial=0.0)
     swings: dict[str, Travel] = {}
     strokes: dict[str, Travel] = {}
-    for k, centres in enumerate(zeros(rates, grid)):
+    for k, centres in enumerate(zeros(rates, grid, still=True)):
         body = k < len(bodies)
         jet = motion.body_angle(bodies[k]) if body else motion.slide(guides[k - len(bodies)])
         size = float(np.nanmax(np.abs(jet.rate), initial=0.0))

@@ -59,10 +59,10 @@ def extremes(function: Function, grid: Array, breaks: Sequence[float] = ()) -> t
 
 
 STILL = 1e-11
-"""Share of its largest value below which a rate is rounding: what stands still does not reverse."""
+"""Share of its largest value below which a rate is rounding."""
 
 
-def zeros(function: Function, grid: Array, count: int = 60) -> list[Array]:
+def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = False) -> list[Array]:
     """Crank angles [rad] at which each function changes its sign, to the last digits.
 
     Parameters
@@ -70,12 +70,16 @@ def zeros(function: Function, grid: Array, count: int = 60) -> list[Array]:
     function : crank angles (n,) -> values (functions, n)
     grid : array (n,) [rad], rising
     count : rounds of bisection at most
+    still : whether the functions are rates of what may stand still for a while: rounding does not reverse it
 
     Returns
     -------
     one rising array per function; sign changes across a gap (NaN) or a jump to NaN are none
     """
     values = function(grid)
+    if still:
+        size = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=1, keepdims=True, initial=0.0)
+        values = np.where(np.abs(values) <= STILL * size, 0.0, values)
     left, right = values[:, :-1], values[:, 1:]
     crossing = np.isfinite(left) & np.isfinite(right) & (np.sign(left) * np.sign(right) <= 0.0) & (left != 0.0)
     which, where = np.nonzero(crossing)
