@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from itertools import combinations
 
 from optlink.linkage.groups import PRP, RPP, RPR, RRP, RRR
@@ -70,6 +71,7 @@ class _Assembly:
     ) -> None:
         self.ground, self.points, self.guides, self.modes = ground, tuple(points), tuple(guides), modes
         self.links = {link.body: link for link in links}
+        self.rank = {link.body: k for k, link in enumerate(links)}
         self.driver = driver
         self.members: dict[str, list[str]] = {}  # point -> bodies that have it
         for point in ground:
@@ -87,10 +89,33 @@ class _Assembly:
 
     def pins(self, body: str) -> list[str]:
         """Points of a body that another body has too."""
-        return [point for point, bodies in self.members.items() if body in bodies and len(bodies) > 1]
+        return self._pins.get(body, [])
+
+    @cached_property
+    def _pins(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for point, bodies in self.members.items():
+            for body in bodies if len(bodies) > 1 else ():
+                found.setdefault(body, []).append(point)
+        return found
 
     def rails(self, body: str) -> list[Guide]:
-        return [guide for guide in self.guides if body in guide.bodies]
+        """Guides that a body slides in, or carries."""
+        return self._rails.get(body, [])
+
+    @cached_property
+    def _rails(self) -> dict[str, list[Guide]]:
+        found: dict[str, list[Guide]] = {}
+        for guide in self.guides:
+            for body in guide.bodies:
+                found.setdefault(body, []).append(guide)
+        return found
+
+    def neighbours(self, body: str) -> list[str]:
+        """Bodies that share a joint with a body and are not placed yet, in the order of the file."""
+        near = {other for point in self.pins(body) for other in self.members[point]}
+        near |= {guide.other(body) for guide in self.rails(body)}
+        return sorted(near - self.placed - {body}, key=self.rank.__getitem__)
 
     def known(self, body: str) -> list[str | Guide]:
         """Joints of a body with what is placed already."""
@@ -106,21 +131,29 @@ class _Assembly:
 
     def mechanism(self, name: str) -> Mechanism:
         self.check_joints()
-        left = [body for body in self.links if body != self.driver]
-        while left:
-            group = next((found for pair in combinations(left, 2) if (found := self.group(*pair))), None)
+        reached = {body for one in (FRAME, self.driver) for body in self.neighbours(one)}
+        while len(self.placed) <= len(self.links):
+            group = self.next_group(sorted(reached, key=self.rank.__getitem__))
             if group is None:
-                raise self.refusal(left)
+                raise self.refusal([body for body in self.links if body not in self.placed])
             self.groups.append(group)
-            for link in group.links:
-                left.remove(link.body)
-                self.placed.add(link.body)
+            self.placed.update(link.body for link in group.links)
+            reached.update(body for link in group.links for body in self.neighbours(link.body))
+            reached -= self.placed
         for joint in self.modes:
             if joint not in self.used:
                 known = [group.joint for group in self.groups if group.kind in ("RRR", "RRP", "RPR")]
                 remedy = f"Joints with an assembly mode: {', '.join(known) or 'none'}"
                 raise StructureError("no group has its inner joint there, or it has one mode only", remedy, f"assembly.{joint}")
         return Mechanism(name, self.ground, self.links[self.driver], tuple(self.groups), self.points, self.guides)
+
+    def next_group(self, reached: list[str]) -> Group | None:
+        """The first dyad, in the order of the file, among bodies that hang on what is placed."""
+        for first in reached:
+            for second in self.neighbours(first):
+                if self.rank[first] < self.rank[second] and (found := self.group(first, second)):
+                    return found
+        return None
 
     def check_joints(self) -> None:
         crank = self.links[self.driver]
