@@ -48,9 +48,13 @@ OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
 
 @dataclass(frozen=True)
 class Constant:
-    """The same everywhere."""
+    """The same everywhere; `text` as written."""
 
     value: float
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
 
     def __call__(self, known: Mapping[str, Value]) -> Value:
         """The value [SI]."""
@@ -62,7 +66,11 @@ class Formula:
     """An expression, in a unit of `size` SI."""
 
     expression: Expression
+    unit: str
     size: float
+
+    def __str__(self) -> str:
+        return f"{self.expression.text} [{self.unit}]"
 
     def __call__(self, known: Mapping[str, Value]) -> Value:
         """The value [SI]."""
@@ -76,6 +84,9 @@ class Curve:
     over: str
     at: tuple[float, ...]
     values: tuple[float, ...]
+
+    def __str__(self) -> str:
+        return f"a table over {self.over}, {len(self.at)} rows"
 
     def __call__(self, known: Mapping[str, Value]) -> Value:
         """The value [SI]."""
@@ -91,7 +102,7 @@ def read_size(raw: object, kind: str, names: Iterable[str], folder: Path) -> Siz
     if isinstance(raw, Constant | Formula | Curve):
         return raw
     if not isinstance(raw, dict):
-        return Constant(read_scalar(raw, kind)[0])
+        return Constant(read_scalar(raw, kind)[0], " ".join(str(raw).split()))
     known = [name for name in names if name in OVER]
     if "expression" in raw:
         for key in raw:
@@ -109,7 +120,7 @@ def read_size(raw: object, kind: str, names: Iterable[str], folder: Path) -> Siz
                 "an expression gives a plain number", f'Add its unit: unit = "{"N" if kind == "force" else "N*m"}"', "unit", unit
             )
         try:
-            return Formula(expression, factor(unit, kind))
+            return Formula(expression, unit, factor(unit, kind))
         except UnitProblem as problem:
             raise Unusable(problem.message, problem.remedy, "unit", unit) from None
     over = raw.get("over")

@@ -47,11 +47,11 @@ def machine(file: ProblemFile) -> list[RenderableType]:
     drive = grid("\n[drive] and loads", [("", "left"), ("", "left")])
     drive.add_row("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}")
     if model.drive.torque is not None:
-        drive.add_row("torque", "as the file states, for simulate")
+        drive.add_row("torque", f"{model.drive.torque}, for simulate")
     drive.add_row("gravity", f"({built.gravity[0]:g}, {built.gravity[1]:g}) m/s^2" if gravity else "none")
     for name, section in model.loads.items():
         stated = {key: getattr(section, key) for key in type(section).model_fields if key in section.model_fields_set}
-        words = ", ".join(f"{key} {_plain(value)}" for key, value in stated.items())
+        words = ", ".join(f"{key} {'-'.join(value) if isinstance(value, tuple) else value}" for key, value in stated.items())
         stroke = getattr(next(load for load in built.loads if load.name == name), "stroke", "both")
         drive.add_row(name, words + (f" (the {stroke} one)" if section.stroke in ("slow", "fast") else ""))
     for name, coefficient in built.friction.items():
@@ -62,14 +62,6 @@ def machine(file: ProblemFile) -> list[RenderableType]:
         told.add_row(joint, words)
     parts.append(told)
     return parts
-
-
-def _plain(value: object) -> str:
-    inner = getattr(value, "value", None)
-    if inner is not None and type(value).__name__ == "Constant":
-        return f"{inner:g}"
-    text = getattr(getattr(value, "expression", None), "text", None)
-    return str(text if text is not None else value)
 
 
 def analysis(outcome: Analysis) -> RenderableType:

@@ -217,7 +217,7 @@ def problem(file: ProblemFile) -> RenderableType:
     model = file.model
     parts: list[RenderableType] = [Text(model.title, style=HEAD)]
     if model.about:
-        parts.append(Text(model.about.strip()))
+        parts.append(Text(" ".join(model.about.split())))
     parts.append(Text(f"Source: {model.source or '-'}", style=QUIET))
     if isinstance(model.mechanism, FourBarSection):
         parts.append(_section("mechanism", model.mechanism))
