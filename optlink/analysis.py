@@ -281,7 +281,7 @@ def _check(points: int, step: float | None, speed: float) -> None:
     if not 1 <= points <= MAX_POINTS:
         raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_POINTS:,}", key="points", value=points))
     if step is not None and not TURN / MAX_POINTS <= step <= TURN:
-        raise InputError(Fault("out of range", "Give a step of at most one revolution", key="step", value=f"{step:.6g} rad"))
+        raise InputError(Fault("out of range", "Give a step from 0.001 deg to 360 deg", key="step", value=f"{step:.6g} rad"))
     if not 1e-9 <= abs(speed) <= 1e6:
         remedy = 'Give one between 1e-9 and 1e6 rad/s, for statics a low one such as "0.01 rpm"'
         raise InputError(Fault("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s"))

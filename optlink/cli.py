@@ -293,7 +293,7 @@ def simulate(
         from optlink.simulation import simulate as run
         from optlink.workflow import read_design
 
-        file = _load(problem, [*(changes or []), *([f'drive.torque="{torque}"'] if torque else [])])
+        file = _load(problem, [*(changes or []), *([f'drive.torque="{torque}"'] if torque is not None else [])])
         given = read_design(file, design) if design else None
         _places(csv, out)
         with _share("simulating") as progress:
@@ -333,7 +333,8 @@ def _share(what: str) -> Iterator[Callable[[float], None]]:
     from optlink.report import terminal
 
     columns = (TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
-    with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+    console = terminal.console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda share: bar.update(task, completed=share)
 
@@ -359,15 +360,16 @@ def _places(csv: Path | None, out: Path | None) -> None:
         raise InputError(
             Fault("this is a folder", "Give the name of a file, for example motion.csv", key="--csv", value=str(csv))
         )
-    for folder in (out, None if csv is None else csv.parent):
-        if folder is not None:
-            _folder(folder)
+    if out is not None:
+        _folder(out)
+    if csv is not None:
+        _folder(csv.parent, "--csv")
 
 
-def _folder(out: Path) -> None:
+def _folder(out: Path, option: str = "--out") -> None:
     from optlink.report.store import folder
 
-    folder(out)
+    folder(out, option)
 
 
 def _version(wanted: bool) -> None:

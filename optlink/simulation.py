@@ -166,14 +166,14 @@ def with_flywheel(machine: Machine, inertia: float) -> Machine:
 
 def _check(duration: float, rows: int, speed: float, free: bool, flywheel: float) -> None:
     if not 1e-9 <= duration <= 1e7:
-        raise InputError(Fault("out of range", 'Give a time such as "2 s"', key="duration", value=f"{duration:.6g} s"))
+        raise InputError(Fault("out of range", "Give a time from 1e-9 s to 1e7 s", key="duration", value=f"{duration:.6g} s"))
     if not 1 <= rows <= MAX_ROWS:
         raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_ROWS:,}", key="points", value=rows))
     if not math.isfinite(speed) or abs(speed) > 1e6 or (speed == 0.0 and not free):
         remedy = "Give a speed other than zero, or a torque under [drive]"
         raise InputError(Fault("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s"))
     if not 0.0 <= flywheel < 1e12:
-        raise InputError(Fault("out of range", "Give a moment of inertia of zero or more", key="flywheel", value=flywheel))
+        raise InputError(Fault("out of range", "Give a moment of inertia from 0 to 1e12 kg*m^2", key="flywheel", value=flywheel))
 
 
 def _columns(machine: Machine, found: Run) -> tuple[dict[str, Array], dict[str, str]]:

@@ -436,3 +436,132 @@ def test_slider_that_stands_still_does_not_reverse_with_every_rounding():
     assert len(result.jumps) <= 4
     assert len(result.strokes["slider"].dead_centres) <= 4
     assert result.strokes["slider"].span == pytest.approx(0.2, abs=1e-9)
+
+
+# --- what rough handling found ---------------------------------------------------------------------------------------------
+
+
+def test_friction_without_normal_force_jams_nothing():
+    """A slider-crank without gravity: the guide is not loaded at its dead centres."""
+    result = optlink.analyze(optlink.load("slider-crank").override({"mechanism.guides.F.friction": 0.1}), points=36)
+    assert result.sound
+    assert np.all(np.isfinite(result["input.work_J"]))
+    np.testing.assert_allclose(np.abs(result["F.friction_N"]), 0.1 * np.abs(result["F.normal_N"]), rtol=1e-9, atol=1e-9)
+    still = optlink.simulate(optlink.load("slider-crank").override({"mechanism.guides.F.friction": 0.1}), duration=0.2)
+    assert still.run.ending.value == "finished"
+
+
+def tangent_mechanism(height):
+    """A slot on the crank, a pin in it that slides on a rail: x = height cot(phi), nowhere at 0 and 180 degrees."""
+    return optlink.read(
+        {
+            "title": "tangent mechanism",
+            "mechanism": {
+                "ground": {"A": ["0 m", "0 m"]},
+                "links": {"crank": {"joints": ["A"]}, "block": {"joints": ["C"]}, "bar": {"joints": ["C"]}},
+                "guides": {
+                    "slot": {"slider": "block", "on": "crank"},
+                    "rail": {"slider": "bar", "on": "frame", "through": ["0 m", f"{height} m"]},
+                },
+            },
+            "drive": {"start": "50 deg"},
+            "bodies": {"bar": {"mass": "1 kg"}},
+        }
+    )
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.1234567])
+def test_lines_that_become_parallel_between_two_positions_end_the_range(turned):
+    problem = tangent_mechanism(0.2)
+    raw = dict(problem.raw)
+    raw["mechanism"] = {**raw["mechanism"], "guides": {**raw["mechanism"]["guides"]}}
+    raw["mechanism"]["guides"]["rail"] = {**raw["mechanism"]["guides"]["rail"], "direction": f"{turned} deg"}
+    result = optlink.analyze(optlink.read(raw), points=20)
+    assert not result.full
+    ends = np.degrees(result.ranges.ranges).ravel() % 180.0
+    assert all(min(abs(end - turned), abs(end - turned - 180.0)) < 1e-3 for end in ends)
+    if not turned:
+        np.testing.assert_allclose(result["C.x_m"], 0.2 / np.tan(np.radians(result["crank_angle_deg"])), rtol=1e-12)
+    assert optlink.simulate(optlink.read(raw), duration=4.0, rows=10).run.ending.value == "dead position"
+
+
+def test_singular_start_ends_instead_of_looking_for_a_first_step():
+    raw = {
+        "title": "parallelogram",
+        "mechanism": {"type": "four-bar", "crank": "0.1 m", "coupler": "0.3 m", "rocker": "0.1 m", "frame": "0.3 m"},
+        "bodies": {"coupler": {"mass": "1 kg", "inertia": "uniform bar"}},
+        "drive": {"torque": "1 N*m", "duration": "1 s"},
+    }
+    result = optlink.simulate(optlink.read(raw), rows=5)
+    assert result.run.ending.value == "stalled"
+    assert not result.finished
+
+
+def test_internal_force_pushes_on_the_body_that_carries_the_guide():
+    """Oil between piston and cylinder: on the pivot of the cylinder the whole force is felt; from outside it is not."""
+    raw = {
+        "title": "cylinder",
+        "mechanism": {
+            "ground": {"A": ["0 m", "0 m"], "D": ["0.22 m", "0 m"]},
+            "links": {
+                "crank": {"joints": ["A", "B"], "length": "0.06 m"},
+                "piston": {"joints": ["B"]},
+                "cylinder": {"joints": ["D"]},
+            },
+            "guides": {"G": {"slider": "piston", "on": "cylinder"}},
+            "assembly": {"G": "forward"},
+        },
+        "loads": {"oil": {"on": "piston", "force": "1000 N", "against": "cylinder"}},
+    }
+    inside = optlink.analyze(optlink.read(raw), points=12)
+    np.testing.assert_allclose(np.hypot(inside["D.fx_N"], inside["D.fy_N"]), 1000.0, rtol=1e-12)
+    np.testing.assert_allclose(inside["D.fx_N"], -inside["A.fx_N"], atol=1e-9)
+    slide, torque = inside["piston.v_m_s"], inside["input.torque_Nm"]
+    np.testing.assert_allclose(torque * inside.speed, -1000.0 * slide, atol=1e-9)
+    del raw["loads"]["oil"]["against"]
+    outside = optlink.analyze(optlink.read(raw), points=12)
+    np.testing.assert_allclose(np.hypot(outside["D.fx_N"], outside["D.fy_N"]), 0.0, atol=1e-9)
+
+
+def test_torsion_spring_across_the_branch_of_the_angle():
+    """The rocker swings about 180 degrees from +x; a spring that is free there stays linear across it."""
+    raw = {
+        "title": "four-bar that swings about -x",
+        "mechanism": {"type": "four-bar", "crank": "0.1 m", "coupler": "0.3 m", "rocker": "0.25 m", "frame": "0.3 m"},
+        "loads": {"spring": {"on": "rocker", "torsional_stiffness": "10 N*m/rad", "free_angle": "-60 deg"}},
+    }
+    result = optlink.analyze(optlink.read(raw), points=90)
+    rocker = np.unwrap(result["rocker.angle_rad"])
+    found = -result["spring.torque_Nm"] / 10.0
+    np.testing.assert_allclose(np.diff(found), np.diff(rocker), atol=1e-12)
+    assert abs(result.work) < 1e-9
+    np.testing.assert_allclose(np.remainder(found - rocker - math.radians(60.0) + 1.0, TURN), 1.0, atol=1e-9)
+
+
+def test_what_cannot_follow_or_does_not_move_is_refused():
+    fault = {"loads.spring": {"on": "crank", "torsional_stiffness": "1 N*m/rad"}}
+    with pytest.raises(optlink.InputError, match="turns fully against frame"):
+        optlink.load("slider-crank", fault)
+    with pytest.raises(optlink.InputError, match="does not turn"):
+        optlink.load("slider-crank", {"loads.brake": {"on": "slider", "torque": "1 N*m", "acts": "opposing"}})
+
+
+def test_table_is_written_into_a_pipe_and_through_a_link(tmp_path):
+    import os
+    import threading
+
+    from optlink.report.store import write_csv
+
+    pipe, link, real = tmp_path / "pipe", tmp_path / "link.csv", tmp_path / "real.csv"
+    os.mkfifo(pipe)
+    got: list[str] = []
+    reader = threading.Thread(target=lambda: got.append(pipe.read_text()))
+    reader.start()
+    write_csv(pipe, {"a": [1.0], "b": [math.nan]})
+    reader.join(10.0)
+    assert got == ["a,b\n1.0,\n"]
+    real.write_text("old")
+    link.symlink_to(real)
+    write_csv(link, {"a": [2.0]})
+    assert link.is_symlink()
+    assert real.read_text() == "a\n2.0\n"

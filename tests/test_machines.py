@@ -174,7 +174,7 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     "torque with a direction": (
         other(on="link5", torque="1 N*m", direction="0 deg"),
         "loads.other.direction",
-        "acts, on, stroke",
+        "acts, against, on, stroke",
     ),
     "force without a unit": ({f"{LOAD}.force": 1000}, "loads.process.force", "needs a unit"),
     "force in kg": ({f"{LOAD}.force": "1000 kg"}, "loads.process.force", "not a unit of force"),

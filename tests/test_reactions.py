@@ -820,7 +820,7 @@ def test_friction_checks_see_the_wrong_sense(monkeypatch):
     k = kinematics(moving)
     check(reactions(moving), expected(moving))
     check_opposed(reactions(moving), k, machine.friction)
-    monkeypatch.setattr(Moving, "sense", lambda self, of: -np.sign(of(self)[0]))
+    monkeypatch.setattr(Moving, "sense", lambda self, of, size=1.0: -np.sign(of(self)[0]))
     wrong = reactions(machine.moving(example.phi, 7.0))
     with pytest.raises(AssertionError):
         check(wrong, expected(moving))

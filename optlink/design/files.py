@@ -229,7 +229,10 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
         if step not in table:
             known = _known(tuple(path[:depth])) if _fixed(tuple(path[:depth])) else list(table)
             if step not in known:
-                raise InputError(Fault("unknown key", nearest(step, known), file, key))
+                remedy = nearest(step, known)
+                if not _fixed(tuple(path[:depth])):
+                    remedy += f". A new one is given whole: {'.'.join(path[: depth + 1])}={{ ... }}"
+                raise InputError(Fault("unknown key", remedy, file, key))
             table[step] = {}
         table = table[step]
         if not isinstance(table, dict):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
@@ -229,6 +229,22 @@ class JointSection(Section):
 # --- loads ------------------------------------------------------------------------------------------------------------
 
 
+class Samples(Protocol):
+    """What a load must know of the motion of its machine."""
+
+    def slow(self, load: Load) -> Stroke:
+        """Which stroke of a load's motion takes longer."""
+        ...
+
+    def check_moves(self, load: Load) -> None:
+        """Refuse a load that opposes a motion that does not exist."""
+        ...
+
+    def middle(self, body: str, against: str, free: float) -> float:
+        """The midst of the swing of a body against another [rad], at most half a turn from `free`."""
+        ...
+
+
 class LoadSection(Section):
     """A load; which keys it has says what it is."""
 
@@ -240,7 +256,7 @@ class LoadSection(Section):
     acts: Literal["constant", "opposing"] = "constant"
     stroke: Literal["both", "forward", "backward", "slow", "fast"] = "both"
     between: tuple[str, str] | None = None
-    against: str = FRAME
+    against: str | None = None
     stiffness: Stiffness | None = None
     free_length: FixedLength | None = None
     damping: Damping | None = None
@@ -256,8 +272,8 @@ class LoadSection(Section):
         names = ("phi", "omega", "s", "v") if info.field_name == "force" else ("phi", "omega", "theta", "w")
         return read_size(raw, str(info.field_name), names, (info.context or {}).get("folder", Path()))
 
-    def build(self, name: str, mechanism: Mechanism, slow: Callable[[Load], Stroke]) -> Load:
-        """The load of a machine; `slow` finds which stroke of a load's motion takes longer.
+    def build(self, name: str, mechanism: Mechanism, motion: Samples) -> Load:
+        """The load of a machine; `motion` are samples of it over a revolution.
 
         Raises
         ------
@@ -277,11 +293,14 @@ class LoadSection(Section):
             if isinstance(self.force, Curve) and self.force.over == "s" and not isinstance(direction, str):
                 raise Unusable("s is the position of a slider along its guide", "Leave direction out, or use phi", "force")
             load = Force(name, body, point, self.force, direction, self.acts == "opposing")
-            return replace(load, **self._stroke(load, slow))
+            self._check_against(mechanism)
+            return replace(load, against=self.against or FRAME, **self._stroke(load, motion))
         if self.torque is not None:
             body = self._body(mechanism, self.on, "on")
             twist = Torque(name, body, self.torque, self.acts == "opposing")
-            return replace(twist, **self._stroke(twist, slow))
+            self._check_against(mechanism)
+            twist = replace(twist, against=self.against or FRAME)
+            return replace(twist, **self._stroke(twist, motion))
         if self.between is not None:
             ends = []
             for point in self.between:
@@ -294,13 +313,13 @@ class LoadSection(Section):
             return Spring(name, (ends[0], ends[1]), stiffness, self.free_length.value if self.free_length else 0.0, damping)
         if self.torsional_stiffness is not None or self.torsional_damping is not None:
             body = self._body(mechanism, self.on, "on")
-            against = FRAME if self.against == FRAME else self._body(mechanism, self.against, "against")
-            if against == body:
-                raise Unusable("a body does not turn against itself", "Name another body, or frame", "against", against)
+            self._check_against(mechanism)
+            against = self.against or FRAME
             stiffness, free, damping = (
                 0.0 if x is None else x.value for x in (self.torsional_stiffness, self.free_angle, self.torsional_damping)
             )
-            return TorsionSpring(name, body, against, stiffness, free, damping)
+            middle = motion.middle(body, against, free) if stiffness else 0.0
+            return TorsionSpring(name, body, against, stiffness, free, damping, middle)
         if not any(guide.slider == self.on for guide in mechanism.guides):
             self._body(mechanism, self.on, "on")
             raise Unusable("only a body in a guide is damped so", "Name a slider, or two points: between = [...]", "on", self.on)
@@ -315,8 +334,8 @@ class LoadSection(Section):
         """Keys that say nothing together."""
         given = {key for key in self.model_fields_set if getattr(self, key) is not None}
         kinds: dict[str, set[str]] = {
-            "force": {"on", "at", "direction", "acts", "stroke"},
-            "torque": {"on", "acts", "stroke"},
+            "force": {"on", "at", "direction", "acts", "stroke", "against"},
+            "torque": {"on", "acts", "stroke", "against"},
             "between": {"stiffness", "free_length", "damping"},
             "torsional_stiffness": {"on", "against", "free_angle", "torsional_damping"},
             "torsional_damping": {"on", "against"},
@@ -357,11 +376,19 @@ class LoadSection(Section):
             point = self.at
         return body, point, guide.name if guide else ""
 
-    def _stroke(self, load: Load, slow: Callable[[Load], Stroke]) -> dict[str, Any]:
+    def _check_against(self, mechanism: Mechanism) -> None:
+        if self.against not in (None, FRAME):
+            self._body(mechanism, self.against, "against")
+            if self.against == self.on:
+                raise Unusable("a load does not act against itself", "Name another body, or frame", "against", self.against)
+
+    def _stroke(self, load: Force | Torque, motion: Samples) -> dict[str, Any]:
         """In which stroke it acts, and whether that goes with the sense of the crank."""
+        if load.opposing or self.stroke != "both":
+            motion.check_moves(load)
         if self.stroke not in ("slow", "fast"):
             return {"stroke": self.stroke}
-        found = slow(load)
+        found = motion.slow(load)
         other: dict[Stroke, Stroke] = {"forward": "backward", "backward": "forward"}
         return {"stroke": found if self.stroke == "slow" else other[found], "turning": True}
 

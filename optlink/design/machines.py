@@ -6,17 +6,19 @@ from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from optlink.design.forces import BodySection, DriveSection, Gravity, JointSection, LoadSection
 from optlink.design.linkages import DyadsSection, FourBarSection, sizes_of
 from optlink.design.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
 from optlink.design.section import RESERVED, Name, Section
-from optlink.dynamics.loads import Load, Stroke
-from optlink.dynamics.machine import Machine
-from optlink.linkage.elementwise import Value
+from optlink.dynamics.loads import Force, Load, Stroke
+from optlink.dynamics.machine import Machine, Moving
+from optlink.linkage.elementwise import Value, cross, dot
 from optlink.linkage.mechanism import FRAME, Mechanism
 
+Array = NDArray[np.float64]
 STROKES = 720  # positions at which the strokes of a load's motion are told apart
 EVEN = 2.0 / STROKES  # share of the revolution below which two strokes count as equally long
 
@@ -89,7 +91,7 @@ class Problem(Section):
         for name, body in self.bodies.items():
             with _below(f"bodies.{name}"):
                 inertias[name] = body.inertia_of(name, mechanism, sizes)
-        bare = Machine(mechanism, sizes)
+        motion = Revolution(Machine(mechanism, sizes))
         loads = []
         for name, section_ in self.loads.items():
             if name in RESERVED:
@@ -97,7 +99,7 @@ class Problem(Section):
             if name in (*mechanism.bodies, *mechanism.owners, *(guide.name for guide in mechanism.guides), FRAME):
                 raise Unusable("the name of a body, point or guide", "Choose another for the load", f"loads.{name}")
             with _below(f"loads.{name}"):
-                loads.append(section_.build(name, mechanism, lambda load: slow_stroke(bare, load)))
+                loads.append(section_.build(name, mechanism, motion))
         return Machine(
             mechanism,
             sizes,
@@ -123,22 +125,65 @@ class _below:
             error.key = f"{self.key}.{error.key}" if error.key else self.key
 
 
-def slow_stroke(machine: Machine, load: Load) -> Stroke:
-    """Which stroke of a load's motion takes longer while the crank turns evenly.
+class Revolution:
+    """Samples of a machine's motion over a revolution (or as much of it as can be assembled)."""
 
-    Raises
-    ------
-    Unusable
-        when both take equally long, or there is no motion.
-    """
-    moving = machine.moving(np.linspace(0.0, 2.0 * np.pi, STROKES, endpoint=False) + 1e-4)
-    velocity = load.reversing(moving)
-    rate = np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), np.shape(moving.motion.assembled))
-    known = rate[np.isfinite(rate)]
-    balance = float(np.mean(np.sign(known))) if known.size else 0.0
-    if abs(balance) <= 2.0 * EVEN:
-        raise Unusable("both strokes take equally long", 'Write stroke = "forward" or "backward"', "stroke")
-    return "forward" if balance > 0.0 else "backward"
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+
+    @cached_property
+    def moving(self) -> Moving:
+        """The machine at evenly spaced crank angles."""
+        return self.machine.moving(np.linspace(0.0, 2.0 * np.pi, STROKES, endpoint=False) + 1e-4)
+
+    def _rates(self, load: Load) -> Array:
+        velocity = load.reversing(self.moving)
+        shape = np.shape(self.moving.motion.assembled)
+        rate = np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), shape)
+        known: Array = rate[np.isfinite(rate)]
+        return known
+
+    def check_moves(self, load: Load) -> None:
+        """Refuse a load that opposes a motion that does not exist."""
+        rates = self._rates(load)
+        size = float(np.max(self.machine.size)) if isinstance(load, Force) else 1.0
+        if rates.size and float(np.median(np.abs(rates))) <= 1e-12 * size:  # beside singular positions rounding is larger
+            what = "does not move in this direction" if isinstance(load, Force) else "does not turn"
+            raise Unusable(f"what it opposes {what}", 'Take the load out, or write acts = "constant"', "acts")
+
+    def slow(self, load: Load) -> Stroke:
+        """Which stroke of a load's motion takes longer while the crank turns evenly.
+
+        Raises
+        ------
+        Unusable
+            when both take equally long.
+        """
+        rates = self._rates(load)
+        balance = float(np.mean(np.sign(rates))) if rates.size else 0.0
+        if abs(balance) <= 2.0 * EVEN:
+            raise Unusable("both strokes take equally long", 'Write stroke = "forward" or "backward"', "stroke")
+        return "forward" if balance > 0.0 else "backward"
+
+    def middle(self, body: str, against: str, free: float) -> float:
+        """The midst of the swing of a body against another [rad], at most half a turn from `free`.
+
+        Raises
+        ------
+        Unusable
+            when it turns fully: no torsion spring follows that.
+        """
+        one, other = (self.moving.state(name).axis for name in (body, against))
+        angle = np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle
+        turned = np.unwrap(angle[np.isfinite(angle)]) if np.ndim(angle) == 1 else np.asarray(angle)[np.isfinite(angle)]
+        if turned.size == 0:
+            return free
+        low, high = float(np.min(turned)), float(np.max(turned))
+        if high - low > 2.0 * np.pi - 0.02:
+            message = f"{body} turns fully against {against}, which no torsion spring follows"
+            raise Unusable(message, "Use torsional_damping, or a spring between two points", "on")
+        middle = 0.5 * (low + high)
+        return middle - 2.0 * np.pi * round((middle - free) / (2.0 * np.pi))
 
 
 def cross_check(problem: Problem) -> None:

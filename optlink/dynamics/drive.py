@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
 RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances of the integrator
 EDGE = 1e-6  # share of a limited range, at its ends, that is not entered: speeds are infinite at a dead position
-LEAST, PATIENCE = 1e-10, 500  # steps of a smaller share of the duration, so many in a row, are a stall
+LEAST, PATIENCE = 1e-4, 2000  # so many steps that bring the time on by a smaller share of the duration are a stall
 NEAR = 1e-9  # rad: a jump of a load nearer than this is behind us
 STEADY = 1e-13  # share of the larger torque by which a resting machine may be out of balance and still stay at rest
 
@@ -56,17 +56,19 @@ _TEXT = {
     Ending.AT_REST: "the machine came to rest: the drive cannot overcome loads and friction there",
     Ending.DEAD_POSITION: "the crank reached a position beyond which the mechanism cannot be assembled",
     Ending.JAMMED: "friction jams a guide: no finite force moves the machine",
-    Ending.STALLED: "the integration stalled: forces or speeds become too large; what was computed until then is kept",
+    Ending.STALLED: "the integration stalled: a singular position, or forces and speeds that grow without bound; "
+    "what was computed until then is kept. Start elsewhere, shorten the duration, or check loads and torque",
     Ending.INTERRUPTED: "interrupted; what was computed until then is kept",
 }
 
 
 def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]:
     """Inertia of the whole machine reduced to the crank [kg m^2], and its derivative over the crank angle [kg m^2/rad]."""
-    moving = machine.moving(crank_angle, 1.0)
-    weightless = required(moving, gravity=False, loads=False)
-    inertia = np.broadcast_to(2.0 * np.asarray(moving.kinetic), crank_angle.shape)
-    return inertia, np.broadcast_to(2.0 * np.asarray(_virtual(weightless, moving)), crank_angle.shape)
+    with np.errstate(all="ignore"):
+        moving = machine.moving(crank_angle, 1.0)
+        weightless = required(moving, gravity=False, loads=False)
+        inertia = np.broadcast_to(2.0 * np.asarray(moving.kinetic), crank_angle.shape)
+        return inertia, np.broadcast_to(2.0 * np.asarray(_virtual(weightless, moving)), crank_angle.shape)
 
 
 def _virtual(wrenches: Mapping[str, Any], geared: Moving) -> Value:
@@ -256,7 +258,7 @@ class _Journey:
         self.may_rest = plant.drive is not None and plant.machine.switching
         self.time, self.state = 0.0, plant.start(angle, speed)
         self.kept, self.ways = [self.state], [plant.direction]
-        self.steps, self.small, self.ending = 0, 0, Ending.FINISHED
+        self.steps, self.mark, self.ending = 0, 0.0, Ending.FINISHED
 
     def travel(self, progress: Callable[[float], None] | None) -> None:
         """Go on until the end, or until the machine cannot."""
@@ -273,14 +275,16 @@ class _Journey:
         from scipy.integrate import DOP853
 
         end = float(self.times[-1])
+        if not np.all(np.isfinite(self.plant(self.time, self.state))):  # the integrator would look for a first step for ever
+            self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
+            return
         solver = DOP853(self.plant, self.time, self.state, end, rtol=RELATIVE, atol=ABSOLUTE)
         ahead = _ahead(float(self.state[0]), self.switches, self.limits)
         event = None
         while event is None and solver.status == "running":
             solver.step()
             self.steps += 1
-            self.small = self.small + 1 if solver.t - (solver.t_old or 0.0) < LEAST * end else 0
-            if solver.status == "failed" or not np.all(np.isfinite(solver.y)) or self.small > PATIENCE:
+            if solver.status == "failed" or not np.all(np.isfinite(solver.y)) or self.crawls(float(solver.t)):
                 self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
                 return
             curve = solver.dense_output()
@@ -298,6 +302,14 @@ class _Journey:
             self.state[1] = 0.0
             if not _set_off(self.plant, float(self.state[0])):
                 self.ending = Ending.AT_REST
+
+    def crawls(self, time: float) -> bool:
+        """Whether the last `PATIENCE` steps brought no progress to speak of."""
+        if self.steps % PATIENCE:
+            return False
+        slow = time - self.mark < LEAST * float(self.times[-1])
+        self.mark = time
+        return slow
 
     def result(self) -> Run:
         """What was found."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 import numpy as np
 
 from optlink.dynamics.inertia import State, Wrench
-from optlink.linkage.elementwise import Value, Vector, angle_from, cross, dot, minus, unit
+from optlink.linkage.elementwise import Value, Vector, angle_from, cross, dot, minus, turn, unit
 from optlink.linkage.mechanism import FRAME
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def _sense(load: Force | Torque, moving: Moving) -> Value:
     opposing, stroke = load.opposing, load.stroke
     if not opposing and stroke == "both":
         return 1.0
-    sign = moving.sense(lambda source: load.reversing(source) or (0.0, 0.0))
+    sign = moving.sense(load.reversing, moving.machine.size if isinstance(load, Force) else 1.0)
     share = 1.0
     if stroke != "both":
         way = moving.direction if load.turning else 1.0
@@ -95,6 +95,7 @@ class Force:
     opposing: bool = False
     stroke: Stroke = "both"
     turning: bool = False  # the stroke is that of a crank that turns counter-clockwise; clockwise it is the other one
+    against: str = FRAME  # the body that feels the opposite force
 
     @property
     def switching(self) -> bool:
@@ -120,7 +121,10 @@ class Force:
             known = {**known, "s": s, "v": v}
         size = self.magnitude(known) * _sense(self, moving)
         x, y = self.along(moving)
-        yield Acting(self.body, moving.position(self.point), (size * x + 0.0, size * y + 0.0), 0.0)  # no minus before a zero
+        at, force = moving.position(self.point), (size * x + 0.0, size * y + 0.0)  # + 0.0: no minus before a zero
+        yield Acting(self.body, at, force, 0.0)
+        if self.against != FRAME:
+            yield Acting(self.against, at, (-force[0], -force[1]), 0.0)
 
     def potential(self, moving: Moving) -> Value:
         """None is kept."""
@@ -137,6 +141,7 @@ class Torque:
     opposing: bool = False
     stroke: Stroke = "both"
     turning: bool = False  # the stroke is that of a crank that turns counter-clockwise; clockwise it is the other one
+    against: str = FRAME  # the body that feels the opposite torque
 
     @property
     def switching(self) -> bool:
@@ -144,15 +149,18 @@ class Torque:
         return self.opposing or self.stroke != "both"
 
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
-        """Angular velocity and acceleration of the body."""
-        state = moving.state(self.body)
-        return state.omega, state.alpha
+        """Angular velocity and acceleration of the body against the other."""
+        state, other = moving.state(self.body), moving.state(self.against)
+        return state.omega - other.omega, state.alpha - other.alpha
 
     def act(self, moving: Moving) -> Iterator[Acting]:
         """The torque."""
         state = moving.state(self.body)
-        known = {**moving.variables, "theta": angle_from((1.0, 0.0), state.axis), "w": state.omega}
-        yield Acting(self.body, state.start, (0.0, 0.0), self.magnitude(known) * _sense(self, moving))
+        known = {**moving.variables, "theta": angle_from((1.0, 0.0), state.axis), "w": self.reversing(moving)[0]}
+        torque = self.magnitude(known) * _sense(self, moving)
+        yield Acting(self.body, state.start, (0.0, 0.0), torque)
+        if self.against != FRAME:
+            yield Acting(self.against, moving.state(self.against).start, (0.0, 0.0), -torque)
 
     def potential(self, moving: Moving) -> Value:
         """None is kept."""
@@ -202,7 +210,11 @@ class Spring(_Steady):
 
 @dataclass(frozen=True)
 class TorsionSpring(_Steady):
-    """A torsion spring and damper between two bodies: `stiffness` [N m/rad], `free` angle [rad], `damping` [N m s/rad]."""
+    """A torsion spring and damper between two bodies: `stiffness` [N m/rad], `free` angle [rad], `damping` [N m s/rad].
+
+    `middle` [rad]: an angle of the body against the other in the midst of its swing, at most half a turn from `free`: from there
+    the deflection is counted, so that no swing of less than a turn meets a branch.
+    """
 
     name: str
     body: str
@@ -210,11 +222,11 @@ class TorsionSpring(_Steady):
     stiffness: Value
     free: Value
     damping: Value
+    middle: Value = 0.0
 
     def _deflection(self, moving: Moving) -> Value:
         axis, other = moving.state(self.body).axis, moving.state(self.against).axis
-        c, s = unit(self.free)
-        return angle_from((other[0] * c - other[1] * s, other[1] * c + other[0] * s), axis)
+        return self.middle - self.free + angle_from(turn(other, unit(self.middle)), axis)
 
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Twist both bodies."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optlink.dynamics.inertia import Inertia, State, kinetic, potential
-from optlink.linkage.elementwise import Value, Vector, cross, sign
+from optlink.linkage.elementwise import Value, Vector, cross, magnitude, sign
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 INSTANT = 1e-10
 """Crank rotation [rad] after which a one-sided value is meant where a load jumps."""
+
+
+NOISE = 1e-13
+"""Share of the machine's size that a motion per crank rotation must have to be one."""
 
 
 def parts(x: Value) -> tuple[Value, Value, Value]:
@@ -63,6 +67,15 @@ class Machine:
     def with_(self, **changes: object) -> Machine:
         """The same machine with other fields."""
         return replace(self, **changes)  # type: ignore[arg-type]
+
+    @cached_property
+    def size(self) -> Value:
+        """Sum of the lengths of its links [m]: what its motion is measured by."""
+        lengths = [link.length for link in self.mechanism.links if link.end]
+        found: Value = 0.0
+        for length in lengths:
+            found = found + parts(self.sizes[length] if isinstance(length, str) else length)[0]
+        return found if lengths else 1.0
 
     @cached_property
     def switching(self) -> bool:
@@ -143,19 +156,22 @@ class Moving:
                 )
         return self._states[body]
 
-    def sense(self, of: Callable[[Moving], tuple[Value, Value]]) -> Value:
-        """Sign of a velocity; where it reverses, the sign just after (or before).
+    def sense(self, of: Callable[[Moving], tuple[Value, Value]], size: Value = 1.0) -> Value:
+        """Sign of a velocity; where it reverses, the sign just after (or before); zero for what is rounding.
 
         Parameters
         ----------
         of : function of a machine in motion to the velocity in question and its acceleration
+        size : of the machine [m] for the velocity of a point, 1 for an angular velocity
         """
         source = self._geared if self._still else self
         rate, acceleration = of(source)
         speed, turning = source.motion.speed, source.motion.crank_acceleration
         first = rate / speed  # per crank rotation, as is the second
         second = (acceleration - first * turning) / (speed * speed)
-        return self.direction * sign(first + (self.side * INSTANT) * self.direction * second)
+        ahead = first + (self.side * INSTANT) * self.direction * second
+        moves = sign(sign(magnitude(first) + INSTANT * magnitude(second) - NOISE * size) + 1.0)  # 0: it does not move at all
+        return self.direction * sign(ahead) * moves
 
     @cached_property
     def _still(self) -> bool:

@@ -21,6 +21,9 @@ from optlink.linkage.elementwise import Value, Vector, cross, dot, minus, plus
 from optlink.linkage.groups import PRP, RPP, RPR, RRP, RRR
 from optlink.linkage.mechanism import FRAME, Group, Guide, Link
 
+ROUNDING = 1e-9
+"""Share of the forces of a group below which a normal force is zero."""
+
 NOTHING = Wrench((0.0, 0.0), 0.0)
 
 
@@ -183,32 +186,40 @@ class _Balance:
         if not rough:
             return solver(self, group, {})
         senses = {guide.name: self._slip(guide) for guide in rough}
-        found: list[tuple[Value, _Solved]] = []
+        found = []
         for signs in itertools.product((1.0, -1.0), repeat=len(rough)):
             tilts = {guide.name: sign * senses[guide.name] for guide, sign in zip(rough, signs, strict=True)}
             trial = solver(self, group, tilts)
+            least = -ROUNDING * sum(np.abs(force) for force in _forces(trial))
             fits: Value = True
             for guide, sign in zip(rough, signs, strict=True):
-                _, body, force, _ = next(entry for entry in trial.guides if entry[0] is guide)
-                normal = cross(self.moving.line(guide.name), force) * (1.0 if body == guide.slider else -1.0)
-                fits = np.logical_and(fits, sign * normal >= 0.0)
+                fits = np.logical_and(fits, sign * self._normal(trial, guide) >= least)
             found.append((fits, trial))
-        hits = sum(np.where(fits, 1, 0) for fits, _ in found)
-        for fits, trial in found:
-            if np.all(hits == 1) and np.all(fits):
-                return trial
-        # none is consistent where friction locks the guide, several where it cannot be told whether it does (Painleve)
+        # where no signs are consistent friction locks the guide; where several are, and differ, no one can tell (Painleve)
         chosen = _each(found[0][1], lambda x: np.nan * x)
+        settled: Value = False
+        torn: Value = False
         for fits, trial in found:
-            chosen = _either(np.logical_and(fits, hits == 1), trial, chosen)
-        still = _still(senses)
-        chosen = _either(still, found[0][1], chosen)  # without motion no friction: all signs say the same
-        self.jammed = np.logical_or(self.jammed, np.logical_not(np.logical_or(hits == 1, still)))
-        return chosen
+            if not np.any(settled) and np.all(fits):
+                chosen = trial
+            else:
+                differs = sum(np.abs(a - b) for a, b in zip(_forces(trial), _forces(chosen), strict=True))
+                size = sum(np.abs(a) for a in _forces(chosen))
+                torn = np.logical_or(torn, np.logical_and(np.logical_and(fits, settled), differs > 1e-6 * size))
+                chosen = _either(np.logical_and(fits, np.logical_not(settled)), trial, chosen)
+            settled = np.logical_or(settled, fits)
+        good = np.logical_and(settled, np.logical_not(torn))
+        self.jammed = np.logical_or(self.jammed, np.logical_not(good))
+        return chosen if np.all(good) else _each(chosen, lambda x: np.where(good, x, np.nan))
+
+    def _normal(self, solved: _Solved, guide: Guide) -> Value:
+        """Normal force of a guide on its slider."""
+        _, body, force, _ = next(entry for entry in solved.guides if entry[0] is guide)
+        return cross(self.moving.line(guide.name), force) * (1.0 if body == guide.slider else -1.0)
 
     def _slip(self, guide: Guide) -> Value:
         """Coefficient of friction with the sign of the slider's velocity along the line."""
-        sense = self.moving.sense(lambda source: source.slides[guide.name][1:])
+        sense = self.moving.sense(lambda source: source.slides[guide.name][1:], self.moving.machine.size)
         return self.moving.machine.friction[guide.name] * sense
 
     def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
@@ -271,11 +282,6 @@ class _Balance:
             self.needed[body] = self.needed[body] + Wrench(force, moment + cross(minus(point, start), force))
 
 
-def _still(senses: Mapping[str, Value]) -> Value:
-    """Where no guide moves."""
-    return np.all(np.broadcast_arrays(*(np.asarray(sense) == 0.0 for sense in senses.values())), axis=0)
-
-
 def _guides(group: Group) -> tuple[Guide, ...]:
     if isinstance(group, RRP | RPR):
         return (group.guide,)
@@ -297,6 +303,11 @@ def _either(which: Value, one: _Solved, other: _Solved) -> _Solved:
     """Elementwise choice between two solutions of one group."""
     leaves = iter(_leaves(other))
     return _each(one, lambda x: np.where(which, x, next(leaves)))
+
+
+def _forces(solved: _Solved) -> list[Value]:
+    """Components of all forces of a group."""
+    return [part for *_, force in solved.pins for part in force] + [part for _, _, force, _ in solved.guides for part in force]
 
 
 def _leaves(solved: _Solved) -> list[Value]:

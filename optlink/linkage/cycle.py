@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.elementwise import Value, unit
-from optlink.linkage.mechanism import Group, Mechanism
+from optlink.linkage.groups import PRP
+from optlink.linkage.mechanism import Group, Mechanism, Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.refine import zeros
 
@@ -57,9 +58,12 @@ class Ranges:
 def closing(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Array) -> Array:
     """Least assembly margin of all groups [-] at crank angles (n,); negative (never NaN) where one fails to close."""
     with np.errstate(all="ignore"):
-        pose = mechanism.pose(sizes, unit(crank_angle))
-    least = np.full(crank_angle.shape, np.inf)
-    for group in mechanism.groups:
+        return _closing(mechanism.pose(sizes, unit(crank_angle)))
+
+
+def _closing(pose: Pose) -> Array:
+    least = np.full(np.shape(pose.directions[pose.mechanism.crank.body][0]), np.inf)
+    for group in pose.mechanism.groups:
         margin = pose.margins[group.joint] - group.least
         least = np.minimum(least, np.where(np.isnan(margin), np.where(least < 0.0, np.inf, -1.0), margin))
     return least
@@ -75,17 +79,19 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     """
     grid = np.linspace(0.0, TURN, GRID + 1)
 
-    def function(angles: Array) -> Array:
-        return closing(mechanism, sizes, angles)[None, :]
+    crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel in passing
 
-    margin = function(grid)[0]
-    if np.all(margin >= 0.0):
-        return Ranges(((0.0, TURN),), True)
-    if np.all(margin < 0.0):
-        return Ranges((), False)
-    ends = zeros(function, grid)[0]
+    def function(angles: Array) -> Array:
+        with np.errstate(all="ignore"):
+            pose = mechanism.pose(sizes, unit(angles))
+        sines = [np.broadcast_to(np.asarray(group.sine(pose), dtype=float), angles.shape) for group in crossing]
+        return np.array([_closing(pose), *sines])
+
+    failing = bool(np.any(function(grid)[0] < 0.0))
+    margin, *sines = zeros(function, grid)
+    ends = np.unique(np.concatenate([margin if failing else [], *sines]))  # a margin that but touches zero is no end
     if len(ends) == 0:
-        return Ranges((), False)
+        return Ranges((), False) if failing else Ranges(((0.0, TURN),), True)
     ranges = []
     for a, b in zip(ends, [*ends[1:], ends[0] + TURN], strict=True):
         if function(np.array([0.5 * (a + b)]))[0, 0] >= 0.0:
@@ -95,7 +101,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
 
 def _inside(function: Callable[[Array], Array], end: float, way: float) -> float:
     """The end of a range, on the side where the mechanism closes."""
-    for step in (0.0, 1e-15, 1e-14, 1e-13, 1e-12):
+    for step in (0.0, 1e-15, 1e-14, 1e-13, 1e-12, 1e-7, 1e-6):  # the last for lines that are almost parallel
         at = end + way * step * TURN
         if function(np.array([at]))[0, 0] >= 0.0:
             return float(at)

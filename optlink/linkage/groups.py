@@ -220,6 +220,11 @@ class PRP:
             pose.place(link, turn_back(line, pose.local_line(guide, link.body)[1]), self.joint)
         return margin
 
+    def sine(self, pose: Pose) -> Value:
+        """Sine of the angle from the first line to the second: changes its sign where they become parallel."""
+        (_, w), (_, u) = (pose.line(guide, guide.other(link.body)) for link, guide in zip(self.links, self.guides, strict=True))
+        return cross(w, u)
+
     def gap(self, pose: Pose) -> Value:
         """Nothing: two lines meet unless they are parallel."""
         return 0.0 * pose.margins[self.joint]

@@ -15,8 +15,8 @@ from typing import Any
 from optlink.errors import Fault, InputError
 
 
-def folder(path: Path) -> Path:
-    """Make an output folder and try to write there, before any work is done.
+def folder(path: Path, option: str = "--out") -> Path:
+    """Make an output folder and try to write there, before any work is done; `option` is named if that fails.
 
     Raises
     ------
@@ -30,14 +30,21 @@ def folder(path: Path) -> Path:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(
-            Fault(f"cannot write there: {reason}", "Give a folder that you may write to", key="--out", value=str(path))
+            Fault(f"cannot write there: {reason}", "Give a folder that you may write to", key=option, value=str(path))
         ) from None
     return path
 
 
 @contextlib.contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Give a temporary name to write to; rename it to `path` if all went well, remove it if not."""
+    """Give a temporary name to write to; rename it to `path` if all went well, remove it if not.
+
+    What a link points to is replaced, not the link; a pipe or device is written to as it is.
+    """
+    path = path.resolve() if path.is_symlink() else path
+    if path.exists() and not path.is_file():
+        yield path
+        return
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     os.close(handle)
     temporary = Path(name)

@@ -36,7 +36,7 @@ def grid(title: str, columns: Iterable[tuple[str, str]], header: bool = False) -
         padding=(0, 2, 0, 0),
     )
     for name, justify in columns:
-        table.add_column(name, justify=justify, overflow="fold")  # type: ignore[arg-type]
+        table.add_column(name, justify=justify, overflow="fold", no_wrap=justify == "right")  # type: ignore[arg-type]
     return table
 
 
