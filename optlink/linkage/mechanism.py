@@ -138,7 +138,11 @@ class Pose:
         if name not in self.points:
             body = next(body for body in self.mechanism.owners[name] if self._placed(body))
             link = self.mechanism.bodies[body]
-            self.points[name] = plus(self.points[link.start], turn(self.local(body, name), self.direction(body)))
+            (x, y), (along, across), (c, s) = self.points[link.start], self.local(body, name), self.direction(body)
+            if isinstance(across, float) and across == 0.0:  # on the axis: half of the work
+                self.points[name] = x + along * c, y + along * s
+            else:
+                self.points[name] = plus((x, y), turn((along, across), (c, s)))
         return self.points[name]
 
     def direction(self, body: str) -> Vector:
