@@ -56,6 +56,7 @@ Set = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, pictures and tables there.")]
+Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the whole table there.")]
 Speed = Annotated[
     str | None, typer.Option("--speed", metavar="SPEED", help='Of the crank: --speed "64 rpm"; negative: clockwise.')
 ]
@@ -242,7 +243,7 @@ def analyze(
     ] = None,
     changes: Set = None,
     design: Design = None,
-    csv: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the whole table there.")] = None,
+    csv: Csv = None,
     as_json: Json = False,
     out: Out = None,
 ) -> None:
@@ -255,21 +256,7 @@ def analyze(
         given = read_design(file, design) if design else None
         _places(csv, out)
         result = run(file, points, _quantity(step, "angle", "--step"), _quantity(speed, "angular velocity", "--speed"), given)
-        if csv is not None:
-            from optlink.report.store import write_csv
-
-            write_csv(csv, result.columns)
-        if out is not None:
-            from optlink.report.cycle import write_all
-
-            with _working(f"Drawing into {out}"):
-                write_all(result, out)
-        if as_json:
-            _print_json(result.to_dict())
-        else:
-            from optlink.report import machine, terminal
-
-            terminal.console().print(machine.analysis(result))
+        _told(result, "analysis", "cycle", csv, as_json, out)
         if not result.sound:
             raise typer.Exit(1)
 
@@ -284,7 +271,7 @@ def simulate(
     flywheel: Annotated[str | None, typer.Option(metavar="J", help='At the crank: --flywheel "0.2 kg*m^2".')] = None,
     changes: Set = None,
     design: Design = None,
-    csv: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the whole table there.")] = None,
+    csv: Csv = None,
     as_json: Json = False,
     out: Out = None,
 ) -> None:
@@ -306,23 +293,28 @@ def simulate(
                 progress,
                 _quantity(flywheel, "moment of inertia", "--flywheel") or 0.0,
             )
-        if csv is not None:
-            from optlink.report.store import write_csv
-
-            write_csv(csv, result.columns)
-        if out is not None:
-            from optlink.report.course import write_all
-
-            with _working(f"Drawing into {out}"):
-                write_all(result, out)
-        if as_json:
-            _print_json(result.to_dict())
-        else:
-            from optlink.report import machine, terminal
-
-            terminal.console().print(machine.simulation(result))
+        _told(result, "simulation", "course", csv, as_json, out)
         if not result.finished:
             raise typer.Exit(3 if result.run.ending.value == "stalled" else 1)
+
+
+def _told(result: Any, table: str, files: str, csv: Path | None, as_json: bool, out: Path | None) -> None:
+    """Write a result where it is wanted, and show it as JSON or as a table; its `files` are those of a module of the report."""
+    if csv is not None:
+        from optlink.report.store import write_csv
+
+        write_csv(csv, result.columns)
+    if out is not None:
+        import importlib
+
+        with _working(f"Drawing into {out}"):
+            importlib.import_module(f"optlink.report.{files}").write_all(result, out)
+    if as_json:
+        _print_json(result.to_dict())
+    else:
+        from optlink.report import machine, terminal
+
+        terminal.console().print(getattr(machine, table)(result))
 
 
 @contextlib.contextmanager

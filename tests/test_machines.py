@@ -540,8 +540,9 @@ def test_every_example_of_the_reference_page_runs(example):
 
 
 def test_the_reference_page_knows_every_key():
-    from optlink.design.forces import BodySection, DriveSection, LoadSection
+    from optlink.design.bodies import BodySection, DriveSection
     from optlink.design.linkages import GuideSection, LinkSection
+    from optlink.design.loads import LoadSection
 
     assert len(EXAMPLES) >= 5
     for section in (BodySection, DriveSection, LoadSection, GuideSection, LinkSection):

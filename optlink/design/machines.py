@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from optlink.design.forces import BodySection, DriveSection, Gravity, JointSection, LoadSection
+from optlink.design.bodies import BodySection, DriveSection, Gravity, JointSection
 from optlink.design.linkages import DyadsSection, FourBarSection, sizes_of
+from optlink.design.loads import LoadSection
 from optlink.design.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
 from optlink.design.section import RESERVED, Name, Section
 from optlink.dynamics.loads import Force, Load, Stroke

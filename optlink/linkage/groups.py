@@ -15,14 +15,25 @@ PARALLEL = 1e-12
 
 
 @dataclass(frozen=True)
-class RRR:
+class _Pair:
+    """What all dyads have: two bodies."""
+
+    first: Link
+    second: Link
+
+    @property
+    def links(self) -> tuple[Link, Link]:
+        """The bodies that the group adds."""
+        return self.first, self.second
+
+
+@dataclass(frozen=True)
+class RRR(_Pair):
     """Two links pinned to known joints and to one another.
 
     Where nothing else is said the outer joints are the starts of the links and the joint is their common end.
     """
 
-    first: Link
-    second: Link
     side: int  # +1: new joint left of the outer joint of first -> that of second
     outer: tuple[str, str] = ("", "")
     inner: str = ""
@@ -39,11 +50,6 @@ class RRR:
     def pins(self) -> tuple[str, str]:
         """The outer joints, of the first and of the second link."""
         return self.outer[0] or self.first.start, self.outer[1] or self.second.start
-
-    @property
-    def links(self) -> tuple[Link, Link]:
-        """The bodies that the group adds."""
-        return self.first, self.second
 
     def solve(self, pose: Pose) -> Value:
         """Add the new joint and both links; return the assembly margin."""
@@ -64,11 +70,9 @@ class RRR:
 
 
 @dataclass(frozen=True)
-class RRP:
+class RRP(_Pair):
     """A link pinned to a known joint, and to a slider on a known line."""
 
-    first: Link
-    second: Link
     guide: Guide
     outer: str
     inner: str
@@ -81,11 +85,6 @@ class RRP:
     def joint(self) -> str:
         """Name of the joint between link and slider."""
         return self.inner
-
-    @property
-    def links(self) -> tuple[Link, Link]:
-        """The bodies that the group adds."""
-        return self.first, self.second
 
     def solve(self, pose: Pose) -> Value:
         """Add the joint, the link and the slider; return the assembly margin."""
@@ -105,11 +104,9 @@ class RRP:
 
 
 @dataclass(frozen=True)
-class RPR:
-    """A slider and the body it slides on, each pinned to a known joint."""
+class RPR(_Pair):
+    """A slider (first) and the body that carries its line (second), each pinned to a known joint."""
 
-    first: Link  # the slider
-    second: Link  # the body that carries the line
     guide: Guide
     outer: tuple[str, str]
     side: int  # +1: the slider's pin lies forward, along the guide, of the other
@@ -121,11 +118,6 @@ class RPR:
     def joint(self) -> str:
         """Name of the guide between the two."""
         return self.guide.name
-
-    @property
-    def links(self) -> tuple[Link, Link]:
-        """The bodies that the group adds."""
-        return self.first, self.second
 
     def solve(self, pose: Pose) -> Value:
         """Add both bodies; return the assembly margin."""
@@ -146,11 +138,9 @@ class RPR:
 
 
 @dataclass(frozen=True)
-class RPP:
-    """A slider pinned to a known joint, on a yoke that slides on a known line."""
+class RPP(_Pair):
+    """A slider (first) pinned to a known joint, on a yoke (second) that slides on a known line."""
 
-    first: Link  # pinned to the known joint
-    second: Link  # the yoke
     guide: Guide  # between the two
     outer: str
     rail: Guide  # of the yoke
@@ -162,11 +152,6 @@ class RPP:
     def joint(self) -> str:
         """Name of the guide between the two."""
         return self.guide.name
-
-    @property
-    def links(self) -> tuple[Link, Link]:
-        """The bodies that the group adds."""
-        return self.first, self.second
 
     def solve(self, pose: Pose) -> Value:
         """Add both bodies; return the squared sine of the angle between the two lines."""
@@ -189,11 +174,9 @@ class RPP:
 
 
 @dataclass(frozen=True)
-class PRP:
+class PRP(_Pair):
     """Two sliders on known lines, pinned to one another."""
 
-    first: Link
-    second: Link
     guides: tuple[Guide, Guide]
     inner: str
 
@@ -204,11 +187,6 @@ class PRP:
     def joint(self) -> str:
         """Name of the pin between the two."""
         return self.inner
-
-    @property
-    def links(self) -> tuple[Link, Link]:
-        """The bodies that the group adds."""
-        return self.first, self.second
 
     def solve(self, pose: Pose) -> Value:
         """Add the pin and both sliders; return the squared sine of the angle between the two lines."""

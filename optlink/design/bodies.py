@@ -1,0 +1,159 @@
+"""Masses, joints, gravity and the drive of a problem file, read and turned into those of a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+
+from optlink.design.magnitudes import Size, read_size
+from optlink.design.quantity import (
+    Duration,
+    FixedAngle,
+    Mass,
+    Number,
+    Quantity,
+    Speed,
+    Unusable,
+    nearest,
+    read_fixed,
+    read_positive,
+)
+from optlink.design.section import Section
+from optlink.dynamics.inertia import Inertia
+from optlink.linkage.elementwise import Value
+from optlink.linkage.mechanism import Mechanism
+
+# --- bodies and joints ------------------------------------------------------------------------------------------------
+
+
+def _read_centroid(raw: object) -> Any:
+    if isinstance(raw, str | tuple):
+        return raw
+    if not isinstance(raw, list) or len(raw) != 2:
+        raise Unusable("a centroid is a point of the body", 'Write "middle", a point, or ["100 mm", "0 mm"]', "", raw)
+    return tuple(read_fixed(part, "coordinate") for part in raw)
+
+
+def _read_moment(raw: object) -> Any:
+    return raw if raw == "uniform bar" else read_positive(raw, "moment of inertia")
+
+
+class BodySection(Section):
+    """Mass properties of a body: mass, centroid in its own axes, moment of inertia about the centroid."""
+
+    mass: Mass
+    centroid: Annotated[Any, BeforeValidator(_read_centroid)] = None
+    inertia: Annotated[Any, BeforeValidator(_read_moment)] = None
+
+    def inertia_of(self, body: str, mechanism: Mechanism, sizes: Mapping[str, Value]) -> Inertia:
+        """Mass properties for given sizes [SI].
+
+        Raises
+        ------
+        Unusable
+            naming the key below the body, when no body can be so.
+        """
+        link, mass = mechanism.bodies[body], self.mass.value
+        length = (sizes[link.length] if isinstance(link.length, str) else link.length) if link.end else 0.0
+        along: Value = 0.5 * length
+        across: Value = 0.0
+        if isinstance(self.centroid, tuple):
+            along, across = (part.value for part in self.centroid)
+        elif self.centroid not in (None, "middle"):
+            own = [point for point, bodies in mechanism.owners.items() if body in bodies]
+            if self.centroid not in own:
+                raise Unusable("the body has no such point", nearest(self.centroid, ["middle", *own]), "centroid", self.centroid)
+            if self.centroid == link.start:
+                along = 0.0
+            elif self.centroid == link.end:
+                along = length
+            else:
+                mark = mechanism.marks[body, self.centroid]
+                along, across = (sizes[part] if isinstance(part, str) else part for part in (mark.along, mark.across))
+        if self.inertia == "uniform bar":
+            if not link.end:
+                raise Unusable("only a link with two joints is a bar", 'Write inertia = "0.016 kg*m^2"', "inertia", self.inertia)
+            moment: Value = mass * length * length / 12.0
+        elif self.inertia is None:
+            if mass > 0.0 and link.end:
+                example = f'inertia = "{mass * float(np.max(length)) ** 2 / 12.0:.3g} kg*m^2", or "uniform bar"'
+                raise Unusable("a link with a mass has a moment of inertia about its centroid", f"Add {example}", "inertia")
+            moment = 0.0
+        else:
+            moment = self.inertia.value
+        if mass == 0.0 and np.any(np.asarray(moment) > 0.0):
+            raise Unusable(
+                "a body without mass has no moment of inertia",
+                "Give it a mass, or take inertia out",
+                "inertia",
+                str(self.inertia),
+            )
+        return Inertia(mass, along, across, moment)
+
+
+class JointSection(Section):
+    """A joint: `on` is the body whose reaction is told."""
+
+    on: str | None = None
+
+
+# --- the drive --------------------------------------------------------------------------------------------------------
+
+
+class DriveSection(Section):
+    """What drives the machine: at a constant speed, or (for `simulate`) by a torque or motor curve."""
+
+    body: str | None = None
+    start: FixedAngle = Quantity(0.0, "angle", "deg")
+    speed: Speed = Quantity(1.0, "angular velocity", "rad/s")
+    torque: Any = None
+    initial_speed: Speed | None = None
+    duration: Duration | None = None
+    fluctuation: Number | None = None
+
+    @field_validator("body", mode="before")
+    @classmethod
+    def _one(cls, raw: object) -> object:
+        if isinstance(raw, list):
+            raise Unusable("one body is driven, the others follow", 'Name one: body = "crank"', "", raw)
+        return raw
+
+    @field_validator("torque", mode="before")
+    @classmethod
+    def _size(cls, raw: object, info: ValidationInfo) -> Size | None:
+        if raw is None:
+            return None
+        return read_size(raw, "torque", ("phi", "omega"), (info.context or {}).get("folder", Path()))
+
+    @field_validator("speed", mode="after")
+    @classmethod
+    def _turns(cls, speed: Quantity) -> Quantity:
+        if speed.value == 0.0:
+            raise Unusable("the crank stands still", 'Give a speed, for statics a low one such as "0.01 rpm"', "", str(speed))
+        return speed
+
+    @field_validator("fluctuation", mode="after")
+    @classmethod
+    def _small(cls, share: float | None) -> float | None:
+        if share is not None and not 0.0 < share < 2.0:
+            raise Unusable("out of range", "Give the share of the mean speed by which it may vary, for example 0.02", "", share)
+        return share
+
+
+def read_gravity(raw: object) -> Any:
+    """Gravity: a value along -y, or two components."""
+    if isinstance(raw, tuple):
+        return raw
+    if isinstance(raw, list):
+        if len(raw) != 2:
+            raise Unusable("gravity has two components", 'Write "9.81 m/s^2" (downwards) or ["0 m/s^2", "-9.81 m/s^2"]', "", raw)
+        return tuple(read_fixed(part, "acceleration").value for part in raw)
+    return 0.0, -read_fixed(raw, "acceleration").value
+
+
+Gravity = Annotated[Any, BeforeValidator(read_gravity)]
+Bodies = Annotated[dict[str, BodySection], Field(default_factory=dict)]
