@@ -36,7 +36,7 @@ def grid(title: str, columns: Iterable[tuple[str, str]], header: bool = False) -
         padding=(0, 2, 0, 0),
     )
     for name, justify in columns:
-        table.add_column(name, justify=justify, overflow="fold", no_wrap=justify == "right")  # type: ignore[arg-type]
+        table.add_column(name, justify=justify, overflow="fold")  # type: ignore[arg-type]
     return table
 
 
@@ -268,6 +268,12 @@ def listing(files: Iterable[ProblemFile]) -> Table:
     return table
 
 
+NARROWEST = 79
+"""Columns that a table needs; a narrower terminal breaks its lines rather than lose digits."""
+
+
 def console(*, stderr: bool = False) -> Console:
     """A console that prints texts as they are: no guessed colours, and nothing in a file is markup."""
-    return Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+    made = Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+    made.width = max(made.width, NARROWEST)
+    return made
