@@ -565,3 +565,21 @@ def test_table_is_written_into_a_pipe_and_through_a_link(tmp_path):
     write_csv(link, {"a": [2.0]})
     assert link.is_symlink()
     assert real.read_text() == "a\n2.0\n"
+
+
+def test_internal_drag_opposes_the_relative_motion():
+    """A drag in x between crank and rocker of a double-crank: what both feel together only takes energy, whichever of them is faster."""
+    raw = {
+        "title": "drag link with a drag between crank and rocker",
+        "mechanism": {"type": "four-bar", "crank": "0.25 m", "coupler": "0.28 m", "rocker": "0.3 m", "frame": "0.1 m"},
+        "loads": {
+            "drag": {"on": "crank", "at": "B", "force": "5 N", "direction": "0 deg", "acts": "opposing", "against": "rocker"}
+        },
+    }
+    result = optlink.analyze(optlink.read(raw), points=90)
+    at = np.stack([result["B.x_m"] - 0.1, result["B.y_m"]])  # of the rocker's pivot D
+    relative = result["B.vx_m_s"] + result["rocker.omega_rad_s"] * at[1]
+    power = result["drag.fx_N"] * relative
+    assert np.all(power <= 1e-12)
+    np.testing.assert_allclose(result["input.power_W"], -power, atol=1e-9)
+    assert np.any(result["drag.fx_N"] * result["B.vx_m_s"] > 1e-3)  # against the frame alone it would be another sign

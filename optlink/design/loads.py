@@ -87,12 +87,12 @@ class LoadSection(Section):
                 raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
             if isinstance(self.force, Curve) and self.force.over == "s" and not isinstance(direction, str):
                 raise Unusable("s is the position of a slider along its guide", "Leave direction out, or use phi", "force")
-            load = Force(name, body, point, self.force, direction, self.acts == "opposing")
+            load = Force(name, body, point, self.force, direction, opposing=self.acts == "opposing")
             self._check_against(mechanism)
             return replace(load, against=self.against or FRAME, **self._stroke(load, motion))
         if self.torque is not None:
             body = self._body(mechanism, self.on, "on")
-            twist = Torque(name, body, self.torque, self.acts == "opposing")
+            twist = Torque(name, body, self.torque, opposing=self.acts == "opposing")
             self._check_against(mechanism)
             twist = replace(twist, against=self.against or FRAME)
             return replace(twist, **self._stroke(twist, motion))

@@ -62,6 +62,17 @@ class State(NamedTuple):
     omega: Value
     alpha: Value
 
+    def at(self, point: Vector) -> tuple[Vector, Vector]:
+        """Velocity and acceleration of the point of the body that is there now [m/s, m/s^2]."""
+        x, y = point[0] - self.start[0], point[1] - self.start[1]
+        square = self.omega * self.omega
+        velocity = self.velocity[0] - self.omega * y, self.velocity[1] + self.omega * x
+        acceleration = (
+            self.acceleration[0] - self.alpha * y - square * x,
+            self.acceleration[1] + self.alpha * x - square * y,
+        )
+        return velocity, acceleration
+
 
 def wrench(parameters: Parameters, state: State, gravity: Vector) -> Wrench:
     """Force and moment (about the start of the body) that all joints and loads together must exert for this motion.

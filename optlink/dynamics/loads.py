@@ -7,7 +7,7 @@ oppose the motion, or act in one stroke only; which stroke that is, is found fro
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -39,9 +39,7 @@ class Acting(NamedTuple):
 
     def power(self, state: State) -> Value:
         """What it feeds into the machine [W]."""
-        lever = minus(self.point, state.start)
-        speed = (state.velocity[0] - state.omega * lever[1], state.velocity[1] + state.omega * lever[0])
-        return dot(self.force, speed) + self.torque * state.omega
+        return dot(self.force, state.at(self.point)[0]) + self.torque * state.omega
 
 
 class Load(Protocol):
@@ -84,7 +82,28 @@ def _sense(load: Force | Torque, moving: Moving) -> Value:
 
 
 @dataclass(frozen=True)
-class Force:
+class _Process:
+    """What forces and torques share: they may oppose the motion, act in one stroke, and push against another body."""
+
+    opposing: bool = field(default=False, kw_only=True)
+    stroke: Stroke = field(default="both", kw_only=True)
+    turning: bool = field(default=False, kw_only=True)
+    """The stroke is that of a crank that turns counter-clockwise; clockwise it is the other one."""
+    against: str = field(default=FRAME, kw_only=True)
+    """The body that feels the opposite."""
+
+    @property
+    def switching(self) -> bool:
+        """Whether it jumps where the motion reverses."""
+        return self.opposing or self.stroke != "both"
+
+    def potential(self, moving: Moving) -> Value:
+        """None is kept."""
+        return 0.0
+
+
+@dataclass(frozen=True)
+class Force(_Process):
     """A force on a point of a body, along a direction fixed in the plane or along the guide of a slider."""
 
     name: str
@@ -92,26 +111,18 @@ class Force:
     point: str
     magnitude: Magnitude
     direction: float | str  # angle [rad], or the guide that the body slides in
-    opposing: bool = False
-    stroke: Stroke = "both"
-    turning: bool = False  # the stroke is that of a crank that turns counter-clockwise; clockwise it is the other one
-    against: str = FRAME  # the body that feels the opposite force
-
-    @property
-    def switching(self) -> bool:
-        """Whether it jumps where the motion reverses."""
-        return self.opposing or self.stroke != "both"
 
     def along(self, moving: Moving) -> Vector:
         """Unit vector of the direction."""
         return moving.line(self.direction) if isinstance(self.direction, str) else unit(self.direction)
 
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
-        """Velocity and acceleration along the direction."""
+        """Velocity and acceleration along the direction, against the body that feels the opposite."""
         if isinstance(self.direction, str):
             return moving.slides[self.direction][1:]
-        way = unit(self.direction)
-        return dot(way, moving.velocity(self.point)), dot(way, moving.acceleration(self.point))
+        way, (velocity, acceleration) = unit(self.direction), moving.state(self.against).at(moving.position(self.point))
+        own, turning = moving.velocity(self.point), moving.acceleration(self.point)
+        return dot(way, minus(own, velocity)), dot(way, minus(turning, acceleration))
 
     def act(self, moving: Moving) -> Iterator[Acting]:
         """The force."""
@@ -126,27 +137,14 @@ class Force:
         if self.against != FRAME:
             yield Acting(self.against, at, (-force[0], -force[1]), 0.0)
 
-    def potential(self, moving: Moving) -> Value:
-        """None is kept."""
-        return 0.0
-
 
 @dataclass(frozen=True)
-class Torque:
+class Torque(_Process):
     """A torque on a body."""
 
     name: str
     body: str
     magnitude: Magnitude
-    opposing: bool = False
-    stroke: Stroke = "both"
-    turning: bool = False  # the stroke is that of a crank that turns counter-clockwise; clockwise it is the other one
-    against: str = FRAME  # the body that feels the opposite torque
-
-    @property
-    def switching(self) -> bool:
-        """Whether it jumps where the motion reverses."""
-        return self.opposing or self.stroke != "both"
 
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
         """Angular velocity and acceleration of the body against the other."""
@@ -161,10 +159,6 @@ class Torque:
         yield Acting(self.body, state.start, (0.0, 0.0), torque)
         if self.against != FRAME:
             yield Acting(self.against, moving.state(self.against).start, (0.0, 0.0), -torque)
-
-    def potential(self, moving: Moving) -> Value:
-        """None is kept."""
-        return 0.0
 
 
 class _Steady:
