@@ -568,7 +568,7 @@ def test_table_is_written_into_a_pipe_and_through_a_link(tmp_path):
 
 
 def test_internal_drag_opposes_the_relative_motion():
-    """A drag in x between crank and rocker of a double-crank: what both feel together only takes energy, whichever of them is faster."""
+    """A drag in x between crank and rocker of a double-crank takes energy from the two together, whichever is faster."""
     raw = {
         "title": "drag link with a drag between crank and rocker",
         "mechanism": {"type": "four-bar", "crank": "0.25 m", "coupler": "0.28 m", "rocker": "0.3 m", "frame": "0.1 m"},
