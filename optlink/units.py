@@ -73,13 +73,17 @@ KINDS = {
         Kind("acceleration", "m/s**2", "m/s^2", "9.81 m/s^2"),
         Kind("stiffness", "N/m", "N/m", "500 N/m"),
         Kind("damping", "N*s/m", "N*s/m", "20 N*s/m"),
+        Kind("velocity", "m/s", "m/s", "0.01 m/s"),
+        Kind("pressure", "Pa", "GPa", "207 GPa"),
+        Kind("contact stiffness", "N/m**1.5", "N/m^1.5", "6.6e10 N/m^1.5"),
+        Kind("frequency", "rad/s", "Hz", "300 Hz"),
         Kind("torsional stiffness", "N*m/rad", "N*m/rad", "5 N*m/rad"),
         Kind("torsional damping", "N*m*s/rad", "N*m*s/rad", "0.1 N*m*s/rad"),
     )
 }
 
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*([^\s\d].*?)?\s*", re.DOTALL | re.ASCII)
-_FACTOR = r"[A-Za-z°µμ_]+(?:\s*(?:\^|\*\*)\s*-?[1-4])?"
+_FACTOR = r"[A-Za-z°µμ_]+(?:\s*(?:\^|\*\*)\s*-?[1-4](?:\.5)?)?"
 _UNIT = re.compile(rf"{_FACTOR}(?:(?:\s*[*/·]\s*|\s+){_FACTOR}){{0,4}}")  # "kg m^2" is kg*m^2
 
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from optlink.clearance import contact
-from optlink.design.nlp import tracing
+from optlink.symbolic import tracing
 
 STIFF, MASS = 6.6102e10, 0.14
 SPEEDS = (1e-2, 0.3, 4.0)

@@ -20,12 +20,13 @@ import pytest
 import optlink
 from optlink.design import constraints, objectives
 from optlink.design.expression import FUNCTIONS, parse
-from optlink.design.nlp import NLP, build, tracing
+from optlink.design.nlp import NLP, build
 from optlink.design.objectives import MEASURES
 from optlink.design.problem import DesignProblem, StartPosition
 from optlink.linkage import dyads, elementwise, fourbar
 from optlink.linkage.jet import _CHAIN, Jet
 from optlink.linkage.mechanism import BodyPoint, Mechanism
+from optlink.symbolic import tracing
 
 SAME = 1e-12
 JET = 1e-10

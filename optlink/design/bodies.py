@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
+from optlink.design.control import ServoSection
 from optlink.design.magnitudes import Size, read_size
 from optlink.design.quantity import (
     Duration,
@@ -27,7 +28,7 @@ from optlink.dynamics.inertia import Inertia
 from optlink.linkage.elementwise import Value
 from optlink.linkage.mechanism import Mechanism
 
-# --- bodies and joints ------------------------------------------------------------------------------------------------
+# --- bodies ----------------------------------------------------------------------------------------------------------
 
 
 def _read_centroid(raw: object) -> Any:
@@ -95,12 +96,6 @@ class BodySection(Section):
         return Inertia(mass, along, across, moment)
 
 
-class JointSection(Section):
-    """A joint: `on` is the body whose reaction is told."""
-
-    on: str | None = None
-
-
 # --- the drive --------------------------------------------------------------------------------------------------------
 
 
@@ -111,6 +106,7 @@ class DriveSection(Section):
     start: FixedAngle = Quantity(0.0, "angle", "deg")
     speed: Speed = Quantity(1.0, "angular velocity", "rad/s")
     torque: Any = None
+    servo: ServoSection | None = None
     initial_speed: Speed | None = None
     duration: Duration | None = None
     fluctuation: Number | None = None

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from optlink.design.bodies import BodySection, DriveSection, Gravity, JointSection
+from optlink.clearance.gap import Gap
+from optlink.design.bodies import BodySection, DriveSection, Gravity
+from optlink.design.control import ControlSection
+from optlink.design.joints import JointSection
 from optlink.design.linkages import DyadsSection, FourBarSection, sizes_of
 from optlink.design.loads import LoadSection
 from optlink.design.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
 from optlink.design.section import RESERVED, Name, Section
 from optlink.dynamics.loads import Force, Load, Stroke
-from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.machine import Machine, Moving, parts
 from optlink.linkage.elementwise import Value, cross, dot
 from optlink.linkage.mechanism import FRAME, Mechanism
 
@@ -53,6 +56,7 @@ class Problem(Section):
     joints: dict[Name, JointSection] = Field(default_factory=dict)
     loads: dict[Name, LoadSection] = Field(default_factory=dict)
     drive: DriveSection = DriveSection()
+    control: ControlSection | None = None
     expected: Expected | None = None
 
     @cached_property
@@ -83,11 +87,15 @@ class Problem(Section):
             for name in getattr(self, section):
                 if name not in names:
                     what = "no such body" if section == "bodies" else "no such pin joint"
+                    if section == "joints" and name in [guide.name for guide in mechanism.guides]:
+                        what = "a guide, which is a sliding joint: clearance and reactions are told of pins"
                     raise Unusable(what, nearest(name, names), f"{section}.{name}")
         for name, joint in self.joints.items():
             if joint.on is not None and joint.on not in mechanism.pins[name]:
                 remedy = nearest(joint.on, mechanism.pins[name])
                 raise Unusable("the joint is not one of that body", remedy, f"joints.{name}.on", joint.on)
+            with _below(f"joints.{name}"):
+                joint.check_unused()
         inertias = {}
         for name, body in self.bodies.items():
             with _below(f"bodies.{name}"):
@@ -110,6 +118,23 @@ class Problem(Section):
             self.mechanism.friction,
             {name: joint.on for name, joint in self.joints.items() if joint.on is not None},
         )
+
+    def gaps(self, machine: Machine) -> tuple[Gap, ...]:
+        """The joints with clearance.
+
+        Raises
+        ------
+        Unusable
+            naming the full key that is to blame.
+        """
+        found = []
+        for name, joint in self.joints.items():
+            if joint.loose:
+                with _below(f"joints.{name}"):
+                    found.append(joint.gap(name, machine.mechanism))
+        if found:
+            Revolution(machine).check_holds(found)
+        return tuple(found)
 
 
 class _below:
@@ -136,6 +161,27 @@ class Revolution:
     def moving(self) -> Moving:
         """The machine at evenly spaced crank angles."""
         return self.machine.moving(np.linspace(0.0, 2.0 * np.pi, STROKES, endpoint=False) + 1e-4)
+
+    def check_holds(self, gaps: Sequence[Gap]) -> None:
+        """Refuse clearances that let a group of the mechanism come apart, or turn over into its other assembly mode."""
+        moving, mechanism = self.moving, self.machine.mechanism
+        assembled = moving.motion.assembled
+        for group in mechanism.groups:
+            own = {link.body for link in group.links}
+            loose = [gap for gap in gaps if own & {gap.journal, gap.bearing}]
+            with np.errstate(all="ignore"):
+                gap = parts(group.gap(moving.pose))[0]
+            spare = -np.broadcast_to(np.asarray(gap, dtype=float), assembled.shape)[assembled]
+            if not loose or not spare.size or not np.any(spare > 0.0):
+                continue
+            play, least = sum(gap.clearance for gap in loose), float(np.min(spare))
+            if play >= least:
+                at = float(np.degrees(moving.motion.crank_angle[assembled][int(np.argmin(spare))]))
+                message = (
+                    f"the clearance lets the mechanism come apart: at a crank angle of {at:.0f} deg the group of {group.joint} "
+                    f"closes with {least * 1e3:.4g} mm to spare, and its joints have {play * 1e3:.4g} mm of play"
+                )
+                raise Unusable(message, "Give a smaller clearance, or other lengths", f"joints.{loose[0].point}.clearance")
 
     def _rates(self, load: Load) -> Array:
         velocity = load.reversing(self.moving)
@@ -195,4 +241,14 @@ def cross_check(problem: Problem) -> None:
     Unusable
         with the full key that is to blame.
     """
-    problem.machine()
+    machine = problem.machine()
+    gaps = problem.gaps(machine)
+    if problem.control is not None:
+        with _below("control"):
+            problem.control.check(machine, gaps)
+    if problem.drive.servo is not None:
+        with _below("drive.servo"):
+            problem.drive.servo.check()
+        if problem.drive.torque is not None:
+            message = "the drive has a torque and a servo"
+            raise Unusable(message, "Give one of the two", "drive.servo")

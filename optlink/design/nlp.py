@@ -5,9 +5,7 @@ The formulas are those of `linkage`, `objectives` and `constraints`, traced once
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -21,19 +19,9 @@ from optlink.design.constraints import rows as limit_rows
 from optlink.design.objectives import MEASURES, Measure, output_error
 from optlink.design.problem import EPIGRAPH, DesignProblem, StartPosition
 from optlink.linkage.fourbar import LENGTHS
+from optlink.symbolic import Compiled, tracing
 
 Array = NDArray[np.float64]
-
-
-@contextlib.contextmanager
-def tracing() -> Iterator[None]:
-    """Let numpy's functions take casadi symbols meanwhile, as they take arrays; what was set before is restored."""
-    before = casadi.GlobalOptions.getNumpyMode()
-    casadi.GlobalOptions.setNumpyMode(1)
-    try:
-        yield
-    finally:
-        casadi.GlobalOptions.setNumpyMode(before)
 
 
 @dataclass(frozen=True)
@@ -58,27 +46,6 @@ class Point:
     def finite(self) -> bool:
         """Whether everything has a value there."""
         return bool(math.isfinite(self.f) and all(np.all(np.isfinite(a)) for a in (self.gradient, self.g, self.jacobian)))
-
-
-class Compiled:
-    """A casadi function on numpy arrays without copies through casadi's own matrices (ten times less overhead per call)."""
-
-    def __init__(self, inputs: list[Any], outputs: list[Any]) -> None:
-        function = casadi.Function("compiled", inputs, [casadi.densify(output) for output in outputs])
-        self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
-        self._results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
-        self._buffer, self._evaluate = function.buffer()
-        for i, argument in enumerate(self._arguments):
-            self._buffer.set_arg(i, memoryview(argument))  # type: ignore[call-arg, arg-type]
-        for i, result in enumerate(self._results):
-            self._buffer.set_res(i, memoryview(result))  # type: ignore[call-arg, arg-type]
-
-    def __call__(self, *arguments: Array) -> list[Array]:
-        """Evaluate; matrices come flat, column by column."""
-        for own, given in zip(self._arguments, arguments, strict=True):
-            own[:] = given
-        self._evaluate()
-        return [result.copy() for result in self._results]
 
 
 @dataclass(frozen=True)

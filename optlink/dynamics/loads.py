@@ -120,8 +120,11 @@ class Force(_Process):
         """Velocity and acceleration along the direction, against the body that feels the opposite."""
         if isinstance(self.direction, str):
             return moving.slides[self.direction][1:]
-        way, (velocity, acceleration) = unit(self.direction), moving.state(self.against).at(moving.position(self.point))
-        own, turning = moving.velocity(self.point), moving.acceleration(self.point)
+        way, (velocity, acceleration) = (
+            unit(self.direction),
+            moving.state(self.against).at(moving.position(self.point, self.body)),
+        )
+        own, turning = moving.velocity(self.point, self.body), moving.acceleration(self.point, self.body)
         return dot(way, minus(own, velocity)), dot(way, minus(turning, acceleration))
 
     def act(self, moving: Moving) -> Iterator[Acting]:
@@ -132,7 +135,7 @@ class Force(_Process):
             known = {**known, "s": s, "v": v}
         size = self.magnitude(known) * _sense(self, moving)
         x, y = self.along(moving)
-        at, force = moving.position(self.point), (size * x + 0.0, size * y + 0.0)  # + 0.0: no minus before a zero
+        at, force = moving.position(self.point, self.body), (size * x + 0.0, size * y + 0.0)  # + 0.0: no minus before a zero
         yield Acting(self.body, at, force, 0.0)
         if self.against != FRAME:
             yield Acting(self.against, at, (-force[0], -force[1]), 0.0)
@@ -183,18 +186,18 @@ class Spring(_Steady):
 
     def _stretch(self, moving: Moving) -> tuple[Value, Vector, Value]:
         """Length, direction from the first end to the second, rate of the length."""
-        (_, p), (_, q) = self.ends
-        between = minus(moving.position(q), moving.position(p))
+        (one, p), (other, q) = self.ends
+        between = minus(moving.position(q, other), moving.position(p, one))
         length = np.sqrt(dot(between, between))
         along = (between[0] / length, between[1] / length)
-        return length, along, dot(along, minus(moving.velocity(q), moving.velocity(p)))
+        return length, along, dot(along, minus(moving.velocity(q, other), moving.velocity(p, one)))
 
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Pull on both ends."""
         length, (x, y), rate = self._stretch(moving)
         pull = self.stiffness * (length - self.free) + self.damping * rate
         for (body, point), sign in zip(self.ends, (1.0, -1.0), strict=True):
-            yield Acting(body, moving.position(point), (sign * pull * x, sign * pull * y), 0.0)
+            yield Acting(body, moving.position(point, body), (sign * pull * x, sign * pull * y), 0.0)
 
     def potential(self, moving: Moving) -> Value:
         """Energy of the spring."""
@@ -250,7 +253,7 @@ class SlideDamper(_Steady):
         """Resist on the slider, push on what carries the line."""
         x, y = moving.line(self.guide)
         force = -self.damping * moving.slides[self.guide][1]
-        point = moving.position(self.point)
+        point = moving.position(self.point, self.slider)
         yield Acting(self.slider, point, (force * x, force * y), 0.0)
         if self.on != FRAME:
             yield Acting(self.on, point, (-force * x, -force * y), 0.0)

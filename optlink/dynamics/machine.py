@@ -99,17 +99,17 @@ class Moving:
         """Positions with their time derivatives."""
         return self.motion.pose
 
-    def position(self, point: str) -> Vector:
-        """Where a point is [m]."""
+    def position(self, point: str, body: str = "") -> Vector:
+        """Where a point is [m]; the same on all bodies that share it."""
         x, y = self.pose.points[point]
         return parts(x)[0], parts(y)[0]
 
-    def velocity(self, point: str) -> Vector:
+    def velocity(self, point: str, body: str = "") -> Vector:
         """Velocity of a point [m/s]."""
         x, y = self.pose.points[point]
         return parts(x)[1], parts(y)[1]
 
-    def acceleration(self, point: str) -> Vector:
+    def acceleration(self, point: str, body: str = "") -> Vector:
         """Acceleration of a point [m/s^2]."""
         x, y = self.pose.points[point]
         return parts(x)[2], parts(y)[2]

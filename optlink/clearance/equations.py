@@ -1,0 +1,215 @@
+"""Equations of motion of a machine with gaps, traced with casadi and compiled for its integrator.
+
+Unknown are the accelerations of the coordinates that the cut leaves, and the forces in the joints that close loops (index 1):
+
+    [M  C'] [a]   [Q - h]
+    [C  0 ] [-f] = [-c   ]
+
+Where the motion of the crank is given (a servo follows a command, or the speed is constant) its row gives the drive's torque.
+
+Source: Newton and Euler by virtual power; wrenches and positions are those of the ideal machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.clearance.cut import Cut
+from optlink.clearance.gap import Gap, Touch, acting, touch
+from optlink.clearance.loose import Loose
+from optlink.dynamics.loads import Magnitude
+from optlink.dynamics.machine import Machine, parts
+from optlink.linkage.jet import Jet
+from optlink.symbolic import Buffered, Compiled, tracing
+
+Array = NDArray[np.float64]
+WEIGHTLESS = 1e-12
+"""Share of the largest inertia below which a free direction of motion has none."""
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A drive that follows a command of angle and speed: a second-order system of `bandwidth` [rad/s] and `damping` ratio."""
+
+    bandwidth: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What moves the crank: a `servo`, a `torque` [N m] over phi and omega, or (with neither) a constant speed."""
+
+    servo: Servo | None = None
+    torque: Magnitude | None = None
+
+
+class Weightless(ValueError):
+    """A coordinate without inertia: no force can govern it. `body` is to blame."""
+
+    def __init__(self, body: str) -> None:
+        super().__init__(f"{body} has no inertia, so nothing governs its motion in the gap")
+        self.body = body
+
+
+class Equations:
+    """The compiled equations of a machine with gaps.
+
+    A state is (q, v): coordinates in the order of `cut.coordinates` and their rates. `modes` of the gaps are 1 in contact, 0
+    apart; `speeds` the approach speeds with which the contacts began [m/s].
+    """
+
+    def __init__(self, machine: Machine, gaps: Sequence[Gap], drive: Drive, speed: float) -> None:
+        self.machine, self.gaps, self.drive, self.speed = machine, tuple(gaps), drive, speed
+        self.cut = Cut(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
+        self.size = len(self.cut.coordinates)
+        self._outcomes: dict[int, Compiled] = {}
+        with tracing():
+            self._trace()
+
+    def loose(self, q: Iterable[Any], v: Iterable[Any], a: Iterable[Any]) -> Loose:
+        """The machine at coordinates, rates and accelerations (floats, arrays or symbols)."""
+        return Loose(self.machine, self.cut, [Jet(*three) for three in zip(q, v, a, strict=True)], self.speed)
+
+    def touches(self, loose: Loose, speeds: Iterable[Any], modes: Iterable[Any]) -> list[Touch]:
+        """The contacts at the gaps."""
+        return [touch(gap, loose.play(gap), v, m) for gap, v, m in zip(self.gaps, speeds, modes, strict=True)]
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Names of the works that are integrated beside the motion [J]: of the drive, of loads, lost at gaps."""
+        own = [f"{gap.point}.{kind}" for gap in self.gaps for kind in ("impact", "friction")]
+        return ("drive", *(load.name for load in self.machine.loads), *own)
+
+    def _trace(self) -> None:
+        n, k = self.size, len(self.gaps)
+        self.x = x = casadi.SX.sym("x", 2 * n)
+        a = casadi.SX.sym("a", n)
+        self.span, self.tau = casadi.SX.sym("span"), casadi.SX.sym("tau")
+        self.entered, self.modes = casadi.SX.sym("entered", k), casadi.SX.sym("modes", k)
+        self.command = casadi.SX.sym("command", 2)  # angle at the beginning, speed
+        q, v = casadi.vertsplit(x)[:n], casadi.vertsplit(x)[n:]
+        still = [casadi.SX(0.0)] * n
+        loose = self.loose(q, v, casadi.vertsplit(a))
+        known = self.loose(q, v, still)  # loads must not see the symbols of unknown accelerations
+        touches = self.touches(known, casadi.vertsplit(self.entered), casadi.vertsplit(self.modes))
+        loads = known.acting()
+        forces = [one for several in loads.values() for one in several]
+        for gap, contact in zip(self.gaps, touches, strict=True):
+            forces += acting(gap, known.play(gap), known.position(gap.point, gap.journal), contact)
+        residual = casadi.SX.zeros(n)
+        for body, (force, moment) in loose.needed().items():
+            state = known.state(body)
+            (fx, fy), total = force, moment
+            for one in forces:
+                if one.body == body:
+                    (gx, gy), turned = one.wrench(state)
+                    fx, fy, total = fx - gx, fy - gy, total - turned
+            rates = casadi.vertcat(*state.velocity, state.omega)
+            residual += casadi.jacobian(rates, x[n:]).T @ casadi.vertcat(fx, fy, total)
+        opened = [parts(value) for value in self.cut.open(loose.places)]
+        closure = casadi.vertcat(*[value for value, _, _ in opened]) if opened else casadi.SX(0, 1)
+        bent = casadi.vertcat(*[twice for _, _, twice in opened]) if opened else casadi.SX(0, 1)
+        grip = casadi.jacobian(closure, x[:n])
+        crank = self.cut.driven
+        given, torque = self._driven(known)
+        free = [i for i in range(n) if given is None or i != crank]
+        # linear in the accelerations: matrix and right-hand side by differentiation, at a = 0 (and the given one)
+        at = casadi.SX.zeros(n)
+        if given is not None:
+            at[crank] = given
+        rest, late = (casadi.substitute(part, a, at) for part in (residual, bent))
+        if torque is not None:
+            rest[crank] -= torque
+        mass, held = casadi.jacobian(residual, a), grip[:, free]
+        m = closure.numel()
+        if m:
+            matrix = casadi.blockcat([[mass[free, free], held.T], [held, casadi.SX(m, m)]])
+            solved = casadi.solve(matrix, -casadi.vertcat(rest[free], late)) if free else casadi.SX(0, 1)
+        else:
+            matrix = mass[free, free]
+            solved = _cholesky(matrix, -rest[free]) if free else casadi.SX(0, 1)
+        whole = casadi.SX.zeros(n)
+        for place, i in enumerate(free):
+            whole[i] = solved[place]
+        if given is not None:
+            whole[crank] = given
+        pull = solved[len(free) :]  # minus the forces in the closing joints
+        if torque is None:
+            torque = rest[crank] + mass[crank, free] @ solved[: len(free)] + (grip[:, crank].T @ pull if m else 0.0)
+        powers = [torque * v[crank], *(known.power(several) for several in loads.values())]
+        powers += [power for contact in touches for power in (contact.loss, contact.rubbing)]
+        self.ode, self.powers = casadi.cse([casadi.vertcat(x[n:], whole), casadi.vertcat(*powers)])
+        depth = casadi.vertcat(*[contact.penetration for contact in touches])
+        rate = casadi.vertcat(*[contact.rate for contact in touches])
+        curve = casadi.jtimes(rate, x, self.ode)
+        self._watched = casadi.cse([depth, rate, curve])
+        self._outcome = casadi.cse([whole, torque, pull])
+        self.free, self.symbolic = free, known
+        self.masses = Compiled([x], [mass[free, free], held])
+        self.closure = Compiled([x[:n]], [closure, grip]) if m else None
+        self._rates = Compiled([x, self.parameters, self.tau], [self.ode])
+
+    def _driven(self, known: Loose) -> tuple[Any, Any]:
+        """(acceleration of the crank, or None; torque on it, or None where it follows from the motion)."""
+        if self.drive.torque is not None:
+            return None, self.drive.torque(known.variables)
+        if self.drive.servo is None:
+            return casadi.SX(0.0), None
+        servo, crank = self.drive.servo, known.crank
+        angle = self.command[0] + self.command[1] * (self.span * self.tau)
+        lag, slow = angle - crank.value, self.command[1] - crank.rate
+        return servo.bandwidth * servo.bandwidth * lag + 2.0 * servo.damping * servo.bandwidth * slow, None
+
+    @cached_property
+    def parameters(self) -> Any:
+        """What is constant during one call of the integrator: the span of its time, command, contacts."""
+        return casadi.vertcat(self.span, self.command, self.entered, self.modes)
+
+    def watch(self, copies: int) -> Compiled:
+        """(x, parameters, tau) -> penetration at every gap [m], its rate, its second derivative, `copies` at a time."""
+        return Compiled([self.x, self.parameters, self.tau], self._watched, copies)
+
+    def outcome(self, copies: int) -> Compiled:
+        """(x, parameters, tau) -> accelerations, torque of the drive [N m], forces in the closing joints, `copies` at a time."""
+        if copies not in self._outcomes:
+            self._outcomes[copies] = Compiled([self.x, self.parameters, self.tau], self._outcome, copies)
+        return self._outcomes[copies]
+
+    def rates(self, state: Array, parameters: Array) -> Array:
+        """Time derivative of a state."""
+        return self._rates(state, parameters, np.zeros(1))[0]
+
+    def integrator(self, steps: int, tolerance: float) -> Buffered:
+        """(x, parameters) -> states, works [J] after each of `steps` equal steps of the span, by CVODES."""
+        problem = {
+            "x": self.x,
+            "p": self.parameters,
+            "t": self.tau,
+            "ode": self.span * self.ode,
+            "quad": self.span * self.powers,
+        }
+        # Adams: between the switches the motion is smooth; measured a quarter faster than BDF, in contact as well as apart
+        options: dict[str, Any] = {
+            "linear_multistep_method": "adams",
+            "reltol": tolerance,
+            "abstol": 1e-3 * tolerance,
+            "max_num_steps": 1_000_000,
+        }
+        grid = [(i + 1.0) / steps for i in range(steps)]
+        inner = casadi.integrator("motion", "cvodes", problem, 0.0, grid, options)
+        x, p = casadi.MX.sym("x", self.x.numel()), casadi.MX.sym("p", self.parameters.numel())
+        found = inner(x0=x, p=p)
+        return Buffered(casadi.Function("steps", [x, p], [found["xf"], found["qf"]]))
+
+
+def _cholesky(matrix: Any, right: Any) -> Any:
+    """Solve for a mass matrix: positive definite, sparse."""
+    d, upper, p = casadi.ldl(matrix, False)
+    return casadi.ldl_solve(right, d, upper, p)

@@ -1,0 +1,394 @@
+"""Integration of a machine with gaps in time: CVODES between the instants at which contacts begin and end.
+
+Every gap has a mode, apart or in contact, which is constant during a call of the integrator, so that it meets smooth equations
+only: a journal that is apart flies on into the bearing without a force until the end of the call, and the crossing is found on
+its path, whatever the integrator's steps were. The motion then starts again there in the other mode.
+
+The path between two rows is looked at through its values and slopes, so a contact shorter than a row is found too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.clearance.contact import SLOWEST
+from optlink.clearance.equations import Equations
+from optlink.symbolic import Buffered
+
+Array = NDArray[np.float64]
+CHUNKS = (1, 8, 64)
+"""Rows that one call of the integrator may cover."""
+
+BUSY = 2000
+"""Switches within one row that are a stall."""
+
+SHARP = 1e-6
+"""Share of a row up to which the time of a switch is found by integration; the rest is one step of Taylor's series."""
+
+DEEPEST = 0.2
+"""Share of the journal's radius: a deeper penetration is no contact any more."""
+
+
+class Switch(NamedTuple):
+    """A contact begins or ends: time [s], crank angle [rad], gap, whether it begins, rate of the penetration [m/s]."""
+
+    time: float
+    crank_angle: float
+    gap: int
+    begins: bool
+    rate: float
+
+
+class Impact(NamedTuple):
+    """A contact: gap, begin [s], crank angle then [rad], approach speed [m/s], largest penetration [m], end [s], speed [m/s].
+
+    The end is NaN while the contact lasts.
+    """
+
+    gap: int
+    begin: float
+    crank_angle: float
+    approach: float
+    penetration: float
+    end: float
+    departure: float
+
+
+class Crossing(NamedTuple):
+    """Where a gap switches: which, how long after the row's beginning [s], the state then, works until then [J]."""
+
+    gap: int
+    into: float
+    state: Array
+    works: Array
+
+
+class Block(NamedTuple):
+    """Rows: times (m,) [s], states (m, 2n), modes and approach speeds of the gaps (m, k), works so far (m, w) [J]."""
+
+    time: Array
+    states: Array
+    modes: Array
+    entered: Array
+    works: Array
+
+
+class Stalled(RuntimeError):
+    """The integration cannot go on; `reason` for people."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+@dataclass
+class Integration:
+    """A motion under way.
+
+    Parameters
+    ----------
+    equations : Equations
+    state : array (2n,)
+        Coordinates and their rates at the start.
+    step : float [s]
+        Between two rows.
+    tolerance : float
+        Relative, of the integrator; absolute a thousandth of it (SI).
+    """
+
+    equations: Equations
+    state: Array
+    step: float
+    tolerance: float = 1e-9
+    row: int = 0
+    ahead: float = 0.0  # since that row [s]
+    modes: Array = field(default_factory=lambda: np.zeros(0))
+    entered: Array = field(default_factory=lambda: np.zeros(0))
+    works: Array = field(default_factory=lambda: np.zeros(0))
+    command: tuple[float, float, float] = (0.0, 0.0, 0.0)  # angle at a time, speed; the servo follows it
+
+    def __post_init__(self) -> None:
+        gaps = len(self.equations.gaps)
+        if not self.modes.size:
+            self.modes, self.entered = np.zeros(gaps), np.full(gaps, SLOWEST)
+        if not self.works.size:
+            self.works = np.zeros(len(self.equations.losses))
+        self._steps: dict[int, Buffered] = {}
+        self._watch: dict[int, Buffered] = {}
+        self._chunk = 0
+        self._busy = 0
+        self.calls = 0
+        self.open: dict[int, Impact] = {}
+        self.finished: list[Impact] = []
+        self.switches = 0
+
+    @property
+    def time(self) -> float:
+        """Now [s]."""
+        return self.row * self.step + self.ahead
+
+    def parameters(self, span: float, time: float) -> Array:
+        """What a call of the integrator is told."""
+        angle, at, speed = self.command
+        return np.concatenate([[span, angle + speed * (time - at), speed], self.entered, self.modes])
+
+    def advance(self, rows: int) -> Iterator[Block]:
+        """Go on by so many rows; yields them as they come.
+
+        Raises
+        ------
+        Stalled
+        """
+        end = self.row + rows
+        while self.row < end:
+            count = 1
+            if self.ahead == 0.0:
+                fitting = [n for n in CHUNKS[: self._chunk + 1] if n <= end - self.row]
+                count = fitting[-1]
+            span = count * self.step - self.ahead
+            states, works = self._integrate(self.state, span, count, self.time)
+            row, suspects = self._suspects(states, span / count)
+            found = None
+            whole = count
+            if suspects:
+                found = self._first_switch(states[row], row * span / count, span / count, suspects)
+                whole = row + (found is None)  # a false alarm: that row is as it is
+            if whole:
+                yield self._accept(states[1 : whole + 1], works[:whole])
+            if found is not None:
+                self._switch(found)
+            elif not suspects:
+                self._chunk = min(self._chunk + 1, len(CHUNKS) - 1)
+
+    # --- one call ------------------------------------------------------------------------------------------------------
+
+    def _integrate(self, state: Array, span: float, count: int, time: float) -> tuple[Array, Array]:
+        if count not in self._steps:
+            self._steps[count] = self.equations.integrator(count, self.tolerance)
+        self.calls += 1
+        try:
+            states, works = self._steps[count](state, self.parameters(span, time))
+        except RuntimeError:
+            raise Stalled("the integrator cannot go on") from None
+        if not np.all(np.isfinite(states)):
+            raise Stalled("the motion has no finite value any more")
+        return np.vstack([state, states.reshape(count, -1)]), works.reshape(count, -1)
+
+    def _observe(self, states: Array, span: float) -> tuple[Array, Array, Array]:
+        """Penetration, rate, second derivative at every gap, (m, k) each."""
+        count = len(states)
+        if count not in self._watch:
+            self._watch[count] = self.equations.watch(count)
+        given = np.tile(self.parameters(span * (count - 1), self.time), count)
+        depth, rate, curve = self._watch[count](states.ravel(), given, np.linspace(0.0, 1.0, count))
+        shape = (count, len(self.equations.gaps))
+        return depth.reshape(shape), rate.reshape(shape), curve.reshape(shape)
+
+    def _suspects(self, states: Array, span: float) -> tuple[int, dict[int, tuple[float, bool]]]:
+        """The first row in which some gap may switch: its number, and by gap an estimate of when, and whether it surely does.
+
+        Notes how deep contacts went till then.
+        """
+        depth, rate, curve = self._observe(states, span)
+        side = 1.0 - 2.0 * self.modes  # what grows beyond zero at a switch is the penetration with this sign
+        y, slope = side * depth, side * rate
+        turns = (slope[:-1] > 0.0) & (slope[1:] < 0.0)  # touches zero within the row, perhaps
+        reach = np.maximum(y[:-1] + 0.5 * span * slope[:-1], y[1:] - 0.5 * span * slope[1:])
+        rows = np.argwhere((y[1:] > 0.0) | (turns & (reach > 0.0)))
+        row = len(states) - 1
+        found: dict[int, tuple[float, bool]] = {}
+        for i, j in rows:
+            if found and i > row:
+                break
+            ends = [[float(side[j] * part[m, j]) for part in (depth, rate, curve)] for m in (i, i + 1)]
+            sure = bool(y[i + 1, j] > 0.0)
+            s = crossing(ends[0], ends[1], span) if sure else summit(ends[0], ends[1], span)
+            row, found[int(j)] = int(i), (s * span, sure)
+        self._note_depths(states, depth, rate, span, row if found else None)
+        return row, found
+
+    def _first_switch(self, state: Array, offset: float, span: float, suspects: dict[int, tuple[float, bool]]) -> Crossing | None:
+        """The first switch within a row that begins with this state, `offset` from now; None where none of them is one."""
+        found: Crossing | None = None
+        for gap, (guess, sure) in sorted(suspects.items(), key=lambda item: item[1][0]):
+            end = span if found is None else found.into
+            if guess < end or sure:
+                found = self._cross(state, offset, end, gap, min(guess, end), sure and found is None) or found
+        for _ in self.equations.gaps if found else ():
+            assert found is not None
+            before = self._beyond(found)
+            if before is None:
+                break
+            found = self._cross(state, offset, found.into, before, 0.5 * found.into, True) or found
+        return found
+
+    def _beyond(self, found: Crossing) -> int | None:
+        """A gap that has switched already where another does."""
+        depth, rate, _ = (part[0] for part in self._observe(found.state[None, :], 0.0))
+        late = (1.0 - 2.0 * self.modes) * depth / np.maximum(np.abs(rate), 1e-300) > SHARP * self.step
+        late[found.gap] = False
+        return int(np.argmax(late)) if np.any(late) else None
+
+    def _cross(self, state: Array, offset: float, end: float, gap: int, guess: float, sure: bool) -> Crossing | None:
+        """Where a gap switches between a state (`offset` from now) and the time `end` later: by Newton on the motion itself.
+
+        `sure`: it has switched at the end.
+        """
+        side = 1.0 - 2.0 * self.modes[gap]
+        low, high, s = 0.0, end if sure else np.inf, guess
+        works = np.zeros_like(self.works)
+        for _ in range(100):
+            states, more = self._integrate(state, s - low, 1, self.time + offset + low)
+            y, slope, curve = (side * float(part[1, gap]) for part in self._observe(states, s - low))
+            rest = -y / slope if slope > 0.0 else np.inf
+            if abs(rest) < SHARP * self.step:  # the rest of the way is too short for a call
+                there = states[1] + rest * self.equations.rates(states[1], self.parameters(0.0, self.time + offset + s))
+                return Crossing(gap, s + rest, there, works + more[0])
+            if y > 0.0:
+                high = s
+            else:
+                low, state, works = s, states[1], works + more[0]
+            if low < s + rest < high and (high < np.inf or s + rest < end):
+                s += rest
+            elif high < np.inf:
+                s = 0.5 * (low + high)
+            else:  # it has not switched yet, and may turn back before it does: look at the summit
+                peak = s - slope / curve if curve < 0.0 else np.inf
+                if not low < peak < end or abs(peak - s) < SHARP * self.step:
+                    return None
+                s = peak
+            if high - low < SHARP * SHARP * self.step:
+                there = self._integrate(state, high - low, 1, self.time + offset + low)
+                return Crossing(gap, high, there[0][1], works + there[1][0])
+        return None
+
+    def _note_depths(self, states: Array, depth: Array, rate: Array, span: float, row: int | None) -> None:
+        """Largest penetration of the contacts under way, until the row in which some gap may switch."""
+        last = len(states) - 1 if row is None else row
+        for j, impact in self.open.items():
+            deepest = max(impact.penetration, float(np.max(depth[: last + 1, j])))
+            peaks = np.flatnonzero((rate[:-1, j] > 0.0) & (rate[1:, j] <= 0.0))
+            for i in peaks[peaks <= last]:
+                if _peak(depth[i, j], depth[i + 1, j], rate[i, j], rate[i + 1, j], span) > 0.999 * deepest:
+                    deepest = max(deepest, self._deepest(states[i], i * span, span, j))
+            self.open[j] = impact._replace(penetration=deepest)
+
+    def _deepest(self, state: Array, offset: float, span: float, gap: int) -> float:
+        """Penetration where its rate is zero, within a row."""
+        low, high, s = 0.0, span, 0.5 * span
+        depth = rate = 0.0
+        for _ in range(40):
+            states, _ = self._integrate(state, s, 1, self.time + offset)
+            ds, rs, cs = (part[1, gap] for part in self._observe(states, s))
+            depth, rate = float(ds), float(rs)
+            low, high = (s, high) if rate > 0.0 else (low, s)
+            newton = s - rate / float(cs) if cs < 0.0 else -1.0
+            if abs(newton - s) < 1e-6 * span and rate * rate < 1e-10 * abs(depth * float(cs)):
+                break
+            s = newton if low < newton < high else 0.5 * (low + high)
+        return depth
+
+    def _accept(self, states: Array, works: Array) -> Block:
+        """Go to the last of these rows."""
+        count = len(states)
+        times = (self.row + np.arange(1.0, count + 1.0)) * self.step
+        block = Block(times, states, np.tile(self.modes, (count, 1)), np.tile(self.entered, (count, 1)), self.works + works)
+        self.row, self.ahead, self._busy = self.row + count, 0.0, 0
+        self.state, self.works = self._closed(states[-1]), block.works[-1].copy()
+        self._check()
+        return block
+
+    def _switch(self, found: Crossing) -> None:
+        """Go to where a contact begins or ends, and change its mode."""
+        gap, self.state = found.gap, self._closed(found.state)
+        self.works = self.works + found.works
+        self.ahead = min(max(self.ahead + found.into, self.ahead), self.step * (1.0 - 1e-12))
+        rate = self._observe(self.state[None, :], 0.0)[1][0, gap]
+        begins = self.modes[gap] == 0.0
+        self.modes = self.modes.copy()
+        self.modes[gap] = 1.0 if begins else 0.0
+        angle = float(self.state[self.equations.cut.driven])
+        if begins:
+            self.entered = self.entered.copy()
+            self.entered[gap] = max(float(rate), SLOWEST)
+            self.open[gap] = Impact(gap, self.time, angle, float(rate), 0.0, np.nan, np.nan)
+        else:
+            self.finished.append(self.open.pop(gap)._replace(end=self.time, departure=-float(rate)))
+        self.switches += 1
+        self._busy += 1
+        self._chunk = 0
+        if self._busy > BUSY:
+            raise Stalled(f"more than {BUSY} contacts begin and end within {self.step:.3g} s")
+
+    def _closed(self, state: Array) -> Array:
+        """The state moved back onto the closing joints, from which it drifts by the integrator's error."""
+        closure = self.equations.closure
+        if closure is None:
+            return state
+        n, crank = self.equations.size, self.equations.cut.driven
+        state = state.copy()
+        for _ in range(2):
+            opened, grip = closure(state[:n])
+            slopes = grip.reshape(n, -1).T.copy()
+            slopes[:, crank] = 0.0
+            state[:n] -= np.linalg.lstsq(slopes, opened, rcond=None)[0]
+        _, grip = closure(state[:n])
+        whole = grip.reshape(n, -1).T
+        slopes = whole.copy()
+        slopes[:, crank] = 0.0
+        state[n:] -= np.linalg.lstsq(slopes, whole @ state[n:], rcond=None)[0]
+        return state
+
+    def _check(self) -> None:
+        depth = self._observe(self.state[None, :], 0.0)[0][0]
+        for gap, delta in zip(self.equations.gaps, depth, strict=True):
+            if delta > DEEPEST * gap.radius:
+                raise Stalled(
+                    f"the journal at {gap.point} is {delta:.3g} m deep in its bearing: no contact force holds the mechanism"
+                )
+
+
+def _peak(y0: float, y1: float, s0: float, s1: float, span: float) -> float:
+    """Estimate of the largest value within a row, from values and slopes at its ends."""
+    share = s0 / (s0 - s1)
+    return max(y0 + 0.5 * s0 * share * span, y1 - 0.5 * s1 * (1.0 - share) * span)
+
+
+def _quintic(begin: Sequence[float], end: Sequence[float], span: float) -> Array:
+    """The polynomial of fifth degree over a row (0 ... 1) with these values, slopes and second derivatives at its ends."""
+    (y0, s0, c0), (y1, s1, c1) = begin, end
+    a, b = s0 * span, s1 * span
+    c, d = 0.5 * c0 * span * span, 0.5 * c1 * span * span
+    p, q, r = y1 - y0 - a - c, b - a - 2.0 * c, d - c
+    return np.array([6.0 * p - 3.0 * q + r, -15.0 * p + 7.0 * q - 2.0 * r, 10.0 * p - 4.0 * q + r, c, a, y0])
+
+
+def _real_roots(polynomial: Any) -> Array:
+    roots = np.roots(polynomial)
+    return np.sort(roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0) & (roots.real < 1.0)])
+
+
+def crossing(begin: Sequence[float], end: Sequence[float], span: float) -> float:
+    """Estimate, as a share of the row, of where a path that ends above zero rises through it for the first time.
+
+    Parameters
+    ----------
+    begin, end : three floats
+        Value, slope and second derivative at both ends.
+    """
+    path = _quintic(begin, end, span)
+    slope = np.polyder(path)
+    rising = [u for u in _real_roots(path) if np.polyval(slope, u) > 0.0]
+    return float(rising[0]) if rising else 0.5
+
+
+def summit(begin: Sequence[float], end: Sequence[float], span: float) -> float:
+    """Estimate, as a share of the row, of where a path is highest that rises at its beginning and falls at its end."""
+    path = _quintic(begin, end, span)
+    tops = _real_roots(np.polyder(path))
+    return float(tops[np.argmax(np.polyval(path, tops))]) if tops.size else begin[1] / (begin[1] - end[1])

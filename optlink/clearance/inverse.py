@@ -1,0 +1,147 @@
+"""The inverse model: which motion of the crank gives the wanted output, once the journals lie where they are predicted to lie.
+
+In a bearing with play the journal lies where the load presses it: against the reaction that the ideal machine would have there,
+turned by the angle of friction, at the clearance and the penetration of that load. The loops are closed with these gap vectors,
+and the crank is turned until the output is the wanted one. At a dead centre no turn of the crank moves the output; there the
+wanted change and the turn are weighed against one another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.clearance.cut import Cut
+from optlink.clearance.equations import Servo
+from optlink.clearance.gap import Gap
+from optlink.clearance.loose import Loose
+from optlink.clearance.output import Output
+from optlink.dynamics.machine import Machine, parts
+from optlink.dynamics.reactions import reactions
+from optlink.linkage.jet import Jet
+from optlink.symbolic import Compiled, tracing
+
+Array = NDArray[np.float64]
+POINTS = 720
+ROUNDS = 60
+
+
+@dataclass(frozen=True)
+class Command:
+    """A periodic correction of an evenly turning crank: angle = start + speed t + a Fourier series.
+
+    `harmonics` (h,): complex, of the correction [rad]; the real part of their sum counts.
+    """
+
+    start: float
+    speed: float
+    harmonics: NDArray[np.complex128]
+
+    def at(self, time: float) -> tuple[float, float]:
+        """Angle [rad] and speed [rad/s] commanded."""
+        rates = 1j * np.arange(len(self.harmonics)) * abs(self.speed)
+        waves = self.harmonics * np.exp(rates * time)
+        return self.start + self.speed * time + float(np.sum(waves).real), self.speed + float(np.sum(rates * waves).real)
+
+
+def even(start: float, speed: float) -> Command:
+    """The command without any correction."""
+    return Command(start, speed, np.zeros(1, dtype=complex))
+
+
+def predicted(machine: Machine, gaps: Sequence[Gap], angles: Array, speed: float) -> Array:
+    """Where the journals lie (angles, 2 gaps) [m] while the machine moves at constant speed: x, y of each gap vector.
+
+    Source: quasi-static contact in the direction of the ideal joint's reaction.
+    """
+    moving = machine.moving(angles, speed)
+    found = reactions(moving)
+    columns = []
+    for gap in gaps:
+        x, y = (np.broadcast_to(part, angles.shape) for part in found.pins[gap.point][gap.journal])
+        load = np.hypot(x, y)
+        away = gap.clearance + (load / gap.stiffness) ** (2.0 / 3.0)
+        # the journal is pushed by (-normal, friction): the reaction leans against the slip by the angle of friction
+        slip = gap.radius * (moving.state(gap.journal).omega - moving.state(gap.bearing).omega)
+        lean = np.arctan(gap.friction) * np.tanh(slip / gap.slip_speed)
+        c, s = np.cos(lean), np.sin(lean)
+        columns += [-away * (x * c + y * s) / load, -away * (y * c - x * s) / load]
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
+
+
+class Inverse:
+    """Loop closure of a machine with known gaps, at `POINTS` positions of a revolution at once."""
+
+    def __init__(self, machine: Machine, gaps: Sequence[Gap], output: Output, start: float, speed: float) -> None:
+        self.output, self.start, self.speed = output, start, speed
+        self.cut = Cut(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
+        self.size, crank = len(self.cut.coordinates), self.cut.driven
+        self.free = [i for i in range(self.size) if i != crank]
+        with tracing():
+            q, e = casadi.SX.sym("q", self.size), casadi.SX.sym("e", 2 * len(gaps))
+            loose = Loose(machine, self.cut, [Jet(value) for value in casadi.vertsplit(q)], speed)
+            apart = [loose.play(gap).eccentricity for gap in gaps]
+            missing = [value - e[i] for i, value in enumerate(part for pair in apart for part in pair)]
+            missing += [parts(value)[0] for value in self.cut.open(loose.places)]
+            value, gone = output.of(loose), casadi.vertcat(*missing)
+            results = [gone, casadi.jacobian(gone, q), value, casadi.jacobian(value, q)]
+            self._loops = Compiled([q, e], results, POINTS)
+        self.angles: Array = np.asarray(start + np.sign(speed) * np.linspace(0.0, 2.0 * np.pi, POINTS, endpoint=False))
+        moving = machine.moving(self.angles, speed)
+        self.wanted = np.asarray(output.ideal(moving)[0])
+        self._ideal = np.stack([np.broadcast_to(parts(c)[0], (POINTS,)) for c in self.cut.read(moving.pose)], axis=-1)
+        self.gaps: Array = predicted(machine, gaps, self.angles, speed)
+
+    def close(self, crank: Array) -> tuple[Array, Array]:
+        """Output at these crank angles (POINTS,) with the predicted gap vectors, and its derivative over the crank angle."""
+        q = self._ideal.copy()
+        q[:, self.cut.driven] = crank
+        for _ in range(ROUNDS):
+            gone, slopes, value, gradient = self._loops(q.ravel(), self.gaps.ravel())
+            gone = gone.reshape(POINTS, -1)
+            slopes = slopes.reshape(POINTS, self.size, -1).transpose(0, 2, 1)
+            if np.max(np.abs(gone), initial=0.0) < 1e-13:
+                break
+            q[:, self.free] -= np.linalg.solve(slopes[:, :, self.free], gone[:, :, None])[:, :, 0]
+        gradient = gradient.reshape(POINTS, self.size)
+        follow = -np.linalg.solve(slopes[:, :, self.free], slopes[:, :, self.cut.driven, None])[:, :, 0]
+        return value, gradient[:, self.cut.driven] + np.sum(gradient[:, self.free] * follow, axis=1)
+
+    def solve(self, regularisation: float) -> Array:
+        """Correction of the crank angle (POINTS,) [rad] that minimises (output - wanted)^2 + (regularisation * correction)^2."""
+        turned = np.zeros(POINTS)
+        square = regularisation * regularisation
+        for _ in range(ROUNDS):
+            value, slope = self.close(self.angles + turned)
+            missing = -self.output.difference(value, self.wanted)
+            step = (slope * missing - square * turned) / (slope * slope + square)
+            turned = turned + step
+            if np.max(np.abs(step)) < 1e-12:
+                break
+        return turned
+
+    def command(self, regularisation: float, servo: Servo, bandwidth: float | None = None) -> Command:
+        """The crank's command: the correction up to a bandwidth [rad/s], ahead of what the servo will make of it.
+
+        The bandwidth is that of the servo if left out. A correction that is too lively shakes the machine so that the journals
+        lie elsewhere than predicted.
+        """
+        turned = self.solve(regularisation)
+        limit = servo.bandwidth if bandwidth is None else bandwidth
+        order = min(POINTS // 4, max(1, int(limit / abs(self.speed) + 1e-9)))
+        harmonics = np.fft.rfft(turned)[: order + 1] / POINTS
+        harmonics[1:] *= 2.0
+        s = 1j * np.arange(order + 1) * abs(self.speed)
+        follows = 2.0 * servo.damping * servo.bandwidth * s + servo.bandwidth**2
+        return Command(self.start, self.speed, harmonics * (s * s + follows) / follows)
+
+
+def leverage(machine: Machine, output: Output, angles: Array, regularisation: float) -> Array:
+    """Turn of the crank per change of the output [rad/m, 1] at crank angles (n,), regularised where the output stands still."""
+    slope = np.broadcast_to(output.ideal(machine.moving(angles))[1], angles.shape)
+    found: Array = slope / (slope * slope + regularisation * regularisation)
+    return found

@@ -1,0 +1,68 @@
+"""The motion that a machine is there for: the slide of a slider, or the angle of a body; and how far it is from the ideal one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optlink.clearance.loose import Loose
+from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.record import slider_names
+from optlink.linkage.elementwise import Value, angle
+from optlink.linkage.mechanism import FRAME, Mechanism
+
+
+@dataclass(frozen=True)
+class Output:
+    """A slider in its `guide` (its slide counts), or, without a guide, a body (its angle counts)."""
+
+    name: str
+    guide: str = ""
+
+    @property
+    def unit(self) -> str:
+        """m or rad."""
+        return "m" if self.guide else "rad"
+
+    @property
+    def column(self) -> str:
+        """Name of its column in tables."""
+        return f"{self.name}.s_m" if self.guide else f"{self.name}.angle_rad"
+
+    def of(self, loose: Loose) -> Value:
+        """Where it is [m, rad]; an angle lies in (-pi, pi]."""
+        return loose.slides[self.guide][0] if self.guide else angle(loose.state(self.name).axis)
+
+    def ideal(self, moving: Moving) -> tuple[Value, Value]:
+        """Where it is in the machine without clearance, and its velocity."""
+        if self.guide:
+            s, v, _ = moving.slides[self.guide]
+            return s, v
+        state = moving.state(self.name)
+        return angle(state.axis), state.omega
+
+    def difference(self, value: Value, wanted: Value) -> Value:
+        """By how much it is beyond what is wanted [m, rad]; across no branch of an angle."""
+        return value - wanted if self.guide else np.remainder(value - wanted + np.pi, 2.0 * np.pi) - np.pi
+
+
+def outputs(machine: Machine) -> dict[str, Output]:
+    """What may be an output, by name: sliders in their guides, and the angles of other bodies."""
+    sliding = {name: Output(name, guide) for guide, name in slider_names(machine).items()}
+    turning = {body: Output(body) for body in machine.mechanism.bodies if body != machine.mechanism.crank.body}
+    return {**turning, **sliding}
+
+
+def usual(machine: Machine) -> Output:
+    """The output where none is said: the last slider on the frame, else the last body that is pinned to the frame."""
+    known = outputs(machine)
+    names = slider_names(machine)
+    rams = [names[guide.name] for guide in machine.mechanism.guides if FRAME in guide.bodies]
+    return known[rams[-1] if rams else _rocker(machine.mechanism)]
+
+
+def _rocker(mechanism: Mechanism) -> str:
+    pinned = {body for bodies in mechanism.pins.values() if FRAME in bodies for body in bodies}
+    moving = [link.body for link in mechanism.links[1:]]
+    return next((body for body in reversed(moving) if body in pinned), moving[-1])

@@ -1,0 +1,358 @@
+"""Simulation of a machine with clearance in its joints: what `optlink simulate`, notebooks and reports call."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.analysis import machine_of, motion_range
+from optlink.clearance.account import Account, Prediction, Twin, table
+from optlink.clearance.control import PID, Control, Controller, Gains
+from optlink.clearance.equations import Drive, Servo, Weightless
+from optlink.clearance.gap import Gap
+from optlink.clearance.integration import Impact, Stalled
+from optlink.clearance.inverse import Inverse, even, leverage
+from optlink.clearance.output import Output, outputs, usual
+from optlink.clearance.plant import Plant
+from optlink.design.files import ProblemFile
+from optlink.design.quantity import Unusable, nearest
+from optlink.documents import finite
+from optlink.dynamics.drive import Ending
+from optlink.dynamics.machine import Machine
+from optlink.errors import Fault, InputError
+from optlink.version import VERSION
+
+Array = NDArray[np.float64]
+SCHEMA = "optlink/clearance/1"
+TURN = 2.0 * math.pi
+SETTLED = 5
+"""Revolutions at the beginning that the statistics leave out, where there are more than twice as many."""
+
+COARSER = 30.0
+"""Ratio of the tolerances of a run and of its twin, which shows how long the motion can be predicted."""
+
+
+@dataclass(frozen=True)
+class LooseSimulation:
+    """A machine with clearance in time.
+
+    `columns` by name over the rows of the last revolutions (all, up to `KEPT`), `meanings` of them; `turns`: figures of each
+    revolution, (revolutions,) arrays; `impacts` in the order of their ends; `section`: a row of each revolution's end.
+    """
+
+    problem: ProblemFile
+    machine: Machine
+    gaps: tuple[Gap, ...]
+    output: Output
+    control: Control
+    speed: float
+    sample_time: float | None
+    columns: Mapping[str, Array]
+    meanings: Mapping[str, str]
+    turns: Mapping[str, Array]
+    impacts: tuple[Impact, ...]
+    section: Mapping[str, Array]
+    figures: Mapping[str, float]
+    prediction: Prediction | None
+    ending: Ending
+    stopped: float
+    message: str
+    notes: tuple[str, ...]
+    tolerance: float
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    @property
+    def finished(self) -> bool:
+        """Whether all revolutions were simulated."""
+        return self.ending is Ending.FINISHED
+
+    @property
+    def revolutions(self) -> int:
+        """Whole revolutions that were simulated."""
+        return int(self.figures["revolutions"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The simulation as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        predicted = self.prediction
+        return finite(  # type: ignore[no-any-return]
+            {
+                "schema": SCHEMA,
+                "optlink": VERSION,
+                "problem": self.problem.name,
+                "title": self.problem.model.title,
+                "problem_hash": self.problem.hash,
+                "seed": None,
+                "status": self.ending.value,
+                "message": self.message,
+                "finished": self.finished,
+                "control": str(self.control),
+                "output": self.output.name,
+                "speed_rad_s": self.speed,
+                "sample_time_s": self.sample_time,
+                "tolerance": self.tolerance,
+                "gaps": [vars(gap) for gap in self.gaps],
+                "notes": list(self.notes),
+                "figures": dict(self.figures),
+                "stopped_s": self.stopped,
+                "prediction": None
+                if predicted is None
+                else {"chaotic": predicted.chaotic, "parted_revolutions": predicted.parted, "watched": predicted.watched},
+                "turns": dict(self.turns),
+                "impacts": [{**impact._asdict(), "gap": self.gaps[impact.gap].point} for impact in self.impacts],
+                "section": dict(self.section),
+                "meanings": dict(self.meanings),
+                "columns": dict(self.columns),
+            }
+        )
+
+
+@dataclass
+class _Setting:
+    """Everything that one run is made of."""
+
+    file: ProblemFile
+    machine: Machine
+    gaps: tuple[Gap, ...]
+    output: Output
+    control: Control
+    drive: Drive
+    start: float
+    speed: float  # at the beginning
+    nominal: float
+    points: int
+    sample_time: float
+
+    def plant(self, tolerance: float) -> Plant:
+        """A machine at the beginning, with its controller."""
+        try:
+            plant = Plant(
+                self.machine,
+                self.gaps,
+                self.drive,
+                self.output,
+                start=self.start,
+                speed=self.speed,
+                nominal=self.nominal,
+                points=self.points,
+                tolerance=tolerance,
+                sample_time=self.sample_time if self.control is not Control.NONE else math.inf,
+            )
+        except Weightless as error:
+            remedy = f'Give it a mass (and a moment of inertia): {error.body} = {{ mass = "0.2 kg", inertia = "uniform bar" }}'
+            raise InputError(Fault(str(error), remedy, self.file.file, f"bodies.{error.body}")) from None
+        if self.control is not Control.NONE:
+            plant.controller = self._controller(plant)
+        return plant
+
+    def _controller(self, plant: Plant) -> Controller:
+        section = self.file.model.control
+        assert section is not None
+        assert self.drive.servo is not None
+        regularisation = self.regularisation
+        command = even(self.start, self.nominal)
+        if self.control.inverted:
+            known = [gap for gap in self.gaps if section.known is None or gap.point in section.known]
+            inverse = Inverse(self.machine, known, self.output, self.start, self.nominal)
+            command = inverse.command(regularisation, self.drive.servo, section.bandwidth.value if section.bandwidth else None)
+        if not self.control.fed_back:
+            return Controller(command)
+        angles = self.start + math.copysign(TURN, self.nominal) * np.arange(plant.samples) / plant.samples
+        wanted = np.broadcast_to(np.asarray(self.output.ideal(self.machine.moving(angles))[0]), angles.shape)
+        gains = Gains(section.proportional, section.integral, section.derivative, section.limit.value)
+        lever = leverage(self.machine, self.output, angles, regularisation)
+        return Controller(command, PID(gains, plant.sample_time), wanted, lever, not self.output.guide)
+
+    @property
+    def regularisation(self) -> float:
+        """Of the inverse [m/rad, 1]: what the file says, else a tenth of the output's largest rate per crank angle."""
+        section = self.file.model.control
+        if section is not None and section.regularisation is not None:
+            return section.regularisation.value
+        rates = self.output.ideal(self.machine.moving(np.linspace(0.0, TURN, 361)))[1]
+        return 0.1 * float(np.max(np.abs(rates)))
+
+
+def simulate_clearance(
+    problem: ProblemFile,
+    revolutions: int = 20,
+    points: int = 360,
+    speed: float | None = None,
+    control: str = "none",
+    *,
+    start: float | None = None,
+    design: Mapping[str, float] | None = None,
+    tolerance: float = 1e-9,
+    twin: bool = True,
+    progress: Callable[[float], None] | None = None,
+    stream: Callable[[Mapping[str, Array]], None] | None = None,
+) -> LooseSimulation:
+    """Move a machine whose joints have clearance, from the state that it would have without.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        From `optlink.load`; at least one joint has a clearance.
+    revolutions : int
+        Of the nominal speed.
+    points : int
+        Rows per revolution.
+    speed : float [rad/s], optional
+        Nominal speed of the crank; that of the problem if left out.
+    control : str
+        "none", "inverse", "pid" or "inverse+pid"; all but the first need `[drive] servo` and `[control]`.
+    start : float [rad], optional
+        Crank angle at the beginning; that of the problem if left out.
+    tolerance : float
+        Relative, of the integrator; absolute a thousandth of it (SI).
+    twin : bool
+        Whether a second run of a coarser tolerance shows how long the motion can be predicted.
+    progress : function of the share that is done, optional
+    stream : function of the rows of a revolution, optional
+        Called with every revolution as it is done; memory does not grow with their number.
+
+    Returns
+    -------
+    LooseSimulation; where the integration stalls or is interrupted, what was computed until then.
+
+    Raises
+    ------
+    InputError
+    """
+    setting = _setting(problem, points, speed, control, start, design)
+    _check(revolutions, points, tolerance)
+    plant = setting.plant(tolerance)
+    account, pair = Account(plant), None
+    if twin:
+        pair = Twin(setting.plant(tolerance * COARSER))
+    skipped = SETTLED if revolutions > 2 * SETTLED else 0
+    ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_told(setting, plant))
+    try:
+        for k in range(revolutions):
+            rows = account.add(k >= skipped)
+            if stream is not None:
+                stream(rows)
+            if pair is not None:
+                pair.follow(rows[setting.output.column])
+            if progress is not None:
+                progress((k + 1) / revolutions)
+    except Stalled as error:
+        ending = Ending.STALLED
+        angle = float(plant.integration.state[plant.equations.cut.driven])
+        message = (
+            f"{error.reason}, at {plant.time:.9g} s, crank angle {math.degrees(angle):.6g} deg, revolution {account.count + 1}"
+        )
+    except KeyboardInterrupt:
+        ending, message = Ending.INTERRUPTED, f"interrupted after {account.count} of {revolutions} revolutions"
+    if ending is Ending.STALLED:
+        notes.append(
+            "What was computed until then is kept. A softer contact, a higher restitution, masses or a lower speed may help"
+        )
+    prediction = pair.prediction if pair is not None and account.count else None
+    if prediction is not None and prediction.chaotic:
+        notes.append(
+            f"The motion is sensitive: runs at two tolerances part after {prediction.parted:.2f} revolutions. From there on "
+            "single values of the trajectory mean nothing; root mean squares and other statistics still do"
+        )
+    kept = {name: np.concatenate([rows[name] for rows in account.rows]) for name in account.meanings}
+    return LooseSimulation(
+        problem,
+        setting.machine,
+        setting.gaps,
+        setting.output,
+        setting.control,
+        setting.nominal,
+        plant.sample_time if plant.controller else None,
+        kept,
+        account.meanings,
+        table(account.turns),
+        tuple(account.impacts),
+        table(account.section),
+        account.figures(),
+        prediction,
+        ending,
+        plant.time,
+        message,
+        tuple(notes),
+        tolerance,
+    )
+
+
+def _setting(
+    problem: ProblemFile,
+    points: int,
+    speed: float | None,
+    control: str,
+    start: float | None,
+    design: Mapping[str, float] | None,
+) -> _Setting:
+    model, name = problem.model, problem.file
+    if control not in [str(kind) for kind in Control]:
+        raise InputError(
+            Fault("no such control", nearest(control, [str(kind) for kind in Control]), key="control", value=control)
+        )
+    machine = machine_of(problem, design)
+    try:
+        gaps = model.gaps(machine)
+    except Unusable as error:
+        raise InputError(Fault(error.message, error.remedy, name, error.key, error.value)) from None
+    if not gaps:
+        pin = next(iter(machine.mechanism.pins))
+        remedy = f'Add one: [joints.{pin}] clearance = "0.5 mm", bearing_radius = "10 mm", modulus = "207 GPa"'
+        raise InputError(Fault("no joint of the problem has a clearance", remedy, name, "joints"))
+    if machine.friction:
+        guide = next(iter(machine.friction))
+        message = "friction in a guide and clearance in a pin are not simulated together"
+        raise InputError(
+            Fault(message, "Take the friction of the guide out, or the clearance", name, f"mechanism.guides.{guide}.friction")
+        )
+    drive, kind = model.drive, Control(control)
+    begin = drive.start.value if start is None else start
+    ranges, _, _ = motion_range(problem, machine, begin)
+    if not ranges.full:
+        message = "the crank cannot turn fully, and revolutions are what is simulated with clearance"
+        raise InputError(Fault(message, "Change the sizes so that it can", name, "mechanism"))
+    nominal = drive.speed.value if speed is None else speed
+    if not math.isfinite(nominal) or nominal == 0.0 or abs(nominal) > 1e6:
+        raise InputError(Fault("out of range", "Give a speed other than zero", key="speed", value=f"{nominal:.6g} rad/s"))
+    servo = None if drive.servo is None else Servo(drive.servo.bandwidth.value, drive.servo.damping)
+    if kind is not Control.NONE:
+        if servo is None:
+            remedy = 'Add servo = { bandwidth = "300 Hz", damping = 0.7 } below [drive]'
+            raise InputError(Fault(f"control {kind} needs a drive that follows a command", remedy, name, "drive.servo"))
+        if model.control is None:
+            remedy = 'Add [control] with regularisation = "5 mm", proportional = 0.1, integral = 30.0'
+            raise InputError(Fault(f"control {kind} needs to know what is controlled", remedy, name, "control"))
+        if kind.fed_back and not any((model.control.proportional, model.control.integral, model.control.derivative)):
+            raise InputError(
+                Fault("all gains of the PID are zero", "Give proportional = 0.1 or integral = 30.0", name, "control")
+            )
+    first = nominal
+    if drive.torque is not None:
+        first = drive.initial_speed.value if drive.initial_speed is not None else 0.0
+    known = outputs(machine)
+    said = model.control.output if model.control is not None else None
+    output = known[said] if said is not None else usual(machine)
+    sample = model.control.sample_time.value if model.control is not None else math.inf
+    return _Setting(problem, machine, gaps, output, kind, Drive(servo, drive.torque), begin, first, nominal, points, sample)
+
+
+def _check(revolutions: int, points: int, tolerance: float) -> None:
+    if not 1 <= revolutions <= 10_000_000:
+        raise InputError(Fault("out of range", "Give a number from 1 to 10,000,000", key="revolutions", value=revolutions))
+    if not 12 <= points <= 100_000:
+        raise InputError(Fault("out of range", "Give a number from 12 to 100,000", key="points", value=points))
+    if not 1e-13 <= tolerance <= 1e-4:
+        raise InputError(Fault("out of range", "Give a number from 1e-13 to 1e-4", key="tolerance", value=tolerance))
+
+
+def _told(setting: _Setting, plant: Plant) -> list[str]:
+    if plant.controller and abs(plant.sample_time / setting.sample_time - 1.0) > 1e-9:
+        return [f"The sample time is {plant.sample_time * 1e3:.6g} ms, so that it fits the revolution and its rows"]
+    return []

@@ -1,0 +1,98 @@
+"""The controller of a problem file: what it wants, what it knows of the machine, its gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+
+from optlink.clearance.gap import Gap
+from optlink.clearance.output import outputs, usual
+from optlink.design.quantity import Duration, FixedAngle, Frequency, Number, Quantity, Unusable, nearest, read_fixed
+from optlink.design.section import Section
+from optlink.dynamics.machine import Machine
+
+
+class ServoSection(Section):
+    """A drive that follows a command of angle and speed: second order, with bandwidth and damping ratio."""
+
+    bandwidth: Frequency
+    damping: Number = 0.7
+
+    def check(self) -> None:
+        """Refuse what is no servo.
+
+        Raises
+        ------
+        Unusable
+        """
+        if not self.bandwidth.value > 0.0:
+            raise Unusable("a servo has a bandwidth", 'Give for example "300 Hz"', "bandwidth", str(self.bandwidth))
+        if not 0.0 < self.damping <= 10.0:
+            raise Unusable("a damping ratio lies above 0 and not above 10", "Give for example 0.7", "damping", self.damping)
+
+
+def _read_joints(raw: object) -> Any:
+    if not isinstance(raw, list | tuple) or not all(isinstance(name, str) for name in raw):
+        raise Unusable("expected a list of joints", 'Write known = ["C"]', "", raw)
+    return tuple(raw)
+
+
+def _read_either(raw: object) -> Quantity:
+    """A length or an angle."""
+    try:
+        return read_fixed(raw, "length")
+    except Unusable:
+        return read_fixed(raw, "angle")
+
+
+class ControlSection(Section):
+    """How the crank's command is corrected so that the output moves as it would without clearance.
+
+    `output`: slider (its slide) or body (its angle); `known`: joints whose clearance the inverse model knows; `regularisation`
+    of the inverse at the dead centres, in output per radian of the crank (a length for a slider, an angle for a body);
+    `bandwidth` of the inverse model's command, the servo's if left out. The PID acts on the output's error referred to the
+    crank: `proportional` [-], `integral` [1/s], `derivative` [s]; it turns the crank by `limit` at most.
+    """
+
+    output: str | None = None
+    known: Annotated[Any, BeforeValidator(_read_joints)] | None = None
+    regularisation: Annotated[Quantity, BeforeValidator(_read_either)] | None = None
+    bandwidth: Frequency | None = None
+    sample_time: Duration = Quantity(2.5e-4, "time", "s")
+    proportional: Number = 0.0
+    integral: Number = 0.0
+    derivative: Number = 0.0
+    limit: FixedAngle = Quantity(0.08726646259971647, "angle", "deg")
+
+    def check(self, machine: Machine, gaps: Sequence[Gap]) -> None:
+        """Refuse what does not fit the machine.
+
+        Raises
+        ------
+        Unusable
+            naming the key below the controller.
+        """
+        known, points = outputs(machine), [gap.point for gap in gaps]
+        if self.output is not None and self.output not in known:
+            raise Unusable("no such slider or body", nearest(self.output, known), "output", self.output)
+        for point in self.known or ():
+            if point not in points:
+                raise Unusable("the joint has no clearance", nearest(point, points), "known", point)
+        output, given = known[self.output] if self.output is not None else usual(machine), self.regularisation
+        if given is not None:
+            wanted, example = ("a length", '"5 mm"') if output.guide else ("an angle", '"5 deg"')
+            if (given.kind == "length") != bool(output.guide):
+                message = f"{output.name} moves by {wanted} per radian"
+                raise Unusable(message, f"Give {wanted}: {example}", "regularisation", str(given))
+            if not given.value > 0.0:
+                message = "without it the inverse has no solution at a dead centre"
+                raise Unusable(message, f"Give for example {example}", "regularisation", str(given))
+        if not self.sample_time.value > 0.0:
+            message = "a controller samples at intervals"
+            raise Unusable(message, 'Give for example "0.25 ms"', "sample_time", str(self.sample_time))
+        if self.bandwidth is not None and not self.bandwidth.value > 0.0:
+            raise Unusable("a bandwidth is positive", 'Give for example "200 Hz"', "bandwidth", str(self.bandwidth))
+        if not self.limit.value > 0.0:
+            raise Unusable("the PID may not move anything", 'Give for example "5 deg"', "limit", str(self.limit))
