@@ -16,6 +16,8 @@ from optlink.version import VERSION as __version__
 if TYPE_CHECKING:
     from optlink.analysis import Analysis, analyze
     from optlink.batch import analyze_batch
+    from optlink.clearances import LooseSimulation, simulate_clearance
+    from optlink.compensation import Comparison, Tuning, compare, tune
     from optlink.design.files import ProblemFile, load, read, shipped
     from optlink.errors import InputError, OptlinkError, SolverError, Status
     from optlink.linkage.fourbar import four_bar, grashof
@@ -29,6 +31,12 @@ _HOME = {
     "Simulation": "optlink.simulation",
     "simulate": "optlink.simulation",
     "analyze_batch": "optlink.batch",
+    "LooseSimulation": "optlink.clearances",
+    "simulate_clearance": "optlink.clearances",
+    "Comparison": "optlink.compensation",
+    "Tuning": "optlink.compensation",
+    "compare": "optlink.compensation",
+    "tune": "optlink.compensation",
     "InputError": "optlink.errors",
     "OptlinkError": "optlink.errors",
     "SolverError": "optlink.errors",
@@ -48,16 +56,20 @@ _HOME = {
 
 __all__ = [
     "Analysis",
+    "Comparison",
     "InputError",
+    "LooseSimulation",
     "OptlinkError",
     "ProblemFile",
     "Result",
     "Simulation",
     "SolverError",
     "Status",
+    "Tuning",
     "__version__",
     "analyze",
     "analyze_batch",
+    "compare",
     "four_bar",
     "grashof",
     "load",
@@ -65,8 +77,10 @@ __all__ = [
     "read_design",
     "shipped",
     "simulate",
+    "simulate_clearance",
     "solve",
     "sweep",
+    "tune",
     "validate",
 ]
 

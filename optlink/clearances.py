@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -29,9 +30,13 @@ from optlink.version import VERSION
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/clearance/1"
+CHECKPOINT = "optlink/checkpoint/1"
 TURN = 2.0 * math.pi
 SETTLED = 5
 """Revolutions at the beginning that the statistics leave out, where there are more than twice as many."""
+
+EVERY = 5.0
+"""Seconds between checkpoints."""
 
 COARSER = 30.0
 """Ratio of the tolerances of a run and of its twin, which shows how long the motion can be predicted."""
@@ -160,7 +165,9 @@ class _Setting:
         if self.control.inverted:
             known = [gap for gap in self.gaps if section.known is None or gap.point in section.known]
             inverse = Inverse(self.machine, known, self.output, self.start, self.nominal)
-            command = inverse.command(regularisation, self.drive.servo, section.bandwidth.value if section.bandwidth else None)
+            servo = self.drive.servo
+            bandwidth = 0.5 * servo.bandwidth if section.bandwidth is None else section.bandwidth.value
+            command = inverse.command(regularisation, servo, bandwidth)
         if not self.control.fed_back:
             return Controller(command)
         angles = self.start + math.copysign(TURN, self.nominal) * np.arange(plant.samples) / plant.samples
@@ -192,6 +199,8 @@ def simulate_clearance(
     twin: bool = True,
     progress: Callable[[float], None] | None = None,
     stream: Callable[[Mapping[str, Array]], None] | None = None,
+    checkpoint: Callable[[dict[str, Any]], None] | None = None,
+    resume: Mapping[str, Any] | None = None,
 ) -> LooseSimulation:
     """Move a machine whose joints have clearance, from the state that it would have without.
 
@@ -216,6 +225,11 @@ def simulate_clearance(
     progress : function of the share that is done, optional
     stream : function of the rows of a revolution, optional
         Called with every revolution as it is done; memory does not grow with their number.
+    checkpoint : function of a document, optional
+        Called every few seconds, and when the work breaks off, with all that `resume` needs; plain numbers, fit for JSON.
+    resume : mapping, optional
+        Such a document: the run goes on from there, to the same digits as one that was never interrupted. The rows of before are
+        not in it.
 
     Returns
     -------
@@ -232,9 +246,33 @@ def simulate_clearance(
     if twin:
         pair = Twin(setting.plant(tolerance * COARSER))
     skipped = SETTLED if revolutions > 2 * SETTLED else 0
+    label = {
+        "schema": CHECKPOINT,
+        "problem_hash": problem.hash,
+        "speed_rad_s": setting.nominal,
+        "start_rad": setting.start,
+        "control": str(setting.control),
+        "points": points,
+        "tolerance": tolerance,
+        "skipped": skipped,
+        "design": None if design is None else dict(design),
+    }
+    if resume is not None:
+        _check_resume(resume, label, revolutions)
+        plant.restore(resume["plant"])
+        account.restore(resume["account"])
+        if pair is not None and resume["twin"] is not None:
+            pair.restore(resume["twin"])
+
+    def keep() -> None:
+        if checkpoint is not None and account.count:
+            own = {"plant": plant.save(), "account": account.save(), "twin": None if pair is None else pair.save()}
+            checkpoint({**label, "revolutions": account.count, **own})
+
+    kept_at = time.monotonic()
     ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_told(setting, plant))
     try:
-        for k in range(revolutions):
+        for k in range(account.count, revolutions):
             rows = account.add(k >= skipped)
             if stream is not None:
                 stream(rows)
@@ -242,13 +280,18 @@ def simulate_clearance(
                 pair.follow(rows[setting.output.column])
             if progress is not None:
                 progress((k + 1) / revolutions)
+            if time.monotonic() - kept_at > EVERY or k + 1 == revolutions:
+                keep()
+                kept_at = time.monotonic()
     except Stalled as error:
+        account.add_partial()
         ending = Ending.STALLED
         angle = float(plant.integration.state[plant.equations.cut.driven])
         message = (
             f"{error.reason}, at {plant.time:.9g} s, crank angle {math.degrees(angle):.6g} deg, revolution {account.count + 1}"
         )
     except KeyboardInterrupt:
+        account.add_partial()
         ending, message = Ending.INTERRUPTED, f"interrupted after {account.count} of {revolutions} revolutions"
     if ending is Ending.STALLED:
         notes.append(
@@ -260,7 +303,7 @@ def simulate_clearance(
             f"The motion is sensitive: runs at two tolerances part after {prediction.parted:.2f} revolutions. From there on "
             "single values of the trajectory mean nothing; root mean squares and other statistics still do"
         )
-    kept = {name: np.concatenate([rows[name] for rows in account.rows]) for name in account.meanings}
+    kept = {} if not account.rows else {name: np.concatenate([rows[name] for rows in account.rows]) for name in account.meanings}
     return LooseSimulation(
         problem,
         setting.machine,
@@ -282,6 +325,23 @@ def simulate_clearance(
         tuple(notes),
         tolerance,
     )
+
+
+def _check_resume(resume: Mapping[str, Any], label: Mapping[str, Any], revolutions: int) -> None:
+    """Go on only with what was begun."""
+    for name, value in label.items():
+        if resume.get(name) != value:
+            message = f"the checkpoint is that of another run: its {name} is {resume.get(name)!r}, not {value!r}"
+            raise InputError(Fault(message, "Resume with the options that the run was begun with, or begin anew", key="resume"))
+    try:
+        for part, keys in (("plant", ("row", "state", "modes", "works")), ("account", ("count", "sums", "turns"))):
+            for key in keys:
+                resume[part][key]
+        done = int(resume["revolutions"])
+    except (KeyError, TypeError, ValueError):
+        raise InputError(Fault("the checkpoint is damaged", "Begin anew, without it", key="resume")) from None
+    if done > revolutions:
+        raise InputError(Fault(f"{done} revolutions are done already", "Ask for more", key="revolutions", value=revolutions))
 
 
 def _setting(

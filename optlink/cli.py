@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import functools
+import importlib
 import io
 import json
 import sys
@@ -256,7 +258,7 @@ def analyze(
         given = read_design(file, design) if design else None
         _places(csv, out)
         result = run(file, points, _quantity(step, "angle", "--step"), _quantity(speed, "angular velocity", "--speed"), given)
-        _told(result, "analysis", "cycle", csv, as_json, out)
+        _told(result, "machine.analysis", "cycle", csv, as_json, out)
         if not result.sound:
             raise typer.Exit(1)
 
@@ -265,37 +267,149 @@ def analyze(
 def simulate(
     problem: Problem,
     duration: Annotated[str | None, typer.Option(metavar="TIME", help='--duration "2 s"; that of the problem else.')] = None,
-    points: Annotated[int, typer.Option(parser=_whole_number, metavar="N", help="Steps of the table.")] = 1000,
+    points: Annotated[
+        int | None,
+        typer.Option(parser=_whole_number, metavar="N", help="Steps of the table: 1000, with clearance 360 a revolution."),
+    ] = None,
     speed: Speed = None,
     torque: Annotated[str | None, typer.Option(metavar="TORQUE", help='A constant driving torque: --torque "5 N*m".')] = None,
     flywheel: Annotated[str | None, typer.Option(metavar="J", help='At the crank: --flywheel "0.2 kg*m^2".')] = None,
+    revolutions: Annotated[
+        int | None, typer.Option(parser=_whole_number, metavar="N", help="With clearance: how many; 20 if not said.")
+    ] = None,
+    control: Annotated[
+        str | None,
+        typer.Option(metavar="HOW", help="With clearance: none, inverse, pid, inverse+pid; compare: all, from several starts."),
+    ] = None,
+    starts: Annotated[
+        int, typer.Option(parser=_whole_number, metavar="N", help="With --control compare: number of crank angles at the start.")
+    ] = 5,
+    seed: Annotated[int, typer.Option(parser=_whole_number, metavar="S", help="Of these crank angles.")] = 0,
+    tolerance: Annotated[float, typer.Option(metavar="X", help="With clearance: relative, of the integrator.")] = 1e-9,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="With clearance: go on with the run that was interrupted in --out DIR.")
+    ] = False,
+    ideal: Annotated[bool, typer.Option("--ideal", help="As if no joint had clearance.")] = False,
     changes: Set = None,
     design: Design = None,
     csv: Csv = None,
     as_json: Json = False,
     out: Out = None,
 ) -> None:
-    """Motion in time, under the problem's torque or at its constant speed; with drift and energy account."""
+    """Motion in time, under a torque or at a constant speed; with clearance in joints, and control, if the problem has them."""
     with _reported(as_json):
-        from optlink.simulation import simulate as run
         from optlink.workflow import read_design
 
         file = _load(problem, [*(changes or []), *([f'drive.torque="{torque}"'] if torque is not None else [])])
         given = read_design(file, design) if design else None
+        loose = file.model.loose and not ideal
+        told = {"--revolutions": revolutions, "--control": control} if not loose else {"--flywheel": flywheel}
+        for option, value in told.items():
+            if value is not None:
+                from optlink.errors import Fault
+
+                why = "without" if not loose else "with"
+                remedy = "Leave it out" if loose else 'Give a joint clearance: --set joints.B.clearance="0.5 mm" (and its radii)'
+                raise InputError(
+                    Fault(f"{why} clearance in a joint the option does nothing", remedy, key=option, value=str(value))
+                )
         _places(csv, out)
-        with _share("simulating") as progress:
-            result = run(
+        rate = _quantity(speed, "angular velocity", "--speed")
+        span = _quantity(duration, "time", "--duration")
+        if not loose:
+            from optlink.simulation import simulate as run
+
+            with _share("simulating") as progress:
+                wheel = _quantity(flywheel, "moment of inertia", "--flywheel") or 0.0
+                result = run(file, span, 1000 if points is None else points, rate, given, progress, wheel)
+            _told(result, "machine.simulation", "course", csv, as_json, out)
+            if not result.finished:
+                raise typer.Exit(3 if result.run.ending.value == "stalled" else 1)
+            return
+        turns = _revolutions(file, revolutions, span, rate)
+        if control == "compare":
+            _compare(file, turns, rate, starts, seed, given, as_json, out)
+            return
+        from optlink.clearances import simulate_clearance
+        from optlink.report.store import checkpoint, write_json
+
+        begun = checkpoint(out) if resume else None
+        done = 0 if begun is None else int(begun.get("revolutions", 0)) * int(begun.get("points", 0))
+        with _streamed(csv, done) as stream, _share("simulating") as progress:
+            found = simulate_clearance(
                 file,
-                _quantity(duration, "time", "--duration"),
-                points,
-                _quantity(speed, "angular velocity", "--speed"),
-                given,
-                progress,
-                _quantity(flywheel, "moment of inertia", "--flywheel") or 0.0,
+                turns,
+                360 if points is None else points,
+                rate,
+                control or "none",
+                design=given,
+                tolerance=tolerance,
+                progress=progress,
+                stream=stream,
+                checkpoint=None if out is None else functools.partial(write_json, out / "checkpoint.json"),
+                resume=begun,
             )
-        _told(result, "simulation", "course", csv, as_json, out)
-        if not result.finished:
-            raise typer.Exit(3 if result.run.ending.value == "stalled" else 1)
+        _told(found, "loose.simulation", "play", None, as_json, out)
+        if not found.finished:
+            raise typer.Exit(3 if found.ending.value == "stalled" else 1)
+
+
+def _compare(
+    file: ProblemFile,
+    revolutions: int,
+    speed: float | None,
+    starts: int,
+    seed: int,
+    given: dict[str, float] | None,
+    as_json: bool,
+    out: Path | None,
+) -> None:
+    """All kinds of control in one table."""
+    from optlink.compensation import compare
+
+    with _share("simulating") as progress:
+        found = compare(file, revolutions, starts, seed, speed=speed, design=given, progress=progress)
+    if out is not None:
+        from optlink.report.play import write_comparison
+
+        with _working(f"Drawing into {out}"):
+            write_comparison(found, out)
+    if as_json:
+        _print_json(found.to_dict())
+    else:
+        from optlink.report import loose, terminal
+
+        terminal.console().print(loose.comparison(found))
+    if not found.finished:
+        raise typer.Exit(3)
+
+
+def _revolutions(file: ProblemFile, revolutions: int | None, duration: float | None, speed: float | None) -> int:
+    """How many revolutions are asked for."""
+    if revolutions is not None and duration is not None:
+        from optlink.errors import Fault
+
+        raise InputError(Fault("revolutions and a duration are given", "Give one of the two", key="--duration"))
+    if duration is None and revolutions is None and file.model.drive.duration is not None:
+        duration = file.model.drive.duration.value
+    if duration is None:
+        return 20 if revolutions is None else revolutions
+    import math
+
+    period = 2.0 * math.pi / abs(speed or file.model.drive.speed.value)
+    return max(1, math.ceil(duration / period * (1.0 - 1e-9)))
+
+
+@contextlib.contextmanager
+def _streamed(csv: Path | None, done: int) -> Iterator[Any]:
+    """A table that is written while the work goes on."""
+    if csv is None:
+        yield None
+        return
+    from optlink.report.store import stream
+
+    with stream(csv, done) as rows:
+        yield rows
 
 
 def _told(result: Any, table: str, files: str, csv: Path | None, as_json: bool, out: Path | None) -> None:
@@ -305,16 +419,15 @@ def _told(result: Any, table: str, files: str, csv: Path | None, as_json: bool, 
 
         write_csv(csv, result.columns)
     if out is not None:
-        import importlib
-
         with _working(f"Drawing into {out}"):
             importlib.import_module(f"optlink.report.{files}").write_all(result, out)
     if as_json:
         _print_json(result.to_dict())
     else:
-        from optlink.report import machine, terminal
+        from optlink.report import terminal
 
-        terminal.console().print(getattr(machine, table)(result))
+        room, _, name = table.rpartition(".")
+        terminal.console().print(getattr(importlib.import_module(f"optlink.report.{room}"), name)(result))
 
 
 @contextlib.contextmanager

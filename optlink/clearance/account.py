@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,11 @@ APART = 0.1
 WATCHED = 25
 """Revolutions for which the twin runs."""
 
+_PLAIN = (
+    *("count", "contacts", "largest", "imbalance", "first", "sums", "every"),
+    *("peak", "deepest", "strongest", "torque", "correction", "settled"),
+)
+
 
 class Account:
     """What is summed up, revolution by revolution."""
@@ -38,8 +44,8 @@ class Account:
         self.section: deque[dict[str, float]] = deque(maxlen=LISTED)
         self.impacts: deque[Impact] = deque(maxlen=LISTED)
         self.meanings: dict[str, str] = {}
-        self.count = self.switches = self.contacts = 0
-        self.begin = self.largest = self.imbalance = 0.0
+        self.count = self.contacts = 0
+        self.largest = self.imbalance = 0.0
         self.first: float | None = None
         self.sums: dict[str, float] = dict.fromkeys(("square", "rows", "effort", "torque"), 0.0)
         self.every: dict[str, float] = dict.fromkeys(("square", "rows"), 0.0)
@@ -57,6 +63,15 @@ class Account:
             self._at_start()
         turn = self.plant.turn()
         record = self.plant.record(turn)
+        rows = self._rows(turn, record)
+        error = rows[f"{self.plant.output.name}.error_{self.plant.output.unit}"]
+        self._sum(rows, error, turn.impacts, settled)
+        self._energy(record)
+        self.rows.append(rows)
+        return rows
+
+    def _rows(self, turn: Revolution, record: Record) -> dict[str, Array]:
+        """The columns, and beside them the ideal output, the error and the correction."""
         output, columns = self.plant.output, record.columns
         wanted = self._wanted(record)
         error = output.difference(np.asarray(output.of(record.loose)), wanted)
@@ -70,10 +85,29 @@ class Account:
         if self.plant.controller:
             rows["command.correction_rad"] = turn.command[:, 0] - nominal
             self.meanings["command.correction_rad"] = "command of the crank angle minus the evenly turning one"
-        self._sum(rows, error, turn.impacts, settled)
-        self._energy(record)
-        self.rows.append(rows)
         return rows
+
+    def add_partial(self) -> None:
+        """Keep the rows of a revolution that broke off; no figure counts them."""
+        partial = self.plant.partial
+        if partial is not None:
+            rows = self._rows(partial, self.plant.record(partial))
+            if set(rows) == set(self.meanings):
+                self.rows.append(rows)
+
+    def save(self) -> dict[str, Any]:
+        """Everything that is summed up, as plain numbers; the rows are not in it."""
+        plain = {name: getattr(self, name) for name in _PLAIN}
+        lists = {name: list(getattr(self, name)) for name in ("turns", "section")}
+        return {**plain, **lists, "impacts": [list(impact) for impact in self.impacts]}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from what was saved."""
+        for name in _PLAIN:
+            setattr(self, name, saved[name])
+        self.turns.extend(saved["turns"])
+        self.section.extend(saved["section"])
+        self.impacts.extend(Impact(int(row[0]), *row[1:]) for row in saved["impacts"])
 
     def _wanted(self, record: Record) -> Array:
         """The output of the machine without clearance, at the nominal crank angle; under a torque at the crank's own."""
@@ -205,6 +239,16 @@ class Twin:
         if far.size:
             self.parted = self.watched + (int(far[0]) + 1) / len(away)
         self.watched += 1
+
+    def save(self) -> dict[str, Any]:
+        """Its state as plain numbers."""
+        found = {"parted": self.parted, "watched": self.watched, "largest": self.largest, "lost": self.lost}
+        return {**found, "plant": self.plant.save()}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from what was saved."""
+        self.parted, self.watched, self.largest, self.lost = (saved[name] for name in ("parted", "watched", "largest", "lost"))
+        self.plant.restore(saved["plant"])
 
     @property
     def prediction(self) -> Prediction:

@@ -70,6 +70,8 @@ class Equations:
         self.cut = Cut(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
         self.size = len(self.cut.coordinates)
         self._outcomes: dict[int, Compiled] = {}
+        self._watches: dict[int, Compiled] = {}
+        self._integrators: dict[tuple[int, float], Buffered] = {}
         with tracing():
             self._trace()
 
@@ -174,7 +176,9 @@ class Equations:
 
     def watch(self, copies: int) -> Compiled:
         """(x, parameters, tau) -> penetration at every gap [m], its rate, its second derivative, `copies` at a time."""
-        return Compiled([self.x, self.parameters, self.tau], self._watched, copies)
+        if copies not in self._watches:
+            self._watches[copies] = Compiled([self.x, self.parameters, self.tau], self._watched, copies)
+        return self._watches[copies]
 
     def outcome(self, copies: int) -> Compiled:
         """(x, parameters, tau) -> accelerations, torque of the drive [N m], forces in the closing joints, `copies` at a time."""
@@ -188,6 +192,11 @@ class Equations:
 
     def integrator(self, steps: int, tolerance: float) -> Buffered:
         """(x, parameters) -> states, works [J] after each of `steps` equal steps of the span, by CVODES."""
+        if (steps, tolerance) not in self._integrators:
+            self._integrators[steps, tolerance] = self._integrator(steps, tolerance)
+        return self._integrators[steps, tolerance]
+
+    def _integrator(self, steps: int, tolerance: float) -> Buffered:
         problem = {
             "x": self.x,
             "p": self.parameters,
@@ -200,7 +209,7 @@ class Equations:
             "linear_multistep_method": "adams",
             "reltol": tolerance,
             "abstol": 1e-3 * tolerance,
-            "max_num_steps": 1_000_000,
+            "max_num_steps": 20_000,  # a row; a hundred are usual
         }
         grid = [(i + 1.0) / steps for i in range(steps)]
         inner = casadi.integrator("motion", "cvodes", problem, 0.0, grid, options)

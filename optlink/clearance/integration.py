@@ -9,6 +9,8 @@ The path between two rows is looked at through its values and slopes, so a conta
 
 from __future__ import annotations
 
+import contextlib
+import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -18,7 +20,6 @@ from numpy.typing import NDArray
 
 from optlink.clearance.contact import SLOWEST
 from optlink.clearance.equations import Equations
-from optlink.symbolic import Buffered
 
 Array = NDArray[np.float64]
 CHUNKS = (1, 8, 64)
@@ -118,8 +119,6 @@ class Integration:
             self.modes, self.entered = np.zeros(gaps), np.full(gaps, SLOWEST)
         if not self.works.size:
             self.works = np.zeros(len(self.equations.losses))
-        self._steps: dict[int, Buffered] = {}
-        self._watch: dict[int, Buffered] = {}
         self._chunk = 0
         self._busy = 0
         self.calls = 0
@@ -136,6 +135,10 @@ class Integration:
         """What a call of the integrator is told."""
         angle, at, speed = self.command
         return np.concatenate([[span, angle + speed * (time - at), speed], self.entered, self.modes])
+
+    def restart(self) -> None:
+        """Forget what makes calls of the integrator larger, so that what follows depends on the state alone."""
+        self._chunk = 0
 
     def advance(self, rows: int) -> Iterator[Block]:
         """Go on by so many rows; yields them as they come.
@@ -168,11 +171,10 @@ class Integration:
     # --- one call ------------------------------------------------------------------------------------------------------
 
     def _integrate(self, state: Array, span: float, count: int, time: float) -> tuple[Array, Array]:
-        if count not in self._steps:
-            self._steps[count] = self.equations.integrator(count, self.tolerance)
         self.calls += 1
-        try:
-            states, works = self._steps[count](state, self.parameters(span, time))
+        try:  # casadi tells a failure on standard error too, where people and scripts expect what optlink says
+            with contextlib.redirect_stderr(io.StringIO()):
+                states, works = self.equations.integrator(count, self.tolerance)(state, self.parameters(span, time))
         except RuntimeError:
             raise Stalled("the integrator cannot go on") from None
         if not np.all(np.isfinite(states)):
@@ -182,10 +184,8 @@ class Integration:
     def _observe(self, states: Array, span: float) -> tuple[Array, Array, Array]:
         """Penetration, rate, second derivative at every gap, (m, k) each."""
         count = len(states)
-        if count not in self._watch:
-            self._watch[count] = self.equations.watch(count)
         given = np.tile(self.parameters(span * (count - 1), self.time), count)
-        depth, rate, curve = self._watch[count](states.ravel(), given, np.linspace(0.0, 1.0, count))
+        depth, rate, curve = self.equations.watch(count)(states.ravel(), given, np.linspace(0.0, 1.0, count))
         shape = (count, len(self.equations.gaps))
         return depth.reshape(shape), rate.reshape(shape), curve.reshape(shape)
 

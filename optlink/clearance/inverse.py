@@ -2,8 +2,9 @@
 
 In a bearing with play the journal lies where the load presses it: against the reaction that the ideal machine would have there,
 turned by the angle of friction, at the clearance and the penetration of that load. The loops are closed with these gap vectors,
-and the crank is turned until the output is the wanted one. At a dead centre no turn of the crank moves the output; there the
-wanted change and the turn are weighed against one another.
+and the crank is turned so that the output is the wanted one. At a dead centre no turn of the crank moves the output, and no drive
+turns at any rate: so the turn is a Fourier series up to a bandwidth, found as a whole by least squares, and weighed against the
+output. Its derivative, the speed command, is that of the series.
 """
 
 from __future__ import annotations
@@ -111,33 +112,36 @@ class Inverse:
         follow = -np.linalg.solve(slopes[:, :, self.free], slopes[:, :, self.cut.driven, None])[:, :, 0]
         return value, gradient[:, self.cut.driven] + np.sum(gradient[:, self.free] * follow, axis=1)
 
-    def solve(self, regularisation: float) -> Array:
-        """Correction of the crank angle (POINTS,) [rad] that minimises (output - wanted)^2 + (regularisation * correction)^2."""
-        turned = np.zeros(POINTS)
-        square = regularisation * regularisation
+    def solve(self, regularisation: float, order: int) -> NDArray[np.complex128]:
+        """Harmonics (order + 1,) of the correction of the crank angle [rad] that brings the output nearest to what is wanted.
+
+        It minimises the mean of (output - wanted)^2 + (regularisation * correction)^2 over the revolution, among all corrections
+        of these harmonics: where the output stands still it is the other positions that decide. Gauss-Newton, exact slopes.
+        """
+        phase = 2.0 * np.pi * np.arange(POINTS) / POINTS
+        waves = [wave(k * phase) for k in range(1, order + 1) for wave in (np.cos, np.sin)]
+        basis = np.stack([np.ones(POINTS), *waves], axis=-1)
+        shares = np.zeros(basis.shape[1])
         for _ in range(ROUNDS):
+            turned = basis @ shares
             value, slope = self.close(self.angles + turned)
             missing = -self.output.difference(value, self.wanted)
-            step = (slope * missing - square * turned) / (slope * slope + square)
-            turned = turned + step
-            if np.max(np.abs(step)) < 1e-12:
+            rows = np.vstack([slope[:, None] * basis, regularisation * basis])
+            step = np.linalg.lstsq(rows, np.concatenate([missing, -regularisation * turned]), rcond=None)[0]
+            shares = shares + step
+            if np.max(np.abs(step)) < 1e-11:
                 break
-        return turned
+        return np.concatenate([shares[:1], shares[1::2] - 1j * shares[2::2]])
 
-    def command(self, regularisation: float, servo: Servo, bandwidth: float | None = None) -> Command:
-        """The crank's command: the correction up to a bandwidth [rad/s], ahead of what the servo will make of it.
+    def command(self, regularisation: float, servo: Servo, bandwidth: float) -> Command:
+        """The crank's command: the correction up to `bandwidth` [rad/s], ahead of what the servo will make of it.
 
-        The bandwidth is that of the servo if left out. A correction that is too lively shakes the machine so that the journals
-        lie elsewhere than predicted.
+        A correction that is too lively shakes the machine so that the journals lie elsewhere than predicted.
         """
-        turned = self.solve(regularisation)
-        limit = servo.bandwidth if bandwidth is None else bandwidth
-        order = min(POINTS // 4, max(1, int(limit / abs(self.speed) + 1e-9)))
-        harmonics = np.fft.rfft(turned)[: order + 1] / POINTS
-        harmonics[1:] *= 2.0
+        order = min(POINTS // 4, max(1, int(bandwidth / abs(self.speed) + 1e-9)))
         s = 1j * np.arange(order + 1) * abs(self.speed)
         follows = 2.0 * servo.damping * servo.bandwidth * s + servo.bandwidth**2
-        return Command(self.start, self.speed, harmonics * (s * s + follows) / follows)
+        return Command(self.start, self.speed, self.solve(regularisation, order) * (s * s + follows) / follows)
 
 
 def leverage(machine: Machine, output: Output, angles: Array, regularisation: float) -> Array:

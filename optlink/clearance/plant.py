@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,7 @@ DENSE = 360
 """Rows of a revolution that are looked at, at least: between them contacts are found by the path's values and slopes."""
 
 
-@dataclass(frozen=True)
-class Revolution:
+class Revolution(NamedTuple):
     """One revolution: its rows, the command at each (m, 2) [rad, rad/s], and the contacts that ended in it."""
 
     block: Block
@@ -90,6 +89,7 @@ class Plant:
         self.integration = Integration(self.equations, state, self.period / self.rows, tolerance)
         self.start, self.nominal = start, nominal
         self.controller: Controller | None = None
+        self.partial: Revolution | None = None  # what there is of a revolution that broke off
 
     def _ideal(self, machine: Machine, start: float, speed: float) -> Array:
         """The state of the machine without clearance."""
@@ -139,7 +139,25 @@ class Plant:
         Stalled
         """
         course, every = self.integration, self.rows // self.points
-        blocks, commands = [], []
+        parts: list[tuple[Block, Array]] = []
+        course.restart()
+        try:
+            self._samples(parts)
+        finally:
+            self.partial = self._rows(parts, every) if sum(len(block.time) for block, _ in parts) >= every else None
+        impacts, course.finished = tuple(course.finished), []
+        assert self.partial is not None
+        return self.partial._replace(impacts=impacts)
+
+    def _rows(self, parts: list[tuple[Block, Array]], every: int) -> Revolution:
+        """Every so many-th of the rows that were looked at."""
+        columns = zip(*(block for block, _ in parts), strict=True)
+        whole = Block(*(np.concatenate(column)[every - 1 :: every] for column in columns))
+        return Revolution(whole, np.concatenate([command for _, command in parts])[every - 1 :: every], ())
+
+    def _samples(self, parts: list[tuple[Block, Array]]) -> None:
+        """A revolution, sample by sample of the controller."""
+        course = self.integration
         stride = self.rows // self.samples if self.controller else self.rows
         for sample in range(self.rows // stride):
             time = course.time
@@ -148,11 +166,33 @@ class Plant:
                 angle, speed = self.controller(sample, time, self.measured())
             course.command = (angle, time, speed)
             for block in course.advance(stride):
-                blocks.append(block)
-                commands.append(np.column_stack([angle + speed * (block.time - time), np.full(len(block.time), speed)]))
-        whole = Block(*(np.concatenate(part)[every - 1 :: every] for part in zip(*blocks, strict=True)))
-        impacts, course.finished = tuple(course.finished), []
-        return Revolution(whole, np.concatenate(commands)[every - 1 :: every], impacts)
+                told = np.column_stack([angle + speed * (block.time - time), np.full(len(block.time), speed)])
+                parts.append((block, told))
+
+    def save(self) -> dict[str, Any]:
+        """The state at the end of a revolution, as plain numbers: from there `restore` goes on to the last digit."""
+        course, pid = self.integration, self.controller.pid if self.controller else None
+        return {
+            "row": course.row,
+            "state": course.state.tolist(),
+            "modes": course.modes.tolist(),
+            "entered": course.entered.tolist(),
+            "works": course.works.tolist(),
+            "open": [list(impact) for impact in course.open.values()],
+            "switches": course.switches,
+            "pid": None if pid is None else [pid.integral, pid.before],
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from a state that was saved."""
+        course = self.integration
+        course.row, course.ahead, course.switches = saved["row"], 0.0, saved["switches"]
+        course.state, course.modes, course.entered, course.works = (
+            np.array(saved[name], dtype=float) for name in ("state", "modes", "entered", "works")
+        )
+        course.open = {int(row[0]): Impact(int(row[0]), *row[1:]) for row in saved["open"]}
+        if self.controller and self.controller.pid and saved["pid"]:
+            self.controller.pid.integral, self.controller.pid.before = saved["pid"]
 
     def record(self, revolution: Revolution) -> Record:
         """Everything about its rows."""

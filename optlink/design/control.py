@@ -52,8 +52,8 @@ class ControlSection(Section):
 
     `output`: slider (its slide) or body (its angle); `known`: joints whose clearance the inverse model knows; `regularisation`
     of the inverse at the dead centres, in output per radian of the crank (a length for a slider, an angle for a body);
-    `bandwidth` of the inverse model's command, the servo's if left out. The PID acts on the output's error referred to the
-    crank: `proportional` [-], `integral` [1/s], `derivative` [s]; it turns the crank by `limit` at most.
+    `bandwidth` of the inverse model's command, half of the servo's if left out. The PID acts on the output's error referred to
+    the crank: `proportional` [-], `integral` [1/s], `derivative` [s]; it turns the crank by `limit` at most.
     """
 
     output: str | None = None

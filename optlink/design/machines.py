@@ -18,8 +18,8 @@ from optlink.design.loads import LoadSection
 from optlink.design.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
 from optlink.design.section import RESERVED, Name, Section
 from optlink.dynamics.loads import Force, Load, Stroke
-from optlink.dynamics.machine import Machine, Moving, parts
-from optlink.linkage.elementwise import Value, cross, dot
+from optlink.dynamics.machine import Machine, Moving
+from optlink.linkage.elementwise import Value, cross, dot, unit
 from optlink.linkage.mechanism import FRAME, Mechanism
 
 Array = NDArray[np.float64]
@@ -119,6 +119,11 @@ class Problem(Section):
             {name: joint.on for name, joint in self.joints.items() if joint.on is not None},
         )
 
+    @property
+    def loose(self) -> bool:
+        """Whether some joint has clearance."""
+        return any(joint.loose for joint in self.joints.values())
+
     def gaps(self, machine: Machine) -> tuple[Gap, ...]:
         """The joints with clearance.
 
@@ -164,19 +169,20 @@ class Revolution:
 
     def check_holds(self, gaps: Sequence[Gap]) -> None:
         """Refuse clearances that let a group of the mechanism come apart, or turn over into its other assembly mode."""
-        moving, mechanism = self.moving, self.machine.mechanism
-        assembled = moving.motion.assembled
+        mechanism, assembled = self.machine.mechanism, self.moving.motion.assembled
+        with np.errstate(all="ignore"):
+            pose = mechanism.pose(self.machine.sizes, unit(self.moving.motion.crank_angle))
         for group in mechanism.groups:
             own = {link.body for link in group.links}
             loose = [gap for gap in gaps if own & {gap.journal, gap.bearing}]
             with np.errstate(all="ignore"):
-                gap = parts(group.gap(moving.pose))[0]
+                gap = group.gap(pose)
             spare = -np.broadcast_to(np.asarray(gap, dtype=float), assembled.shape)[assembled]
             if not loose or not spare.size or not np.any(spare > 0.0):
                 continue
             play, least = sum(gap.clearance for gap in loose), float(np.min(spare))
             if play >= least:
-                at = float(np.degrees(moving.motion.crank_angle[assembled][int(np.argmin(spare))]))
+                at = float(np.degrees(self.moving.motion.crank_angle[assembled][int(np.argmin(spare))]))
                 message = (
                     f"the clearance lets the mechanism come apart: at a crank angle of {at:.0f} deg the group of {group.joint} "
                     f"closes with {least * 1e3:.4g} mm to spare, and its joints have {play * 1e3:.4g} mm of play"

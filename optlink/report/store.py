@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import itertools
 import json
 import math
 import os
@@ -65,11 +66,68 @@ def write_csv(path: Path, columns: Mapping[str, Iterable[float]]) -> None:
     with whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        for row in zip(*columns.values(), strict=True):
-            writer.writerow([repr(float(value)) if math.isfinite(value) else "" for value in row])
+        _write_rows(writer, columns)
+
+
+def _write_rows(writer: Any, columns: Mapping[str, Iterable[float]]) -> None:
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow([repr(float(value)) if math.isfinite(value) else "" for value in row])
+
+
+class Stream:
+    """A CSV file that is written revolution by revolution, and stands under its name once all is done."""
+
+    def __init__(self, file: Any, *, begun: bool = False) -> None:
+        self._writer, self._begun = csv.writer(file, lineterminator="\n"), begun
+
+    def __call__(self, columns: Mapping[str, Iterable[float]]) -> None:
+        """Write rows; the names of their columns come first."""
+        if not self._begun:
+            self._writer.writerow(columns)
+            self._begun = True
+        _write_rows(self._writer, columns)
+
+
+@contextlib.contextmanager
+def stream(path: Path, keep: int = 0) -> Iterator[Stream]:
+    """Write a CSV file in portions; the first `keep` rows of one that is there already are kept, if it has them."""
+    with whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        yield Stream(file, begun=bool(keep) and _copied(path, file, keep))
+
+
+def _copied(path: Path, file: Any, rows: int) -> bool:
+    """Copy the head and so many rows, if there are so many."""
+    if not path.is_file():
+        return False
+    with path.open(encoding="utf-8") as old:
+        lines = list(itertools.islice(old, rows + 1))
+    if len(lines) == rows + 1 and lines[-1].endswith("\n"):
+        file.writelines(lines)
+        return True
+    return False
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
     """Write a JSON document."""
     with whole(path) as temporary:
         temporary.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def checkpoint(out: Path | None) -> dict[str, Any]:
+    """The checkpoint of an output folder.
+
+    Raises
+    ------
+    InputError
+        when there is none that can be read.
+    """
+    if out is None:
+        raise InputError(Fault("which run is to go on is not said", "Name its folder: --out DIR", key="--resume"))
+    path = out / "checkpoint.json"
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        found = None
+    if not isinstance(found, dict):
+        raise InputError(Fault("there is no checkpoint that can be read", "Begin without --resume", str(path), "--resume"))
+    return found

@@ -1,0 +1,132 @@
+"""Simulations with clearance, and what control makes of it, as well-set tables for people."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from optlink.clearances import LooseSimulation
+from optlink.compensation import Comparison
+from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
+
+TO_PEOPLE = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg")}
+
+
+def simulation(outcome: LooseSimulation) -> RenderableType:
+    """How a simulation with clearance went: error, contacts, drive and energy account, and how far it can be trusted."""
+    title = Text(outcome.problem.model.title, style=HEAD)
+    title.append(f"\n{outcome.ending.value}", style=GOOD if outcome.finished else BAD)
+    rpm = outcome.speed * 30.0 / math.pi
+    title.append(f", {outcome.message}; {abs(rpm):.6g} rpm{'' if rpm > 0.0 else ', clockwise'}; control: {outcome.control}")
+    predicted = outcome.prediction
+    if predicted is not None and not predicted.chaotic and predicted.watched:
+        turns = "revolution" if predicted.watched == 1 else "revolutions"
+        title.append(f"\nPredictable: runs at two tolerances keep together for the {predicted.watched} {turns} that were watched")
+    for note in outcome.notes:
+        title.append(f"\nNote: {note}")
+    if not outcome.revolutions:
+        return title
+    return Group(title, Text(), _error(outcome), Text(), _contacts(outcome), Text(), _account(outcome), Text(), _tail(outcome))
+
+
+def _error(outcome: LooseSimulation) -> Table:
+    found, unit = outcome.figures, outcome.output.unit
+    factor, people = TO_PEOPLE[unit]
+    first, last = outcome.revolutions - int(found["settled_revolutions"]) + 1, outcome.revolutions
+    span = f"revolutions {first} ... {last}" if last > first else f"revolution {last}"
+    table = grid(
+        f"Deviation of {outcome.output.name} from the machine without clearance, {span}",
+        [("", "left"), ("", "right"), ("", "left")],
+    )
+    table.add_row("root mean square", fixed(found[f"rms_{unit}"] * factor, 6), people)
+    table.add_row("mean square", number(found[f"mean_square_{unit}2"] * factor * factor), f"{people}^2")
+    table.add_row("largest", fixed(found[f"peak_{unit}"] * factor, 6), people)
+    rms = outcome.turns[f"rms_{unit}"][-int(found["settled_revolutions"]) :]
+    if len(rms) > 1:
+        table.add_row("scatter between revolutions", f"{float(np.std(rms)) * factor:.2g}", people)
+    return table
+
+
+def _contacts(outcome: LooseSimulation) -> Table:
+    columns = [("joint", "left"), ("journal", "left"), ("bearing", "left"), ("gap mm", "right"), ("contacts", "right")]
+    columns += [("share", "right"), ("force N", "right"), ("depth um", "right")]
+    table = grid("Contacts: share of the time, largest force and penetration", columns, header=True)
+    for k, gap in enumerate(outcome.gaps):
+        own = [impact for impact in outcome.impacts if impact.gap == k]
+        depth = max([float(np.max(outcome[f"{gap.point}.penetration_m"])), *(impact.penetration for impact in own)])
+        table.add_row(
+            gap.point,
+            gap.journal,
+            gap.bearing,
+            number(gap.clearance * 1e3),
+            str(len(own) + int(outcome[f"{gap.point}.contact"][-1])),
+            f"{float(np.mean(outcome.turns[f'{gap.point}.contact_share'])):.1%}",
+            number(float(np.max(outcome.turns[f"{gap.point}.normal_max_N"])), 5),
+            fixed(depth * 1e6, 2),
+        )
+    return table
+
+
+def _account(outcome: LooseSimulation) -> Table:
+    found = outcome.figures
+    table = grid("Drive and energy account", [("", "left"), ("", "right"), ("", "left")])
+    table.add_row("torque, root mean square", number(found["torque_rms_Nm"]), "N m")
+    table.add_row("torque, largest", number(found["torque_max_Nm"]), "N m")
+    if found["correction_max_rad"] > 0.0:
+        rms, most = (math.degrees(found[name]) for name in ("correction_rms_rad", "correction_max_rad"))
+        table.add_row("correction, root mean square", fixed(rms, 4), f"deg, largest {most:.4g} deg")
+    for name in [key for key in found if key.endswith(".work_J")]:
+        what, _, _ = name.rpartition(".")
+        words = {"drive": "work of the drive"}.get(what, f"work of {what}")
+        point, _, kind = what.rpartition(".")
+        if point:
+            words = f"lost at {point} {'in the contact' if kind == 'impact' else 'by friction'}"
+        table.add_row(words, number(found[name]), "J")
+    share = found["imbalance_J"] / found["largest_energy_J"] if found["largest_energy_J"] > 0.0 else 0.0
+    table.add_row("largest imbalance on the way", f"{found['imbalance_J']:.1e}", f"J, {share:.1e} of the largest energy")
+    return table
+
+
+def _tail(outcome: LooseSimulation) -> Text:
+    words = f"Tolerance {outcome.tolerance:g}"
+    if outcome.sample_time is not None:
+        words += f", controller sampled every {outcome.sample_time * 1e3:.6g} ms"
+    return Text(words, style=QUIET)
+
+
+def comparison(outcome: Comparison) -> RenderableType:
+    """All kinds of control in one table."""
+    factor, people = TO_PEOPLE[outcome.unit]
+    title = Text(outcome.problem.model.title, style=HEAD)
+    count = len(outcome.starts)
+    starts = "one crank angle at the start" if count == 1 else f"{count} crank angles at the start"
+    title.append(f"\n{outcome.revolutions} revolutions from each of {starts} (seed {outcome.seed})")
+    columns = [
+        ("control", "left"),
+        ("rms", "right"),
+        ("scatter", "right"),
+        ("least", "right"),
+        ("most", "right"),
+        ("peak", "right"),
+    ]
+    columns += [("", "left"), ("gain", "right"), ("correction deg", "right"), ("torque N m", "right")]
+    table = grid("Deviation of the output; correction and torque as root mean squares", columns, header=True)
+    for kind, trials in outcome.trials.items():
+        rms = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, np.min(trials.rms), np.max(trials.rms))]
+        gain = "" if kind == "none" or "none" not in outcome.trials else f"{outcome.gain(kind):.1%}"
+        effort = fixed(math.degrees(float(np.mean(trials.correction))), 3)
+        row = [
+            kind,
+            *rms,
+            fixed(float(np.max(trials.peak)) * factor, 3),
+            people,
+            gain,
+            effort,
+            fixed(float(np.mean(trials.torque)), 3),
+        ]
+        table.add_row(*row, style="" if trials.finished else BAD)
+    return Group(title, Text(), table)
