@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,12 @@ from numpy.typing import NDArray
 
 from optlink.analysis import machine_of, motion_range
 from optlink.clearance.account import Account, Prediction, Twin, table
+from optlink.clearance.command import even
 from optlink.clearance.control import PID, Control, Controller, Gains
 from optlink.clearance.equations import Drive, Servo, Weightless
 from optlink.clearance.gap import Gap
 from optlink.clearance.integration import Impact, Stalled
-from optlink.clearance.inverse import Inverse, even, leverage
+from optlink.clearance.inverse import Inverse, leverage
 from optlink.clearance.output import Output, outputs, usual
 from optlink.clearance.plant import Plant
 from optlink.design.files import ProblemFile
@@ -118,7 +120,7 @@ class LooseSimulation:
         )
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Setting:
     """Everything that one run is made of."""
 
@@ -127,15 +129,16 @@ class _Setting:
     gaps: tuple[Gap, ...]
     output: Output
     control: Control
-    drive: Drive
+    servo: Servo | None
     start: float
     speed: float  # at the beginning
     nominal: float
     points: int
-    sample_time: float
 
     def plant(self, tolerance: float) -> Plant:
         """A machine at the beginning, with its controller."""
+        section = self.file.model.control
+        sampled = self.control.fed_back and section is not None
         try:
             plant = Plant(
                 self.machine,
@@ -147,34 +150,32 @@ class _Setting:
                 nominal=self.nominal,
                 points=self.points,
                 tolerance=tolerance,
-                sample_time=self.sample_time if self.control is not Control.NONE else math.inf,
+                sample_time=section.sample_time.value if section is not None and sampled else math.inf,
             )
         except Weightless as error:
             remedy = f'Give it a mass (and a moment of inertia): {error.body} = {{ mass = "0.2 kg", inertia = "uniform bar" }}'
             raise InputError(Fault(str(error), remedy, self.file.file, f"bodies.{error.body}")) from None
-        if self.control is not Control.NONE:
-            plant.controller = self._controller(plant)
+        if section is not None and sampled:
+            angles = self.start + math.copysign(TURN, self.nominal) * np.arange(plant.samples) / plant.samples
+            wanted = np.broadcast_to(np.asarray(self.output.ideal(self.machine.moving(angles))[0]), angles.shape)
+            gains = Gains(section.proportional, section.integral, section.derivative, section.limit.value)
+            lever = leverage(self.machine, self.output, angles, self.regularisation)
+            plant.controller = Controller(PID(gains, plant.sample_time), wanted, lever, not self.output.guide)
         return plant
 
-    def _controller(self, plant: Plant) -> Controller:
+    @cached_property
+    def drive(self) -> Drive:
+        """What moves the crank."""
+        if self.servo is None:
+            return Drive(torque=self.file.model.drive.torque)
         section = self.file.model.control
-        assert section is not None
-        assert self.drive.servo is not None
-        regularisation = self.regularisation
         command = even(self.start, self.nominal)
-        if self.control.inverted:
+        if self.control.inverted and section is not None:
             known = [gap for gap in self.gaps if section.known is None or gap.point in section.known]
             inverse = Inverse(self.machine, known, self.output, self.start, self.nominal)
-            servo = self.drive.servo
-            bandwidth = 0.5 * servo.bandwidth if section.bandwidth is None else section.bandwidth.value
-            command = inverse.command(regularisation, servo, bandwidth)
-        if not self.control.fed_back:
-            return Controller(command)
-        angles = self.start + math.copysign(TURN, self.nominal) * np.arange(plant.samples) / plant.samples
-        wanted = np.broadcast_to(np.asarray(self.output.ideal(self.machine.moving(angles))[0]), angles.shape)
-        gains = Gains(section.proportional, section.integral, section.derivative, section.limit.value)
-        lever = leverage(self.machine, self.output, angles, regularisation)
-        return Controller(command, PID(gains, plant.sample_time), wanted, lever, not self.output.guide)
+            bandwidth = 0.5 * self.servo.bandwidth if section.bandwidth is None else section.bandwidth.value
+            command = inverse.command(self.regularisation, self.servo, bandwidth)
+        return Drive(self.servo, command)
 
     @property
     def regularisation(self) -> float:
@@ -399,8 +400,7 @@ def _setting(
     known = outputs(machine)
     said = model.control.output if model.control is not None else None
     output = known[said] if said is not None else usual(machine)
-    sample = model.control.sample_time.value if model.control is not None else math.inf
-    return _Setting(problem, machine, gaps, output, kind, Drive(servo, drive.torque), begin, first, nominal, points, sample)
+    return _Setting(problem, machine, gaps, output, kind, servo, begin, first, nominal, points)
 
 
 def _check(revolutions: int, points: int, tolerance: float) -> None:
@@ -413,6 +413,7 @@ def _check(revolutions: int, points: int, tolerance: float) -> None:
 
 
 def _told(setting: _Setting, plant: Plant) -> list[str]:
-    if plant.controller and abs(plant.sample_time / setting.sample_time - 1.0) > 1e-9:
+    section = setting.file.model.control
+    if plant.controller and section is not None and abs(plant.sample_time / section.sample_time.value - 1.0) > 1e-9:
         return [f"The sample time is {plant.sample_time * 1e3:.6g} ms, so that it fits the revolution and its rows"]
     return []

@@ -81,9 +81,9 @@ class Account:
         self.meanings = {name: column.meaning for name, column in columns.items()}
         self.meanings[f"{own}.ideal_{unit}"] = f"what {own} does in the machine without clearance"
         self.meanings[f"{own}.error_{unit}"] = f"deviation of {own} from that"
-        nominal = self.plant.start + self.plant.nominal * turn.block.time
-        if self.plant.controller:
-            rows["command.correction_rad"] = turn.command[:, 0] - nominal
+        command = self.plant.equations.drive.command
+        if command is not None:
+            rows["command.correction_rad"] = command.correction(turn.block.time) + turn.further
             self.meanings["command.correction_rad"] = "command of the crank angle minus the evenly turning one"
         return rows
 
@@ -119,8 +119,7 @@ class Account:
 
     def _at_start(self) -> None:
         plant = self.plant
-        command = np.array([[self.plant.start, self.plant.nominal]])
-        self.first = float(plant.record(Revolution(plant.now(), command, ())).energy[0])
+        self.first = float(plant.record(Revolution(plant.now(), np.zeros(1), ())).energy[0])
         self.largest = abs(self.first)
 
     def _sum(self, rows: Mapping[str, Array], error: Array, impacts: tuple[Impact, ...], settled: bool) -> None:

@@ -7,12 +7,10 @@ referred to the crank, on top of the even motion; inverse+pid: on top of the inv
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from optlink.clearance.inverse import Command
 
 Array = NDArray[np.float64]
 
@@ -70,32 +68,26 @@ class PID:
 
 @dataclass
 class Controller:
-    """What the servo is told.
+    """By how much the crank is told to turn further, from sample to sample.
 
     Parameters
     ----------
-    command : Command
-        The motion of the crank without feedback.
-    pid : PID or None
+    pid : PID
     wanted, leverage : array (samples per revolution,)
         The wanted output at the samples of a revolution, and the turn of the crank per change of the output there.
     angular : bool
         Whether the output is an angle, which has branches.
     """
 
-    command: Command
-    pid: PID | None = None
-    wanted: Array = field(default_factory=lambda: np.zeros(1))
-    leverage: Array = field(default_factory=lambda: np.zeros(1))
+    pid: PID
+    wanted: Array
+    leverage: Array
     angular: bool = False
 
-    def __call__(self, sample: int, time: float, measured: float) -> tuple[float, float]:
-        """Angle [rad] and speed [rad/s] from this sample on."""
-        angle, speed = self.command.at(time)
-        if self.pid is None:
-            return angle, speed
+    def __call__(self, sample: int, measured: float) -> float:
+        """Further turn of the crank [rad] from this sample on."""
         k = sample % len(self.wanted)
         error = float(self.wanted[k]) - measured
         if self.angular:
             error = float(np.remainder(error + np.pi, 2.0 * np.pi) - np.pi)
-        return angle + self.pid(float(self.leverage[k]) * error), speed
+        return self.pid(float(self.leverage[k]) * error)

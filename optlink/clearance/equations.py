@@ -21,6 +21,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.clearance.command import Command
 from optlink.clearance.cut import Cut
 from optlink.clearance.gap import Gap, Touch, acting, touch
 from optlink.clearance.loose import Loose
@@ -44,9 +45,10 @@ class Servo:
 
 @dataclass(frozen=True)
 class Drive:
-    """What moves the crank: a `servo`, a `torque` [N m] over phi and omega, or (with neither) a constant speed."""
+    """What moves the crank: a `servo` that follows a `command`, a `torque` [N m] over phi and omega, or a constant speed."""
 
     servo: Servo | None = None
+    command: Command | None = None
     torque: Magnitude | None = None
 
 
@@ -95,7 +97,7 @@ class Equations:
         a = casadi.SX.sym("a", n)
         self.span, self.tau = casadi.SX.sym("span"), casadi.SX.sym("tau")
         self.entered, self.modes = casadi.SX.sym("entered", k), casadi.SX.sym("modes", k)
-        self.command = casadi.SX.sym("command", 2)  # angle at the beginning, speed
+        self.begin, self.further = casadi.SX.sym("begin"), casadi.SX.sym("further")  # time; turn beyond the command
         q, v = casadi.vertsplit(x)[:n], casadi.vertsplit(x)[n:]
         still = [casadi.SX(0.0)] * n
         loose = self.loose(q, v, casadi.vertsplit(a))
@@ -162,17 +164,17 @@ class Equations:
         """(acceleration of the crank, or None; torque on it, or None where it follows from the motion)."""
         if self.drive.torque is not None:
             return None, self.drive.torque(known.variables)
-        if self.drive.servo is None:
+        if self.drive.servo is None or self.drive.command is None:
             return casadi.SX(0.0), None
         servo, crank = self.drive.servo, known.crank
-        angle = self.command[0] + self.command[1] * (self.span * self.tau)
-        lag, slow = angle - crank.value, self.command[1] - crank.rate
+        angle, speed = self.drive.command.at(self.begin + self.span * self.tau)
+        lag, slow = angle + self.further - crank.value, speed - crank.rate
         return servo.bandwidth * servo.bandwidth * lag + 2.0 * servo.damping * servo.bandwidth * slow, None
 
     @cached_property
     def parameters(self) -> Any:
-        """What is constant during one call of the integrator: the span of its time, command, contacts."""
-        return casadi.vertcat(self.span, self.command, self.entered, self.modes)
+        """What is constant during one call of the integrator: span and begin of its time, feedback, contacts."""
+        return casadi.vertcat(self.span, self.begin, self.further, self.entered, self.modes)
 
     def watch(self, copies: int) -> Compiled:
         """(x, parameters, tau) -> penetration at every gap [m], its rate, its second derivative, `copies` at a time."""

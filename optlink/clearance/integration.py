@@ -22,7 +22,7 @@ from optlink.clearance.contact import SLOWEST
 from optlink.clearance.equations import Equations
 
 Array = NDArray[np.float64]
-CHUNKS = (1, 8, 64)
+CHUNKS = (1, 10, 64)
 """Rows that one call of the integrator may cover."""
 
 BUSY = 2000
@@ -69,6 +69,15 @@ class Crossing(NamedTuple):
     works: Array
 
 
+class Summit(NamedTuple):
+    """The row in which a contact seems to be deepest: how deep [m], span [s], state at its begin, parameters."""
+
+    height: float
+    span: float
+    state: Array
+    given: Array
+
+
 class Block(NamedTuple):
     """Rows: times (m,) [s], states (m, 2n), modes and approach speeds of the gaps (m, k), works so far (m, w) [J]."""
 
@@ -111,7 +120,7 @@ class Integration:
     modes: Array = field(default_factory=lambda: np.zeros(0))
     entered: Array = field(default_factory=lambda: np.zeros(0))
     works: Array = field(default_factory=lambda: np.zeros(0))
-    command: tuple[float, float, float] = (0.0, 0.0, 0.0)  # angle at a time, speed; the servo follows it
+    further: float = 0.0  # what the servo turns beyond its command [rad]
 
     def __post_init__(self) -> None:
         gaps = len(self.equations.gaps)
@@ -123,6 +132,7 @@ class Integration:
         self._busy = 0
         self.calls = 0
         self.open: dict[int, Impact] = {}
+        self.summits: dict[int, Summit] = {}
         self.finished: list[Impact] = []
         self.switches = 0
 
@@ -133,8 +143,7 @@ class Integration:
 
     def parameters(self, span: float, time: float) -> Array:
         """What a call of the integrator is told."""
-        angle, at, speed = self.command
-        return np.concatenate([[span, angle + speed * (time - at), speed], self.entered, self.modes])
+        return np.concatenate([[span, time, self.further], self.entered, self.modes])
 
     def restart(self) -> None:
         """Forget what makes calls of the integrator larger, so that what follows depends on the state alone."""
@@ -151,8 +160,10 @@ class Integration:
         while self.row < end:
             count = 1
             if self.ahead == 0.0:
-                fitting = [n for n in CHUNKS[: self._chunk + 1] if n <= end - self.row]
-                count = fitting[-1]
+                left = end - self.row
+                count = max(n for n in CHUNKS[: self._chunk + 1] if n <= left)
+                if left <= min(CHUNKS[self._chunk], CHUNKS[1]):
+                    count = left
             span = count * self.step - self.ahead
             states, works = self._integrate(self.state, span, count, self.time)
             row, suspects = self._suspects(states, span / count)
@@ -209,7 +220,7 @@ class Integration:
             sure = bool(y[i + 1, j] > 0.0)
             s = crossing(ends[0], ends[1], span) if sure else summit(ends[0], ends[1], span)
             row, found[int(j)] = int(i), (s * span, sure)
-        self._note_depths(states, depth, rate, span, row if found else None)
+        self._note_depths(states, (depth, rate, curve), span, row if found else None)
         return row, found
 
     def _first_switch(self, state: Array, offset: float, span: float, suspects: dict[int, tuple[float, bool]]) -> Crossing | None:
@@ -267,28 +278,34 @@ class Integration:
                 return Crossing(gap, high, there[0][1], works + there[1][0])
         return None
 
-    def _note_depths(self, states: Array, depth: Array, rate: Array, span: float, row: int | None) -> None:
-        """Largest penetration of the contacts under way, until the row in which some gap may switch."""
+    def _note_depths(self, states: Array, watched: Sequence[Array], span: float, row: int | None) -> None:
+        """How deep the contacts under way go, until the row in which some gap may switch; the deepest is looked at later."""
+        depth, rate, _ = watched
         last = len(states) - 1 if row is None else row
         for j, impact in self.open.items():
-            deepest = max(impact.penetration, float(np.max(depth[: last + 1, j])))
-            peaks = np.flatnonzero((rate[:-1, j] > 0.0) & (rate[1:, j] <= 0.0))
-            for i in peaks[peaks <= last]:
-                if _peak(depth[i, j], depth[i + 1, j], rate[i, j], rate[i + 1, j], span) > 0.999 * deepest:
-                    deepest = max(deepest, self._deepest(states[i], i * span, span, j))
-            self.open[j] = impact._replace(penetration=deepest)
+            self.open[j] = impact._replace(penetration=max(impact.penetration, float(np.max(depth[: last + 1, j]))))
+            for i in np.flatnonzero((rate[:-1, j] > 0.0) & (rate[1:, j] <= 0.0)):
+                if i <= last:
+                    ends = [[float(part[m, j]) for part in watched] for m in (i, i + 1)]
+                    height = highest(ends[0], ends[1], span)
+                    if j not in self.summits or height > self.summits[j].height:
+                        given = self.parameters(0.0, self.time + i * span)
+                        self.summits[j] = Summit(height, span, states[i].copy(), given)
 
-    def _deepest(self, state: Array, offset: float, span: float, gap: int) -> float:
-        """Penetration where its rate is zero, within a row."""
+    def _deepest(self, gap: int) -> float:
+        """Penetration at the highest summit of a contact, where its rate is zero: found on the motion itself."""
+        if gap not in self.summits:
+            return 0.0
+        _, span, state, given = self.summits.pop(gap)
         low, high, s = 0.0, span, 0.5 * span
-        depth = rate = 0.0
+        depth = 0.0
         for _ in range(40):
-            states, _ = self._integrate(state, s, 1, self.time + offset)
-            ds, rs, cs = (part[1, gap] for part in self._observe(states, s))
-            depth, rate = float(ds), float(rs)
+            given[0] = s
+            found, _ = self.equations.integrator(1, self.tolerance)(state, given)
+            depth, rate, curve = (float(part[gap]) for part in self.equations.watch(1)(found, given, np.ones(1)))
             low, high = (s, high) if rate > 0.0 else (low, s)
-            newton = s - rate / float(cs) if cs < 0.0 else -1.0
-            if abs(newton - s) < 1e-6 * span and rate * rate < 1e-10 * abs(depth * float(cs)):
+            newton = s - rate / curve if curve < 0.0 else -1.0
+            if abs(newton - s) < 1e-6 * span and rate * rate < 1e-10 * abs(depth * curve):
                 break
             s = newton if low < newton < high else 0.5 * (low + high)
         return depth
@@ -318,7 +335,9 @@ class Integration:
             self.entered[gap] = max(float(rate), SLOWEST)
             self.open[gap] = Impact(gap, self.time, angle, float(rate), 0.0, np.nan, np.nan)
         else:
-            self.finished.append(self.open.pop(gap)._replace(end=self.time, departure=-float(rate)))
+            done = self.open.pop(gap)
+            depth = max(done.penetration, self._deepest(gap))
+            self.finished.append(done._replace(penetration=depth, end=self.time, departure=-float(rate)))
         self.switches += 1
         self._busy += 1
         self._chunk = 0
@@ -351,12 +370,6 @@ class Integration:
                 raise Stalled(
                     f"the journal at {gap.point} is {delta:.3g} m deep in its bearing: no contact force holds the mechanism"
                 )
-
-
-def _peak(y0: float, y1: float, s0: float, s1: float, span: float) -> float:
-    """Estimate of the largest value within a row, from values and slopes at its ends."""
-    share = s0 / (s0 - s1)
-    return max(y0 + 0.5 * s0 * share * span, y1 - 0.5 * s1 * (1.0 - share) * span)
 
 
 def _quintic(begin: Sequence[float], end: Sequence[float], span: float) -> Array:
@@ -392,3 +405,8 @@ def summit(begin: Sequence[float], end: Sequence[float], span: float) -> float:
     path = _quintic(begin, end, span)
     tops = _real_roots(np.polyder(path))
     return float(tops[np.argmax(np.polyval(path, tops))]) if tops.size else begin[1] / (begin[1] - end[1])
+
+
+def highest(begin: Sequence[float], end: Sequence[float], span: float) -> float:
+    """Estimate of the largest value within a row of a path that rises at its beginning and falls at its end."""
+    return float(np.polyval(_quintic(begin, end, span), summit(begin, end, span)))

@@ -10,12 +10,12 @@ output. Its derivative, the speed command, is that of the series.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.clearance.command import Command
 from optlink.clearance.cut import Cut
 from optlink.clearance.equations import Servo
 from optlink.clearance.gap import Gap
@@ -29,29 +29,6 @@ from optlink.symbolic import Compiled, tracing
 Array = NDArray[np.float64]
 POINTS = 720
 ROUNDS = 60
-
-
-@dataclass(frozen=True)
-class Command:
-    """A periodic correction of an evenly turning crank: angle = start + speed t + a Fourier series.
-
-    `harmonics` (h,): complex, of the correction [rad]; the real part of their sum counts.
-    """
-
-    start: float
-    speed: float
-    harmonics: NDArray[np.complex128]
-
-    def at(self, time: float) -> tuple[float, float]:
-        """Angle [rad] and speed [rad/s] commanded."""
-        rates = 1j * np.arange(len(self.harmonics)) * abs(self.speed)
-        waves = self.harmonics * np.exp(rates * time)
-        return self.start + self.speed * time + float(np.sum(waves).real), self.speed + float(np.sum(rates * waves).real)
-
-
-def even(start: float, speed: float) -> Command:
-    """The command without any correction."""
-    return Command(start, speed, np.zeros(1, dtype=complex))
 
 
 def predicted(machine: Machine, gaps: Sequence[Gap], angles: Array, speed: float) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from optlink.clearance.control import Controller
 from optlink.clearance.equations import Drive, Equations, Weightless
 from optlink.clearance.gap import Gap
-from optlink.clearance.integration import Block, Impact, Integration
+from optlink.clearance.integration import Block, Impact, Integration, Summit
 from optlink.clearance.output import Output
 from optlink.clearance.record import Record
 from optlink.dynamics.machine import Machine, parts
@@ -25,10 +25,10 @@ DENSE = 360
 
 
 class Revolution(NamedTuple):
-    """One revolution: its rows, the command at each (m, 2) [rad, rad/s], and the contacts that ended in it."""
+    """One revolution: its rows, what the servo was told beyond its command (m,) [rad], the contacts that ended in it."""
 
     block: Block
-    command: Array
+    further: Array
     impacts: tuple[Impact, ...]
 
 
@@ -153,21 +153,17 @@ class Plant:
         """Every so many-th of the rows that were looked at."""
         columns = zip(*(block for block, _ in parts), strict=True)
         whole = Block(*(np.concatenate(column)[every - 1 :: every] for column in columns))
-        return Revolution(whole, np.concatenate([command for _, command in parts])[every - 1 :: every], ())
+        return Revolution(whole, np.concatenate([further for _, further in parts])[every - 1 :: every], ())
 
     def _samples(self, parts: list[tuple[Block, Array]]) -> None:
         """A revolution, sample by sample of the controller."""
         course = self.integration
         stride = self.rows // self.samples if self.controller else self.rows
         for sample in range(self.rows // stride):
-            time = course.time
-            angle, speed = self.start + self.nominal * time, self.nominal
             if self.controller:
-                angle, speed = self.controller(sample, time, self.measured())
-            course.command = (angle, time, speed)
+                course.further = self.controller(sample, self.measured())
             for block in course.advance(stride):
-                told = np.column_stack([angle + speed * (block.time - time), np.full(len(block.time), speed)])
-                parts.append((block, told))
+                parts.append((block, np.full(len(block.time), course.further)))
 
     def save(self) -> dict[str, Any]:
         """The state at the end of a revolution, as plain numbers: from there `restore` goes on to the last digit."""
@@ -179,7 +175,11 @@ class Plant:
             "entered": course.entered.tolist(),
             "works": course.works.tolist(),
             "open": [list(impact) for impact in course.open.values()],
+            "summits": {
+                str(gap): [top.height, top.span, top.state.tolist(), top.given.tolist()] for gap, top in course.summits.items()
+            },
             "switches": course.switches,
+            "further": course.further,
             "pid": None if pid is None else [pid.integral, pid.before],
         }
 
@@ -190,13 +190,18 @@ class Plant:
         course.state, course.modes, course.entered, course.works = (
             np.array(saved[name], dtype=float) for name in ("state", "modes", "entered", "works")
         )
+        course.summits = {
+            int(gap): Summit(height, span, np.array(state), np.array(given))
+            for gap, (height, span, state, given) in saved["summits"].items()
+        }
         course.open = {int(row[0]): Impact(int(row[0]), *row[1:]) for row in saved["open"]}
-        if self.controller and self.controller.pid and saved["pid"]:
+        course.further = saved["further"]
+        if self.controller and saved["pid"]:
             self.controller.pid.integral, self.controller.pid.before = saved["pid"]
 
     def record(self, revolution: Revolution) -> Record:
         """Everything about its rows."""
-        return Record(self.equations, revolution.block, revolution.command)
+        return Record(self.equations, revolution.block, revolution.further)
 
 
 def _number(value: Value) -> float:

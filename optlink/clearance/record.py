@@ -37,14 +37,14 @@ class Record:
     ----------
     equations : Equations
     block : Block
-    command : array (m, 2) [rad], [rad/s]
-        What the servo was told at each row: angle and speed.
+    further : array (m,) [rad]
+        What the servo was told at each row beyond its command.
     """
 
-    def __init__(self, equations: Equations, block: Block, command: Array) -> None:
+    def __init__(self, equations: Equations, block: Block, further: Array) -> None:
         self.equations, self.block = equations, block
         n, count = equations.size, len(block.time)
-        given = np.column_stack([np.zeros(count), command, block.entered, block.modes])
+        given = np.column_stack([np.zeros(count), block.time, further, block.entered, block.modes])
         found = equations.outcome(count)(block.states.ravel(), given.ravel(), np.zeros(count))
         accelerations, self.torque, self.pull = found[0].reshape(count, n), found[1], found[2].reshape(count, -1)
         self.loose: Loose = equations.loose(block.states[:, :n].T, block.states[:, n:].T, accelerations.T)
