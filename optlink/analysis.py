@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from optlink.design.files import ProblemFile
 from optlink.design.quantity import Unusable
 from optlink.documents import finite
 from optlink.dynamics.flywheel import Flywheel, flywheel
+from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.reactions import acting_on, reported_on
 from optlink.dynamics.record import Record, slider_names
@@ -172,6 +173,20 @@ def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) 
         return problem.model.machine(design)
     except Unusable as error:
         raise InputError(Fault(error.message, error.remedy, problem.file, error.key, error.value)) from None
+
+
+def with_flywheel(machine: Machine, inertia: float) -> Machine:
+    """The machine with a flywheel [kg m^2] on its crank, balanced on the crank's pivot.
+
+    Raises
+    ------
+    InputError
+    """
+    if not 0.0 <= inertia < 1e12:
+        raise InputError(Fault("out of range", "Give a moment of inertia from 0 to 1e12 kg*m^2", key="flywheel", value=inertia))
+    crank = machine.mechanism.crank.body
+    own = machine.inertias.get(crank, Inertia())
+    return machine.with_(inertias={**machine.inertias, crank: replace(own, moment=own.moment + inertia)})
 
 
 def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[Ranges, float, float]:
@@ -380,4 +395,7 @@ def _notes(
             notes.append(f"{what} at crank angle {shown} deg")
     if not machine.inertias and not machine.loads:
         notes.append("no masses and no loads are given, so there are no forces")
+    loose = [name for name, joint in problem.model.joints.items() if joint.loose]
+    if loose:
+        notes.append(f"joints count as ideal here; `optlink simulate` has the clearance of {', '.join(loose)}")
     return notes

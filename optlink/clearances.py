@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.analysis import machine_of, motion_range
+from optlink.analysis import machine_of, motion_range, with_flywheel
 from optlink.clearance.account import Account, Prediction, Twin, table
 from optlink.clearance.command import even
 from optlink.clearance.control import PID, Control, Controller, Gains
@@ -196,6 +196,7 @@ def simulate_clearance(
     *,
     start: float | None = None,
     design: Mapping[str, float] | None = None,
+    flywheel: float = 0.0,
     tolerance: float = 1e-9,
     twin: bool = True,
     progress: Callable[[float], None] | None = None,
@@ -219,6 +220,8 @@ def simulate_clearance(
         "none", "inverse", "pid" or "inverse+pid"; all but the first need `[drive] servo` and `[control]`.
     start : float [rad], optional
         Crank angle at the beginning; that of the problem if left out.
+    flywheel : float [kg m^2]
+        Further inertia at the crank.
     tolerance : float
         Relative, of the integrator; absolute a thousandth of it (SI).
     twin : bool
@@ -240,7 +243,7 @@ def simulate_clearance(
     ------
     InputError
     """
-    setting = _setting(problem, points, speed, control, start, design)
+    setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)
     plant = setting.plant(tolerance)
     account, pair = Account(plant), None
@@ -257,6 +260,7 @@ def simulate_clearance(
         "tolerance": tolerance,
         "skipped": skipped,
         "design": None if design is None else dict(design),
+        "flywheel_kg_m2": flywheel,
     }
     if resume is not None:
         _check_resume(resume, label, revolutions)
@@ -352,13 +356,14 @@ def _setting(
     control: str,
     start: float | None,
     design: Mapping[str, float] | None,
+    flywheel: float,
 ) -> _Setting:
     model, name = problem.model, problem.file
     if control not in [str(kind) for kind in Control]:
         raise InputError(
             Fault("no such control", nearest(control, [str(kind) for kind in Control]), key="control", value=control)
         )
-    machine = machine_of(problem, design)
+    machine = with_flywheel(machine_of(problem, design), flywheel)
     try:
         gaps = model.gaps(machine)
     except Unusable as error:

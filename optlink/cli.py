@@ -300,27 +300,26 @@ def simulate(
     with _reported(as_json):
         from optlink.workflow import read_design
 
-        file = _load(problem, [*(changes or []), *([f'drive.torque="{torque}"'] if torque is not None else [])])
+        file = _load(problem, changes)
+        if torque is not None:
+            file = file.override({"drive.torque": torque, "drive.servo": None})
         given = read_design(file, design) if design else None
         loose = file.model.loose and not ideal
-        told = {"--revolutions": revolutions, "--control": control} if not loose else {"--flywheel": flywheel}
-        for option, value in told.items():
-            if value is not None:
+        for option, value in {"--revolutions": revolutions, "--control": control}.items():
+            if value is not None and not loose:
                 from optlink.errors import Fault
 
-                why = "without" if not loose else "with"
-                remedy = "Leave it out" if loose else 'Give a joint clearance: --set joints.B.clearance="0.5 mm" (and its radii)'
-                raise InputError(
-                    Fault(f"{why} clearance in a joint the option does nothing", remedy, key=option, value=str(value))
-                )
+                gap = 'joints.B={ clearance = "0.5 mm", bearing_radius = "10 mm", modulus = "207 GPa" }'
+                message = "no joint has clearance, so the option does nothing"
+                raise InputError(Fault(message, f"Give one: --set '{gap}'", file.file, option, str(value)))
         _places(csv, out)
         rate = _quantity(speed, "angular velocity", "--speed")
         span = _quantity(duration, "time", "--duration")
+        wheel = _quantity(flywheel, "moment of inertia", "--flywheel") or 0.0
         if not loose:
             from optlink.simulation import simulate as run
 
             with _share("simulating") as progress:
-                wheel = _quantity(flywheel, "moment of inertia", "--flywheel") or 0.0
                 result = run(file, span, 1000 if points is None else points, rate, given, progress, wheel)
             _told(result, "machine.simulation", "course", csv, as_json, out)
             if not result.finished:
@@ -343,6 +342,7 @@ def simulate(
                 rate,
                 control or "none",
                 design=given,
+                flywheel=wheel,
                 tolerance=tolerance,
                 progress=progress,
                 stream=stream,

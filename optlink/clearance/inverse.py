@@ -45,7 +45,7 @@ def predicted(machine: Machine, gaps: Sequence[Gap], angles: Array, speed: float
         away = gap.clearance + (load / gap.stiffness) ** (2.0 / 3.0)
         # the journal is pushed by (-normal, friction): the reaction leans against the slip by the angle of friction
         slip = gap.radius * (moving.state(gap.journal).omega - moving.state(gap.bearing).omega)
-        lean = np.arctan(gap.friction) * np.tanh(slip / gap.slip_speed)
+        lean = np.arctan(gap.friction * np.tanh(slip / gap.slip_speed))
         c, s = np.cos(lean), np.sin(lean)
         columns += [-away * (x * c + y * s) / load, -away * (y * c - x * s) / load]
     return np.stack(np.broadcast_arrays(*columns), axis=-1)

@@ -21,7 +21,10 @@ def simulation(outcome: LooseSimulation) -> RenderableType:
     title = Text(outcome.problem.model.title, style=HEAD)
     title.append(f"\n{outcome.ending.value}", style=GOOD if outcome.finished else BAD)
     rpm = outcome.speed * 30.0 / math.pi
-    title.append(f", {outcome.message}; {abs(rpm):.6g} rpm{'' if rpm > 0.0 else ', clockwise'}; control: {outcome.control}")
+    sense = "" if rpm > 0.0 else ", clockwise"
+    free = outcome.problem.model.drive.torque is not None
+    drive = "under a torque; a revolution counts as one of" if free else f"control: {outcome.control};"
+    title.append(f", {outcome.message}; {drive} {abs(rpm):.6g} rpm{sense}")
     predicted = outcome.prediction
     if predicted is not None and not predicted.chaotic and predicted.watched:
         turns = "revolution" if predicted.watched == 1 else "revolutions"

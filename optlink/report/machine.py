@@ -11,6 +11,7 @@ from rich.text import Text
 from optlink.analysis import Analysis, machine_of, reactions_told
 from optlink.design.files import ProblemFile
 from optlink.design.linkages import DyadsSection
+from optlink.dynamics.machine import Machine
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
 from optlink.simulation import Simulation
 
@@ -57,11 +58,47 @@ def machine(file: ProblemFile) -> list[RenderableType]:
     for name, coefficient in built.friction.items():
         drive.add_row(f"friction in {name}", number(coefficient))
     parts.append(drive)
+    parts += _loose(file, built)
     told = grid("\nReactions: force of which body on which", [("", "left"), ("", "left")])
     for joint, words in reactions_told(built).items():
         told.add_row(joint, words)
     parts.append(told)
     return parts
+
+
+def _loose(file: ProblemFile, built: Machine) -> list[RenderableType]:
+    """The joints with clearance, and the controller."""
+    gaps, model = file.model.gaps(built), file.model
+    if not gaps:
+        return []
+    columns: list[COLUMN] = [
+        ("joint", "left"),
+        ("journal", "left"),
+        ("bearing", "left"),
+        ("gap mm", "right"),
+        ("journal mm", "right"),
+    ]
+    columns += [("N/m^1.5", "right"), ("restit.", "right"), ("friction", "right")]
+    table = grid("\nClearance, radius of the journal in mm, contact", columns, header=True)
+    for gap in gaps:
+        sizes = [number(value) for value in (gap.clearance * 1e3, gap.radius * 1e3)]
+        law = [f"{gap.stiffness:.4g}", number(gap.restitution), number(gap.friction)]
+        table.add_row(gap.point, gap.journal, gap.bearing, *sizes, *law)
+    found: list[RenderableType] = [table]
+    rows = [("law", ", ".join(sorted({gap.law for gap in gaps})))]
+    if model.drive.servo is not None:
+        rows.append(("servo", f"{model.drive.servo.bandwidth}, damping {model.drive.servo.damping:g}"))
+    if model.control is not None:
+        stated = {key: getattr(model.control, key) for key in type(model.control).model_fields}
+        rows += [
+            (key, ", ".join(value) if isinstance(value, tuple) else str(value))
+            for key, value in stated.items()
+            if value is not None
+        ]
+    control = grid("\nContact law and [control]", [("", "left"), ("", "left")])
+    for row in rows:
+        control.add_row(*row)
+    return [*found, control]
 
 
 def analysis(outcome: Analysis) -> RenderableType:
