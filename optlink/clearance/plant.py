@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.clearance.contact import EXPONENT
 from optlink.clearance.control import Controller
 from optlink.clearance.equations import Drive, Equations, Weightless
 from optlink.clearance.gap import Gap
@@ -20,8 +22,11 @@ from optlink.symbolic import Compiled, tracing
 
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
-DENSE = 360
-"""Rows of a revolution that are looked at, at least: between them contacts are found by the path's values and slopes."""
+DENSE, DENSEST = 360, 50_000
+"""Rows of a revolution that are looked at, at least and at most; within one a contact is found by values and slopes."""
+
+LOOKS = 2.0
+"""Rows for each period in which a journal vibrates on its bearing under the load that the machine's motion makes."""
 
 
 class Revolution(NamedTuple):
@@ -78,7 +83,8 @@ class Plant:
         if least > 20 * max(points, self.samples, DENSE):  # samples and rows that fit badly: take samples that fit
             self.samples = points * max(1, round(self.samples / points))
             least = max(points, self.samples)
-        self.rows = int(least * -(-DENSE // least))
+        dense = min(max(DENSE, LOOKS * self.period / vibration(machine, gaps, nominal)), DENSEST)
+        self.rows = int(least * max(1, math.ceil(dense / least)))
         self.points, self.sample_time = points, self.period / self.samples
         self.equations = Equations(machine, gaps, drive, nominal)
         self.output = output
@@ -202,6 +208,22 @@ class Plant:
     def record(self, revolution: Revolution) -> Record:
         """Everything about its rows."""
         return Record(self.equations, revolution.block, revolution.further)
+
+
+def vibration(machine: Machine, gaps: Sequence[Gap], speed: float) -> float:
+    """Shortest period [s] in which a journal vibrates on its bearing under a typical load: gravity and the crank's acceleration.
+
+    An estimate of the time in which contacts come and go, from the masses of the two bodies.
+    """
+    pull = math.hypot(*(_number(part) for part in machine.gravity)) + speed * speed * _number(machine.size)
+    total = sum(_number(inertia.mass) for inertia in machine.inertias.values())
+    periods = []
+    for gap in gaps:
+        own = [_number(machine.inertias[body].mass) for body in (gap.journal, gap.bearing) if body in machine.inertias]
+        mass = 1.0 / sum(1.0 / m for m in own if m > 0.0) if any(m > 0.0 for m in own) else total
+        depth = (mass * pull / gap.stiffness) ** (1.0 / EXPONENT)
+        periods.append(TURN * math.sqrt(mass / (EXPONENT * gap.stiffness * math.sqrt(depth))) if mass > 0.0 else math.inf)
+    return min(periods)
 
 
 def _number(value: Value) -> float:
