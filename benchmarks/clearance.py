@@ -2,14 +2,14 @@
 
 Crank at a given speed, clearance at the rod-slider pin, contact of Lankarani and Nikravesh, friction. Whoever tells the slider's
 position to ACCURATE everywhere in the first REVOLUTIONS counts, with the fastest settings that do. What is true comes from the
-motion by hand at a tight tolerance (`tests/gap_oracle.py`, in other coordinates, agrees with it to 0.1 nm).
+motion by hand at a tight tolerance (`tests/gap_oracle.py`, in other coordinates, agrees with it to 0.1 nm). Exudyn is there
+twice: as fast as we could make it (`peer`), and as its examples write such a model (`bodies`, the first revolution only).
 
 Every speed runs in a process of its own (`python clearance.py RPM` prints its figures), as in `dynamics.py`.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -44,19 +44,27 @@ TIGHT = 1e-13  # tolerance of what is taken as true
 REPETITIONS = 5
 # Tolerances tried, loosest first. A contact that is only just missed, or not, decides between errors of nm and of um, so that
 # looser ones may be accurate by luck; the fastest that is accurate counts all the same.
+OWN = (1e-8, 1e-9)
 BY_HAND = {"DOP853": (1e-8, 1e-9, 1e-10), "LSODA": (1e-8, 1e-9)}
 # (relative, absolute) of Exudyn's Dormand-Prince of order 5
 ITS = ((1e-7, 1e-7), (1e-8, 1e-6), (1e-8, 1e-7), (3e-9, 1e-7), (1e-9, 1e-8))
+STEPS, TURNS = (32_000, 150_000), 3  # of Exudyn's trapezoidal rule in the first revolution; repetitions
 
 
-def times(omega: float) -> Array:
+def times(omega: float, revolutions: int = REVOLUTIONS) -> Array:
     """When the slider is looked at."""
-    return np.linspace(0.0, REVOLUTIONS * 2.0 * np.pi / omega, REVOLUTIONS * SAMPLES + 1)
+    return np.linspace(0.0, revolutions * 2.0 * np.pi / omega, revolutions * SAMPLES + 1)
 
 
 def longest(omega: float) -> float:
     """Step that no contact is too short for."""
     return math.radians(1.0) / omega
+
+
+def penetration(ex: float, ey: float, vx: float, vy: float) -> tuple[float, float]:
+    """Penetration and its rate from the journal's centre in the bearing and its velocity."""
+    size = hypot(ex, ey)
+    return size - GAP, (ex * vx + ey * vy) / size if size else hypot(vx, vy)
 
 
 def depth(t: float, state: Any, omega: float) -> tuple[float, float]:
@@ -66,16 +74,34 @@ def depth(t: float, state: Any, omega: float) -> tuple[float, float]:
     ex, ey = CRANK * cos(theta) + ROD * cos(phi) - x, CRANK * sin(theta) + ROD * sin(phi)
     vx = -CRANK * omega * sin(theta) - ROD * turning * sin(phi) - speed
     vy = CRANK * omega * cos(theta) + ROD * turning * cos(phi)
-    size = hypot(ex, ey)
-    return size - GAP, (ex * vx + ey * vy) / size if size else hypot(vx, vy)
+    return penetration(ex, ey, vx, vy)
 
 
 # --- ours ----------------------------------------------------------------------------------------------------------
 
 
-def ours(rpm: float) -> Motion:
-    """TO BE WRITTEN when the package simulates clearance: read the problem here, return what simulates and samples it."""
-    raise NotImplementedError(rpm)
+def ours(rpm: float, tolerance: float, revolutions: int = REVOLUTIONS) -> Motion:
+    """The shipped problem; equations are compiled once, as the peers' are."""
+    import optlink
+    from optlink.clearance.equations import Drive
+    from optlink.clearance.integration import Integration
+    from optlink.clearance.output import usual
+    from optlink.clearance.plant import Plant
+
+    omega = rpm * math.pi / 30.0
+    model = optlink.load("slider-crank-clearance").model
+    machine = model.machine()
+    given: dict[str, Any] = {"start": 0.0, "speed": omega, "nominal": omega, "points": SAMPLES, "tolerance": tolerance}
+    plant = Plant(machine, model.gaps(machine), Drive(), usual(machine), **given)
+    begin, step = plant.integration.state, plant.integration.step
+    slide = [coordinate.kind for coordinate in plant.equations.cut.coordinates].index("slide")
+
+    def run() -> Array:
+        course = Integration(plant.equations, begin, step, tolerance)
+        blocks = list(course.advance(revolutions * plant.rows))  # it looks at as many samples, or a multiple
+        return np.concatenate([begin[None, slide], *(block.states[:, slide] for block in blocks)])[:: plant.rows // SAMPLES]
+
+    return run
 
 
 # --- SciPy, by hand ------------------------------------------------------------------------------------------------
@@ -151,7 +177,7 @@ def by_hand(rpm: float, method: str, tolerance: float) -> Array:
         contact = max(depth(t, y, omega)[1], SLOWEST) if contact is None else None
 
 
-# --- Exudyn --------------------------------------------------------------------------------------------------------
+# --- Exudyn, as fast as we could make it ---------------------------------------------------------------------------
 
 
 @dataclass
@@ -250,8 +276,7 @@ def peer(rpm: float) -> Peer:
 
     The crank is so heavy that it keeps its speed to 1e-10. The contact is a connector with a compiled ("symbolic") user function.
     Others at the same accuracy: the equations of `by_hand` as a generic ODE with a Python user function take as long; the tree
-    with a Python user function 1.5 times as long; fixed steps of RK44, DOPRI5, RK67 2.5 to 10 times as long. Bodies and joints
-    with the implicit trapezoidal rule, v0 from the first step in contact, still miss by um at 100 times as long.
+    with a Python user function 1.5 times as long; fixed steps of RK44, DOPRI5, RK67 2.5 to 10 times as long.
     """
     import exudyn as exu
     import exudyn.itemInterface as item
@@ -311,25 +336,142 @@ def peer(rpm: float) -> Peer:
     return Peer(exu, container, system, connector, approach, force, omega)
 
 
+# --- Exudyn, as its examples write it ------------------------------------------------------------------------------
+
+
+def bodies(rpm: float) -> Callable[[int], Array]:
+    """Rigid bodies and joints (its SliderCrank.py), contact as connector with a Python user function; a run by number of steps.
+
+    Contact begins and ends as in its postNewtonStepContactTest.py: a step that goes beyond the switch is repeated, shorter, at
+    the wish of the PostNewtonUserFunction, which also sets v0. With v0 from the first step in contact (PreStepUserFunction),
+    errors are 2 to 8 times as large. Explicit methods know no joints; generalized-alpha is no faster and no more accurate.
+    Newton's method has the loosest tolerances that cost no accuracy, and few iterations before a new Jacobian: with the default
+    number all takes 1.4 times as long.
+    """
+    import exudyn as exu
+    import exudyn.itemInterface as item
+
+    omega = rpm * math.pi / 30.0
+    turning = -CRANK * omega / ROD
+    container = exu.SystemContainer()
+    system = container.AddSystem()
+    ground, fixed = system.AddObject(item.ObjectGround()), system.AddNode(item.NodePointGround())
+    crank_node = system.AddNode(item.NodeRigidBody2D(initialVelocities=[0.0, 0.0, omega]))
+    crank = system.AddObject(item.ObjectRigidBody2D(mass=0.3, inertia=1e-4, nodeNumber=crank_node))
+    velocity = [0.0, CRANK * omega + HALF * turning, turning]
+    rod_node = system.AddNode(item.NodeRigidBody2D(referenceCoordinates=[CRANK + HALF, 0.0, 0.0], initialVelocities=velocity))
+    rod = system.AddObject(item.ObjectRigidBody2D(mass=ROD_MASS, inertia=ROD_MOMENT, nodeNumber=rod_node))
+    slider_node = system.AddNode(item.Node1D(referenceCoordinates=[CRANK + ROD]))
+    slider = system.AddObject(item.ObjectMass1D(mass=SLIDER_MASS, nodeNumber=slider_node))
+
+    def marker(body: Any, x: float) -> Any:
+        return system.AddMarker(item.MarkerBodyRigid(bodyNumber=body, localPosition=[x, 0.0, 0.0]))
+
+    system.AddObject(item.ObjectJointRevolute2D(markerNumbers=[marker(ground, 0.0), marker(crank, 0.0)]))
+    system.AddObject(item.ObjectJointRevolute2D(markerNumbers=[marker(crank, CRANK), marker(rod, -HALF)]))
+    zero = system.AddMarker(item.MarkerNodeCoordinate(nodeNumber=fixed, coordinate=0))
+    angle = system.AddMarker(item.MarkerNodeCoordinate(nodeNumber=crank_node, coordinate=2))
+    system.AddObject(item.ObjectConnectorCoordinate(markerNumbers=[zero, angle], velocityLevel=True, offset=omega))
+    whole = system.AddMarker(item.MarkerBodyMass(bodyNumber=rod))
+    system.AddLoad(item.LoadMassProportional(markerNumber=whole, loadVector=[0.0, -GRAVITY, 0.0]))
+    nothing = [0.0] * 6
+    touching, damping = False, 0.0
+
+    def contact(mbs, t, number, gap, angles, velocity, turning, stiffness, dampers, first, second, offset):  # type: ignore[no-untyped-def]
+        if not touching:
+            return nothing
+        (ex, ey, _), (vx, vy, _) = gap, velocity
+        size = sqrt(ex * ex + ey * ey)
+        delta = size - GAP
+        if delta <= 0.0:
+            return nothing
+        nx, ny = ex / size, ey / size
+        normal = STIFFNESS * delta * sqrt(delta) * max(1.0 + damping * (vx * nx + vy * ny), 0.0)
+        share = FRICTION * normal * tanh((vy * nx - vx * ny + turning[2] * RADIUS) / WIDTH)
+        return [normal * nx - share * ny, normal * ny + share * nx, 0.0, 0.0, 0.0, share * RADIUS]
+
+    system.AddObject(
+        item.ObjectConnectorRigidBodySpringDamper(
+            markerNumbers=[marker(slider, 0.0), marker(rod, HALF)], springForceTorqueUserFunction=contact
+        )
+    )
+    kinds = exu.OutputVariableType.Coordinates, exu.OutputVariableType.Coordinates_t
+    sensors = [
+        system.AddSensor(item.SensorNode(nodeNumber=slider_node, storeInternal=True, writeToFile=False, outputVariableType=kind))
+        for kind in kinds
+    ]
+    system.Assemble()
+    data, begin, now = system.systemData, exu.ConfigurationType.StartOfStep, exu.ConfigurationType.Current
+
+    def place(when: Any) -> tuple[float, float]:
+        x, y, phi, slid = data.GetODE2Coordinates(when, copy=False).tolist()[3:]
+        vx, vy, turning, speed = data.GetODE2Coordinates_t(when, copy=False).tolist()[3:]
+        s, c = HALF * sin(phi), HALF * cos(phi)
+        return penetration(x + c - HALF - slid, y + s, vx - turning * s - speed, vy + turning * c)
+
+    settings = exu.SimulationSettings()
+    settings.solution.file.write = False
+    settings.linearSolver.solverType = exu.LinearSolverType.EigenDense
+    integration = settings.timeIntegration
+    integration.endTime, integration.minimumStepSize = 2.0 * math.pi / omega, 1e-14
+    settings.solution.sensors.writePeriod = integration.endTime / (10 * SAMPLES)
+    integration.stepInformation = 3  # not every repeated step
+    newton, discontinuous = integration.newton, integration.discontinuous
+    newton.relativeTolerance, newton.absoluteTolerance, newton.maxModifiedNewtonIterations = 1e-6, 1e-8, 2
+    integration.generalizedAlpha.spectralRadius = 1.0
+    discontinuous.iterationTolerance = 1e-11  # penetration at which contact may begin or end [m]
+    discontinuous.maxIterations, discontinuous.ignoreMaxIterations = 1, False  # repeat the step at once
+    integration.adaptiveStepRecoverySteps, integration.adaptiveStepIncrease = 0, 10.0  # and after it be fast again
+    integration.adaptiveStepRecoveryIterations = 100
+
+    def after_newton(mbs: Any, t: float) -> list[float]:
+        """How far beyond a switch this step has gone, and the step recommended instead."""
+        nonlocal touching, damping
+        delta, rate = place(now)
+        if (delta > 0.0) == touching:
+            return [0.0, -1.0]
+        if abs(delta) > discontinuous.iterationTolerance:
+            before, step = place(begin)[0], mbs.sys["dynamicSolver"].it.currentStepSize
+            return [abs(delta), step * before / (before - delta) if before * delta < 0.0 else 0.25 * step]
+        touching, damping = not touching, DAMPING / max(rate, SLOWEST)
+        return [0.0, -1.0]
+
+    system.SetPostNewtonUserFunction(after_newton)
+
+    def run(steps: int, owner: Any = container) -> Array:  # kept alive by that
+        nonlocal touching
+        touching, integration.numberOfSteps = False, steps
+        system.SolveDynamic(settings, solverType=exu.DynamicSolverType.TrapezoidalIndex2)
+        (t, x), (_, v) = (system.GetSensorStoredData(sensor).T for sensor in sensors)
+        new = np.diff(t, prepend=-1.0) > 0.0
+        return np.asarray(CRANK + ROD + CubicHermiteSpline(t[new], x[new], v[new])(times(omega, 1)))
+
+    return run
+
+
 # --- measurements, each in a process of its own --------------------------------------------------------------------
 
 
 def measure(rpm: float) -> dict[str, Any]:
-    """Median seconds per revolution of every contender, and its largest error [m]; ours is missing while there is none."""
-    ways: dict[str, Motion] = {
+    """Of all revolutions, and of the first one alone: median seconds per revolution of every contender, its largest error [m]."""
+    ways = {f"ours {tolerance:g}": ours(rpm, tolerance) for tolerance in OWN} | {
         f"{method} {tolerance:g}": partial(by_hand, rpm, method, tolerance)
         for method, tolerances in BY_HAND.items()
         for tolerance in tolerances
     }
+    first = {f"ours {tolerance:g}": ours(rpm, tolerance, 1) for tolerance in OWN}
     if installed():
-        model = peer(rpm)
+        model, usual = peer(rpm), bodies(rpm)
         ways |= {f"Exudyn {relative:g}, {absolute:g}": partial(model.run, (relative, absolute)) for relative, absolute in ITS}
-    with contextlib.suppress(NotImplementedError):
-        ways = {"ours": ours(rpm)} | ways
+        first |= {f"bodies {steps:,} steps": partial(usual, steps) for steps in STEPS}
     true = by_hand(rpm, "DOP853", TIGHT)
-    errors = {name: float(np.max(np.abs(motion() - true))) for name, motion in ways.items()}
-    seconds = race(ways, REPETITIONS, warm_up=0)
-    return {"seconds": {name: taken / REVOLUTIONS for name, taken in seconds.items()}, "errors": errors}
+
+    def timed(ways: Mapping[str, Motion], revolutions: int, repetitions: int) -> dict[str, dict[str, float]]:
+        errors = {name: float(np.max(np.abs(motion() - true[: revolutions * SAMPLES + 1]))) for name, motion in ways.items()}
+        seconds = race(ways, repetitions, warm_up=0)
+        return {"seconds": {name: taken / revolutions for name, taken in seconds.items()}, "errors": errors}
+
+    return {"all": timed(ways, REVOLUTIONS, REPETITIONS), "first": timed(first, 1, TURNS)}
 
 
 # --- comparison ----------------------------------------------------------------------------------------------------
@@ -344,19 +486,37 @@ def measured(rpm: float) -> dict[str, Any]:
 
 
 def listed(seconds: Mapping[str, float], errors: Mapping[str, float], who: str) -> str:
-    """Tolerances with times and errors."""
+    """Settings with times and errors."""
     return "; ".join(
-        f"{name.removeprefix(who).strip()}: {1e3 * seconds[name]:.0f} ms, {errors[name]:.1e} m"
-        for name in seconds
-        if name.startswith(who)
+        f"{way.removeprefix(who).strip()}: {1e3 * seconds[way]:.0f} ms, {errors[way]:.1e} m"
+        for way in seconds
+        if way.startswith(who)
     )
 
 
-SCIPY = "solve_ivp, two coordinates, plain floats, contact as an event; tolerance"
-PEERS = {
-    "Exudyn": "its tree of joints, compiled user function, Dormand-Prince 5, steps redone at contact; relative, absolute tol.",
-    "DOP853": SCIPY,
-    "LSODA": SCIPY,
+def chosen(seconds: Mapping[str, float], errors: Mapping[str, float], who: str) -> str:
+    """The fastest of the accurate settings; if none are, the most accurate ones."""
+    tried = [way for way in seconds if way.startswith(who)]
+    accurate = [way for way in tried if errors[way] <= ACCURATE]
+    return min(accurate, key=seconds.__getitem__) if accurate else min(tried, key=errors.__getitem__)
+
+
+def told(seconds: float, error: float) -> str:
+    return f"{1e3 * seconds:.1f} ms" + ("" if error <= ACCURATE else f" at {error:.0e} m")
+
+
+HAND = "solve_ivp, two coordinates, plain floats, contact as an event; tolerance"
+PEERS = {  # who -> name, how
+    "Exudyn": (
+        "Exudyn, tuned by hand",
+        "its tree of joints, compiled user function, Dormand-Prince 5, steps redone at contact; relative, absolute tol.",
+    ),
+    "bodies": (
+        "Exudyn, as its examples write it",
+        "rigid bodies and joints, Python user function, TrapezoidalIndex2, steps repeated at contact by PostNewtonUserFunction",
+    ),
+    "DOP853": ("SciPy's DOP853 by hand", HAND),
+    "LSODA": ("SciPy's LSODA by hand", HAND),
 }
 
 
@@ -365,32 +525,26 @@ def rows() -> list[Row]:
     return [row for rpm in SPEEDS for row in rows_at(rpm, measured(rpm))]
 
 
-def rows_at(rpm: float, found: Mapping[str, Mapping[str, float]]) -> list[Row]:
-    """One row per peer."""
-    seconds, errors = found["seconds"], found["errors"]
-    own = seconds.get("ours", math.nan)
-    shown = "-" if math.isnan(own) else f"{1e3 * own:.1f} ms"
-    about = "no simulation yet" if math.isnan(own) else f"ours {errors['ours']:.1e} m"
-    sound = errors.get("ours", math.inf) <= ACCURATE
-    if not (sound or math.isnan(own)):
-        about += ", NOT ACCURATE"
+def rows_at(rpm: float, found: Mapping[str, Mapping[str, Mapping[str, float]]]) -> list[Row]:
+    """One row per peer; times of settings that are not accurate are told with their error."""
     result = []
-    for who, how in PEERS.items():
-        name = f"SciPy's {who} by hand" if who in BY_HAND else who
+    for who, (name, how) in PEERS.items():
+        part, over = ("first", "the first revolution") if who == "bodies" else ("all", f"{REVOLUTIONS} revolutions")
+        seconds, errors = found[part]["seconds"], found[part]["errors"]
+        own = chosen(seconds, errors, "ours")
         what = f"slider-crank with clearance, {rpm:g} rpm, friction {FRICTION:g}, time per revolution, against {name}"
-        tried = {way: taken for way, taken in seconds.items() if way.startswith(who)}
-        accurate = [taken for way, taken in tried.items() if errors[way] <= ACCURATE]
-        figures = {} if math.isnan(own) else {"ours": own, "error": errors["ours"]}
-        if not tried:
-            result.append(Row(what, shown, "skipped", note=f"{about}; {ABSENT}", figures=figures))
+        shown = told(seconds[own], errors[own])
+        note = f"errors of the slider over {over}: ours (tolerance) {listed(seconds, errors, 'ours')}"
+        figures = {"ours": seconds[own], "error": errors[own]}
+        if not any(way.startswith(who) for way in seconds):
+            result.append(Row(what, shown, "skipped", note=f"{note}; {ABSENT}", figures=figures))
             continue
-        note = f"errors of the slider over {REVOLUTIONS} revolutions: {about}; theirs ({how}): {listed(seconds, errors, who)}"
-        if not accurate:
-            note += f"; none within {ACCURATE:g} m"
-        theirs = min(accurate, default=math.nan)
-        figures |= {"theirs": theirs} if accurate else {}
-        told = f"{1e3 * theirs:.1f} ms" if accurate else "not accurate"
-        result.append(Row(what, shown, told, theirs / own if sound else math.nan, note=note, figures=figures))
+        best = chosen(seconds, errors, who)
+        theirs, miss = seconds[best], errors[best]
+        note += f"; theirs ({how}) {listed(seconds, errors, who)}"
+        figures |= {"theirs": theirs, "their_error": miss}
+        ratio = theirs / seconds[own] if errors[own] <= max(ACCURATE, miss) else math.nan
+        result.append(Row(what, shown, told(theirs, miss), ratio, note=note, figures=figures))
     return result
 
 

@@ -106,12 +106,19 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
     arguments = parser.parse_args()
     import batch
+    import clearance
     import dynamics
     import solves
 
     progress = Console(stderr=True)
     rows: list[Row] = []
-    measurements = {"solves": solves.rows, "batches": batch.rows, "dynamics": dynamics.rows, "processes": process_rows}
+    measurements = {
+        "solves": solves.rows,
+        "batches": batch.rows,
+        "dynamics": dynamics.rows,
+        "clearance": clearance.rows,
+        "processes": process_rows,
+    }
     for what, measure in measurements.items():
         with progress.status(f"Timing {what} ..."):
             rows += measure()

@@ -49,7 +49,7 @@ class LooseSimulation:
     """A machine with clearance in time.
 
     `columns` by name over the rows of the last revolutions (all, up to `KEPT`), `meanings` of them; `turns`: figures of each
-    revolution, (revolutions,) arrays; `impacts` in the order of their ends; `section`: a row of each revolution's end.
+    revolution, (revolutions,) arrays; `impacts` in the order of their ends, those that last at the end of all; `section`: a row of each revolution's end.
     """
 
     problem: ProblemFile
@@ -58,6 +58,7 @@ class LooseSimulation:
     output: Output
     control: Control
     speed: float
+    start: float
     sample_time: float | None
     columns: Mapping[str, Array]
     meanings: Mapping[str, str]
@@ -102,6 +103,7 @@ class LooseSimulation:
                 "control": str(self.control),
                 "output": self.output.name,
                 "speed_rad_s": self.speed,
+                "start_rad": self.start,
                 "sample_time_s": self.sample_time,
                 "tolerance": self.tolerance,
                 "gaps": [vars(gap) for gap in self.gaps],
@@ -316,11 +318,12 @@ def simulate_clearance(
         setting.output,
         setting.control,
         setting.nominal,
+        setting.start,
         plant.sample_time if plant.controller else None,
         kept,
         account.meanings,
         table(account.turns),
-        tuple(account.impacts),
+        (*account.impacts, *plant.integration.open.values()),
         table(account.section),
         account.figures(),
         prediction,

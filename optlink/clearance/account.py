@@ -183,7 +183,7 @@ class Account:
             f"mean_square_{unit}2": self.sums["square"] / rows,
             f"peak_{unit}": self.peak,
             f"rms_from_start_{unit}": math.sqrt(self.every["square"] / every),
-            "contacts": float(self.contacts),
+            "contacts": float(self.contacts + len(self.plant.integration.open)),
             "largest_penetration_m": self.deepest,
             "largest_normal_N": self.strongest,
             "torque_rms_Nm": math.sqrt(self.sums["torque"] / turns),

@@ -72,6 +72,7 @@ class Equations:
         self.cut = Cut(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
         self.size = len(self.cut.coordinates)
         self._outcomes: dict[int, Compiled] = {}
+        self._closures: dict[int, Compiled] = {}
         self._watches: dict[int, Compiled] = {}
         self._integrators: dict[tuple[int, float], Buffered] = {}
         with tracing():
@@ -157,8 +158,8 @@ class Equations:
         self._outcome = casadi.cse([whole, torque, pull])
         self.free, self.symbolic = free, known
         self.masses = Compiled([x], [mass[free, free], held])
-        self.closure = Compiled([x[:n]], [closure, grip]) if m else None
-        self._rates = Compiled([x, self.parameters, self.tau], [self.ode])
+        self.closing, self._closure = m, [x[:n], closure, grip]
+        self._nudge = self._short_step()
 
     def _driven(self, known: Loose) -> tuple[Any, Any]:
         """(acceleration of the crank, or None; torque on it, or None where it follows from the motion)."""
@@ -170,6 +171,21 @@ class Equations:
         angle, speed = self.drive.command.at(self.begin + self.span * self.tau)
         lag, slow = angle + self.further - crank.value, speed - crank.rate
         return servo.bandwidth * servo.bandwidth * lag + 2.0 * servo.damping * servo.bandwidth * slow, None
+
+    def _short_step(self) -> Compiled:
+        flow = casadi.Function("flow", [self.x, self.parameters, self.tau], [self.ode, self.powers])
+        time, now = casadi.SX.sym("time"), casadi.vertcat(0.0, self.parameters[1:])  # span 0: tau says nothing
+
+        def at(slopes: Any, share: float) -> Any:
+            later = casadi.vertcat(now[0], now[1] + share * time, now[2:])
+            return flow(self.x + share * time * slopes, later, 0.0)
+
+        one = at(casadi.SX.zeros(self.x.numel()), 0.0)
+        two = at(one[0], 0.5)
+        three = at(two[0], 0.5)
+        four = at(three[0], 1.0)
+        means = [(a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(one, two, three, four, strict=True)]
+        return Compiled([self.x, self.parameters, time], [self.x + time * means[0], time * means[1]])
 
     @cached_property
     def parameters(self) -> Any:
@@ -188,9 +204,18 @@ class Equations:
             self._outcomes[copies] = Compiled([self.x, self.parameters, self.tau], self._outcome, copies)
         return self._outcomes[copies]
 
-    def rates(self, state: Array, parameters: Array) -> Array:
-        """Time derivative of a state."""
-        return self._rates(state, parameters, np.zeros(1))[0]
+    def closure(self, states: Array) -> tuple[Array, Array]:
+        """By how much the closing joints are open (m, rows), and its Jacobian over the coordinates (m, rows, n)."""
+        count = len(states)
+        if count not in self._closures:
+            self._closures[count] = Compiled(self._closure[:1], self._closure[1:], count)
+        opened, grip = self._closures[count](states[:, : self.size].ravel())
+        return opened.reshape(count, -1), grip.reshape(count, self.size, -1).transpose(0, 2, 1)
+
+    def nudge(self, state: Array, parameters: Array, time: float) -> tuple[Array, Array]:
+        """State and works [J] a short time later or earlier [s]: one step of Runge and Kutta, too short for the integrator."""
+        moved, works = self._nudge(state, parameters, np.array([time]))
+        return moved, works
 
     def integrator(self, steps: int, tolerance: float) -> Buffered:
         """(x, parameters) -> states, works [J] after each of `steps` equal steps of the span, by CVODES."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -29,7 +30,10 @@ BUSY = 2000
 """Switches within one row that are a stall."""
 
 SHARP = 1e-6
-"""Share of a row up to which the time of a switch is found by integration; the rest is one step of Taylor's series."""
+"""Share of a row up to which two instants are told apart."""
+
+NEAR = 2e-3
+"""Share of a row that one step of Runge and Kutta goes through without an error that counts."""
 
 DEEPEST = 0.2
 """Share of the journal's radius: a deeper penetration is no contact any more."""
@@ -70,9 +74,10 @@ class Crossing(NamedTuple):
 
 
 class Summit(NamedTuple):
-    """The row in which a contact seems to be deepest: how deep [m], span [s], state at its begin, parameters."""
+    """The row in which a contact seems to be deepest: how deep [m], when [s], span [s], state at its begin, parameters."""
 
     height: float
+    at: float
     span: float
     state: Array
     given: Array
@@ -257,9 +262,9 @@ class Integration:
             states, more = self._integrate(state, s - low, 1, self.time + offset + low)
             y, slope, curve = (side * float(part[1, gap]) for part in self._observe(states, s - low))
             rest = -y / slope if slope > 0.0 else np.inf
-            if abs(rest) < SHARP * self.step:  # the rest of the way is too short for a call
-                there = states[1] + rest * self.equations.rates(states[1], self.parameters(0.0, self.time + offset + s))
-                return Crossing(gap, s + rest, there, works + more[0])
+            if abs(rest) < NEAR * self.step:
+                there, last, into = self._land(states[1], self.time + offset + s, rest, gap, side)
+                return Crossing(gap, s + into, there, works + more[0] + last)
             if y > 0.0:
                 high = s
             else:
@@ -274,9 +279,21 @@ class Integration:
                     return None
                 s = peak
             if high - low < SHARP * SHARP * self.step:
-                there = self._integrate(state, high - low, 1, self.time + offset + low)
-                return Crossing(gap, high, there[0][1], works + there[1][0])
+                states, more = self._integrate(state, high - low, 1, self.time + offset + low)
+                return Crossing(gap, high, states[1], works + more[0])
         return None
+
+    def _land(self, state: Array, time: float, rest: float, gap: int, side: float) -> tuple[Array, Array, float]:
+        """The last of the way to a switch, too short for a call of the integrator: (state, works, time)."""
+        into, works = 0.0, np.zeros_like(self.works)
+        for _ in range(6):
+            state, more = self.equations.nudge(state, self.parameters(0.0, time + into), rest)
+            into, works = into + rest, works + more
+            depth, rate, _ = (side * float(part[0, gap]) for part in self._observe(state[None, :], 0.0))
+            rest = -depth / rate if rate > 0.0 else 0.0
+            if abs(rest) <= 1e-14 * (time + into) or abs(rest) > NEAR * self.step:
+                break
+        return state, works, into
 
     def _note_depths(self, states: Array, watched: Sequence[Array], span: float, row: int | None) -> None:
         """How deep the contacts under way go, until the row in which some gap may switch; the deepest is looked at later."""
@@ -287,42 +304,44 @@ class Integration:
             for i in np.flatnonzero((rate[:-1, j] > 0.0) & (rate[1:, j] <= 0.0)):
                 if i <= last:
                     ends = [[float(part[m, j]) for part in watched] for m in (i, i + 1)]
-                    height = highest(ends[0], ends[1], span)
+                    height, at = highest(ends[0], ends[1], span)
                     if j not in self.summits or height > self.summits[j].height:
                         given = self.parameters(0.0, self.time + i * span)
-                        self.summits[j] = Summit(height, span, states[i].copy(), given)
+                        self.summits[j] = Summit(height, at * span, span, states[i].copy(), given)
 
     def _deepest(self, gap: int) -> float:
         """Penetration at the highest summit of a contact, where its rate is zero: found on the motion itself."""
         if gap not in self.summits:
             return 0.0
-        _, span, state, given = self.summits.pop(gap)
-        low, high, s = 0.0, span, 0.5 * span
-        depth = 0.0
+        _, s, span, state, given = self.summits.pop(gap)
+        low, high, depth = 0.0, span, 0.0
         for _ in range(40):
             given[0] = s
             found, _ = self.equations.integrator(1, self.tolerance)(state, given)
             depth, rate, curve = (float(part[gap]) for part in self.equations.watch(1)(found, given, np.ones(1)))
             low, high = (s, high) if rate > 0.0 else (low, s)
-            newton = s - rate / curve if curve < 0.0 else -1.0
-            if abs(newton - s) < 1e-6 * span and rate * rate < 1e-10 * abs(depth * curve):
-                break
-            s = newton if low < newton < high else 0.5 * (low + high)
+            rest = -rate / curve if curve < 0.0 else math.inf
+            if abs(rest) < NEAR * span:
+                given[0], given[1] = 0.0, given[1] + s
+                found, _ = self.equations.nudge(found, given, rest)
+                return float(self.equations.watch(1)(found, given, np.ones(1))[0][gap])
+            s = s + rest if low < s + rest < high else 0.5 * (low + high)
         return depth
 
     def _accept(self, states: Array, works: Array) -> Block:
         """Go to the last of these rows."""
         count = len(states)
         times = (self.row + np.arange(1.0, count + 1.0)) * self.step
+        states = self._closed(states)
         block = Block(times, states, np.tile(self.modes, (count, 1)), np.tile(self.entered, (count, 1)), self.works + works)
         self.row, self.ahead, self._busy = self.row + count, 0.0, 0
-        self.state, self.works = self._closed(states[-1]), block.works[-1].copy()
+        self.state, self.works = states[-1].copy(), block.works[-1].copy()
         self._check()
         return block
 
     def _switch(self, found: Crossing) -> None:
         """Go to where a contact begins or ends, and change its mode."""
-        gap, self.state = found.gap, self._closed(found.state)
+        gap, self.state = found.gap, self._closed(found.state[None, :])[0]
         self.works = self.works + found.works
         self.ahead = min(max(self.ahead + found.into, self.ahead), self.step * (1.0 - 1e-12))
         rate = self._observe(self.state[None, :], 0.0)[1][0, gap]
@@ -344,24 +363,21 @@ class Integration:
         if self._busy > BUSY:
             raise Stalled(f"more than {BUSY} contacts begin and end within {self.step:.3g} s")
 
-    def _closed(self, state: Array) -> Array:
-        """The state moved back onto the closing joints, from which it drifts by the integrator's error."""
-        closure = self.equations.closure
-        if closure is None:
-            return state
+    def _closed(self, states: Array) -> Array:
+        """States (m, 2n) moved back onto the closing joints, from which they drift by the integrator's error."""
+        if not self.equations.closing:
+            return states
         n, crank = self.equations.size, self.equations.cut.driven
-        state = state.copy()
+        states = states.copy()
         for _ in range(2):
-            opened, grip = closure(state[:n])
-            slopes = grip.reshape(n, -1).T.copy()
-            slopes[:, crank] = 0.0
-            state[:n] -= np.linalg.lstsq(slopes, opened, rcond=None)[0]
-        _, grip = closure(state[:n])
-        whole = grip.reshape(n, -1).T
-        slopes = whole.copy()
-        slopes[:, crank] = 0.0
-        state[n:] -= np.linalg.lstsq(slopes, whole @ state[n:], rcond=None)[0]
-        return state
+            opened, grip = self.equations.closure(states)
+            grip[:, :, crank] = 0.0
+            states[:, :n] -= np.einsum("mij,mj->mi", np.linalg.pinv(grip), opened)
+        _, grip = self.equations.closure(states)
+        moving = np.einsum("mji,mi->mj", grip, states[:, n:])
+        grip[:, :, crank] = 0.0
+        states[:, n:] -= np.einsum("mij,mj->mi", np.linalg.pinv(grip), moving)
+        return states
 
     def _check(self) -> None:
         depth = self._observe(self.state[None, :], 0.0)[0][0]
@@ -407,6 +423,7 @@ def summit(begin: Sequence[float], end: Sequence[float], span: float) -> float:
     return float(tops[np.argmax(np.polyval(path, tops))]) if tops.size else begin[1] / (begin[1] - end[1])
 
 
-def highest(begin: Sequence[float], end: Sequence[float], span: float) -> float:
-    """Estimate of the largest value within a row of a path that rises at its beginning and falls at its end."""
-    return float(np.polyval(_quintic(begin, end, span), summit(begin, end, span)))
+def highest(begin: Sequence[float], end: Sequence[float], span: float) -> tuple[float, float]:
+    """Estimates of the largest value of a path within a row, and where (as a share); it rises first and falls at last."""
+    at = summit(begin, end, span)
+    return float(np.polyval(_quintic(begin, end, span), at)), at

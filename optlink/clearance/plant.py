@@ -101,7 +101,9 @@ class Plant:
         """The state of the machine without clearance."""
         moving = machine.moving(np.array([start]), speed)
         both = [parts(value) for value in self.equations.cut.read(moving.pose)]
-        return np.array([_number(value[order]) for order in (0, 1) for value in both])
+        state = np.array([_number(value[order]) for order in (0, 1) for value in both])
+        state[self.equations.cut.driven] = start  # not wrapped: the command of a servo is not
+        return state
 
     def _check_inertia(self, state: Array) -> None:
         """Every free motion needs inertia."""
@@ -152,8 +154,9 @@ class Plant:
         finally:
             self.partial = self._rows(parts, every) if sum(len(block.time) for block, _ in parts) >= every else None
         impacts, course.finished = tuple(course.finished), []
-        assert self.partial is not None
-        return self.partial._replace(impacts=impacts)
+        whole, self.partial = self.partial, None
+        assert whole is not None
+        return whole._replace(impacts=impacts)
 
     def _rows(self, parts: list[tuple[Block, Array]], every: int) -> Revolution:
         """Every so many-th of the rows that were looked at."""
@@ -182,7 +185,8 @@ class Plant:
             "works": course.works.tolist(),
             "open": [list(impact) for impact in course.open.values()],
             "summits": {
-                str(gap): [top.height, top.span, top.state.tolist(), top.given.tolist()] for gap, top in course.summits.items()
+                str(gap): [top.height, top.at, top.span, top.state.tolist(), top.given.tolist()]
+                for gap, top in course.summits.items()
             },
             "switches": course.switches,
             "further": course.further,
@@ -197,8 +201,8 @@ class Plant:
             np.array(saved[name], dtype=float) for name in ("state", "modes", "entered", "works")
         )
         course.summits = {
-            int(gap): Summit(height, span, np.array(state), np.array(given))
-            for gap, (height, span, state, given) in saved["summits"].items()
+            int(gap): Summit(height, at, span, np.array(state), np.array(given))
+            for gap, (height, at, span, state, given) in saved["summits"].items()
         }
         course.open = {int(row[0]): Impact(int(row[0]), *row[1:]) for row in saved["open"]}
         course.further = saved["further"]
