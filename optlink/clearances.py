@@ -49,7 +49,8 @@ class LooseSimulation:
     """A machine with clearance in time.
 
     `columns` by name over the rows of the last revolutions (all, up to `KEPT`), `meanings` of them; `turns`: figures of each
-    revolution, (revolutions,) arrays; `impacts` in the order of their ends, those that last at the end of all; `section`: a row of each revolution's end.
+    revolution, (revolutions,) arrays; `impacts` in the order of their ends, those that last at the end of all; `section`: a row
+    of each revolution's end.
     """
 
     problem: ProblemFile

@@ -66,7 +66,7 @@ def _contacts(outcome: LooseSimulation) -> Table:
             gap.journal,
             gap.bearing,
             number(gap.clearance * 1e3),
-            str(len(own) + int(outcome[f"{gap.point}.contact"][-1])),
+            str(len(own)),
             f"{float(np.mean(outcome.turns[f'{gap.point}.contact_share'])):.1%}",
             number(float(np.max(outcome.turns[f"{gap.point}.normal_max_N"])), 5),
             fixed(depth * 1e6, 2),
@@ -108,28 +108,12 @@ def comparison(outcome: Comparison) -> RenderableType:
     count = len(outcome.starts)
     starts = "one crank angle at the start" if count == 1 else f"{count} crank angles at the start"
     title.append(f"\n{outcome.revolutions} revolutions from each of {starts} (seed {outcome.seed})")
-    columns = [
-        ("control", "left"),
-        ("rms", "right"),
-        ("scatter", "right"),
-        ("least", "right"),
-        ("most", "right"),
-        ("peak", "right"),
-    ]
-    columns += [("", "left"), ("gain", "right"), ("correction deg", "right"), ("torque N m", "right")]
-    table = grid("Deviation of the output; correction and torque as root mean squares", columns, header=True)
+    columns = [("control", "left"), (f"rms {people}", "right"), ("scatter", "right"), ("peak", "right"), ("gain", "right")]
+    columns += [("crank deg", "right"), ("torque Nm", "right")]
+    table = grid("Deviation of the output, and what the control costs: rms of correction and torque", columns, header=True)
     for kind, trials in outcome.trials.items():
-        rms = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, np.min(trials.rms), np.max(trials.rms))]
         gain = "" if kind == "none" or "none" not in outcome.trials else f"{outcome.gain(kind):.1%}"
-        effort = fixed(math.degrees(float(np.mean(trials.correction))), 3)
-        row = [
-            kind,
-            *rms,
-            fixed(float(np.max(trials.peak)) * factor, 3),
-            people,
-            gain,
-            effort,
-            fixed(float(np.mean(trials.torque)), 3),
-        ]
-        table.add_row(*row, style="" if trials.finished else BAD)
+        effort, torque = math.degrees(float(np.mean(trials.correction))), float(np.mean(trials.torque))
+        sizes = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, float(np.max(trials.peak)))]
+        table.add_row(kind, *sizes, gain, fixed(effort, 3), fixed(torque, 3), style="" if trials.finished else BAD)
     return Group(title, Text(), table)
