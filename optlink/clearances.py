@@ -302,6 +302,7 @@ def simulate_clearance(
         account.add_partial()
         ending, message = Ending.INTERRUPTED, f"interrupted after {account.count} of {revolutions} revolutions"
     if ending is Ending.STALLED:
+        notes.append(f"The state then: {_state(plant)}")
         notes.append(
             "What was computed until then is kept. A softer contact, a higher restitution, masses or a lower speed may help"
         )
@@ -419,6 +420,14 @@ def _check(revolutions: int, points: int, tolerance: float) -> None:
         raise InputError(Fault("out of range", "Give a number from 12 to 100,000", key="points", value=points))
     if not 1e-13 <= tolerance <= 1e-4:
         raise InputError(Fault("out of range", "Give a number from 1e-13 to 1e-4", key="tolerance", value=tolerance))
+
+
+def _state(plant: Plant) -> str:
+    """Coordinates and their rates, for people."""
+    cut, state = plant.equations.cut, plant.integration.state
+    units = {"angle": "rad", "x": "m", "y": "m", "slide": "m"}
+    pairs = zip(cut.coordinates, state[: plant.equations.size], state[plant.equations.size :], strict=True)
+    return "; ".join(f"{c.name} {q:.6g} {units[c.kind]}, {v:.6g} {units[c.kind]}/s" for c, q, v in pairs)
 
 
 def _told(setting: _Setting, plant: Plant) -> list[str]:

@@ -145,7 +145,7 @@ def test_deviation_over_twenty_revolutions(rpm):
 @pytest.mark.parametrize("rpm", SPEEDS)
 def test_contact_becomes_permanent_and_the_motion_periodic(rpm):
     found = simulate(rpm, 0.1, 25)
-    assert max(impact.end for impact in found.impacts) * rpm / 60.0 < 1.0  # in the first revolution
+    assert max(impact.end for impact in found.impacts if math.isfinite(impact.end)) * rpm / 60.0 < 1.0  # in the first revolution
     assert found.turns["C.contact_share"][1:] == pytest.approx(1.0)
     changes = np.max(np.abs(np.diff(found["slider.error_m"].reshape(25, STEPS), axis=0)), axis=1)
     assert np.all(changes[2:13] < changes[1:12])
@@ -157,9 +157,10 @@ def test_contact_becomes_permanent_and_the_motion_periodic(rpm):
 def test_number_of_switches(rpm, switches):
     """Begins and ends of contacts; the last begins and stays."""
     found = simulate(rpm, 0.1, 25)
-    lasting = int(found["C.contact"][-1])
-    assert 2 * len(found.impacts) + lasting == switches
-    assert int(np.sum(found.turns["impacts"])) == len(found.impacts) == found.figures["contacts"]
+    ends = [impact for impact in found.impacts if math.isfinite(impact.end)]
+    assert found["C.contact"][-1] == 1.0
+    assert 2 * len(ends) + 1 == switches
+    assert int(np.sum(found.turns["impacts"])) == len(ends)
 
 
 @pytest.mark.parametrize("rpm", SPEEDS)
