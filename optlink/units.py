@@ -75,7 +75,7 @@ KINDS = {
         Kind("damping", "N*s/m", "N*s/m", "20 N*s/m"),
         Kind("velocity", "m/s", "m/s", "0.01 m/s"),
         Kind("pressure", "Pa", "GPa", "207 GPa"),
-        Kind("contact stiffness", "N/m**1.5", "N/m^1.5", "6.6e10 N/m^1.5"),
+        Kind("contact stiffness", "N/m**1.5", "N/m^1.5", "6.6e+10 N/m^1.5"),
         Kind("frequency", "rad/s", "Hz", "300 Hz"),
         Kind("torsional stiffness", "N*m/rad", "N*m/rad", "5 N*m/rad"),
         Kind("torsional damping", "N*m*s/rad", "N*m*s/rad", "0.1 N*m*s/rad"),

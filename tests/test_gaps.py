@@ -778,6 +778,15 @@ SPARSE = [
     Case("crank pin", {"B": "crank"}, speed=-1200.0),
     Case("four-bar", {"C": "coupler"}, bars=True, speed=1500.0),
     Case(
+        "a short flight between two contacts",
+        {"B": "rod", "C": "rod"},
+        speed=269.0,
+        start=289.0,
+        gravity=(-1.0, 2.0),
+        joint={**RUBBING, "law": "hertz", "clearance": "0.1 mm"},
+        window=0.0744,
+    ),
+    Case(
         "deepest in the row in which another contact ends",
         {"A": "crank", "B": "rod"},
         speed=115.0,

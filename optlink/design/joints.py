@@ -159,12 +159,12 @@ class JointSection(Section):
                 raise Unusable(message, "Give one of the two", "stiffness", str(self.stiffness))
             if self.stiffness.value <= 0.0:
                 raise Unusable(
-                    "a contact needs a stiffness", 'Give for example "6.6e10 N/m^1.5"', "stiffness", str(self.stiffness)
+                    "a contact needs a stiffness", 'Give for example "6.6e+10 N/m^1.5"', "stiffness", str(self.stiffness)
                 )
             return self.stiffness.value
         if self.modulus is None:
             message = "the contact has no stiffness and no material"
-            raise Unusable(message, 'Add modulus = "207 GPa" (and poisson = 0.3), or stiffness = "6.6e10 N/m^1.5"', "stiffness")
+            raise Unusable(message, 'Add modulus = "207 GPa" (and poisson = 0.3), or stiffness = "6.6e+10 N/m^1.5"', "stiffness")
         first, second = (compliance(e, nu) for e, nu in zip(self.modulus, self.poisson, strict=True))
         return float(stiffness(radius + clearance, radius, first, second))
 
