@@ -196,8 +196,8 @@ RANGES: dict[str, tuple[float, float]] = {
 class Tuning:
     """A search for the parameters of a controller: `tried` values by name (evaluations,), their costs and scatters [m, rad].
 
-    `problem`: the one with the best values. A cost is the mean root mean square of the error over the starts; of two costs that
-    differ by less than the scatter neither is better.
+    `problem`: the one with the `best` values, which are empty where its own were better. A cost is the mean root mean square of
+    the error over the starts; of two costs that differ by less than the scatter neither is better.
     """
 
     problem: ProblemFile
@@ -220,12 +220,15 @@ def tune(
     seed: int = 0,
     revolutions: int = 11,
     speed: float | None = None,
+    tolerance: float = 1e-8,
+    design: Mapping[str, float] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Tuning:
     """Find parameters of a controller that make the mean error over several starts small.
 
     Half of the evaluations are Sobol points over `RANGES`, the others draw nearer and nearer to the best so far: the cost of a
-    chaotic machine is noisy, so no slope is trusted. Every value is compared from the same starts.
+    chaotic machine is noisy, so no slope is trusted. Every value is compared from the same starts. Where none is better than the
+    problem's own parameters, these stay.
 
     Parameters
     ----------
@@ -249,7 +252,8 @@ def tune(
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))
     generator = np.random.default_rng(seed)
     sobol = qmc.Sobol(len(names), seed=seed).random(1 << int(np.ceil(np.log2(max(2, evaluations // 2)))))
-    before, first = trials(problem, control, angles, revolutions, speed=speed)
+    options: dict[str, Any] = {"speed": speed, "tolerance": tolerance, "design": design}
+    before, first = trials(problem, control, angles, revolutions, **options)
     size = _sizes(first)
     tried: list[Array] = []
     costs: list[float] = []
@@ -261,20 +265,21 @@ def tune(
             width = 0.3 * 0.5 ** (4.0 * (k - evaluations // 2) / max(1, evaluations - evaluations // 2))
             share = np.clip(tried[int(np.argmin(costs))] + width * generator.standard_normal(len(names)), 0.0, 1.0)
         changed = problem.override(_values(names, np.exp(low + share * (high - low)), size, first.output.unit))
-        found, _ = trials(changed, control, angles, revolutions, speed=speed)
+        found, _ = trials(changed, control, angles, revolutions, **options)
         tried.append(share)
         costs.append(found.mean if found.finished else np.inf)
         scatters.append(found.scatter)
         if progress is not None:
             progress((k + 1) / evaluations)
-    best = int(np.argmin(costs))
-    chosen = _values(names, np.exp(low + tried[best] * (high - low)), size, first.output.unit)
     values = np.exp(low + np.array(tried) * (high - low)) * np.array([size.get(name, 1.0) for name in names])
+    best = int(np.argmin(costs))
+    better = costs[best] < before.mean
+    chosen = _values(names, np.exp(low + tried[best] * (high - low)), size, first.output.unit) if better else {}
     return Tuning(
-        problem.override(chosen),
+        problem.override(chosen) if better else problem,
         {key.partition(".")[2]: value for key, value in chosen.items()},
-        float(costs[best]),
-        float(scatters[best]),
+        float(costs[best]) if better else before.mean,
+        float(scatters[best]) if better else before.scatter,
         before.mean,
         dict(zip(names, values.T, strict=True)),
         np.array(costs),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.clearance.contact import EXPONENT
 from optlink.clearance.integration import Impact, Stalled
 from optlink.clearance.plant import Plant, Revolution
 from optlink.clearance.record import Record
@@ -127,8 +128,9 @@ class Account:
         unit, own = self.plant.output.unit, self.plant.output.name
         square, torque = float(np.sum(error * error)), rows["input.torque_Nm"]
         correction = rows.get("command.correction_rad", np.zeros(1))
+        strongest = self._strongest(rows, impacts)
+        self.strongest = max([self.strongest, *strongest])
         for gap in self.plant.equations.gaps:
-            self.strongest = max(self.strongest, float(np.max(rows[f"{gap.point}.normal_N"])))
             self.deepest = max(self.deepest, float(np.max(rows[f"{gap.point}.penetration_m"])))
         self.deepest = max([self.deepest, *(impact.penetration for impact in impacts)])
         self.contacts += len(impacts)
@@ -142,9 +144,9 @@ class Account:
             "impacts": float(len(impacts)),
             "torque_rms_Nm": math.sqrt(float(np.mean(torque * torque))),
         }
-        for gap in self.plant.equations.gaps:
+        for gap, most in zip(self.plant.equations.gaps, strongest, strict=True):
             figures[f"{gap.point}.contact_share"] = float(np.mean(rows[f"{gap.point}.contact"]))
-            figures[f"{gap.point}.normal_max_N"] = float(np.max(rows[f"{gap.point}.normal_N"]))
+            figures[f"{gap.point}.normal_max_N"] = most
         self.turns.append(figures)
         point = {"revolution": float(self.count), f"{own}.error_{unit}": float(error[-1])}
         for gap in self.plant.equations.gaps:
@@ -162,6 +164,14 @@ class Account:
             self.sums["torque"] += float(np.mean(torque * torque))
             self.peak = max(self.peak, float(np.max(np.abs(error))))
             self.correction = max(self.correction, float(np.max(np.abs(correction))))
+
+    def _strongest(self, rows: Mapping[str, Array], impacts: tuple[Impact, ...]) -> list[float]:
+        """Largest normal force at every gap [N]: in the rows, or where a contact is deepest, which may lie between them."""
+        found = []
+        for k, gap in enumerate(self.plant.equations.gaps):
+            deep = [gap.stiffness * impact.penetration**EXPONENT for impact in impacts if impact.gap == k]
+            found.append(max([float(np.max(rows[f"{gap.point}.normal_N"])), *deep]))
+        return found
 
     def _energy(self, record: Record) -> None:
         assert self.first is not None
