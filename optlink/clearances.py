@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import signal
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -156,7 +159,8 @@ class _Setting:
                 sample_time=section.sample_time.value if section is not None and sampled else math.inf,
             )
         except Weightless as error:
-            remedy = f'Give it a mass (and a moment of inertia): {error.body} = {{ mass = "0.2 kg", inertia = "uniform bar" }}'
+            bar = ', inertia = "uniform bar"' if self.machine.mechanism.bodies[error.body].end else ""
+            remedy = f'Give it a mass{" and a moment of inertia" if bar else ""}: {error.body} = {{ mass = "0.2 kg"{bar} }}'
             raise InputError(Fault(str(error), remedy, self.file.file, f"bodies.{error.body}")) from None
         if section is not None and sampled:
             angles = self.start + math.copysign(TURN, self.nominal) * np.arange(plant.samples) / plant.samples
@@ -279,18 +283,20 @@ def simulate_clearance(
 
     kept_at = time.monotonic()
     ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_told(setting, plant))
+    plants = [plant] if pair is None else [plant, pair.plant]
     try:
-        for k in range(account.count, revolutions):
-            rows = account.add(k >= skipped)
-            if stream is not None:
-                stream(rows)
-            if pair is not None:
-                pair.follow(rows[setting.output.column])
-            if progress is not None:
-                progress((k + 1) / revolutions)
-            if time.monotonic() - kept_at > EVERY or k + 1 == revolutions:
-                keep()
-                kept_at = time.monotonic()
+        with _interruptible(plants):
+            for k in range(account.count, revolutions):
+                rows = account.add(k >= skipped)
+                if stream is not None:
+                    stream(rows)
+                if pair is not None:
+                    pair.follow(rows[setting.output.column])
+                if progress is not None:
+                    progress((k + 1) / revolutions)
+                if time.monotonic() - kept_at > EVERY or k + 1 == revolutions:
+                    keep()
+                    kept_at = time.monotonic()
     except Stalled as error:
         account.add_partial()
         ending = Ending.STALLED
@@ -335,6 +341,31 @@ def simulate_clearance(
         tuple(notes),
         tolerance,
     )
+
+
+@contextlib.contextmanager
+def _interruptible(plants: Sequence[Plant]) -> Iterator[None]:
+    """Let an interrupt from the keyboard end the work after the present call of the integrator; a second one at once."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not (
+        signal.default_int_handler
+    ):
+        yield
+        return
+    asked = False
+
+    def ask(*_: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    for plant in plants:
+        plant.integration.stop = lambda: asked
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _check_resume(resume: Mapping[str, Any], label: Mapping[str, Any], revolutions: int) -> None:
@@ -383,6 +414,8 @@ def _setting(
         raise InputError(
             Fault(message, "Take the friction of the guide out, or the clearance", name, f"mechanism.guides.{guide}.friction")
         )
+    if start is not None and not math.isfinite(start):
+        raise InputError(Fault("out of range", "Give an angle", key="start", value=f"{start} rad"))
     drive, kind = model.drive, Control(control)
     begin = drive.start.value if start is None else start
     ranges, _, _ = motion_range(problem, machine, begin)
@@ -414,6 +447,9 @@ def _setting(
 
 
 def _check(revolutions: int, points: int, tolerance: float) -> None:
+    for name, number in (("revolutions", revolutions), ("points", points)):
+        if not math.isfinite(number) or int(number) != number:
+            raise InputError(Fault("not a whole number", "Give for example 360", key=name, value=number))
     if not 1 <= revolutions <= 10_000_000:
         raise InputError(Fault("out of range", "Give a number from 1 to 10,000,000", key="revolutions", value=revolutions))
     if not 12 <= points <= 100_000:

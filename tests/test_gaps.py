@@ -585,7 +585,7 @@ def test_bounces_do_not_depend_on_the_rows(nominal):
 
 def test_bounces_have_the_restitution_of_the_closed_form():
     first = bouncing(600.0).impacts[0]
-    assert first.approach == pytest.approx(math.sqrt(2.0 * 9.81 * 0.5e-3), rel=1e-7)
+    assert first.approach == pytest.approx(math.sqrt(2.0 * 9.81 * 0.5e-3), rel=1e-6)
     wanted = closed_form(DAMPING["lankarani-nikravesh"](0.9))
     assert first.departure / first.approach == pytest.approx(wanted, rel=3e-3)  # its weight delays the journal a little
 
@@ -868,12 +868,21 @@ def test_figures_of_revolutions_are_those_of_their_rows():
         assert found.turns["rms_m"][k] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
         assert found.turns["peak_m"][k] == largest(error)
         assert found.turns["C.contact_share"][k] == pytest.approx(float(np.mean(found["C.contact"][rows])))
-        assert found.turns["C.normal_max_N"][k] == np.max(found["C.normal_N"][rows])
+        assert found.turns["C.normal_max_N"][k] >= np.max(found["C.normal_N"][rows])
         assert found.section["C.ex_m"][k] == found["C.ex_m"][rows][-1]
         during = [impact for impact in found.impacts if k * 0.012 < impact.end <= (k + 1) * 0.012]
         assert found.turns["impacts"][k] == len(during)
     assert found.figures["largest_penetration_m"] >= np.max(found["C.penetration_m"])
     assert found.figures["largest_penetration_m"] == pytest.approx(max(i.penetration for i in found.impacts), rel=1e-9)
+
+
+def test_largest_force_is_told_however_few_the_rows():
+    """At a restitution of 0.9 the force is largest where the contact is deepest, within 1 %."""
+    few, many = (simulate(CHAOTIC, 1, points, 1e-11) for points in (12, 7200))
+    strongest = np.max(many["C.normal_N"])
+    assert few.figures["largest_normal_N"] == pytest.approx(strongest, rel=0.02)
+    assert few.figures["largest_penetration_m"] == pytest.approx(np.max(many["C.penetration_m"]), rel=1e-3)
+    assert np.max(few["C.normal_N"]) < 0.9 * strongest  # the rows themselves miss it
 
 
 def test_interrupted_run_returns_what_was_computed():

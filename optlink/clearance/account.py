@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.clearance.contact import EXPONENT
 from optlink.clearance.integration import Impact, Stalled
 from optlink.clearance.plant import Plant, Revolution
 from optlink.clearance.record import Record
@@ -66,7 +65,7 @@ class Account:
         record = self.plant.record(turn)
         rows = self._rows(turn, record)
         error = rows[f"{self.plant.output.name}.error_{self.plant.output.unit}"]
-        self._sum(rows, error, turn.impacts, settled)
+        self._sum(rows, error, turn, settled)
         self._energy(record)
         self.rows.append(rows)
         return rows
@@ -123,12 +122,12 @@ class Account:
         self.first = float(plant.record(Revolution(plant.now(), np.zeros(1), ())).energy[0])
         self.largest = abs(self.first)
 
-    def _sum(self, rows: Mapping[str, Array], error: Array, impacts: tuple[Impact, ...], settled: bool) -> None:
+    def _sum(self, rows: Mapping[str, Array], error: Array, turn: Revolution, settled: bool) -> None:
+        impacts, strongest = turn.impacts, turn.forces
         self.count += 1
         unit, own = self.plant.output.unit, self.plant.output.name
         square, torque = float(np.sum(error * error)), rows["input.torque_Nm"]
         correction = rows.get("command.correction_rad", np.zeros(1))
-        strongest = self._strongest(rows, impacts)
         self.strongest = max([self.strongest, *strongest])
         for gap in self.plant.equations.gaps:
             self.deepest = max(self.deepest, float(np.max(rows[f"{gap.point}.penetration_m"])))
@@ -164,14 +163,6 @@ class Account:
             self.sums["torque"] += float(np.mean(torque * torque))
             self.peak = max(self.peak, float(np.max(np.abs(error))))
             self.correction = max(self.correction, float(np.max(np.abs(correction))))
-
-    def _strongest(self, rows: Mapping[str, Array], impacts: tuple[Impact, ...]) -> list[float]:
-        """Largest normal force at every gap [N]: in the rows, or where a contact is deepest, which may lie between them."""
-        found = []
-        for k, gap in enumerate(self.plant.equations.gaps):
-            deep = [gap.stiffness * impact.penetration**EXPONENT for impact in impacts if impact.gap == k]
-            found.append(max([float(np.max(rows[f"{gap.point}.normal_N"])), *deep]))
-        return found
 
     def _energy(self, record: Record) -> None:
         assert self.first is not None

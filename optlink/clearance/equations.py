@@ -154,7 +154,8 @@ class Equations:
         depth = casadi.vertcat(*[contact.penetration for contact in touches])
         rate = casadi.vertcat(*[contact.rate for contact in touches])
         curve = casadi.jtimes(rate, x, self.ode)
-        self._watched = casadi.cse([depth, rate, curve])
+        normal = casadi.vertcat(*[contact.normal for contact in touches])
+        self._watched = casadi.cse([depth, rate, curve, normal])
         self._outcome = casadi.cse([whole, torque, pull])
         self.free, self.symbolic = free, known
         self.masses = Compiled([x], [mass[free, free], held])
@@ -193,7 +194,7 @@ class Equations:
         return casadi.vertcat(self.span, self.begin, self.further, self.entered, self.modes)
 
     def watch(self, copies: int) -> Compiled:
-        """(x, parameters, tau) -> penetration at every gap [m], its rate, its second derivative, `copies` at a time."""
+        """(x, parameters, tau) -> penetration at every gap [m], its first and second rate, normal force [N]; `copies` of it."""
         if copies not in self._watches:
             self._watches[copies] = Compiled([self.x, self.parameters, self.tau], self._watched, copies)
         return self._watches[copies]

@@ -12,14 +12,14 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.clearance.contact import SLOWEST
+from optlink.clearance.contact import EXPONENT, SLOWEST
 from optlink.clearance.equations import Equations
 
 Array = NDArray[np.float64]
@@ -138,6 +138,9 @@ class Integration:
         self.calls = 0
         self.open: dict[int, Impact] = {}
         self.summits: dict[int, Summit] = {}
+        self.begun: dict[int, tuple[int, float, Array]] = {}  # switches so far, time, state where a contact began
+        self.forces = np.zeros(gaps)  # largest normal force at every gap, until someone looks
+        self.stop: Callable[[], bool] = lambda: False
         self.finished: list[Impact] = []
         self.switches = 0
 
@@ -177,6 +180,8 @@ class Integration:
             if suspects:
                 found = self._first_switch(states[row], row * span / count, span / count, suspects)
                 whole = row + (found is None)  # a false alarm: that row is as it is
+                there, into = (states[row + 1], span / count) if found is None else (found.state, found.into)
+                self._note(np.vstack([states[row], there]), into, row * span / count)
             if whole:
                 yield self._accept(states[1 : whole + 1], works[:whole])
             if found is not None:
@@ -192,25 +197,28 @@ class Integration:
             with contextlib.redirect_stderr(io.StringIO()):
                 states, works = self.equations.integrator(count, self.tolerance)(state, self.parameters(span, time))
         except RuntimeError:
+            if self.stop():  # an interrupt from the keyboard breaks a call off too
+                raise KeyboardInterrupt from None
             raise Stalled("the integrator cannot go on") from None
+        if self.stop():
+            raise KeyboardInterrupt
         if not np.all(np.isfinite(states)):
             raise Stalled("the motion has no finite value any more")
         return np.vstack([state, states.reshape(count, -1)]), works.reshape(count, -1)
 
-    def _observe(self, states: Array, span: float) -> tuple[Array, Array, Array]:
-        """Penetration, rate, second derivative at every gap, (m, k) each."""
+    def _observe(self, states: Array, span: float) -> list[Array]:
+        """Penetration, its rate and second derivative, and the normal force at every gap, (m, k) each."""
         count = len(states)
         given = np.tile(self.parameters(span * (count - 1), self.time), count)
-        depth, rate, curve = self.equations.watch(count)(states.ravel(), given, np.linspace(0.0, 1.0, count))
-        shape = (count, len(self.equations.gaps))
-        return depth.reshape(shape), rate.reshape(shape), curve.reshape(shape)
+        found = self.equations.watch(count)(states.ravel(), given, np.linspace(0.0, 1.0, count))
+        return [part.reshape(count, len(self.equations.gaps)) for part in found]
 
     def _suspects(self, states: Array, span: float) -> tuple[int, dict[int, tuple[float, bool]]]:
         """The first row in which some gap may switch: its number, and by gap an estimate of when, and whether it surely does.
 
-        Notes how deep contacts went till then.
+        Notes how deep and how strong contacts were till then.
         """
-        depth, rate, curve = self._observe(states, span)
+        depth, rate, curve, _ = watched = self._observe(states, span)
         side = 1.0 - 2.0 * self.modes  # what grows beyond zero at a switch is the penetration with this sign
         y, slope = side * depth, side * rate
         turns = (slope[:-1] > 0.0) & (slope[1:] < 0.0)  # touches zero within the row, perhaps
@@ -225,7 +233,7 @@ class Integration:
             sure = bool(y[i + 1, j] > 0.0)
             s = crossing(ends[0], ends[1], span) if sure else summit(ends[0], ends[1], span)
             row, found[int(j)] = int(i), (s * span, sure)
-        self._note_depths(states, (depth, rate, curve), span, row if found else None)
+        self._note_depths(states[: row + 1], [part[: row + 1] for part in watched], span, 0.0)
         return row, found
 
     def _first_switch(self, state: Array, offset: float, span: float, suspects: dict[int, tuple[float, bool]]) -> Crossing | None:
@@ -233,6 +241,8 @@ class Integration:
         found: Crossing | None = None
         for gap, (guess, sure) in sorted(suspects.items(), key=lambda item: item[1][0]):
             end = span if found is None else found.into
+            if end <= 0.0:
+                break
             if guess < end or sure:
                 found = self._cross(state, offset, end, gap, min(guess, end), sure and found is None) or found
         for _ in self.equations.gaps if found else ():
@@ -245,7 +255,7 @@ class Integration:
 
     def _beyond(self, found: Crossing) -> int | None:
         """A gap that has switched already where another does."""
-        depth, rate, _ = (part[0] for part in self._observe(found.state[None, :], 0.0))
+        depth, rate = (part[0] for part in self._observe(found.state[None, :], 0.0)[:2])
         late = (1.0 - 2.0 * self.modes) * depth / np.maximum(np.abs(rate), 1e-300) > SHARP * self.step
         late[found.gap] = False
         return int(np.argmax(late)) if np.any(late) else None
@@ -260,7 +270,7 @@ class Integration:
         works = np.zeros_like(self.works)
         for _ in range(100):
             states, more = self._integrate(state, s - low, 1, self.time + offset + low)
-            y, slope, curve = (side * float(part[1, gap]) for part in self._observe(states, s - low))
+            y, slope, curve = (side * float(part[1, gap]) for part in self._observe(states, s - low)[:3])
             rest = -y / slope if slope > 0.0 else np.inf
             if abs(rest) < NEAR * self.step:
                 there, last, into = self._land(states[1], self.time + offset + s, rest, gap, side)
@@ -289,25 +299,43 @@ class Integration:
         for _ in range(6):
             state, more = self.equations.nudge(state, self.parameters(0.0, time + into), rest)
             into, works = into + rest, works + more
-            depth, rate, _ = (side * float(part[0, gap]) for part in self._observe(state[None, :], 0.0))
+            depth, rate = (side * float(part[0, gap]) for part in self._observe(state[None, :], 0.0)[:2])
             rest = -depth / rate if rate > 0.0 else 0.0
             if abs(rest) <= 1e-14 * (time + into) or abs(rest) > NEAR * self.step:
                 break
         return state, works, into
 
-    def _note_depths(self, states: Array, watched: Sequence[Array], span: float, row: int | None) -> None:
-        """How deep the contacts under way go, until the row in which some gap may switch; the deepest is looked at later."""
-        depth, rate, _ = watched
-        last = len(states) - 1 if row is None else row
+    def _note(self, states: Array, span: float, offset: float) -> None:
+        """How deep and how strong the contacts are between two states, `offset` from now."""
+        self._note_depths(states, self._observe(states, span), span, offset)
+
+    def _note_depths(self, states: Array, watched: Sequence[Array], span: float, offset: float) -> None:
+        """How deep and how strong the contacts under way are in these rows; the deepest is looked at when it is over."""
+        depth, rate, curve, normal = watched
         for j, impact in self.open.items():
-            self.open[j] = impact._replace(penetration=max(impact.penetration, float(np.max(depth[: last + 1, j]))))
+            self.open[j] = impact._replace(penetration=max(impact.penetration, float(np.max(depth[:, j]))))
+            self.forces[j] = max(self.forces[j], float(np.max(normal[:, j])))
             for i in np.flatnonzero((rate[:-1, j] > 0.0) & (rate[1:, j] <= 0.0)):
-                if i <= last:
-                    ends = [[float(part[m, j]) for part in watched] for m in (i, i + 1)]
-                    height, at = highest(ends[0], ends[1], span)
-                    if j not in self.summits or height > self.summits[j].height:
-                        given = self.parameters(0.0, self.time + i * span)
-                        self.summits[j] = Summit(height, at * span, span, states[i].copy(), given)
+                ends = [[float(part[m, j]) for part in (depth, rate, curve)] for m in (i, i + 1)]
+                height, at = highest(ends[0], ends[1], span)
+                self.forces[j] = max(self.forces[j], self.equations.gaps[j].stiffness * max(height, 0.0) ** EXPONENT)
+                if j not in self.summits:
+                    self._note_approach(j, self.time + offset + i * span + at * span)
+                if j not in self.summits or height > self.summits[j].height:
+                    given = self.parameters(0.0, self.time + offset + i * span)
+                    self.summits[j] = Summit(height, at * span, span, states[i].copy(), given)
+
+    def _note_approach(self, gap: int, summit: float) -> None:
+        """The force is largest before the contact is deepest where it damps: look at the whole way from its begin."""
+        begun = self.begun.pop(gap, None)
+        if begun is None or begun[0] != self.switches:
+            return
+        _, time, state = begun
+        given = self.parameters(summit - time, time)
+        states, _ = self.equations.integrator(CHUNKS[-1], self.tolerance)(state, given)
+        told = (states, np.tile(given, CHUNKS[-1]), np.linspace(0.0, 1.0, CHUNKS[-1] + 1)[1:])
+        normal = self.equations.watch(CHUNKS[-1])(*told)[3].reshape(CHUNKS[-1], -1)
+        self.forces[gap] = max(self.forces[gap], float(np.max(normal[:, gap])))
 
     def _deepest(self, gap: int) -> float:
         """Penetration at the highest summit of a contact, where its rate is zero: found on the motion itself."""
@@ -318,7 +346,7 @@ class Integration:
         for _ in range(40):
             given[0] = s
             found, _ = self.equations.integrator(1, self.tolerance)(state, given)
-            depth, rate, curve = (float(part[gap]) for part in self.equations.watch(1)(found, given, np.ones(1)))
+            depth, rate, curve = (float(part[gap]) for part in self.equations.watch(1)(found, given, np.ones(1))[:3])
             low, high = (s, high) if rate > 0.0 else (low, s)
             rest = -rate / curve if curve < 0.0 else math.inf
             if abs(rest) < NEAR * span:
@@ -358,6 +386,8 @@ class Integration:
             depth = max(done.penetration, self._deepest(gap))
             self.finished.append(done._replace(penetration=depth, end=self.time, departure=-float(rate)))
         self.switches += 1
+        if begins:
+            self.begun[gap] = self.switches, self.time, self.state.copy()
         self._busy += 1
         self._chunk = 0
         if self._busy > BUSY:

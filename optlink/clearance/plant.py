@@ -25,16 +25,20 @@ TURN = 2.0 * np.pi
 DENSE, DENSEST = 360, 50_000
 """Rows of a revolution that are looked at, at least and at most; within one a contact is found by values and slopes."""
 
-LOOKS = 2.0
+LOOKS = 4.0
 """Rows for each period in which a journal vibrates on its bearing under the load that the machine's motion makes."""
 
 
 class Revolution(NamedTuple):
-    """One revolution: its rows, what the servo was told beyond its command (m,) [rad], the contacts that ended in it."""
+    """One revolution.
+
+    Its rows, what the servo was told beyond its command (m,) [rad], the contacts that ended, largest normal forces [N].
+    """
 
     block: Block
     further: Array
     impacts: tuple[Impact, ...]
+    forces: tuple[float, ...] = ()
 
 
 class Plant:
@@ -156,7 +160,8 @@ class Plant:
         impacts, course.finished = tuple(course.finished), []
         whole, self.partial = self.partial, None
         assert whole is not None
-        return whole._replace(impacts=impacts)
+        forces, course.forces = tuple(course.forces.tolist()), np.zeros(len(self.equations.gaps))
+        return whole._replace(impacts=impacts, forces=forces)
 
     def _rows(self, parts: list[tuple[Block, Array]], every: int) -> Revolution:
         """Every so many-th of the rows that were looked at."""

@@ -172,7 +172,7 @@ class Revolution:
         mechanism, assembled = self.machine.mechanism, self.moving.motion.assembled
         with np.errstate(all="ignore"):
             pose = mechanism.pose(self.machine.sizes, unit(self.moving.motion.crank_angle))
-        for group in mechanism.groups:
+        for group in mechanism.groups if np.all(assembled) else ():
             own = {link.body for link in group.links}
             loose = [gap for gap in gaps if own & {gap.journal, gap.bearing}]
             with np.errstate(all="ignore"):

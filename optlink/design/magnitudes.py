@@ -64,8 +64,23 @@ class Curve:
 
     def __call__(self, known: Mapping[str, Value]) -> Value:
         """The value [SI]."""
-        period = 2.0 * np.pi if self.over == "phi" else None
-        return np.interp(np.asarray(known[self.over], dtype=float), self.at, self.values, period=period)
+        x, period = known[self.over], 2.0 * np.pi if self.over == "phi" else None
+        if isinstance(x, float | int | np.ndarray | np.generic):
+            return np.interp(np.asarray(x, dtype=float), self.at, self.values, period=period)
+        return self._ramps(x, period)
+
+    def _ramps(self, x: Value, period: float | None) -> Value:
+        """The same for symbols, as a sum of ramps that begin at the rows."""
+        at, values = list(self.at), list(self.values)
+        if period is not None:
+            x = x - period * np.floor((x - at[0]) / period)
+            if at[-1] < at[0] + period:
+                at, values = [*at, at[0] + period], [*values, values[0]]
+        slopes = [0.0, *np.diff(values) / np.diff(at), 0.0]
+        found: Value = values[0]
+        for begin, change in zip(at, np.diff(slopes), strict=True):
+            found = found + change * np.maximum(x - begin, 0.0)
+        return found
 
 
 Size = Constant | Formula | Curve
