@@ -726,7 +726,7 @@ def test_motor_curve_drives_the_crank():
     raw = edited(LOADED.raw, {"drive.torque": motor, "drive.initial_speed": "100 rad/s"})
     found = simulate(raw, 2, tolerance=1e-10)
     assert found.ending is Ending.FINISHED, found.message
-    assert found["input.torque_Nm"] == pytest.approx(10.0 - 0.05 * found["crank.omega_rad_s"], abs=1e-9)
+    assert found["input.torque_Nm"] == pytest.approx(np.maximum(10.0 - 0.05 * found["crank.omega_rad_s"], 0.0), abs=1e-9)
     assert imbalance(found) < 1e-6
 
 
@@ -768,7 +768,7 @@ def test_rows_that_are_asked_for_change_nothing():
     for one, other in zip(ended(few), ended(usual), strict=True):
         assert tuple(one) == pytest.approx(tuple(other), rel=1e-4)
     for name in few.columns:
-        assert largest(few[name] - usual[name][29::30]) <= 1e-5 * largest(usual[name]), name
+        assert largest(few[name] - usual[name][29::30]) <= 1e-5 * largest(usual[name]) + 1e-9, name
 
 
 SPARSE = [

@@ -235,6 +235,7 @@ class Equations:
         # Adams: between the switches the motion is smooth; measured a quarter faster than BDF, in contact as well as apart
         options: dict[str, Any] = {
             "linear_multistep_method": "adams",
+            "quad_err_con": True,  # the works are as true as the motion
             "reltol": tolerance,
             "abstol": 1e-3 * tolerance,
             "max_num_steps": 20_000,  # a row; a hundred are usual

@@ -23,8 +23,11 @@ from optlink.clearance.contact import EXPONENT, SLOWEST
 from optlink.clearance.equations import Equations
 
 Array = NDArray[np.float64]
-CHUNKS = (1, 10, 64)
+CHUNKS = (1, 10, 64, 256)
 """Rows that one call of the integrator may cover."""
+
+SAMPLES = 64
+"""Of the force on the way to where a contact is deepest."""
 
 BUSY = 2000
 """Switches within one row that are a stall."""
@@ -332,9 +335,9 @@ class Integration:
             return
         _, time, state = begun
         given = self.parameters(summit - time, time)
-        states, _ = self.equations.integrator(CHUNKS[-1], self.tolerance)(state, given)
-        told = (states, np.tile(given, CHUNKS[-1]), np.linspace(0.0, 1.0, CHUNKS[-1] + 1)[1:])
-        normal = self.equations.watch(CHUNKS[-1])(*told)[3].reshape(CHUNKS[-1], -1)
+        states, _ = self.equations.integrator(SAMPLES, self.tolerance)(state, given)
+        told = (states, np.tile(given, SAMPLES), np.linspace(0.0, 1.0, SAMPLES + 1)[1:])
+        normal = self.equations.watch(SAMPLES)(*told)[3].reshape(SAMPLES, -1)
         self.forces[gap] = max(self.forces[gap], float(np.max(normal[:, gap])))
 
     def _deepest(self, gap: int) -> float:
