@@ -179,9 +179,10 @@ class _Setting:
         command = even(self.start, self.nominal)
         if self.control.inverted and section is not None:
             known = [gap for gap in self.gaps if section.known is None or gap.point in section.known]
-            inverse = Inverse(self.machine, known, self.output, self.start, self.nominal)
             bandwidth = 0.5 * self.servo.bandwidth if section.bandwidth is None else section.bandwidth.value
-            command = inverse.command(self.regularisation, self.servo, bandwidth)
+            if known:
+                inverse = Inverse(self.machine, known, self.output, self.start, self.nominal)
+                command = inverse.command(self.regularisation, self.servo, bandwidth)
         return Drive(self.servo, command)
 
     @property
@@ -204,7 +205,7 @@ def simulate_clearance(
     start: float | None = None,
     design: Mapping[str, float] | None = None,
     flywheel: float = 0.0,
-    tolerance: float = 1e-9,
+    tolerance: float = 1e-10,
     twin: bool = True,
     progress: Callable[[float], None] | None = None,
     stream: Callable[[Mapping[str, Array]], None] | None = None,
@@ -271,17 +272,22 @@ def simulate_clearance(
     }
     if resume is not None:
         _check_resume(resume, label, revolutions)
-        plant.restore(resume["plant"])
-        account.restore(resume["account"])
-        if pair is not None and resume["twin"] is not None:
-            pair.restore(resume["twin"])
+        try:
+            plant.restore(resume["plant"])
+            account.restore(resume["account"])
+            if pair is not None and resume["twin"] is not None:
+                pair.restore(resume["twin"])
+        except (KeyError, TypeError, ValueError, IndexError):
+            raise InputError(Fault("the checkpoint is damaged", "Begin anew, without it", key="resume")) from None
+
+    def save() -> dict[str, Any]:
+        return {"plant": plant.save(), "twin": None if pair is None else pair.save()}
 
     def keep() -> None:
         if checkpoint is not None and account.count:
-            own = {"plant": plant.save(), "account": account.save(), "twin": None if pair is None else pair.save()}
-            checkpoint({**label, "revolutions": account.count, **own})
+            checkpoint({**label, "revolutions": account.count, **saved, "account": account.save()})
 
-    kept_at = time.monotonic()
+    kept_at, saved = time.monotonic(), save()
     ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_told(setting, plant))
     plants = [plant] if pair is None else [plant, pair.plant]
     try:
@@ -292,6 +298,7 @@ def simulate_clearance(
                     stream(rows)
                 if pair is not None:
                     pair.follow(rows[setting.output.column])
+                saved = save()
                 if progress is not None:
                     progress((k + 1) / revolutions)
                 if time.monotonic() - kept_at > EVERY or k + 1 == revolutions:
@@ -307,6 +314,8 @@ def simulate_clearance(
     except KeyboardInterrupt:
         account.add_partial()
         ending, message = Ending.INTERRUPTED, f"interrupted after {account.count} of {revolutions} revolutions"
+    if ending is not Ending.FINISHED:
+        keep()
     if ending is Ending.STALLED:
         notes.append(f"The state then: {_state(plant)}")
         notes.append(
@@ -374,13 +383,9 @@ def _check_resume(resume: Mapping[str, Any], label: Mapping[str, Any], revolutio
         if resume.get(name) != value:
             message = f"the checkpoint is that of another run: its {name} is {resume.get(name)!r}, not {value!r}"
             raise InputError(Fault(message, "Resume with the options that the run was begun with, or begin anew", key="resume"))
-    try:
-        for part, keys in (("plant", ("row", "state", "modes", "works")), ("account", ("count", "sums", "turns"))):
-            for key in keys:
-                resume[part][key]
-        done = int(resume["revolutions"])
-    except (KeyError, TypeError, ValueError):
-        raise InputError(Fault("the checkpoint is damaged", "Begin anew, without it", key="resume")) from None
+    done = resume.get("revolutions")
+    if not isinstance(done, int) or not all(isinstance(resume.get(part), Mapping) for part in ("plant", "account")):
+        raise InputError(Fault("the checkpoint is damaged", "Begin anew, without it", key="resume"))
     if done > revolutions:
         raise InputError(Fault(f"{done} revolutions are done already", "Ask for more", key="revolutions", value=revolutions))
 
@@ -397,7 +402,9 @@ def _setting(
     model, name = problem.model, problem.file
     if control not in [str(kind) for kind in Control]:
         raise InputError(
-            Fault("no such control", nearest(control, [str(kind) for kind in Control]), key="control", value=control)
+            Fault(
+                "no such control", nearest(control, [*(str(kind) for kind in Control), "compare"]), key="control", value=control
+            )
         )
     machine = with_flywheel(machine_of(problem, design), flywheel)
     try:
@@ -414,7 +421,7 @@ def _setting(
         raise InputError(
             Fault(message, "Take the friction of the guide out, or the clearance", name, f"mechanism.guides.{guide}.friction")
         )
-    if start is not None and not math.isfinite(start):
+    if start is not None and not abs(start) <= 1e6:
         raise InputError(Fault("out of range", "Give an angle", key="start", value=f"{start} rad"))
     drive, kind = model.drive, Control(control)
     begin = drive.start.value if start is None else start

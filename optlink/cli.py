@@ -285,7 +285,7 @@ def simulate(
         int, typer.Option(parser=_whole_number, metavar="N", help="With --control compare: number of crank angles at the start.")
     ] = 5,
     seed: Annotated[int, typer.Option(parser=_whole_number, metavar="S", help="Of these crank angles.")] = 0,
-    tolerance: Annotated[float, typer.Option(metavar="X", help="With clearance: relative, of the integrator.")] = 1e-9,
+    tolerance: Annotated[float, typer.Option(metavar="X", help="With clearance: relative, of the integrator.")] = 1e-10,
     resume: Annotated[
         bool, typer.Option("--resume", help="With clearance: go on with the run that was interrupted in --out DIR.")
     ] = False,
@@ -309,9 +309,10 @@ def simulate(
             if value is not None and not loose:
                 from optlink.errors import Fault
 
-                gap = 'joints.B={ clearance = "0.5 mm", bearing_radius = "10 mm", modulus = "207 GPa" }'
-                message = "no joint has clearance, so the option does nothing"
-                raise InputError(Fault(message, f"Give one: --set '{gap}'", file.file, option, str(value)))
+                gap = "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207 GPa' }"
+                remedy = "Leave --ideal out" if ideal else f'Give one: --set "{gap}"'
+                message = "joints count as ideal" if ideal else "no joint has clearance"
+                raise InputError(Fault(f"{message}, so the option does nothing", remedy, file.file, option, str(value)))
         _places(csv, out)
         rate = _quantity(speed, "angular velocity", "--speed")
         span = _quantity(duration, "time", "--duration")

@@ -837,7 +837,7 @@ def test_longer_run_begins_as_the_shorter_one():
 
 def test_twin_does_not_disturb_the_run():
     one = simulate(PERIODIC, 2, 90)
-    other = simulate_clearance(optlink.read(PERIODIC), 2, 90)
+    other = simulate_clearance(optlink.read(PERIODIC), 2, 90, tolerance=one.tolerance)
     assert other.prediction is not None
     assert one.prediction is None
     assert np.array_equal(one["slider.s_m"], other["slider.s_m"])

@@ -23,7 +23,7 @@ LISTED = 10_000
 """Revolutions whose summary stays in memory, and contacts."""
 
 APART = 0.1
-"""Share of the smallest clearance by which the outputs of the twins must differ to have parted."""
+"""Share of the smallest clearance (for an angle: per size of the machine) by which outputs of twins differ that have parted."""
 
 WATCHED = 25
 """Revolutions for which the twin runs."""
@@ -219,7 +219,8 @@ class Twin:
 
     def __init__(self, plant: Plant) -> None:
         self.plant, self.output = plant, plant.output
-        self.apart = APART * min(gap.clearance for gap in plant.equations.gaps)
+        least = min(gap.clearance for gap in plant.equations.gaps)
+        self.apart = APART * (least if self.output.guide else least / float(np.max(plant.equations.machine.size)))
         self.parted: float | None = None
         self.watched, self.largest, self.lost = 0, 0.0, False
 

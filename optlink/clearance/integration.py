@@ -122,7 +122,7 @@ class Integration:
     equations: Equations
     state: Array
     step: float
-    tolerance: float = 1e-9
+    tolerance: float = 1e-10
     row: int = 0
     ahead: float = 0.0  # since that row [s]
     modes: Array = field(default_factory=lambda: np.zeros(0))

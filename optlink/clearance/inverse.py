@@ -29,6 +29,7 @@ from optlink.symbolic import Compiled, tracing
 Array = NDArray[np.float64]
 POINTS = 720
 ROUNDS = 60
+HIGHEST = 60  # harmonics of a correction, at most
 
 
 def predicted(machine: Machine, gaps: Sequence[Gap], angles: Array, speed: float) -> Array:
@@ -115,7 +116,7 @@ class Inverse:
 
         A correction that is too lively shakes the machine so that the journals lie elsewhere than predicted.
         """
-        order = min(POINTS // 4, max(1, int(bandwidth / abs(self.speed) + 1e-9)))
+        order = min(HIGHEST, max(1, int(bandwidth / abs(self.speed) + 1e-9)))
         s = 1j * np.arange(order + 1) * abs(self.speed)
         follows = 2.0 * servo.damping * servo.bandwidth * s + servo.bandwidth**2
         return Command(self.start, self.speed, self.solve(regularisation, order) * (s * s + follows) / follows)

@@ -201,6 +201,9 @@ class Plant:
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a state that was saved."""
         course = self.integration
+        for name, own in (("state", course.state), ("modes", course.modes), ("entered", course.entered), ("works", course.works)):
+            if np.shape(saved[name]) != own.shape:
+                raise ValueError(name)
         course.row, course.ahead, course.switches = saved["row"], 0.0, saved["switches"]
         course.state, course.modes, course.entered, course.works = (
             np.array(saved[name], dtype=float) for name in ("state", "modes", "entered", "works")

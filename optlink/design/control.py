@@ -43,8 +43,11 @@ def _read_either(raw: object) -> Quantity:
     """A length or an angle."""
     try:
         return read_fixed(raw, "length")
-    except Unusable:
-        return read_fixed(raw, "angle")
+    except Unusable as error:
+        try:
+            return read_fixed(raw, "angle")
+        except Unusable:
+            raise error from None
 
 
 class ControlSection(Section):
@@ -89,8 +92,8 @@ class ControlSection(Section):
             if not given.value > 0.0:
                 message = "without it the inverse has no solution at a dead centre"
                 raise Unusable(message, f"Give for example {example}", "regularisation", str(given))
-        if not self.sample_time.value > 0.0:
-            message = "a controller samples at intervals"
+        if not self.sample_time.value >= 1e-6:
+            message = "a controller samples at intervals, of a microsecond at least"
             raise Unusable(message, 'Give for example "0.25 ms"', "sample_time", str(self.sample_time))
         if self.bandwidth is not None and not self.bandwidth.value > 0.0:
             raise Unusable("a bandwidth is positive", 'Give for example "200 Hz"', "bandwidth", str(self.bandwidth))

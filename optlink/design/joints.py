@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field
 from optlink.clearance.contact import NORMAL, compliance, stiffness
 from optlink.clearance.gap import Gap
 from optlink.design.quantity import (
+    SHORTEST,
     ContactStiffness,
     Damping,
     FixedLength,
@@ -36,6 +37,8 @@ def _read_clearance(raw: object) -> Quantity:
     if value <= 0.0:
         message = "a clearance is positive: the radius of the bearing minus that of the journal"
         raise Unusable(message, 'Give one such as "0.5 mm", or take the key out for an ideal joint', "", raw)
+    if value < SHORTEST:
+        raise Unusable("no joint has such a clearance", "Give 1e-9 m or more, and check its unit", "", raw)
     return Quantity(value, "length", unit)
 
 

@@ -44,7 +44,10 @@ def whole(path: Path) -> Iterator[Path]:
     """
     path = path.resolve() if path.is_symlink() else path
     if path.exists() and not path.is_file():
-        yield path
+        try:
+            yield path
+        except OSError as error:
+            raise InputError(Fault(f"cannot write there: {error.strerror}", "Choose another place", str(path))) from None
         return
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     os.close(handle)
