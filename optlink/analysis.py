@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import Unusable
-from optlink.documents import finite
+from optlink.documents import finite, head
 from optlink.dynamics.flywheel import Flywheel, flywheel
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
@@ -23,7 +23,6 @@ from optlink.errors import Fault, InputError
 from optlink.linkage.cycle import TURN, Ranges, Travel, failure, reachable, travels
 from optlink.linkage.elementwise import Value
 from optlink.linkage.refine import extremes, zeros
-from optlink.version import VERSION
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/analysis/1"
@@ -101,13 +100,7 @@ class Analysis:
         mechanism = self.machine.mechanism
         deg = math.degrees
         document = {
-            "schema": SCHEMA,
-            "optlink": VERSION,
-            "problem": self.problem.name,
-            "title": self.problem.model.title,
-            "problem_hash": self.problem.hash,
-            "seed": None,
-            "status": "analysed" if self.sound else "no finite reactions at some positions",
+            **head(SCHEMA, self.problem, "analysed" if self.sound else "no finite reactions at some positions"),
             "sound": self.sound,
             "notes": list(self.notes),
             "groups": [{"kind": g.kind, "joint": g.joint, "bodies": [link.body for link in g.links]} for g in mechanism.groups],

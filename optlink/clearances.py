@@ -27,11 +27,10 @@ from optlink.clearance.output import Output, outputs, usual
 from optlink.clearance.plant import Plant
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import Unusable, nearest
-from optlink.documents import finite
+from optlink.documents import finite, head
 from optlink.dynamics.drive import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
-from optlink.version import VERSION
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/clearance/1"
@@ -95,13 +94,7 @@ class LooseSimulation:
         predicted = self.prediction
         return finite(  # type: ignore[no-any-return]
             {
-                "schema": SCHEMA,
-                "optlink": VERSION,
-                "problem": self.problem.name,
-                "title": self.problem.model.title,
-                "problem_hash": self.problem.hash,
-                "seed": None,
-                "status": self.ending.value,
+                **head(SCHEMA, self.problem, self.ending.value),
                 "message": self.message,
                 "finished": self.finished,
                 "control": str(self.control),

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from optlink.clearance.control import Control
 from optlink.clearances import LooseSimulation, simulate_clearance
 from optlink.design.files import ProblemFile
-from optlink.documents import finite
+from optlink.documents import finite, head
 from optlink.errors import Fault, InputError
-from optlink.version import VERSION
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/compensation/1"
@@ -74,13 +73,7 @@ class Comparison:
         """The comparison as a JSON document (SI)."""
         return finite(  # type: ignore[no-any-return]
             {
-                "schema": SCHEMA,
-                "optlink": VERSION,
-                "problem": self.problem.name,
-                "title": self.problem.model.title,
-                "problem_hash": self.problem.hash,
-                "seed": self.seed,
-                "status": "finished" if self.finished else "stalled",
+                **head(SCHEMA, self.problem, "finished" if self.finished else "stalled", self.seed),
                 "revolutions": self.revolutions,
                 "unit": self.unit,
                 "starts_rad": self.starts,

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from optlink.analysis import machine_of, motion_range, with_flywheel
 from optlink.design.files import ProblemFile
-from optlink.documents import finite
+from optlink.documents import finite, head
 from optlink.dynamics.drive import Ending, Run, reduced_inertia, run
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.record import Record
 from optlink.errors import Fault, InputError
-from optlink.version import VERSION
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/simulation/1"
@@ -77,13 +76,7 @@ class Simulation:
         """The simulation as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
         return finite(  # type: ignore[no-any-return]
             {
-                "schema": SCHEMA,
-                "optlink": VERSION,
-                "problem": self.problem.name,
-                "title": self.problem.model.title,
-                "problem_hash": self.problem.hash,
-                "seed": None,
-                "status": self.run.ending.value,
+                **head(SCHEMA, self.problem, self.run.ending.value),
                 "message": self.run.ending.text,
                 "finished": self.finished,
                 "driven": self.driven,

@@ -26,7 +26,8 @@ from optlink.clearance import record as record_module
 from optlink.clearance.account import KEPT
 from optlink.clearance.contact import SLOWEST
 from optlink.clearance.gap import Motion
-from optlink.clearance.integration import Impact, Integration, crossing, summit
+from optlink.clearance.integration import Impact, Integration
+from optlink.clearance.path import crossing, summit
 from optlink.clearances import LooseSimulation, simulate_clearance
 from optlink.dynamics.drive import Ending
 from optlink.dynamics.loads import Acting

@@ -14,13 +14,14 @@ import io
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.clearance.contact import EXPONENT, SLOWEST
 from optlink.clearance.equations import Equations
+from optlink.clearance.path import crossing, highest, summit
 
 Array = NDArray[np.float64]
 CHUNKS = (1, 10, 64, 256)
@@ -419,44 +420,3 @@ class Integration:
                 raise Stalled(
                     f"the journal at {gap.point} is {delta:.3g} m deep in its bearing: no contact force holds the mechanism"
                 )
-
-
-def _quintic(begin: Sequence[float], end: Sequence[float], span: float) -> Array:
-    """The polynomial of fifth degree over a row (0 ... 1) with these values, slopes and second derivatives at its ends."""
-    (y0, s0, c0), (y1, s1, c1) = begin, end
-    a, b = s0 * span, s1 * span
-    c, d = 0.5 * c0 * span * span, 0.5 * c1 * span * span
-    p, q, r = y1 - y0 - a - c, b - a - 2.0 * c, d - c
-    return np.array([6.0 * p - 3.0 * q + r, -15.0 * p + 7.0 * q - 2.0 * r, 10.0 * p - 4.0 * q + r, c, a, y0])
-
-
-def _real_roots(polynomial: Any) -> Array:
-    roots = np.roots(polynomial)
-    return np.sort(roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0) & (roots.real < 1.0)])
-
-
-def crossing(begin: Sequence[float], end: Sequence[float], span: float) -> float:
-    """Estimate, as a share of the row, of where a path that ends above zero rises through it for the first time.
-
-    Parameters
-    ----------
-    begin, end : three floats
-        Value, slope and second derivative at both ends.
-    """
-    path = _quintic(begin, end, span)
-    slope = np.polyder(path)
-    rising = [u for u in _real_roots(path) if np.polyval(slope, u) > 0.0]
-    return float(rising[0]) if rising else 0.5
-
-
-def summit(begin: Sequence[float], end: Sequence[float], span: float) -> float:
-    """Estimate, as a share of the row, of where a path is highest that rises at its beginning and falls at its end."""
-    path = _quintic(begin, end, span)
-    tops = _real_roots(np.polyder(path))
-    return float(tops[np.argmax(np.polyval(path, tops))]) if tops.size else begin[1] / (begin[1] - end[1])
-
-
-def highest(begin: Sequence[float], end: Sequence[float], span: float) -> tuple[float, float]:
-    """Estimates of the largest value of a path within a row, and where (as a share); it rises first and falls at last."""
-    at = summit(begin, end, span)
-    return float(np.polyval(_quintic(begin, end, span), at)), at

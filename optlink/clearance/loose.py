@@ -12,10 +12,10 @@ import numpy as np
 
 from optlink.clearance.cut import Cut
 from optlink.clearance.gap import Gap, Motion
-from optlink.dynamics.inertia import State, Wrench, kinetic, potential, wrench
+from optlink.dynamics.inertia import State, Wrench, moved, wrench
 from optlink.dynamics.loads import Acting
 from optlink.dynamics.machine import Machine, parts
-from optlink.linkage.elementwise import Value, Vector, cross, minus, turn
+from optlink.linkage.elementwise import Value, Vector, minus, turn
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME
 
@@ -50,12 +50,8 @@ class Loose:
     def state(self, body: str) -> State:
         """How a body moves."""
         if body not in self._states:
-            start, axis = self.places[body]
-            (x, y), (c, s) = ((parts(a), parts(b)) for a, b in (start, axis))
-            way = (c[0], s[0])
-            self._states[body] = State(
-                (x[0], y[0]), (x[1], y[1]), (x[2], y[2]), way, cross(way, (c[1], s[1])), cross(way, (c[2], s[2]))
-            )
+            (x, y), (c, d) = self.places[body]
+            self._states[body] = moved((parts(x), parts(y)), (parts(c), parts(d)))
         return self._states[body]
 
     def _lever(self, point: str, body: str) -> Vector:
@@ -120,10 +116,9 @@ class Loose:
     @cached_property
     def kinetic(self) -> Value:
         """Kinetic energy [J]."""
-        return sum(kinetic(inertia.parameters, self.state(body)) for body, inertia in self.machine.inertias.items())
+        return self.machine.kinetic(self.state)
 
     @cached_property
     def potential(self) -> Value:
         """Potential energy of gravity [J]; springs count among the works of loads."""
-        gravity = self.machine.gravity
-        return sum(potential(i.parameters, self.state(body), gravity) for body, i in self.machine.inertias.items())
+        return self.machine.weight(self.state)

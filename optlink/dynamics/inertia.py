@@ -11,6 +11,9 @@ from typing import NamedTuple
 
 from optlink.linkage.elementwise import Value, Vector, cross, dot, turn
 
+Triple = tuple[Value, Value, Value]
+"""A quantity with its first and second time derivative."""
+
 
 class Wrench(NamedTuple):
     """A force [N] and the moment [N m] about the start of the body that it acts on."""
@@ -72,6 +75,13 @@ class State(NamedTuple):
             self.acceleration[1] + self.alpha * x - square * y,
         )
         return velocity, acceleration
+
+
+def moved(start: tuple[Triple, Triple], axis: tuple[Triple, Triple]) -> State:
+    """State of a body from its start [m] and x axis, x and y of each with their first and second time derivatives."""
+    (x, y), (c, s) = start, axis
+    way = (c[0], s[0])
+    return State((x[0], y[0]), (x[1], y[1]), (x[2], y[2]), way, cross(way, (c[1], s[1])), cross(way, (c[2], s[2])))
 
 
 def wrench(parameters: Parameters, state: State, gravity: Vector) -> Wrench:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.dynamics.inertia import Inertia, State, kinetic, potential
-from optlink.linkage.elementwise import Value, Vector, cross, magnitude, sign
+from optlink.dynamics.inertia import Inertia, State, kinetic, moved, potential
+from optlink.linkage.elementwise import Value, Vector, magnitude, sign
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
@@ -67,6 +67,14 @@ class Machine:
     def with_(self, **changes: object) -> Machine:
         """The same machine with other fields."""
         return replace(self, **changes)  # type: ignore[arg-type]
+
+    def kinetic(self, state: Callable[[str], State]) -> Value:
+        """Kinetic energy [J] where `state` tells how each body moves."""
+        return sum(kinetic(inertia.parameters, state(body)) for body, inertia in self.inertias.items())
+
+    def weight(self, state: Callable[[str], State]) -> Value:
+        """Potential energy of gravity [J]."""
+        return sum(potential(inertia.parameters, state(body), self.gravity) for body, inertia in self.inertias.items())
 
     @cached_property
     def size(self) -> Value:
@@ -148,12 +156,8 @@ class Moving:
                 nothing = (0.0, 0.0)
                 self._states[body] = State(nothing, nothing, nothing, (1.0, 0.0), 0.0, 0.0)
             else:
-                x, y = (parts(v) for v in self.pose.points[self.machine.mechanism.bodies[body].start])
-                c, s = (parts(v) for v in self.pose.direction(body))
-                axis = (c[0], s[0])
-                self._states[body] = State(
-                    (x[0], y[0]), (x[1], y[1]), (x[2], y[2]), axis, cross(axis, (c[1], s[1])), cross(axis, (c[2], s[2]))
-                )
+                (x, y), (c, d) = self.pose.points[self.machine.mechanism.bodies[body].start], self.pose.direction(body)
+                self._states[body] = moved((parts(x), parts(y)), (parts(c), parts(d)))
         return self._states[body]
 
     def sense(self, of: Callable[[Moving], tuple[Value, Value]], size: Value = 1.0) -> Value:
@@ -191,11 +195,9 @@ class Moving:
     @cached_property
     def kinetic(self) -> Value:
         """Kinetic energy [J]."""
-        return sum(kinetic(inertia.parameters, self.state(body)) for body, inertia in self.machine.inertias.items())
+        return self.machine.kinetic(self.state)
 
     @cached_property
     def potential(self) -> Value:
         """Potential energy of gravity and springs [J]."""
-        gravity = self.machine.gravity
-        weight = sum(potential(i.parameters, self.state(body), gravity) for body, i in self.machine.inertias.items())
-        return weight + sum(load.potential(self) for load in self.machine.loads)
+        return self.machine.weight(self.state) + sum(load.potential(self) for load in self.machine.loads)
