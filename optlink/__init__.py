@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from optlink.compensation import Comparison, Tuning, compare, tune
     from optlink.design.files import ProblemFile, load, read, shipped
     from optlink.errors import InputError, OptlinkError, SolverError, Status
+    from optlink.generation import Design, Generation, generate
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.linkage.motion import sweep
     from optlink.simulation import Simulation, simulate
@@ -37,6 +38,9 @@ _HOME = {
     "Tuning": "optlink.compensation",
     "compare": "optlink.compensation",
     "tune": "optlink.compensation",
+    "Design": "optlink.generation",
+    "Generation": "optlink.generation",
+    "generate": "optlink.generation",
     "InputError": "optlink.errors",
     "OptlinkError": "optlink.errors",
     "SolverError": "optlink.errors",
@@ -57,6 +61,8 @@ _HOME = {
 __all__ = [
     "Analysis",
     "Comparison",
+    "Design",
+    "Generation",
     "InputError",
     "LooseSimulation",
     "OptlinkError",
@@ -71,6 +77,7 @@ __all__ = [
     "analyze_batch",
     "compare",
     "four_bar",
+    "generate",
     "grashof",
     "load",
     "read",

@@ -188,12 +188,17 @@ def solve(
     problem: Problem,
     backend: Annotated[Backend, typer.Option(help="Both: each searches for itself, and they must agree.")] = Backend.ipopt,
     starts: Annotated[
-        int,
+        int | None,
         typer.Option(
-            parser=_whole_number, metavar="N", help="Number of starts: the given one, and Sobol points over the bounds."
+            parser=_whole_number,
+            metavar="N",
+            help="Number of starts. Of a law: the given one (the default) and Sobol points; of points: as many as it takes.",
         ),
-    ] = 1,
-    seed: Annotated[int, typer.Option(parser=_whole_number, metavar="S", help="Seed of the Sobol points.")] = 0,
+    ] = None,
+    seed: Annotated[int, typer.Option(parser=_whole_number, metavar="S", help="Seed of the starts.")] = 0,
+    designs: Annotated[
+        int | None, typer.Option(parser=_whole_number, metavar="N", help="Of points or poses: distinct designs; 3 if not said.")
+    ] = None,
     changes: Set = None,
     design: Design = None,
     as_json: Json = False,
@@ -207,14 +212,38 @@ def solve(
         file = _load(problem, changes)
         if out is not None:
             _folder(out)
+        if file.generated:
+            _generate(file, str(backend), starts, seed, 3 if designs is None else designs, as_json, out)
+            return
+        if designs is not None:
+            from optlink.errors import Fault
+
+            remedy = "Leave it out; --starts N lists the distinct optima of a law"
+            raise InputError(Fault("only points and poses have several designs", remedy, file.file, "--designs", designs))
         from optlink.workflow import solve as search
 
+        starts = 1 if starts is None else starts
         searches = starts * (2 if backend is Backend.both else 1)
         with _progress(searches) as progress:
             result = search(file, str(backend), starts, seed, progress, track=out is not None)
         if result.starts < starts:
             print(f"Interrupted: the result is that of the first {result.starts} of {starts} starts.", file=sys.stderr)
         _finish(result, as_json, out)
+
+
+def _generate(
+    file: ProblemFile, backend: str, starts: int | None, seed: int, designs: int, as_json: bool, out: Path | None
+) -> None:
+    """Find linkages for points or poses."""
+    from optlink.generation import generate
+
+    with _share("searching") as progress:
+        result = generate(file, backend, starts, seed, designs, progress)
+    if result.interrupted:
+        print(f"Interrupted: the result is that of the first {result.starts} starts.", file=sys.stderr)
+    _told(result, "designs.generation", "paths", None, as_json, out)
+    if not result.valid:
+        raise typer.Exit(1)
 
 
 @app.command()

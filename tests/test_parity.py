@@ -185,7 +185,7 @@ LIMITS = {  # name -> (problem, has abs, has maximum or minimum)
 def limit_rows(rule: DesignProblem) -> Callable[..., list[object]]:
     def function(*values):
         named = start_values(rule, values)
-        return [row.value for row in constraints.rows(rule, named, rule.start_position(named), 0.5)]
+        return [row.value for row in constraints.rows(rule, named, rule.reach(named), 0.5)]
 
     return function
 
@@ -523,7 +523,7 @@ def check_rows_over_a_span(rule: DesignProblem) -> None:
     design = rule.design({})
     phi = design["phi0"] + rule.span * np.linspace(0.0, 1.0, 2001)
     cosine = fourbar.transmission_cosine(*(design[name] for name in fourbar.LENGTHS), np.cos(phi))
-    found = [float(r.value) for r in constraints.rows(rule, design, rule.start_position(design), 0.5) if r.scale.cosine]
+    found = [float(r.value) for r in constraints.rows(rule, design, rule.reach(design), 0.5) if r.scale.cosine]
     np.testing.assert_allclose([min(found), max(found)], [np.min(cosine), np.max(cosine)], atol=1e-6)
 
 
@@ -539,7 +539,7 @@ def test_rows_of_a_dead_centre_are_met_exactly_where_it_exists(start, coupler_lo
         limit = fourbar.dead_centre(crank, coupler, rocker, frame, 1, start == "outer dead centre")
         if abs(limit.margin) < 1e-6:
             continue
-        rows = constraints.rows(rule, values, rule.start_position(values), 0.5)
+        rows = constraints.rows(rule, values, rule.reach(values), 0.5)
         met = [row.value >= row.low for row in rows if row.limit == "requirement.from"]
         verdicts.append(limit.margin > 0.0)
         assert all(met) == verdicts[-1], values
@@ -549,7 +549,7 @@ def test_rows_of_a_dead_centre_are_met_exactly_where_it_exists(start, coupler_lo
 def rows_of(name: str) -> list[constraints.Row]:
     rule = LIMITS[name][0]
     design = rule.design({})
-    return constraints.rows(rule, design, rule.start_position(design), 0.5)
+    return constraints.rows(rule, design, rule.reach(design), 0.5)
 
 
 @pytest.mark.parametrize(
@@ -591,7 +591,7 @@ def test_bounds_of_the_rows_are_the_limits_of_the_file():
     wide = {"transmission_angle": ["40 deg", "130 deg"], "time_ratio": {"max": 1.5}, **ALL}
     rule = problem(None, None, wide)
     design = rule.design({})
-    found = {row.label: row for row in constraints.rows(rule, design, rule.start_position(design), 0.5)}
+    found = {row.label: row for row in constraints.rows(rule, design, rule.reach(design), 0.5)}
 
     def people(words: str) -> tuple[float, float]:
         (row,) = (row for label, row in found.items() if words in label)
@@ -729,7 +729,7 @@ class Programme:
         start: StartPosition = self.rule.start_position(values)
         table = self.rule.law
         errors = objectives.output_error(self.rule, values, start, table.offsets, table.tabulated)
-        rows = [row.value for row in constraints.rows(self.rule, values, start, size)]
+        rows = [row.value for row in constraints.rows(self.rule, values, self.rule.reach(values), size)]
         if self.rule.requirement.measure == "max":
             f, largest = x[-1], x[-1]
             rows += [value for error in errors for value in (largest - error, largest + error)]

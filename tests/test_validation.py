@@ -518,7 +518,7 @@ def test_rows_of_the_programme_and_the_validator_draw_the_same_line(name):
     verdicts = []
     for coupler, rocker in rng.uniform(0.1, 0.9, (80, 2)):
         design = rule.design({"coupler": coupler, "rocker": rocker})
-        rows = constraints.rows(rule, design, rule.start_position(design), 0.5)
+        rows = constraints.rows(rule, design, rule.reach(design), 0.5)
         spare = float(np.min([[float(row.value) - row.low, row.high - float(row.value)] for row in rows]))
         if abs(spare) < 1e-3:  # on the line itself tolerances decide
             continue

@@ -11,9 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.design.problem import DEAD_CENTRES, DesignProblem, StartPosition
+from optlink.design.generation import GenerationProblem
+from optlink.design.limits import Reach
+from optlink.design.linkages import FourBarSection
+from optlink.design.problem import DEAD_CENTRES, DesignProblem
 from optlink.design.quantity import Interval
-from optlink.linkage.elementwise import Value
+from optlink.linkage.elementwise import Value, dot, minus
 from optlink.linkage.fourbar import (
     LENGTHS,
     crank_rocker_conditions,
@@ -25,6 +28,8 @@ from optlink.linkage.fourbar import (
     transmission_cosine,
     turning_points,
 )
+from optlink.linkage.groups import RRR
+from optlink.linkage.mechanism import Pose
 
 
 @dataclass(frozen=True)
@@ -34,16 +39,17 @@ class Scale:
     unit: str
     factor: float = 1.0
     cosine: bool = False
+    offset: float = 0.0
 
     def people(self, value: float) -> float:
         """The figure in `unit`; NaN for a cosine that no angle has."""
         if not self.cosine:
-            return value * self.factor
+            return value * self.factor + self.offset
         return math.degrees(math.acos(value)) if abs(value) <= 1.0 else math.nan
 
     def own(self, people: float) -> float:
         """The row's own value of a figure in `unit`."""
-        return math.cos(math.radians(people)) if self.cosine else people / self.factor
+        return math.cos(math.radians(people)) if self.cosine else (people - self.offset) / self.factor
 
     def slope(self, value: float) -> float:
         """d people / d value."""
@@ -56,6 +62,9 @@ CLEARANCE = 1e-4
 DEGREES = Scale("deg", math.degrees(1.0))
 COSINE = Scale("deg", cosine=True)
 PLAIN = Scale("")
+
+
+AnyProblem = DesignProblem | GenerationProblem
 
 
 @dataclass(frozen=True)
@@ -73,17 +82,17 @@ class Row:
     scale: Scale
 
 
-Term = Callable[[DesignProblem, Mapping[str, Value], StartPosition, float], Iterator[Row]]
-"""(problem, values, start position, reference length [m]) -> rows"""
+Term = Callable[[AnyProblem, Mapping[str, Value], Reach, float], Iterator[Row]]
+"""(problem, values, crank angles asked for, reference length [m]) -> rows"""
 
 
-def crank(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:
+def crank(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
     """The crank turns fully (linear conditions), or the mechanism can be assembled over the span."""
     lengths = lengths_of(values)
     millimetres = Scale("mm", 1e3 * size)
     if problem.limits.crank == "span":
         r, a, b, f = lengths
-        cosines = [np.cos(phi) for phi in turning_points(start.phi0, problem.span)]
+        cosines = [np.cos(phi) for phi in turning_points(reach.start, reach.span)]
         for cos_phi in cosines:
             square = diagonal_squared(r, f, cos_phi) / size**2
             yield Row(
@@ -108,16 +117,16 @@ def crank(problem: DesignProblem, values: Mapping[str, Value], start: StartPosit
         for label, slack in conditions(*lengths).items():
             least = CLEARANCE if "+" in label else 0.0
             yield Row("limits.crank", label, slack / size, least, math.inf, millimetres)
-    if problem.limits.crank == "span" and "phi0" not in problem.quantities:
+    if problem.limits.crank == "span" and problem.requirement.start in DEAD_CENTRES and "phi0" not in problem.quantities:
         r, a, b, f = lengths
-        reach = a + r if problem.requirement.start == DEAD_CENTRES[0] else a - r  # its sign does not matter
-        square = reach * reach / size**2
+        line = a + r if problem.requirement.start == DEAD_CENTRES[0] else a - r  # its sign does not matter
+        square = line * line / size**2
         longest, shortest = (b + f) * (b + f) / size**2, (b - f) * (b - f) / size**2
         yield Row("requirement.from", "dead centre: C not too far from A", longest - square, 0.0, math.inf, PLAIN)
         yield Row("requirement.from", "dead centre: C not too near to A", square - shortest, 0.0, math.inf, PLAIN)
 
 
-def transmission(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:
+def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
     """The transmission angle at its exact extremes, as cosines: rational in the lengths, finite even without assembly."""
     limits = problem.limits
     if limits.transmission_angle is not None:
@@ -135,7 +144,7 @@ def transmission(problem: DesignProblem, values: Mapping[str, Value], start: Sta
         yield Row(key, "smallest transmission angle", transmission_cosine(*lengths, 1.0), -math.inf, high, COSINE)
         yield Row(key, "largest transmission angle", transmission_cosine(*lengths, -1.0), low, math.inf, COSINE)
         return
-    for phi in turning_points(start.phi0, problem.span):
+    for phi in turning_points(reach.start, reach.span):
         yield Row(
             key,
             "transmission angle over the span",
@@ -155,7 +164,7 @@ def _within(interval: Interval | None) -> tuple[float, float]:
     )
 
 
-def stroke(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:
+def stroke(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
     """Swing angle of the rocker and time ratio of its two strokes."""
     lengths = lengths_of(values)
     if problem.limits.swing_angle is not None:
@@ -166,7 +175,7 @@ def stroke(problem: DesignProblem, values: Mapping[str, Value], start: StartPosi
         yield Row("limits.time_ratio", "time ratio", value, *_within(problem.limits.time_ratio), PLAIN)
 
 
-def proportions(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> Iterator[Row]:
+def proportions(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
     """Frame length, and every moving link over the frame."""
     if problem.limits.frame_length is not None:
         low, high = _within(problem.limits.frame_length)
@@ -184,9 +193,45 @@ def proportions(problem: DesignProblem, values: Mapping[str, Value], start: Star
             yield Row("limits.link_ratio", "moving link / frame", values[name] / values["frame"], low, high, PLAIN)
 
 
-TERMS: tuple[Term, ...] = (crank, transmission, stroke, proportions)
+def pivots(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
+    """Every point of the frame within a rectangle."""
+    region = problem.limits.pivots if isinstance(problem, GenerationProblem) else None
+    if region is None:
+        return
+    pose = Pose(problem.linkage, values)
+    for name, place in problem.linkage.ground.items():
+        for axis, coordinate in zip("xy", pose.fixed(place), strict=True):
+            interval = getattr(region, axis)
+            if interval is not None:
+                low, high = _within(interval)
+                yield Row("limits.pivots", f"{name}.{axis}", coordinate / size, low / size, high / size, Scale("mm", 1e3 * size))
 
 
-def rows(problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, size: float) -> list[Row]:
-    """Every row that the problem's limits ask for."""
-    return [row for term in TERMS for row in term(problem, values, start, size)]
+FOUR_BAR: tuple[Term, ...] = (crank, transmission, stroke, proportions)
+GENERAL: tuple[Term, ...] = (pivots,)
+
+
+def rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> list[Row]:
+    """Every row that the problem's limits ask for, but those of single crank angles (`position_rows`)."""
+    terms = (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL
+    return [row for term in terms for row in term(problem, values, reach, size)]
+
+
+LEAST_MARGIN = 1e-4
+"""Assembly margin that every group keeps: at zero its assembly modes meet."""
+
+
+def position_rows(problem: GenerationProblem, pose: Pose) -> list[Row]:
+    """Limits at one crank angle of any mechanism: every group closes, with the transmission angle asked for."""
+    found = []
+    interval = problem.limits.transmission_angle
+    for group in problem.linkage.groups:
+        found.append(Row("limits.crank", f"{group.joint} closes", pose.margins[group.joint], LEAST_MARGIN, math.inf, PLAIN))
+        if interval is not None and isinstance(group, RRR):
+            low = -1.0 if interval.high is None else math.cos(interval.high)
+            high = 1.0 if interval.low is None else math.cos(interval.low)
+            joint = pose.point(group.joint)
+            one, other = (minus(pose.point(pin), joint) for pin in group.pins)
+            cosine = dot(one, other) / np.sqrt(dot(one, one) * dot(other, other))
+            found.append(Row("limits.transmission_angle", f"transmission angle at {group.joint}", cosine, low, high, COSINE))
+    return found

@@ -13,12 +13,14 @@ from typing import Any
 
 import pydantic
 
+from optlink.design.generation import GenerationProblem, cross_check_generation
 from optlink.design.machines import Problem, cross_check
 from optlink.design.problem import DesignProblem, cross_check_design
 from optlink.design.quantity import Unusable, nearest
 from optlink.errors import Fault, InputError, shown
 
 MAX_BYTES = 1_000_000
+GENERATED = ("path", "motion")
 
 
 @dataclass(frozen=True)
@@ -52,15 +54,23 @@ class ProblemFile:
         )
 
     @property
+    def generated(self) -> bool:
+        """Whether points or poses are wanted: a problem for `optlink.generation`."""
+        return isinstance(self.model, GenerationProblem)
+
+    @property
     def kind(self) -> str:
         """The type of the linkage, and what is asked of it."""
-        asked = f"{self.model.requirement.kind} design" if isinstance(self.model, DesignProblem) else "analysis"
+        asked = (
+            f"{self.model.requirement.kind} design" if isinstance(self.model, DesignProblem | GenerationProblem) else "analysis"
+        )
         return f"{self.model.mechanism.type}, {asked}"
 
     @property
     def hash(self) -> str:
         """Sixteen hexadecimal digits that change with anything that can change the answer."""
-        law = getattr(getattr(self.model, "requirement", None), "law", None)
+        task = getattr(self.model, "requirement", None)
+        law = getattr(task, "law", getattr(task, "points", None))
         read = [repr(part) for part in (self.model.loads, self.model.drive)] if self._tabled else []  # from files beside this
         stated = {key: value for key, value in self.raw.items() if key not in _WORDS}
         text = json.dumps([stated, repr(law), *read], sort_keys=True, default=str)
@@ -142,10 +152,19 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     """
     where = folder or Path()
     raw = _typed(raw)
-    if "requirement" in raw and isinstance(raw.get("mechanism"), dict) and raw["mechanism"].get("type") == "dyads":
+    task = raw.get("requirement")
+    generation = isinstance(task, dict) and task.get("kind") in GENERATED
+    if (
+        "requirement" in raw
+        and not generation
+        and isinstance(raw.get("mechanism"), dict)
+        and raw["mechanism"].get("type") == "dyads"
+    ):
         remedy = 'Use type = "four-bar", or leave the section out and `optlink analyze` it'
         raise InputError(Fault("a motion law is designed for a four-bar only", remedy, file, "requirement"))
-    model = DesignProblem if "requirement" in raw or "limits" in raw else Problem
+    model: type[Problem] = DesignProblem if "requirement" in raw or "limits" in raw else Problem
+    if generation:
+        model = GenerationProblem
     try:
         problem = model.model_validate(raw, context={"folder": where})
     except pydantic.ValidationError as error:
@@ -153,6 +172,8 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     try:
         if isinstance(problem, DesignProblem):
             cross_check_design(problem)
+        if isinstance(problem, GenerationProblem):
+            cross_check_generation(problem)
         cross_check(problem)
     except Unusable as error:
         raise InputError(Fault(error.message, error.remedy, file, error.key, error.value)) from None
@@ -246,7 +267,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
 
 def _known(path: tuple[str | int, ...]) -> list[str]:
     """Keys that the model knows at a path of sections."""
-    models: list[Any] = [DesignProblem, Problem]
+    models: list[Any] = [DesignProblem, GenerationProblem, Problem]
     for step in path:
         fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
         if fields:  # else the step is the name of a body, a point ...: what it names has the fields of the models
@@ -262,6 +283,7 @@ def _fixed(path: tuple[str, ...]) -> bool:
         ("mechanism", "ground"),
         ("mechanism", "links"),
         ("mechanism", "guides"),
+        ("mechanism", "points"),
         ("bodies",),
         ("joints",),
         ("loads",),

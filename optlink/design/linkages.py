@@ -12,34 +12,7 @@ from optlink.design.quantity import Angle, Coordinate, Length, Number, Quantity,
 from optlink.design.section import RESERVED, Name, Section
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
-from optlink.linkage.structure import StructureError, assemble
-
-
-class FourBarSection(Section):
-    """A four-bar: its sizes, each fixed or free. Pivots A and D on the frame, joints B and C."""
-
-    type: Literal["four-bar"] = "four-bar"
-    crank: Length
-    coupler: Length
-    rocker: Length
-    frame: Length
-    assembly: Literal["left", "right"] = "left"
-
-    @property
-    def quantities(self) -> dict[str, Quantity]:
-        """The four lengths."""
-        return {name: getattr(self, name) for name in LENGTHS}
-
-    def linkage(self, name: str, driver: str | None) -> Mechanism:
-        """The mechanism as data."""
-        if driver not in (None, "crank"):
-            raise Unusable("a four-bar is driven at its crank", 'Leave body out, or write body = "crank"', "drive.body", driver)
-        return four_bar(1 if self.assembly == "left" else -1)
-
-    @property
-    def friction(self) -> dict[str, float]:
-        """It has no guides."""
-        return {}
+from optlink.linkage.structure import EITHER, StructureError, assemble, modes_of
 
 
 def _read_place(raw: object) -> tuple[Quantity, Quantity]:
@@ -52,6 +25,68 @@ def _read_place(raw: object) -> tuple[Quantity, Quantity]:
         except Unusable as error:
             raise Unusable(error.message, error.remedy, axis, coordinate) from None
     return found[0], found[1]
+
+
+Place = Annotated[Any, BeforeValidator(_read_place)]
+
+
+class FourBarSection(Section):
+    """A four-bar: its sizes, each fixed or free. Pivots A and D on the frame, joints B and C, further points on the coupler.
+
+    Where `pivot` (of the crank, A) and `direction` (of the frame A -> D) are not given, A lies in the origin and D on the x axis.
+    """
+
+    type: Literal["four-bar"] = "four-bar"
+    crank: Length
+    coupler: Length
+    rocker: Length
+    frame: Length
+    points: dict[Name, Place] = Field(default_factory=dict)
+    pivot: Place | None = None
+    direction: Angle | None = None
+    assembly: Literal["left", "right", "either"] = "left"
+
+    @property
+    def side(self) -> int:
+        """Assembly mode: +1 left, -1 right of B -> D."""
+        return -1 if self.assembly == "right" else 1
+
+    @property
+    def placed(self) -> bool:
+        """Whether the file says where the frame lies."""
+        return self.pivot is not None or self.direction is not None
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """The four lengths; P.along and P.across of each point; A.x, A.y and direction where the frame is placed."""
+        found = {name: getattr(self, name) for name in LENGTHS}
+        for point, (along, across) in self.points.items():
+            found[f"{point}.along"], found[f"{point}.across"] = along, across
+        if self.placed:
+            nowhere = Quantity(0.0, "coordinate", "mm")
+            found["A.x"], found["A.y"] = self.pivot or (nowhere, nowhere)
+            found["direction"] = self.direction or Quantity(0.0, "angle", "deg")
+        return found
+
+    def linkage(self, name: str, driver: str | None) -> Mechanism:
+        """The mechanism as data; an assembly mode that is to be chosen counts as left."""
+        if driver not in (None, "crank"):
+            raise Unusable("a four-bar is driven at its crank", 'Leave body out, or write body = "crank"', "drive.body", driver)
+        for point in self.points:
+            if point in RESERVED or point in "ABCD" or point in LENGTHS:
+                raise Unusable(f"{point} is a name of the four-bar itself", "Choose another", "mechanism.points", point)
+        return four_bar(self.side, self.points, placed=self.placed)
+
+    def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
+        """Changes of the file that settle what the search shall choose, one per combination of assembly modes."""
+        if self.assembly != EITHER:
+            return [{}]
+        return [{"mechanism.assembly": "left"}, {"mechanism.assembly": "right"}]
+
+    @property
+    def friction(self) -> dict[str, float]:
+        """It has no guides."""
+        return {}
 
 
 def _read_joints(raw: object) -> tuple[str, ...]:
@@ -67,9 +102,6 @@ def _read_joints(raw: object) -> tuple[str, ...]:
 
 def _read_through(raw: object) -> Any:
     return raw if isinstance(raw, str) else _read_place(raw)
-
-
-Place = Annotated[Any, BeforeValidator(_read_place)]
 
 
 class LinkSection(Section):
@@ -126,8 +158,16 @@ class DyadsSection(Section):
         """Coefficients of friction of the guides that have one."""
         return {name: guide.friction for name, guide in self.guides.items() if guide.friction}
 
+    def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
+        """Changes of the file that settle what the search shall choose, one per combination of assembly modes."""
+        found: list[dict[str, str]] = [{}]
+        for group in mechanism.groups:
+            if self.assembly.get(group.joint) == EITHER:
+                found = [{**known, f"mechanism.assembly.{group.joint}": mode} for known in found for mode in modes_of(group)]
+        return found
+
     def linkage(self, name: str, driver: str | None) -> Mechanism:
-        """The mechanism as data.
+        """The mechanism as data; assembly modes that are to be chosen count as left, or forward.
 
         Raises
         ------

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from optlink.design.constraints import DEGREES, Row, Scale
 from optlink.design.constraints import rows as limit_rows
+from optlink.design.limits import Reach
 from optlink.design.objectives import MEASURES, Measure, output_error
 from optlink.design.problem import EPIGRAPH, DesignProblem, StartPosition
 from optlink.linkage.fourbar import LENGTHS
@@ -26,11 +27,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Variable:
-    """A component of the design vector: x = value / size."""
+    """A component of the design vector: x = (value - origin) / size."""
 
     name: str
     size: float
     scale: Scale
+    origin: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,8 @@ class NLP:
     f_expression: Any
     g_expression: Any
     residual_expression: Any
+    exact: float = 1e-9  # a residual below this everywhere leaves nothing to improve
+    helpers: frozenset[str] = frozenset({EPIGRAPH})  # variables and rows that state the objective rather than a limit
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # what a back end compiles for this programme
 
     @cached_property
@@ -131,18 +135,18 @@ class NLP:
     def design(self, x: Array) -> dict[str, float]:
         """Free quantities of the problem [SI] at x."""
         names = ((v, value) for v, value in zip(self.variables, x, strict=True) if v.name != EPIGRAPH)
-        return {variable.name: float(value) * variable.size for variable, value in names}
+        return {variable.name: variable.origin + float(value) * variable.size for variable, value in names}
 
     def x_of(self, values: dict[str, float]) -> Array:
         """x of the given free quantities [SI], within the bounds; the epigraph variable is set to its least value."""
-        x = np.array([values.get(v.name, 0.0) / v.size for v in self.variables])
+        x = np.array([(values.get(v.name, 0.0) - v.origin) / v.size for v in self.variables])
         return self.lifted(np.clip(x, self.x_low, self.x_high))
 
     def lifted(self, x: Array) -> Array:
         """The same design with the epigraph variable (if there is one) at the largest residual."""
         if self.variables[-1].name != EPIGRAPH:
             return x
-        largest = float(np.max(np.abs(self.residuals(x))))
+        largest = float(np.max(self.measure.sizes(self.residuals(x)))) / self.variables[-1].size
         return np.append(x[:-1], largest if math.isfinite(largest) else 1.0)
 
 
@@ -183,7 +187,7 @@ def build(problem: DesignProblem) -> NLP:
     with tracing():
         start = problem.start_position(values)
         residuals = _residuals(problem, values, start)
-        rows = limit_rows(problem, values, start, size)
+        rows = limit_rows(problem, values, Reach(start.phi0, problem.span), size)
         if minimax:
             for offset, residual in zip(problem.law.offsets, residuals, strict=True):
                 label = f"error {math.degrees(offset):.4g} deg from the start"

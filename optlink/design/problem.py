@@ -13,14 +13,12 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from optlink.design.expression import Expression
 from optlink.design.law import Law, Table, read_law
+from optlink.design.limits import Limits, Reach, check_ranges
 from optlink.design.linkages import FourBarSection
 from optlink.design.machines import Expected, Problem
 from optlink.design.quantity import (
     Angle,
-    AngleInterval,
     FixedAngle,
-    LengthInterval,
-    NumberInterval,
     Quantity,
     Unusable,
     nearest,
@@ -29,6 +27,7 @@ from optlink.design.quantity import (
 from optlink.design.section import Section
 from optlink.linkage.elementwise import Value, Vector, angle, unit
 from optlink.linkage.fourbar import dead_centre, lengths_of
+from optlink.linkage.structure import EITHER
 
 MAX_POINTS = 10_000
 DEAD_CENTRES = ("outer dead centre", "inner dead centre")
@@ -60,19 +59,6 @@ class Requirement(Section):
     @classmethod
     def _law(cls, raw: object, info: ValidationInfo) -> Expression | Table:
         return read_law(raw, (info.context or {}).get("folder", Path()))
-
-
-class Limits(Section):
-    """What must hold beside the requirement."""
-
-    crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
-    transmission_angle: AngleInterval | None = None
-    transmission_cosine: NumberInterval | None = None
-    transmission_over: Literal["revolution", "span"] | None = None
-    swing_angle: AngleInterval | None = None
-    time_ratio: NumberInterval | None = None
-    frame_length: LengthInterval | None = None
-    link_ratio: NumberInterval | None = None
 
 
 @dataclass(frozen=True)
@@ -107,7 +93,7 @@ class DesignProblem(Problem):
     @property
     def side(self) -> int:
         """Assembly mode: +1 left, -1 right of B -> D."""
-        return 1 if self.mechanism.assembly == "left" else -1
+        return self.mechanism.side
 
     @cached_property
     def span(self) -> float:
@@ -157,6 +143,10 @@ class DesignProblem(Problem):
             crank, phi0, rocker = limit.crank, limit.phi, limit.rocker
         return StartPosition(crank, phi0, values["psi0"] if "psi0" in self.quantities else angle(rocker))
 
+    def reach(self, values: Mapping[str, Value]) -> Reach:
+        """Crank angles that the law asks for, for given quantities."""
+        return Reach(self.start_position(values).phi0, self.span)
+
     def design(self, values: Mapping[str, float]) -> dict[str, float]:
         """Complete free quantities [SI] to a design: every length, phi0 and psi0."""
         full = {name: float(values.get(name, quantity.value)) for name, quantity in self.quantities.items()}
@@ -173,6 +163,10 @@ def cross_check_design(problem: DesignProblem) -> None:
         with the full key that is to blame.
     """
     requirement, limits = problem.requirement, problem.limits
+    if problem.mechanism.placed:
+        raise Unusable("a motion law has no place in the plane", "Leave pivot and direction out", "mechanism.pivot")
+    if problem.mechanism.assembly == EITHER:
+        raise Unusable("a motion law is designed for one assembly mode", 'Write "left" or "right"', "mechanism.assembly", EITHER)
     table = requirement.law if isinstance(requirement.law, Table) else None
     if table is None:
         for key in ("span", "points"):
@@ -213,7 +207,7 @@ def cross_check_design(problem: DesignProblem) -> None:
             "Keep transmission_angle or transmission_cosine",
             "limits.transmission_cosine",
         )
-    _check_ranges(problem)
+    check_ranges(limits)
     if limits.crank != "full rotation":
         for key in ("swing_angle", "time_ratio"):
             if getattr(limits, key) is not None:
@@ -237,27 +231,6 @@ def cross_check_design(problem: DesignProblem) -> None:
             "revolution",
         )
     _check_law(problem)
-
-
-def _check_ranges(problem: DesignProblem) -> None:
-    """A limit that no linkage can reach is a slip of the pen, not a design problem."""
-    limits = problem.limits
-    for key, lowest, highest, example in (
-        ("transmission_angle", 0.0, np.pi, '["45 deg", "135 deg"]'),
-        ("transmission_cosine", -1.0, 1.0, "[-0.7071, 0.7071]"),
-        ("swing_angle", 0.0, np.pi, '["30 deg", "60 deg"]'),
-        ("time_ratio", 1.0, np.inf, "[1.0, 1.5]"),
-        ("link_ratio", 0.0, np.inf, "[0.2, 5.0]"),
-    ):
-        interval = getattr(limits, key)
-        for bound in () if interval is None else (interval.low, interval.high):
-            if bound is not None and not lowest <= bound <= highest:
-                raise Unusable(
-                    f"{interval.people(bound)} is out of the range that it can have",
-                    f"Give a range such as {example}",
-                    f"limits.{key}",
-                    str(interval),
-                )
 
 
 def _check_law(problem: DesignProblem) -> None:

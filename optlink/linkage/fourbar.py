@@ -8,14 +8,14 @@ The transmission angle gamma is the angle B-C-D between coupler and rocker, 0 ..
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from optlink.linkage.elementwise import Value, Vector, angle, angle_from, magnitude, root
 from optlink.linkage.groups import RRR
-from optlink.linkage.mechanism import Link, Mechanism
+from optlink.linkage.mechanism import Arm, BodyPoint, Link, Mechanism
 
 LENGTHS = ("crank", "coupler", "rocker", "frame")
 
@@ -25,13 +25,26 @@ def lengths_of(values: Mapping[str, Value]) -> tuple[Value, Value, Value, Value]
     return values["crank"], values["coupler"], values["rocker"], values["frame"]
 
 
-def four_bar(side: int = 1) -> Mechanism:
-    """The four-bar A-B-C-D as data, its sizes the parameters of `LENGTHS`."""
+def four_bar(side: int = 1, points: Iterable[str] = (), *, placed: bool = False) -> Mechanism:
+    """The four-bar A-B-C-D as data, its sizes the parameters of `LENGTHS`.
+
+    Parameters
+    ----------
+    side : int
+        Assembly mode.
+    points : names
+        Of points fixed on the coupler: their parameters are "P.along" and "P.across" (from B, along and left of B -> C).
+    placed : bool
+        False: A lies in the origin and D on the x axis. True: the parameters "A.x", "A.y" and "direction" place the frame, and
+        crank angles count from A -> D.
+    """
     return Mechanism(
         name="four-bar",
-        ground={"A": (0.0, 0.0), "D": ("frame", 0.0)},
+        ground={"A": ("A.x", "A.y"), "D": Arm("A", "frame", "direction")} if placed else {"A": (0.0, 0.0), "D": ("frame", 0.0)},
         crank=Link("crank", "A", "B", "crank"),
         groups=(RRR(Link("coupler", "B", "C", "coupler"), Link("rocker", "D", "C", "rocker"), side),),
+        points=tuple(BodyPoint(name, "coupler", f"{name}.along", f"{name}.across") for name in points),
+        datum="direction" if placed else 0.0,
     )
 
 
@@ -141,7 +154,7 @@ def transmission_cosine(crank: Value, coupler: Value, rocker: Value, frame: Valu
     return (coupler * coupler + rocker * rocker - diagonal) / (2.0 * (coupler * rocker))
 
 
-def turning_points(start: Value, span: float) -> list[Value]:
+def turning_points(start: Value, span: Value) -> list[Value]:
     """Crank angles [rad] among which every function of cos phi takes its extremes over start ... start + span.
 
     Both `start` and `span` lie within one revolution, -2 pi ... 2 pi.
@@ -149,7 +162,11 @@ def turning_points(start: Value, span: float) -> list[Value]:
     Both ends, and the multiples of pi moved into the range: where one lies outside it becomes an end, and because cos is
     flat there the extreme stays continuously differentiable in `start`.
     """
-    low, high = (start, start + span) if span >= 0.0 else (start + span, start)
+    end = start + span
+    if isinstance(span, float | int):
+        low, high = (start, end) if span >= 0.0 else (end, start)
+    else:
+        low, high = np.minimum(start, end), np.maximum(start, end)
     inner = [np.minimum(np.maximum(k * np.pi, low), high) for k in range(-4, 5)]
     return [low, high, *inner]
 

@@ -36,6 +36,19 @@ class Link:
 
 
 @dataclass(frozen=True)
+class Arm:
+    """Where a point of the frame lies: `length` away from another ground point, in a `direction` [rad] counted from +x."""
+
+    origin: str
+    length: Size
+    direction: Size
+
+
+Ground = tuple[Size, Size] | Arm
+"""Coordinates of a point of the frame, or its distance and direction from one named before it."""
+
+
+@dataclass(frozen=True)
 class BodyPoint:
     """A further point fixed on a body: `along` its x axis from its start, `across` to the left of it."""
 
@@ -123,8 +136,7 @@ class Pose:
     def local(self, body: str, point: str) -> Vector:
         """Coordinates of a point in the body's own axes [m]."""
         if body == FRAME:
-            x, y = self.mechanism.ground[point]
-            return self.size(x), self.size(y)
+            return self.fixed(self.mechanism.ground[point])
         link = self.mechanism.bodies[body]
         if point == link.start:
             return 0.0, 0.0
@@ -132,6 +144,13 @@ class Pose:
             return self.size(link.length), 0.0
         own = self.mechanism.marks[body, point]
         return self.size(own.along), self.size(own.across)
+
+    def fixed(self, place: Ground) -> Vector:
+        """Coordinates of a point of the frame [m]."""
+        if not isinstance(place, Arm):
+            return self.size(place[0]), self.size(place[1])
+        length, axis = self.size(place.length), unit(self.size(place.direction))
+        return plus(self.fixed(self.mechanism.ground[place.origin]), (length * axis[0], length * axis[1]))
 
     def point(self, name: str) -> Vector:
         """Where a point is [m]; one that is fixed on a placed body is found on demand."""
@@ -216,14 +235,18 @@ class Pose:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Ground + driving crank + ordered dyads (+ points fixed on bodies, + guides)."""
+    """Ground + driving crank + ordered dyads (+ points fixed on bodies, + guides).
+
+    `datum` [rad] is the direction that crank angles are counted from, itself counted from +x.
+    """
 
     name: str
-    ground: Mapping[str, tuple[Size, Size]]
+    ground: Mapping[str, Ground]
     crank: Link
     groups: tuple[Group, ...]
     points: tuple[BodyPoint, ...] = field(default=())
     guides: tuple[Guide, ...] = field(default=())
+    datum: Size = 0.0
 
     @cached_property
     def links(self) -> tuple[Link, ...]:
@@ -268,15 +291,17 @@ class Mechanism:
         sizes : mapping of parameter name to Value [m, rad]
             Broadcast against the crank: (designs, 1) against (angles,) gives (designs, angles).
         crank : pair of Value
-            Unit vector of the crank.
+            Unit vector of the crank, against the datum of the crank angle.
 
         Returns
         -------
         Pose, coordinates in [m], NaN from the first group on that cannot be assembled (its margin is negative).
         """
         pose = Pose(self, sizes)
-        for name, (x, y) in self.ground.items():
-            pose.points[name] = pose.size(x), pose.size(y)
+        for name, place in self.ground.items():
+            pose.points[name] = pose.fixed(place)
+        if isinstance(self.datum, str) or self.datum != 0.0:
+            crank = turn(crank, unit(pose.size(self.datum)))
         pose.place(self.crank, crank, self.crank.start)
         for group in self.groups:
             pose.margins[group.joint] = group.solve(pose)

@@ -11,10 +11,12 @@ from functools import cached_property
 from itertools import combinations
 
 from optlink.linkage.groups import PRP, RPP, RPR, RRP, RRR
-from optlink.linkage.mechanism import FRAME, BodyPoint, Group, Guide, Link, Mechanism, Size
+from optlink.linkage.mechanism import FRAME, BodyPoint, Ground, Group, Guide, Link, Mechanism
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
 FORWARD = {"forward": 1, "backward": -1}
+EITHER = "either"
+"""An assembly mode that a search shall choose; until then it counts as left, or forward."""
 
 
 class StructureError(ValueError):
@@ -27,7 +29,7 @@ class StructureError(ValueError):
 
 def assemble(
     name: str,
-    ground: Mapping[str, tuple[Size, Size]],
+    ground: Mapping[str, Ground],
     links: Sequence[Link],
     points: Sequence[BodyPoint],
     guides: Sequence[Guide],
@@ -52,6 +54,14 @@ def assemble(
     return _Assembly(ground, links, points, guides, driver, modes).mechanism(name)
 
 
+def modes_of(group: Group) -> tuple[str, ...]:
+    """The assembly modes of a group, as a problem file words them."""
+    if isinstance(group, RRR):
+        p, q = group.pins
+        return f"left of {p}-{q}", f"right of {p}-{q}"
+    return tuple(FORWARD) if isinstance(group, RRP | RPR) else ()
+
+
 def _list(names: Iterable[str]) -> str:
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last
@@ -62,7 +72,7 @@ class _Assembly:
 
     def __init__(
         self,
-        ground: Mapping[str, tuple[Size, Size]],
+        ground: Mapping[str, Ground],
         links: Sequence[Link],
         points: Sequence[BodyPoint],
         guides: Sequence[Guide],
@@ -217,6 +227,8 @@ class _Assembly:
         """Assembly mode of an RRR group."""
         options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
         words = self.mode(joint, options)
+        if words == EITHER:
+            return 1
         match = _SIDE.fullmatch(words)
         if match is None or {match[2], match[3]} != {p, q} or p == q:
             raise StructureError("not an assembly mode of this group", f"Write {options}", f"assembly.{joint}", words)
@@ -226,6 +238,8 @@ class _Assembly:
         """Assembly mode of a group with one slider."""
         options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
         words = self.mode(joint, options).strip()
+        if words == EITHER:
+            return 1
         if words not in FORWARD:
             raise StructureError("not an assembly mode of this group", f"Write {options}", f"assembly.{joint}", words)
         return FORWARD[words]

@@ -50,7 +50,7 @@ def objective_map(result: Result) -> Figure | None:
         inside = np.ones_like(x, dtype=bool)
         size = fixed["frame"]
         edges: list[tuple[str, Array]] = []
-        for row in limit_rows(problem, flat, problem.start_position(flat), size):
+        for row in limit_rows(problem, flat, problem.reach(flat), size):
             value = np.broadcast_to(np.asarray(row.value, dtype=float), x.shape)
             slack = np.fmin(value - row.low, row.high - value)
             inside &= slack >= 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from rich import box
@@ -12,12 +12,15 @@ from rich.table import Table
 from rich.text import Text
 
 from optlink.design.files import ProblemFile
+from optlink.design.generation import GenerationProblem
 from optlink.design.linkages import FourBarSection
 from optlink.design.objectives import MEASURES
 from optlink.design.problem import DesignProblem
 from optlink.design.quantity import Interval, Quantity
 from optlink.design.section import Section
 from optlink.errors import Status
+from optlink.solvers.solution import LimitState
+from optlink.validation import Check
 from optlink.workflow import Relaxed, Result, people
 
 GOOD, BAD, QUIET, HEAD = "green", "bold red", "dim", "bold"
@@ -62,8 +65,8 @@ def result(outcome: Result) -> RenderableType:
     else:
         parts += [Text(), _objective(outcome)]
         if outcome.solution:
-            parts += [Text(), _active(outcome)]
-        parts += [Text(), _checks(outcome)]
+            parts += [Text(), active(outcome.solution.limits, outcome.objective, outcome.unit)]
+        parts += [Text(), checks(outcome.validation.checks)]
     if len(outcome.optima) > 1 or outcome.starts > 1:
         parts += [Text(), _optima(outcome)]
     if outcome.backends:
@@ -112,31 +115,30 @@ def _objective(outcome: Result) -> Table:
     return table
 
 
-def _active(outcome: Result) -> RenderableType:
-    assert outcome.solution is not None
-    active = [limit for limit in outcome.solution.limits if limit.active]
-    if not active:
+def active(limits: Iterable[LimitState], objective: float, unit: str) -> RenderableType:
+    """The active limits with their prices; `unit` is that of the objective."""
+    held = [limit for limit in limits if limit.active]
+    if not held:
         return Text.assemble(("Active limits", HEAD), "\nnone: only the requirement shapes this design")
     table = grid("Active limits, and what relaxing each by one unit would buy", [("", "left"), ("", "left"), ("", "left")])
-    for limit in active:
+    for limit in held:
         bound = f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip()
         gain = abs(limit.multiplier)
-        share = f" ({gain / outcome.objective:.2%})" if outcome.objective > 0 else ""
-        unit = limit.unit or "unit"
-        buys = f"{gain:.4g} {outcome.unit} per {unit}{share}" if gain > 0 else "nothing"
+        share = f" ({gain / objective:.2%})" if objective > 0 else ""
+        buys = f"{gain:.4g} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "nothing"
         table.add_row(limit.name, bound, buys)
     return table
 
 
-def _checks(outcome: Result) -> Table:
-    checks = outcome.validation.checks
-    passed = sum(check.passed for check in checks)
+def checks(asked: Sequence[Check]) -> Table:
+    """The checks of a validation."""
+    passed = sum(check.passed for check in asked)
     table = grid(
-        f"Validation: {passed} of {len(checks)} checks passed",
+        f"Validation: {passed} of {len(asked)} checks passed",
         [("", "left"), ("check", "left"), ("found", "right"), ("", "left"), ("allowed", "left")],
         header=True,
     )
-    for check in checks:
+    for check in asked:
         mark = Text("ok" if check.passed else "FAIL", style=GOOD if check.passed else BAD)
         table.add_row(mark, check.name, number(check.value), Text(check.unit, style=QUIET), check.limit)
     return table
@@ -221,10 +223,10 @@ def problem(file: ProblemFile) -> RenderableType:
     parts.append(Text(f"Source: {model.source or '-'}", style=QUIET))
     if isinstance(model.mechanism, FourBarSection):
         parts.append(_section("mechanism", model.mechanism))
-    if isinstance(model, DesignProblem):
+    if isinstance(model, DesignProblem | GenerationProblem):
         over = {"transmission_over": model.transmission_over}
         parts += [_section("requirement", model.requirement), _section("limits", model.limits, over)]
-    if not isinstance(model, DesignProblem) or model.bodies or model.loads:
+    if not isinstance(model, DesignProblem | GenerationProblem) or model.bodies or model.loads:
         from optlink.report.machine import machine
 
         parts += machine(file)

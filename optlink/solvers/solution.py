@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.problem import EPIGRAPH
 from optlink.errors import Status
 
 if TYPE_CHECKING:
@@ -24,7 +23,6 @@ Array = NDArray[np.float64]
 
 FEASIBLE = 1e-8  # largest violation, in scaled units, that counts as met
 STATIONARY = 1e-6  # largest KKT residual, for an objective scaled to 1 at the start, that counts as optimal
-EXACT = 1e-9  # rad; a law met this closely everywhere is met
 NEXT_TO = 1e-9  # scaled units
 STEEPEST = 1e-3
 ACTIVE = 1e-6  # distance, in scaled units, at which a limit counts as active
@@ -117,7 +115,9 @@ class Solution:
 
 def key_of(variable: str) -> str:
     """Key of a free quantity in the problem file."""
-    return {"phi0": "requirement.from", "psi0": "requirement.psi0"}.get(variable, f"mechanism.{variable}")
+    return {"phi0": "requirement.from", "psi0": "requirement.psi0", "start": "requirement.start", "mark": "requirement.mark"}.get(
+        variable, f"mechanism.{variable}"
+    )
 
 
 def violation(nlp: NLP, x: Array, g: Array) -> float:
@@ -212,7 +212,7 @@ def _optimal(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity, re
     Either the KKT residual vanishes; or the law is met to rounding, so that nothing is left to improve; or the objective is so
     strongly curved that the stationary point is less than `NEXT_TO` away although the residual, in its steep scale, is not tiny.
     """
-    if proof.kkt <= STATIONARY or float(np.max(np.abs(residuals))) <= EXACT:
+    if proof.kkt <= STATIONARY or float(np.max(np.abs(residuals), initial=0.0)) <= nlp.exact:
         return True
     return proof.kkt <= STEEPEST and proof.kkt <= NEXT_TO * curvature(nlp, x, p, point, proof)
 
@@ -226,12 +226,12 @@ def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float
     entries = [
         (key_of(v.name), v.name, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i])
         for i, v in enumerate(nlp.variables)
-        if v.name != EPIGRAPH
+        if v.name not in nlp.helpers
     ]
     entries += [
         (row.limit, row.label, g[j], row.low, row.high, row.scale, multipliers[n + j])
         for j, row in enumerate(nlp.rows)
-        if row.limit != EPIGRAPH
+        if row.limit not in nlp.helpers
     ]
     states: dict[tuple[str, str, str], LimitState] = {}
     for key, name, value, low, high, scale, multiplier in entries:

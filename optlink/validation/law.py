@@ -9,48 +9,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.design.problem import DEAD_CENTRES, DesignProblem
-from optlink.design.quantity import Interval, Quantity
+from optlink.design.quantity import Interval
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
+from optlink.validation.check import (
+    ANGLE_TOLERANCE,
+    LENGTH_TOLERANCE,
+    POSITIONS,
+    RATIO_TOLERANCE,
+    Check,
+    Validation,
+    bound,
+    limit_checks,
+    nan_last,
+)
 
 Array = NDArray[np.float64]
 
-POSITIONS = 1440  # per revolution: every quarter of a degree, dead centres and extremes refined from there
-ANGLE_TOLERANCE = 1e-6  # deg; solvers meet limits to 1e-8 of a radian
-LENGTH_TOLERANCE = 1e-9  # of the frame
-RATIO_TOLERANCE = 1e-7
 ROUNDING = 1e-12  # rad; two routes to an error that is all but zero need not agree more closely
-
-
-@dataclass(frozen=True)
-class Check:
-    """One question and its answer: `value` was found, `limit` is allowed, in `unit`."""
-
-    name: str
-    passed: bool
-    value: float
-    limit: str
-    unit: str
-
-
-@dataclass(frozen=True)
-class Validation:
-    """All checks of a design, and what was measured on the way (SI): objective, extremes, dead centres."""
-
-    checks: tuple[Check, ...]
-    objective: float
-
-    @property
-    def valid(self) -> bool:
-        """Whether every check passed."""
-        return all(check.passed for check in self.checks)
 
 
 def validate(
@@ -191,21 +173,11 @@ class _Tested:
         return math.sqrt(total / len(error)) if self.problem.requirement.measure == "rms" else total
 
 
-def _limit(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:
-    """One check per side of an interval; value and tolerance in people's unit, `factor` people per SI."""
-    if interval.low is not None:
-        low = interval.low * factor
-        yield Check(f"{name}, least", bool(value >= low - tolerance), value, f">= {low:.6g}", unit)
-    if interval.high is not None:
-        high = interval.high * factor
-        yield Check(f"{name}, largest", bool(value <= high + tolerance), value, f"<= {high:.6g}", unit)
-
-
 def _sizes(tested: _Tested) -> Iterator[Check]:
     """Free quantities within their bounds, fixed ones as given; links keep their length while they move."""
     frame = tested.design["frame"]
     for name, quantity in tested.problem.quantities.items():
-        yield _bound(name, quantity, tested.design[name], frame)
+        yield bound(name, quantity, tested.design[name], frame)
     worst = 0.0
     for link in tested.mechanism.links:
         ends = (tested.required.position(point) for point in (link.start, link.end))
@@ -215,23 +187,10 @@ def _sizes(tested: _Tested) -> Iterator[Check]:
         worst = max(
             worst,
             float(np.max(np.abs(measured - wanted))) if np.all(np.isfinite(measured)) else math.nan,
-            key=_nan_last,
+            key=nan_last,
         )
     limit = LENGTH_TOLERANCE * frame * 1e3
     yield Check("link lengths re-measured in motion", bool(worst * 1e3 <= limit), worst * 1e3, f"<= {limit:.1e}", "mm")
-
-
-def _nan_last(value: float) -> float:
-    return math.inf if math.isnan(value) else value
-
-
-def _bound(name: str, quantity: Quantity, value: float, frame: float) -> Check:
-    low, high = quantity.bounds
-    length = quantity.kind == "length"
-    factor, unit = (1e3, "mm") if length else (math.degrees(1.0), "deg")
-    tolerance = 1e-8 * (frame if length else 1.0)
-    limit = f"{low * factor:.6g} ... {high * factor:.6g}" if quantity.free else f"= {low * factor:.6g}"
-    return Check(f"{name} within its bounds", bool(low - tolerance <= value <= high + tolerance), value * factor, limit, unit)
 
 
 def _crank(tested: _Tested) -> Iterator[Check]:
@@ -336,12 +295,12 @@ def _extra(tested: _Tested) -> Iterator[Check]:
         ratio = max(turned, 2.0 * math.pi - turned) / min(turned, 2.0 * math.pi - turned)
         if limits.swing_angle is not None:
             swing = math.degrees(abs(math.remainder(psi_a - psi_b, 2.0 * math.pi)))
-            yield from _limit("swing angle", swing, limits.swing_angle, ANGLE_TOLERANCE, math.degrees(1.0), "deg")
+            yield from limit_checks("swing angle", swing, limits.swing_angle, ANGLE_TOLERANCE, math.degrees(1.0), "deg")
         if limits.time_ratio is not None:
-            yield from _limit("time ratio", ratio, limits.time_ratio, RATIO_TOLERANCE, 1.0, "")
+            yield from limit_checks("time ratio", ratio, limits.time_ratio, RATIO_TOLERANCE, 1.0, "")
     frame = tested.design["frame"]
     if limits.frame_length is not None:
-        yield from _limit("frame length", frame * 1e3, limits.frame_length, 1e-8 * frame * 1e3, 1e3, "mm")
+        yield from limit_checks("frame length", frame * 1e3, limits.frame_length, 1e-8 * frame * 1e3, 1e3, "mm")
     if limits.link_ratio is not None:
         for name in LENGTHS[:3]:
-            yield from _limit(f"{name} / frame", tested.design[name] / frame, limits.link_ratio, RATIO_TOLERANCE, 1.0, "")
+            yield from limit_checks(f"{name} / frame", tested.design[name] / frame, limits.link_ratio, RATIO_TOLERANCE, 1.0, "")

@@ -1,0 +1,53 @@
+"""What must hold beside the requirement: the limits of a four-bar, and their sense."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from optlink.design.quantity import AngleInterval, LengthInterval, NumberInterval, Unusable
+from optlink.design.section import Section
+from optlink.linkage.elementwise import Value
+
+
+class Limits(Section):
+    """What must hold beside the requirement."""
+
+    crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
+    transmission_angle: AngleInterval | None = None
+    transmission_cosine: NumberInterval | None = None
+    transmission_over: Literal["revolution", "span"] | None = None
+    swing_angle: AngleInterval | None = None
+    time_ratio: NumberInterval | None = None
+    frame_length: LengthInterval | None = None
+    link_ratio: NumberInterval | None = None
+
+
+def check_ranges(limits: Limits) -> None:
+    """A limit that no linkage can reach is a slip of the pen, not a design problem."""
+    for key, lowest, highest, example in (
+        ("transmission_angle", 0.0, np.pi, '["45 deg", "135 deg"]'),
+        ("transmission_cosine", -1.0, 1.0, "[-0.7071, 0.7071]"),
+        ("swing_angle", 0.0, np.pi, '["30 deg", "60 deg"]'),
+        ("time_ratio", 1.0, np.inf, "[1.0, 1.5]"),
+        ("link_ratio", 0.0, np.inf, "[0.2, 5.0]"),
+    ):
+        interval = getattr(limits, key)
+        for bound in () if interval is None else (interval.low, interval.high):
+            if bound is not None and not lowest <= bound <= highest:
+                raise Unusable(
+                    f"{interval.people(bound)} is out of the range that it can have",
+                    f"Give a range such as {example}",
+                    f"limits.{key}",
+                    str(interval),
+                )
+
+
+@dataclass(frozen=True)
+class Reach:
+    """The crank angles that a requirement asks for: from `start` on by `span` [rad], negative clockwise."""
+
+    start: Value
+    span: Value

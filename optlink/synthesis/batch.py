@@ -1,0 +1,132 @@
+"""A generation problem as least squares for many designs at once: residuals, limits and their exact derivatives as arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.constraints import position_rows
+from optlink.design.constraints import rows as limit_rows
+from optlink.design.generation import START, TURN, GenerationProblem
+from optlink.design.generation_nlp import variable_of
+from optlink.design.limits import Reach
+from optlink.design.linkages import FourBarSection
+from optlink.linkage.elementwise import unit
+from optlink.symbolic import Tape, tracing
+
+Array = NDArray[np.float64]
+
+GRID = 24  # crank angles at which a mechanism that is no four-bar is asked whether it closes
+INSIDE = 1e-3  # aim this far inside the crank condition: on it the linkage can no longer be told from a change-point linkage
+WEIGHT = 10.0  # of a limit that is missed, against the residuals; the programme that polishes knows limits exactly
+
+
+class Batch:
+    """Residuals of many designs of one problem with definite assembly modes.
+
+    `x` (designs, n) are the scaled free quantities, `t` (designs, points) the crank angles of the points. Where the timing is
+    given the crank angles follow from x, and `own` is False.
+    """
+
+    def __init__(self, problem: GenerationProblem) -> None:
+        self.problem, self.data = problem, problem.data
+        self.names = problem.free
+        self.variables = [variable_of(problem, name) for name in self.names]
+        self.own = self.data.offsets is None
+        self.start = self.names.index(START) if START in self.names else -1
+        bounds = np.array([problem.quantities[name].bounds for name in self.names]).reshape(-1, 2)
+        self.origin = np.array([v.origin for v in self.variables])
+        self.scale = np.array([v.size for v in self.variables])
+        self.low, self.high = ((side - self.origin) / self.scale for side in bounds.T)
+        self.four_bar = isinstance(problem.mechanism, FourBarSection)
+        self.turns = problem.limits.crank != "span"
+        self._trace()
+
+    def _trace(self) -> None:
+        problem, n, width = self.problem, len(self.names), self.data.columns.shape[1]
+        x, t, more = casadi.SX.sym("x", n), casadi.SX.sym("t"), casadi.SX.sym("more", width + 1)
+        values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
+        values |= {v.name: v.origin + v.size * x[i] for i, v in enumerate(self.variables)}
+        wanted = tuple(more[k] for k in range(width))
+        inputs = [x[i] for i in range(n)]
+        with tracing():
+            pose = problem.linkage.pose(values, unit(t))
+            residual = casadi.vertcat(*problem.deviation(pose, values, wanted)) * (more[width] / problem.size)
+            self.width = int(residual.numel())
+            slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
+            self._residual = Tape([*inputs, t, *(more[k] for k in range(width + 1))], [residual, slopes])
+            span = casadi.SX.sym("span")
+            rows = limit_rows(problem, values, Reach(t, span), problem.size) if self.turns or not self.four_bar else []
+            self.bounds = np.array([(row.low + INSIDE * (row.limit == "limits.crank"), row.high) for row in rows]).reshape(-1, 2)
+            g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
+            self._limits = Tape([*inputs, t, span], [g, casadi.jacobian(g, x)]) if rows else None
+            self._grid = None
+            if self.turns and not self.four_bar:
+                asked = position_rows(problem, pose)
+                self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in asked])
+                g = casadi.vertcat(*[row.value for row in asked])
+                self._grid = Tape([*inputs, t], [g, casadi.jacobian(g, x)])
+        self.angles = np.linspace(0.0, TURN, GRID, endpoint=False)
+
+    def values(self, x: Array) -> dict[str, Array]:
+        """Quantities [SI] of designs, each (designs, 1)."""
+        known = {name: np.full((len(x), 1), quantity.value) for name, quantity in self.problem.quantities.items()}
+        real = self.origin + x * self.scale
+        return known | {name: real[:, i : i + 1] for i, name in enumerate(self.names)}
+
+    def crank_angles(self, x: Array, t: Array) -> Array:
+        """Crank angles of the points (designs, points): t itself where they are free."""
+        if self.own:
+            return t
+        start = self.problem.quantities[START].value if START in self.problem.quantities else 0.0
+        begin = x[:, self.start : self.start + 1] if self.start >= 0 else np.full((len(x), 1), start)
+        assert self.data.offsets is not None
+        return np.asarray(begin + self.data.offsets, dtype=float)
+
+    def residuals(self, x: Array, t: Array) -> tuple[Array, Array, Array]:
+        """Residuals (designs, points, k) as shares of the size, their slopes by x (..., k, n) and by own crank angle (..., k)."""
+        n, k = x.shape[1], self.width
+        columns = [*(x[:, i : i + 1] for i in range(n)), t, *self.data.columns.T, self.data.roots]
+        out = self._residual(*columns)
+        r = np.moveaxis(out[:k], 0, -1)
+        slopes = np.moveaxis(out[k:].reshape(n + 1, k, *t.shape), (0, 1), (-1, -2))
+        by_x, by_t = slopes[..., :n], slopes[..., n]
+        if not self.own and self.start >= 0:
+            by_x = by_x.copy()
+            by_x[..., self.start] += by_t
+        return r, by_x, by_t
+
+    def misses(self, x: Array, t: Array) -> tuple[Array, Array]:
+        """By how much limits are missed, weighted (designs, rows), and its slopes (designs, rows, n); zero where they hold."""
+        n = x.shape[1]
+        parts = []
+        if self._limits is not None:
+            first, last = t[:, :1], t[:, -1:]
+            out = self._limits(*(x[:, i : i + 1] for i in range(n)), first, last - first)[..., 0]
+            parts.append((out, self.bounds))
+        if self._grid is not None:
+            out = self._grid(*(x[:, i : i + 1] for i in range(n)), self.angles[None, :])
+            m = len(self.grid_bounds)
+            joined = np.concatenate(
+                [
+                    out[:m].transpose(0, 2, 1).reshape(-1, len(x)),
+                    out[m:].reshape(n, m, len(x), -1).transpose(0, 1, 3, 2).reshape(-1, len(x)),
+                ]
+            )
+            parts.append((joined, np.repeat(self.grid_bounds, len(self.angles), axis=0)))
+        if not parts:
+            return np.zeros((len(x), 0)), np.zeros((len(x), 0, n))
+        found = [self._missed(out, bounds, n) for out, bounds in parts]
+        return np.concatenate([h for h, _ in found], axis=1), np.concatenate([s for _, s in found], axis=1)
+
+    @staticmethod
+    def _missed(out: Array, bounds: Array, n: int) -> tuple[Array, Array]:
+        m = len(bounds)
+        g, slopes = out[:m].T, out[m:].reshape(n, m, -1).transpose(2, 1, 0)
+        with np.errstate(invalid="ignore"):
+            miss = np.minimum(g - bounds[:, 0], 0.0) + np.maximum(g - bounds[:, 1], 0.0)
+        off = ~np.isfinite(miss) | (miss == 0.0)
+        return np.where(off, 0.0, WEIGHT * miss), np.where(off[..., None], 0.0, WEIGHT * slopes)

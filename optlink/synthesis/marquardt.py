@@ -1,0 +1,143 @@
+"""Levenberg-Marquardt on many designs at once; each point may have an unknown of its own (its crank angle), eliminated exactly.
+
+Source: D. W. Marquardt, An algorithm for least-squares estimation of nonlinear parameters, J. SIAM 11 (1963); the crank angles
+leave by the Schur complement of their diagonal block, as in bundle adjustment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.synthesis.batch import Batch
+
+Array = NDArray[np.float64]
+Fit = Callable[[Array, Array], tuple[Array, Array]]
+
+FIRST_DAMPING = 1e-2
+LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e9
+SLOW = 1e-5  # relative decrease of the cost below which a step counts as slow
+PATIENCE = 4  # slow steps in a row that end a design's search
+LONGEST_TURN = 0.5  # rad per step of a crank angle
+ZERO = 1e-28  # cost, as the square of a share of the size, at which nothing is left
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Where designs ended: x (designs, n), crank angles (designs, points), sum of squares and of missed limits (designs,)."""
+
+    x: Array
+    t: Array
+    cost: Array
+    missed: Array
+
+
+@dataclass
+class _State:
+    """The designs that are still on their way."""
+
+    index: NDArray[np.intp]
+    x: Array
+    t: Array
+    r: Array
+    by_x: Array
+    by_t: Array
+    h: Array
+    by_h: Array
+    cost: Array
+    damping: Array
+    slow: Array
+
+    def take(self, keep: NDArray[np.bool_]) -> _State:
+        """Only some of them."""
+        return _State(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+
+
+def _look(batch: Batch, x: Array, t: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+    angles = batch.crank_angles(x, t)
+    r, by_x, by_t = batch.residuals(x, angles)
+    h, by_h = batch.misses(x, angles)
+    cost = np.einsum("bpk,bpk->b", r, r) + np.einsum("bm,bm->b", h, h)
+    smooth = np.isfinite(cost) & np.isfinite(by_x.sum(axis=(1, 2, 3)) + by_t.sum(axis=(1, 2)))  # no slope where modes meet
+    return r, by_x, by_t, h, by_h, np.where(smooth, cost, np.inf)
+
+
+def descend(
+    batch: Batch, x: Array, t: Array, steps: int, fit: Fit | None = None, linear: list[int] | None = None, slow: float = SLOW
+) -> Ends:
+    """Minimise the sum of squares of residuals and missed limits, for every design on its own.
+
+    Parameters
+    ----------
+    x, t : arrays (designs, n), (designs, points)
+        Starts; those without a finite cost are given back as they are, with an infinite one.
+    steps : int
+        Largest number of steps.
+    fit : function, optional
+        Puts what is linear (the variables `linear`) to its best at every step; a fit outside the bounds is not taken.
+    """
+    n = x.shape[1]
+    weight = np.ones(n)
+    if fit is not None and linear:
+        weight[linear] = 1e-6  # their own step is undone by the fit: damping them would only hold the others back
+    end_x, end_t = x.copy(), t.copy()
+    end_cost, end_missed = np.full(len(x), np.inf), np.full(len(x), np.inf)
+    r, by_x, by_t, h, by_h, cost = _look(batch, x, t)
+    state = _State(
+        np.arange(len(x)), x, t, r, by_x, by_t, h, by_h, cost, np.full(len(x), FIRST_DAMPING), np.zeros(len(x), dtype=int)
+    ).take(np.isfinite(cost))
+    for step in range(steps + 1):
+        done = (state.cost <= ZERO) | (state.slow >= PATIENCE) | (state.damping >= MOST_DAMPING) | (step == steps)
+        if done.any():
+            where = state.index[done]
+            end_x[where], end_t[where], end_cost[where] = state.x[done], state.t[done], state.cost[done]
+            end_missed[where] = np.einsum("bm,bm->b", state.h[done], state.h[done])
+            state = state.take(~done)
+        if not len(state.index):
+            break
+        _advance(batch, state, weight, fit, slow)
+    return Ends(end_x, end_t, end_cost, end_missed)
+
+
+def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: float) -> None:
+    """One step of every design, taken where it lowers the cost."""
+    size, n = state.x.shape
+    jacobian = state.by_x.reshape(size, -1, n)
+    normal = np.matmul(jacobian.transpose(0, 2, 1), jacobian) + np.matmul(state.by_h.transpose(0, 2, 1), state.by_h)
+    slope = np.einsum("bqn,bq->bn", jacobian, state.r.reshape(size, -1)) + np.einsum("bmn,bm->bn", state.by_h, state.h)
+    diagonal = np.einsum("bii->bi", normal)
+    damp = weight * np.maximum(diagonal, 1e-8 * np.max(diagonal, axis=1, keepdims=True) + 1e-300)
+    system = normal + (state.damping[:, None] * damp)[:, :, None] * np.eye(n)
+    right = -slope
+    if batch.own:
+        own = np.einsum("bpk,bpk->bp", state.by_t, state.by_t) * (1.0 + state.damping[:, None]) + 1e-300
+        along = np.einsum("bpk,bpk->bp", state.by_t, state.r)
+        mixed = np.einsum("bpkn,bpk->bpn", state.by_x, state.by_t)
+        system = system - np.matmul((mixed / own[..., None]).transpose(0, 2, 1), mixed)
+        right = right + np.einsum("bpn,bp->bn", mixed, along / own)
+    held = ((state.x <= batch.low) & (right < 0.0)) | ((state.x >= batch.high) & (right > 0.0))
+    system = np.where(held[:, :, None] | held[:, None, :], 0.0, system)
+    system[:, np.arange(n), np.arange(n)] += held + 1e-14 * np.max(diagonal, axis=1, keepdims=True) + 1e-300
+    right = np.where(held, 0.0, right)
+    step = np.linalg.solve(system, right[..., None])[..., 0]
+    t = state.t
+    if batch.own:
+        t = t + np.clip(-(along + np.einsum("bpn,bn->bp", mixed, step)) / own, -LONGEST_TURN, LONGEST_TURN)
+    x = np.clip(state.x + step, batch.low, batch.high)
+    if fit is not None:
+        fitted, turned = fit(x, batch.crank_angles(x, t))
+        inside = np.all((fitted >= batch.low) & (fitted <= batch.high), axis=1)[:, None]
+        x, t = np.where(inside, fitted, x), np.where(inside, turned, t) if batch.own else t
+    r, by_x, by_t, h, by_h, cost = _look(batch, x, t)
+    better = cost < state.cost
+    decrease = np.where(better, (state.cost - np.where(better, cost, 0.0)) / np.maximum(state.cost, 1e-300), 0.0)
+    state.slow = np.where(better & (decrease < slow), state.slow + 1, np.where(better, 0, state.slow))
+    state.damping = np.where(better, np.maximum(0.2 * state.damping, LEAST_DAMPING), 6.0 * state.damping)
+    new = {"x": x, "t": t, "r": r, "by_x": by_x, "by_t": by_t, "h": h, "by_h": by_h, "cost": cost}
+    for name, value in new.items():
+        old = getattr(state, name)
+        mask = better.reshape(-1, *[1] * (old.ndim - 1))
+        setattr(state, name, np.where(mask, value, old))
