@@ -222,11 +222,10 @@ def solve(
             raise InputError(Fault("only points and poses have several designs", remedy, file.file, "--designs", designs))
         from optlink.workflow import solve as search
 
-        starts = 1 if starts is None else starts
-        searches = starts * (2 if backend is Backend.both else 1)
+        searches = (1 if starts is None else starts) * (2 if backend is Backend.both else 1)
         with _progress(searches) as progress:
             result = search(file, str(backend), starts, seed, progress, track=out is not None)
-        if result.starts < starts:
+        if starts is not None and result.starts < starts:
             print(f"Interrupted: the result is that of the first {result.starts} of {starts} starts.", file=sys.stderr)
         _finish(result, as_json, out)
 

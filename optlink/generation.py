@@ -21,12 +21,11 @@ from optlink.documents import finite, head
 from optlink.errors import Fault, InputError, Status
 from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
 from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.groups import RRR
 from optlink.linkage.motion import sweep
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Solution
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
-from optlink.validation.generation import Deviations, deviations, validate_generation
+from optlink.validation.generation import Deviations, deviations, transmission_angles, validate_generation
 
 if TYPE_CHECKING:
     from optlink.design.nlp import NLP
@@ -84,16 +83,8 @@ class Design:
         """How far the worst transmission angle of the needed motion is from 0 and 180 deg [rad]; NaN if there is none."""
         begin, end = float(self.crank_angles[0]), float(self.crank_angles[-1])
         angles = np.linspace(0.0, TURN, 721) if self.turns else np.linspace(begin, end, 361)
-        motion = sweep(self.task.linkage, self.values, angles)
-        found = math.nan
-        for group in self.task.linkage.groups:
-            if isinstance(group, RRR):
-                p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
-                one, other = p - c, q - c
-                cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-                gamma = np.abs(np.arctan2(cross, np.sum(one * other, axis=-1)))
-                found = float(np.fmin(found, np.min(np.minimum(gamma, np.pi - gamma))))
-        return found
+        gamma = transmission_angles(sweep(self.task.linkage, self.values, angles), self.task.linkage)
+        return float(np.min(np.minimum(gamma, np.pi - gamma))) if gamma.size else math.nan
 
     @cached_property
     def cognates(self) -> tuple[Cognate, ...]:
@@ -135,13 +126,17 @@ class Design:
 
     def to_dict(self) -> dict[str, Any]:
         """The design as a JSON object: SI, or the unit that a key ends in."""
-        measured = self.measured
-        point: dict[str, Any] = {
-            "crank_deg": np.degrees(self.crank_angles).tolist(),
-            "x_mm": (measured.generated[:, 0] * 1e3).tolist(),
-            "y_mm": (measured.generated[:, 1] * 1e3).tolist(),
-            "distance_mm": (measured.distances * 1e3).tolist(),
-        }
+        measured, task = self.measured, self.task
+        point: dict[str, Any] = {"crank_deg": np.degrees(self.crank_angles).tolist()}
+        if task.pointed:
+            point["x_mm"], point["y_mm"] = (measured.generated * 1e3).T.tolist()
+        elif task.requirement.kind == "transmission":
+            point["transmission_deg"] = np.degrees(measured.generated).tolist()
+        else:
+            factor_, unit = OUTPUT[task.unit]
+            point[f"output_{unit}"] = (measured.generated[:, 0] * factor_).tolist()
+        factor_, unit = OUTPUT[task.unit]
+        point[f"distance_{unit}".rstrip("_")] = (measured.distances * factor_).tolist()
         if measured.turned is not None:
             point["turned_deg"] = np.degrees(measured.turned).tolist()
         document: dict[str, Any] = {
@@ -187,13 +182,23 @@ def people_design(task: GenerationProblem, values: Mapping[str, float]) -> dict[
     return {name: values[name] * people_unit(task, name)[0] for name in task.quantities}
 
 
+OUTPUT = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
+"""Factor from SI and unit in which people read deviations."""
+
+
+def objective_unit(task: GenerationProblem) -> str:
+    """SI unit of the objective."""
+    return f"{task.unit}^2" if task.measure == "sum of squares" and task.unit else task.unit
+
+
 def _figures(design: Design) -> dict[str, Any]:
     measured, task = design.measured, design.task
+    factor_, unit = OUTPUT[task.unit]
     found = {
-        "unit": {"sum of squares": "m^2", "rms": "m", "max": "m"}[task.requirement.measure],
-        "measure": task.requirement.measure,
-        "rms_mm": 1e3 * math.sqrt(float(np.mean(measured.distances**2))),
-        "largest_mm": 1e3 * float(np.max(measured.distances)),
+        "unit": objective_unit(task),
+        "measure": task.measure,
+        f"rms_{unit}".rstrip("_"): factor_ * math.sqrt(float(np.mean(measured.distances**2))),
+        f"largest_{unit}".rstrip("_"): factor_ * float(np.max(measured.distances)),
     }
     if measured.turned is not None:
         found["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
@@ -432,8 +437,8 @@ def _prove(polisher: _Polisher, found: Exploration, wanted: int) -> tuple[list[D
 
 def _rank(design: Design) -> tuple[float, float]:
     """By objective; those that pass the points exactly by their worst transmission angle, best first."""
-    error = math.sqrt(design.objective) if design.task.requirement.measure == "sum of squares" else design.objective
-    exact = error <= LEVEL * design.task.size
+    error = math.sqrt(design.objective) if design.task.measure == "sum of squares" else design.objective
+    exact = error <= LEVEL * design.task.whole
     transmission = design.least_transmission
     return (0.0 if exact else design.objective), -(transmission if math.isfinite(transmission) else 0.0)
 

@@ -20,6 +20,7 @@ from optlink.documents import finite
 from optlink.errors import Fault, InputError, Status
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
+from optlink.linkage.structure import EITHER
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
 from optlink.units import show
 from optlink.validation import Check, Validation
@@ -27,11 +28,18 @@ from optlink.validation import validate as prove
 from optlink.version import VERSION
 
 if TYPE_CHECKING:
+    from optlink.design.nlp import NLP
+    from optlink.design.problem import DesignProblem
+    from optlink.solvers.freudenstein import FirstStep
     from optlink.solvers.search import Agreement
 
+Start = NDArray[np.float64]
 SCHEMA = "optlink/result/1"
 MAX_STARTS = 100_000
 SAME_DESIGN = 1e-6  # of the frame
+ALONG = 2001  # positions along the span at which an error curve is followed
+EXCHANGES, LEVELLED = 8, 1e-8  # rounds, and the share by which an error may exceed those that the programme knows
+LEVEL = 0.99  # share of the largest error that counts as reaching it
 FLAT = 1e-7  # least curvature, for an objective scaled to 1, that singles out one design
 PEOPLE = {"length": (1e3, "mm"), "angle": (math.degrees(1.0), "deg")}
 
@@ -82,6 +90,7 @@ class Result:
     optima: tuple[Optimum, ...] = ()
     conflict: tuple[Relaxed, ...] = ()
     together: tuple[Relaxed, ...] = ()
+    first: FirstStep | None = None  # the convex first step that the search of a function began with
 
     @property
     def valid(self) -> bool:
@@ -110,9 +119,18 @@ class Result:
         """
         problem = self.problem.spec
         at = problem.law.offsets if offsets is None else np.asarray(offsets, dtype=float)
-        wanted = problem.law.curve(at, self.design["phi0"], self.design["psi0"])
-        motion = sweep(problem.linkage, self.sizes, self.design["phi0"] + at)
-        return np.asarray(np.remainder(wanted - motion.body_angle("rocker").value + np.pi, 2.0 * np.pi) - np.pi)
+        return _error(problem, self.design, at)
+
+    @property
+    def alternations(self) -> int:
+        """How many times in a row the error reaches its largest size with the other sign, along the span.
+
+        A minimax optimum of k free quantities has k + 1 of them where no limit holds it.
+        """
+        begin, end = self.problem.spec.law.offsets[[0, -1]]
+        error = self.error(np.linspace(begin, end, ALONG))
+        peaks = error[np.abs(error) >= LEVEL * np.max(np.abs(error))]
+        return 1 + int(np.sum(np.diff(np.sign(peaks)) != 0.0)) if len(peaks) else 0
 
     @property
     def measure(self) -> str:
@@ -160,6 +178,10 @@ class Result:
             }
         if self.backends:
             document["backends"] = {name: self._solution(solution) for name, solution in self.backends.items()}
+        if self.first is not None:
+            document["first_step"] = vars(self.first) | {"gap": self.first.gap}
+        if self.problem.spec.requirement.measure == "max":
+            document["objective"]["alternations"] = self.alternations
         if self.optima:
             document["optima"] = [{"design": _design(o.design), "objective": o.objective, "count": o.count} for o in self.optima]
         if self.conflict:
@@ -179,6 +201,14 @@ class Result:
         }
 
 
+def _error(problem: DesignProblem, design: Mapping[str, float], offsets: Start) -> Start:
+    """Wanted minus generated rocker angle [rad], in (-pi, pi], at crank rotations [rad] from the start."""
+    wanted = problem.law.curve(offsets, design["phi0"], design["psi0"])
+    motion = sweep(problem.linkage, {name: design[name] for name in LENGTHS}, design["phi0"] + offsets)
+    angle = np.asarray(motion.body_angle("rocker").value, dtype=float)
+    return np.asarray(np.remainder(wanted - angle + np.pi, 2.0 * np.pi) - np.pi, dtype=float)
+
+
 def _design(design: Mapping[str, float]) -> dict[str, float]:
     return {f"{name}_{people(name, value)[1]}": people(name, value)[0] for name, value in design.items()}
 
@@ -186,7 +216,7 @@ def _design(design: Mapping[str, float]) -> dict[str, float]:
 def solve(
     problem: ProblemFile,
     backend: str = "ipopt",
-    starts: int = 1,
+    starts: int | None = None,
     seed: int = 0,
     progress: Callable[[int], None] | None = None,
     *,
@@ -200,8 +230,9 @@ def solve(
         From `optlink.load`.
     backend : "slsqp", "ipopt" or "both"
         Both: each searches for itself, the better design is taken, and they must agree.
-    starts : int
-        1: the start given in the problem; more: Sobol points over the bounds as well.
+    starts : int, optional
+        1: the start given in the problem; more: Sobol points over the bounds as well. Left out: 1, and for a function that
+        crank, coupler and rocker are free for the convex first steps (`optlink.solvers.freudenstein`).
     seed : int
         Of the Sobol points.
     progress : function of the number of starts done, optional
@@ -218,13 +249,15 @@ def solve(
 
     if backend not in (*search.BACKENDS, "both"):
         raise InputError(Fault("unknown back end", nearest(backend, [*search.BACKENDS, "both"]), key="backend", value=backend))
-    if not 1 <= starts <= MAX_STARTS:
+    if starts is not None and not 1 <= starts <= MAX_STARTS:
         raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_STARTS}", key="starts", value=starts))
     if seed < 0:
         raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
     if not problem.spec.free:
         example = 'Free one: coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
         raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
+    if problem.spec.mechanism.assembly == EITHER:
+        return _either(problem, backend, starts, seed, progress, track=track)
     names = search.BACKENDS if backend == "both" else (backend,)
     for name in names:
         search.backend(name)  # imports are nobody's solving time
@@ -232,6 +265,8 @@ def solve(
     nlp = build(problem.spec)
     for name in names:
         search.prepare(nlp, name)
+    first, begin = _begin(problem.spec, nlp, starts, seed)
+    starts = len(begin)
     clock.append(time.perf_counter())
     done = 0
 
@@ -243,8 +278,9 @@ def solve(
 
     runs: dict[str, list[Solution]] = {}
     for name in names:
-        runs[name] = search.multistart(nlp, name, starts, seed, advance, track=track)
-        starts = len(runs[name])  # fewer if interrupted; the other back end then searches from as many
+        runs[name] = search.multistart(nlp, name, begin, advance, track=track)
+        begin = begin[: len(runs[name])]  # fewer if interrupted; the other back end then searches from as many
+    starts = len(begin)
     found = {name: search.best(run) for name, run in runs.items()}
     conflict: tuple[Relaxed, ...] = ()
     together: tuple[Relaxed, ...] = ()
@@ -261,6 +297,8 @@ def solve(
             found = {name: search.solve_from(nlp, reason, name, track=track) for name in names}
     if len(found) > 1:
         found = search.reconcile(nlp, found)
+    if problem.spec.everywhere:
+        found = _level(problem.spec, nlp, found)
     winner = search.best(list(found.values()))
     chosen = next(name for name, solution in found.items() if solution is winner)
     clock.append(time.perf_counter())
@@ -286,7 +324,61 @@ def solve(
         optima=tuple(Optimum(problem.spec.design(c.solution.design), c.solution.objective, c.count) for c in clusters),
         conflict=conflict,
         together=together,
+        first=first,
     )
+
+
+def _level(problem: DesignProblem, nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:
+    """Put the largest errors between the design positions into the programme until none exceeds those it knows (E. Remez)."""
+    from optlink.design.nlp import ROAMING
+    from optlink.linkage.refine import extremes
+    from optlink.solvers import search
+
+    grid = np.sort(np.linspace(0.0, problem.span, ALONG))
+    for _ in range(EXCHANGES):
+        winner = search.best(list(found.values()))
+        if not winner.usable:
+            break
+        design = problem.design(winner.design)
+
+        size = np.abs(_error(problem, design, grid))
+        peaks = np.flatnonzero((size >= np.append(size[1:], 0.0)) & (size >= np.insert(size[:-1], 0, 0.0)))
+        peaks = peaks[np.argsort(-size[peaks])][:ROAMING]
+        near = [np.linspace(grid[max(int(k) - 1, 0)], grid[min(int(k) + 1, ALONG - 1)], 9) for k in peaks]
+        exact = [extremes(lambda at: np.abs(_error(problem, design, at))[None, :], brackets) for brackets in near]  # noqa: B023
+        largest = max(float(values[0, 1]) for _, values in exact)
+        if largest <= winner.objective * (1.0 + LEVELLED) + 1e-12:
+            break
+        nlp.roam(np.array([float(angles[0, 1]) for angles, _ in exact]))
+        found = {name: search.solve_from(nlp, solution.x, name) for name, solution in found.items()}
+    return found
+
+
+def _begin(problem: DesignProblem, nlp: NLP, starts: int | None, seed: int) -> tuple[FirstStep | None, list[Start]]:
+    """Starts of the search: as many as are asked for; else the given one, or a function's convex first steps, best first."""
+    from optlink.solvers import convex, search
+
+    if starts is not None or not convex.applies(problem):
+        return None, search.starts(nlp, starts or 1, seed)
+    steps = convex.steps(problem)
+    if not steps:
+        return None, search.starts(nlp, convex.ENOUGH, seed)
+    return steps[0], [nlp.x_of(convex.values(problem, step)) for step in steps]
+
+
+def _either(
+    problem: ProblemFile,
+    backend: str,
+    starts: int | None,
+    seed: int,
+    progress: Callable[[int], None] | None,
+    *,
+    track: bool,
+) -> Result:
+    """The better one of both assembly modes."""
+    variants = [problem.override(change) for change in problem.model.mechanism.variants(problem.model.linkage)]
+    found = [solve(variant, backend, starts, seed, progress, track=track) for variant in variants]
+    return min(found, key=lambda result: (not result.valid, result.objective))
 
 
 def _optimality(solution: Solution) -> tuple[Check, ...]:

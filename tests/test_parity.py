@@ -732,7 +732,7 @@ class Programme:
         rows = [row.value for row in constraints.rows(self.rule, values, self.rule.reach(values), size)]
         if self.rule.requirement.measure == "max":
             f, largest = x[-1], x[-1]
-            rows += [value for error in errors for value in (largest - error, largest + error)]
+            rows += [value / p[0] for error in errors for value in (largest - error, largest + error)]
         else:
             f = np.sum(errors * errors) / (len(errors) if self.rule.requirement.measure == "rms" else 1)
         return f / p[0], np.array(rows)

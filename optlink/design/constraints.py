@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.design.generation import GenerationProblem
+from optlink.design.generation import GenerationProblem, joint_cosine
 from optlink.design.limits import Reach
 from optlink.design.linkages import FourBarSection
 from optlink.design.problem import DEAD_CENTRES, DesignProblem
 from optlink.design.quantity import Interval
-from optlink.linkage.elementwise import Value, dot, minus
+from optlink.linkage.elementwise import Value
 from optlink.linkage.fourbar import (
     LENGTHS,
     crank_rocker_conditions,
@@ -230,8 +230,6 @@ def position_rows(problem: GenerationProblem, pose: Pose) -> list[Row]:
         if interval is not None and isinstance(group, RRR):
             low = -1.0 if interval.high is None else math.cos(interval.high)
             high = 1.0 if interval.low is None else math.cos(interval.low)
-            joint = pose.point(group.joint)
-            one, other = (minus(pose.point(pin), joint) for pin in group.pins)
-            cosine = dot(one, other) / np.sqrt(dot(one, one) * dot(other, other))
+            cosine = joint_cosine(pose, group)
             found.append(Row("limits.transmission_angle", f"transmission angle at {group.joint}", cosine, low, high, COSINE))
     return found

@@ -20,7 +20,7 @@ from optlink.design.quantity import Unusable, nearest
 from optlink.errors import Fault, InputError, shown
 
 MAX_BYTES = 1_000_000
-GENERATED = ("path", "motion")
+GENERATED = ("path", "motion", "transmission")
 
 
 @dataclass(frozen=True)
@@ -153,13 +153,10 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     where = folder or Path()
     raw = _typed(raw)
     task = raw.get("requirement")
-    generation = isinstance(task, dict) and task.get("kind") in GENERATED
-    if (
-        "requirement" in raw
-        and not generation
-        and isinstance(raw.get("mechanism"), dict)
-        and raw["mechanism"].get("type") == "dyads"
-    ):
+    dyads = isinstance(raw.get("mechanism"), dict) and raw["mechanism"].get("type") == "dyads"
+    output = dyads and isinstance(task, dict) and isinstance(task.get("law"), dict) and "function" in task["law"]
+    generation = isinstance(task, dict) and (task.get("kind") in GENERATED or output)
+    if "requirement" in raw and not generation and dyads:
         remedy = 'Use type = "four-bar", or leave the section out and `optlink analyze` it'
         raise InputError(Fault("a motion law is designed for a four-bar only", remedy, file, "requirement"))
     model: type[Problem] = DesignProblem if "requirement" in raw or "limits" in raw else Problem

@@ -1,4 +1,5 @@
-"""GenerationProblem: a linkage whose point shall pass given points, or whose body shall take given poses.
+"""GenerationProblem: a linkage whose point shall pass points, whose body shall take poses, whose output shall be a function of
+the crank angle, or which shall transmit force as well as it can.
 
 Its unknowns are the free sizes of the mechanism and, where the file leaves them open, the crank angles at the points.
 """
@@ -16,12 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, ValidationInfo, field_validator
 
+from optlink.design.function import Function, read_function
 from optlink.design.limits import Limits, check_ranges
 from optlink.design.linkages import FourBarSection
 from optlink.design.machines import Problem
 from optlink.design.points import Wanted, closed, read_points
 from optlink.design.quantity import (
     Angle,
+    Coordinate,
     CoordinateInterval,
     FixedLength,
     Quantity,
@@ -29,13 +32,18 @@ from optlink.design.quantity import (
     nearest,
 )
 from optlink.design.section import Section
-from optlink.linkage.elementwise import Value, angle_from, unit
+from optlink.linkage.elementwise import Value, angle_from, dot, minus, turn, unit
+from optlink.linkage.groups import RRR
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 
 Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
-START, MARK = "start", "mark"
+START, MARK, ZERO = "start", "mark", "zero"
 """Names of the quantities that a task adds to those of the mechanism."""
+
+KINDS = ("path", "motion", "function", "transmission")
+POSITIONS = 60  # of a function, where the file does not say how many
+GRID = 36  # crank angles at which the transmission of a mechanism that is no four-bar is followed
 
 STEP = 1e-4  # rad, least crank rotation from a point to the next
 MAX_SHIFT = 1e6  # sizes of the curve that it may lie away from the origin
@@ -48,23 +56,55 @@ def _read_crank(raw: object) -> object:
 
 
 class Task(Section):
-    """What the linkage must do: its point passes the points (path), its body takes the poses (motion), in the order listed."""
+    """What the linkage must do.
 
-    kind: Literal["path", "motion"]
+    Its point passes the points (path) or its body takes the poses (motion) in the order listed; its output is a function of the
+    crank angle (function); or the worst cosine of its transmission angles is as small as can be (transmission).
+    """
+
+    kind: Literal["path", "motion", "function", "transmission"] = "function"
     point: str = "P"
-    points: Any
+    points: Any = None
+    law: Any = None
+    output: str | None = None
+    zero: Coordinate | None = None
     timing: Annotated[Literal["free", "from start", "given"] | None, BeforeValidator(_read_crank)] = None
     start: Angle | None = None
     rotation: Literal["either", "counter-clockwise", "clockwise"] = "either"
     closed: bool | None = None
     mark: Angle | None = None
     angle_length: FixedLength | None = None
-    measure: Literal["sum of squares", "rms", "max"] = "sum of squares"
+    measure: Literal["sum of squares", "rms", "max"] | None = None
 
     @field_validator("points", mode="before")
     @classmethod
-    def _points(cls, raw: object, info: ValidationInfo) -> Wanted:
+    def _points(cls, raw: object, info: ValidationInfo) -> Wanted | int | None:
+        kind = info.data.get("kind")
+        if kind in ("function", "transmission"):
+            if raw is not None and (
+                kind == "transmission" or isinstance(raw, bool) or not isinstance(raw, int) or not 2 <= raw <= 400
+            ):
+                remedy = "Leave points out" if kind == "transmission" else "Give a whole number from 2 to 400, or leave it out"
+                raise Unusable(f"no points belong to a {kind}" if kind == "transmission" else "no number of positions", remedy)
+            return raw
         return read_points(raw, (info.context or {}).get("folder", Path()))
+
+    @field_validator("law", mode="before")
+    @classmethod
+    def _law(cls, raw: object) -> Function | None:
+        if raw is None or isinstance(raw, Function):
+            return raw
+        if not isinstance(raw, dict):
+            raise Unusable("the output of this mechanism follows a function y(x)", f"Write {SLIDES}")
+        try:
+            return read_function(raw, "coordinate")
+        except Unusable as error:
+            if error.key != "output":
+                raise
+        return read_function(raw, "angle")
+
+
+SLIDES = 'law = { function = "sqrt(x)", x = [0.1, 1], input = "90 deg", output = "40 mm" }'
 
 
 class RegionSection(Section):
@@ -103,22 +143,62 @@ class GenerationProblem(Problem):
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
-        """Every quantity that can be fixed or free, by name: those of the mechanism, the start of the crank, the mark."""
-        found = dict(self.mechanism.quantities)
+        """Every quantity that can be fixed or free, by name: those of the mechanism, and what the task adds."""
+        found, task = dict(self.mechanism.quantities), self.requirement
+        anywhere = Quantity(0.0, "angle", "deg", -math.pi, math.pi)
         if self.timing == "from start":
-            found[START] = self.requirement.start or Quantity(0.0, "angle", "deg", -math.pi, math.pi)
-        if self.requirement.kind == "motion":
-            found[MARK] = self.requirement.mark or Quantity(0.0, "angle", "deg", -math.pi, math.pi)
+            found[START] = task.start or anywhere
+        if task.kind == "motion":
+            found[MARK] = task.mark or anywhere
+        if task.kind == "function" and self.slides:
+            far = 10.0 * max([abs(task.law.output), *(q.value for q in found.values() if q.kind == "length")])
+            found[ZERO] = task.zero or Quantity(0.0, "coordinate", "mm", -far, far)
+        elif task.kind == "function":
+            found[ZERO] = anywhere
         return found
 
     @property
+    def slides(self) -> bool:
+        """Whether the output of a function is a slider, not the angle of a body."""
+        return isinstance(self.requirement.law, Function) and self.requirement.law.kind == "coordinate"
+
+    @property
+    def measure(self) -> str:
+        """How deviations become one figure."""
+        return self.requirement.measure or ("max" if self.requirement.kind == "transmission" else "sum of squares")
+
+    @property
+    def unit(self) -> str:
+        """SI unit of a deviation: empty for cosines."""
+        if self.requirement.kind == "transmission":
+            return ""
+        return "rad" if self.requirement.kind == "function" and not self.slides else "m"
+
+    @property
+    def width(self) -> int:
+        """Components of the deviation at one position."""
+        if self.requirement.kind == "transmission":
+            return len([group for group in self.linkage.groups if isinstance(group, RRR)])
+        return {"path": 2, "motion": 3, "function": 1}[self.requirement.kind]
+
+    @property
+    def whole(self) -> float:
+        """What a deviation is measured by in the programme: the size of the curve, 1 for angles and cosines."""
+        return self.size if self.unit == "m" else 1.0
+
+    @property
     def wanted(self) -> Wanted:
-        """The points as they were read."""
-        return self.requirement.points  # type: ignore[no-any-return]
+        """The points as they were read; none of a function or transmission."""
+        points = self.requirement.points
+        return points if isinstance(points, Wanted) else Wanted(points=())
 
     @property
     def timing(self) -> str:
         """ "given": crank angles belong to the points; "from start": up to a common start; "free": in order."""
+        if self.requirement.kind == "function":
+            return "from start"
+        if self.requirement.kind == "transmission":
+            return "given"
         return self.requirement.timing or ("free" if self.wanted.crank is None else "given")
 
     @cached_property
@@ -137,9 +217,16 @@ class GenerationProblem(Problem):
     @cached_property
     def data(self) -> Data:
         """What is wanted, as arrays."""
-        wanted = self.wanted
+        wanted, task = self.wanted, self.requirement
+        if task.kind == "function":
+            offsets = task.law.input * np.linspace(0.0, 1.0, (task.points or POSITIONS) + 1)
+            return _plain(np.asarray(task.law.rise(offsets), dtype=float)[:, None], offsets)
+        if task.kind == "transmission":
+            exact = isinstance(self.mechanism, FourBarSection)
+            offsets = np.array([0.0, math.pi]) if exact else np.linspace(0.0, TURN, GRID, endpoint=False)
+            return _plain(np.zeros((len(offsets), 1)), offsets)
         columns = np.array(wanted.points, dtype=float)
-        if self.requirement.kind == "motion":
+        if task.kind == "motion":
             assert wanted.angles is not None
             columns = np.column_stack([columns, *unit(np.array(wanted.angles))])
         count = len(columns)
@@ -148,21 +235,32 @@ class GenerationProblem(Problem):
         offsets = None if self.timing == "free" or wanted.crank is None else np.array(wanted.crank)
         return Data(columns, roots, offsets, tolerances)
 
+    @property
+    def pointed(self) -> bool:
+        """Whether points in the plane are wanted."""
+        return self.requirement.kind in ("path", "motion")
+
     @cached_property
     def centre(self) -> tuple[float, float]:
-        """Mean of the points [m]."""
+        """Mean of the points [m]; the origin where there are none."""
+        if not self.pointed:
+            return 0.0, 0.0
         x, y = np.mean(self.data.columns[:, :2], axis=0)
         return float(x), float(y)
 
     @cached_property
     def size(self) -> float:
-        """How large the curve is [m]: root mean square of the points' distances from their centre; if zero, the longest link."""
-        spread = self.data.columns[:, :2] - np.array(self.centre)
-        size = float(np.sqrt(np.mean(np.sum(spread * spread, axis=1))))
-        if size > 0.0:
-            return size
-        lengths = [q.value for q in self.mechanism.quantities.values() if q.kind == "length"]
-        return max(lengths)
+        """How large the curve is [m]: root mean square of the points' distances from their centre; else the stroke, or a link."""
+        if self.pointed:
+            spread = self.data.columns[:, :2] - np.array(self.centre)
+            size = float(np.sqrt(np.mean(np.sum(spread * spread, axis=1))))
+            if size > 0.0:
+                return size
+        if self.slides:
+            return float(abs(self.requirement.law.output))
+        quantities = [q for q in self.mechanism.quantities.values() if q.kind == "length"]
+        fixed = [q.value for q in quantities if not q.free]
+        return max(fixed or [q.value for q in quantities])
 
     @cached_property
     def radian(self) -> float:
@@ -177,16 +275,23 @@ class GenerationProblem(Problem):
         return owners[-1] if owners else ""
 
     def deviation(self, pose: Pose, values: Mapping[str, Value], wanted: tuple[Value, ...]) -> list[Value]:
-        """Generated minus wanted [m] at one position, elementwise: x, y and, of a pose, the angle times `radian`.
+        """Generated minus wanted at one position, elementwise; `wanted` is a row of `Data.columns`.
 
-        `wanted` is a row of `Data.columns`.
+        Of a path x and y [m]; of a pose also the angle times `radian`; of a function the slide [m] or angle [rad]; for the
+        transmission the cosine of the angle at each joint of two links.
         """
+        kind = self.requirement.kind
+        if kind == "transmission":
+            return [joint_cosine(pose, group) for group in self.linkage.groups if isinstance(group, RRR)]
+        if kind == "function":
+            if self.slides:
+                guide = next(guide for guide in self.linkage.guides if guide.name == self.requirement.output)
+                return [pose.slide(guide) - values[ZERO] - wanted[0]]
+            return [angle_from(unit(values[ZERO] + wanted[0]), pose.direction(str(self.requirement.output)))]
         x, y = pose.point(self.requirement.point)
         found = [x - wanted[0], y - wanted[1]]
-        if self.requirement.kind == "motion":
-            c, s = pose.direction(self.body)
-            mark = unit(values[MARK])
-            turned = (c * mark[0] - s * mark[1], s * mark[0] + c * mark[1])
+        if kind == "motion":
+            turned = turn(pose.direction(self.body), unit(values[MARK]))
             found.append(self.radian * angle_from((wanted[2], wanted[3]), turned))
         return found
 
@@ -204,6 +309,18 @@ class GenerationProblem(Problem):
         return offsets + (values[START] if self.timing == "from start" else 0.0)
 
 
+def _plain(columns: Array, offsets: Array) -> Data:
+    """Positions of equal weight without tolerances."""
+    return Data(columns, np.ones(len(columns)), offsets, np.full(len(columns), np.inf))
+
+
+def joint_cosine(pose: Pose, group: RRR) -> Value:
+    """Cosine of the angle between the two links of a group."""
+    joint = pose.point(group.joint)
+    one, other = (minus(pose.point(pin), joint) for pin in group.pins)
+    return dot(one, other) / np.sqrt(dot(one, one) * dot(other, other))
+
+
 def cross_check_generation(problem: GenerationProblem) -> None:
     """Find what no single key shows.
 
@@ -212,8 +329,55 @@ def cross_check_generation(problem: GenerationProblem) -> None:
     Unusable
         with the full key that is to blame.
     """
+    task, mechanism = problem.requirement, problem.linkage
+    for key, kinds in BELONGS.items():
+        if getattr(task, key) is not None and task.kind not in kinds:
+            raise Unusable(f"a {task.kind} has no {key}", f'Leave it out, or write kind = "{kinds[0]}"', f"requirement.{key}")
+    if task.kind == "function":
+        _check_output(problem, mechanism)
+    elif task.kind == "transmission":
+        if problem.width == 0:
+            raise Unusable(
+                "no group of this mechanism has a transmission angle", "Take another requirement", "requirement.kind", task.kind
+            )
+        if problem.limits.crank == "span":
+            raise Unusable(
+                "the transmission is that of a whole revolution", 'Write crank = "full rotation"', "limits.crank", "span"
+            )
+    else:
+        _check_points(problem, mechanism)
+    _check_limits(problem, mechanism)
+
+
+BELONGS = {
+    "law": ("function",),
+    "output": ("function",),
+    "zero": ("function",),
+    "mark": ("motion",),
+    "angle_length": ("motion",),
+    "start": ("path", "motion", "function"),
+    "timing": ("path", "motion"),
+    "closed": ("path", "motion"),
+}
+"""What only some kinds of task have."""
+
+
+def _check_output(problem: GenerationProblem, mechanism: Mechanism) -> None:
+    task = problem.requirement
+    if task.law is None:
+        raise Unusable("the function is missing", f"Write {SLIDES}", "requirement.law")
+    guides, bodies = [guide.name for guide in mechanism.guides], [link.body for link in mechanism.links[1:]]
+    known = guides if problem.slides else bodies
+    what = "guide" if problem.slides else "body that turns"
+    if task.output not in known:
+        remedy = f"Write output = one of: {', '.join(known)}" if task.output is None else nearest(task.output, known)
+        raise Unusable(f"the output is the name of a {what}", remedy, "requirement.output", task.output)
+    if task.zero is not None and not problem.slides:
+        raise Unusable("only a slider has it", "Leave it out", "requirement.zero", str(task.zero))
+
+
+def _check_points(problem: GenerationProblem, mechanism: Mechanism) -> None:
     task, wanted = problem.requirement, problem.wanted
-    mechanism = problem.linkage
     named = [name for name, bodies in mechanism.owners.items() if set(bodies) != {FRAME}]
     if task.point not in named:
         remedy = nearest(task.point, named)
@@ -229,9 +393,6 @@ def cross_check_generation(problem: GenerationProblem) -> None:
         )
     if task.kind == "path" and wanted.angles is not None:
         raise Unusable("a path has no angles", 'Leave them out, or write kind = "motion"', "requirement.points")
-    if task.kind == "path" and (task.mark is not None or task.angle_length is not None):
-        key = "mark" if task.mark is not None else "angle_length"
-        raise Unusable("only a motion has it", 'Leave it out, or write kind = "motion"', f"requirement.{key}")
     least = 2
     if count < least:
         raise Unusable(
@@ -268,7 +429,6 @@ def cross_check_generation(problem: GenerationProblem) -> None:
             "Check the units, or move the origin near the points",
             "requirement.points",
         )
-    _check_limits(problem, mechanism)
 
 
 def _check_limits(problem: GenerationProblem, mechanism: Mechanism) -> None:

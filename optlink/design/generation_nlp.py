@@ -32,9 +32,8 @@ EXACT = 1e-10  # of the size of the curve: a residual that leaves nothing to imp
 
 
 def measure_of(problem: GenerationProblem) -> Measure:
-    """The measure of the deviations [m]."""
-    width = 3 if problem.requirement.kind == "motion" else 2
-    return measures("m", width)[problem.requirement.measure]
+    """The measure of the deviations."""
+    return measures(problem.unit, problem.width)[problem.measure]
 
 
 def angle_name(index: int) -> str:
@@ -64,7 +63,7 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
     grid : angles [rad], optional
         Where a mechanism that is no four-bar is asked whether it closes.
     """
-    size, free, data = problem.size, problem.free, problem.data
+    size, share, free, data = problem.size, problem.whole, problem.free, problem.data
     fixed = tuple(name for name in problem.quantities if name not in free)
     own = data.offsets is None
     count, measure = len(data.columns), measure_of(problem)
@@ -73,7 +72,7 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
     if own:
         variables += [Variable(angle_name(i), 1.0, DEGREES) for i in range(count)]
     if minimax:
-        variables.append(Variable(EPIGRAPH, size, Scale("mm", 1e3 * size)))
+        variables.append(Variable(EPIGRAPH, share, Scale("", share)))
     constants = [variable_of(problem, name) for name in fixed]
 
     x = casadi.SX.sym("x", len(variables))
@@ -119,16 +118,15 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
             most = TURN - (STEP if problem.closed and not _repeated(problem) else 0.0)
             rows.append(Row("requirement.points", "points within one revolution", whole, -math.inf, most, DEGREES))
         for i, (error, tolerance) in enumerate(zip(errors, data.tolerances, strict=True)):
-            square = casadi.sumsqr(error[:2]) / (data.roots[i] * size) ** 2
             if math.isfinite(tolerance):
+                square = casadi.sumsqr(error[:2]) / (data.roots[i] * size) ** 2
                 label = f"tolerance of point {i + 1}, squared share of the curve's size"
                 rows.append(Row("requirement.points", label, square, -math.inf, (tolerance / size) ** 2, PLAIN))
             if minimax:
-                largest = x[-1] * x[-1] - casadi.sumsqr(error) / size**2
+                largest = (x[-1] * x[-1] - casadi.sumsqr(error) / share**2) / (p[0] * p[0])
                 rows.append(Row(EPIGRAPH, f"deviation at point {i + 1}", largest, 0.0, math.inf, PLAIN))
         vector = casadi.vertcat(*errors)
-        share = size**2 * (count if measure.name == "rms" else 1)
-        f = x[-1] if minimax else casadi.sumsqr(vector) / share
+        f = x[-1] if minimax else casadi.sumsqr(vector) / (share**2 * (count if measure.name == "rms" else 1))
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
 
     quantities = [problem.quantities[name] for name in free]
@@ -155,7 +153,7 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
         f_expression=f / p[0],
         g_expression=g,
         residual_expression=vector,
-        exact=EXACT * size,
+        exact=EXACT * share,
         helpers=frozenset(helpers),
     )
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.design.expression import Expression, LawError, parse
+from optlink.design.function import Function, read_function
 from optlink.design.quantity import Unusable, nearest, read_scalar
 from optlink.linkage.elementwise import Value
 from optlink.units import factor
@@ -78,7 +79,7 @@ class Law:
     `offsets` (rows,) [rad]: crank rotation of each position from the start.
     """
 
-    source: Expression | Table
+    source: Expression | Function | Table
     offsets: Array
 
     @cached_property
@@ -88,7 +89,7 @@ class Law:
 
     def wanted(self, offset: Value, tabulated: Value, phi0: Value, psi0: Value) -> Value:
         """Wanted rocker angle [rad] at crank rotations `offset` from the start; elementwise."""
-        if isinstance(self.source, Expression):
+        if isinstance(self.source, Expression | Function):
             return self.source({"phi": phi0 + offset, "phi0": phi0, "psi0": psi0})
         return tabulated + psi0 if self.source.from_start else tabulated
 
@@ -98,7 +99,7 @@ class Law:
         return np.asarray(self.wanted(offsets, tabulated, phi0, psi0) + 0.0 * offsets, dtype=float)
 
 
-def read_law(raw: object, folder: Path) -> Expression | Table:
+def read_law(raw: object, folder: Path) -> Expression | Function | Table:
     """Read a law as a problem file states it: an expression, a table, or the CSV file of a table.
 
     Raises
@@ -106,18 +107,21 @@ def read_law(raw: object, folder: Path) -> Expression | Table:
     Unusable
         naming the key below `law` that is to blame.
     """
-    if isinstance(raw, Expression | Table):
+    if isinstance(raw, Expression | Function | Table):
         return raw
     if isinstance(raw, str):
         try:
             return parse(raw, NAMES)
         except LawError as error:
             raise Unusable(error.message, error.remedy) from None
+    if isinstance(raw, dict) and "function" in raw:
+        return read_function(raw)
     if isinstance(raw, dict):
         return _read_table(raw, folder)
     raise Unusable(
         "a law is an expression or a table",
-        'Write "psi0 + 0.5*(phi - phi0)", or { phi = ["0 deg", ...], psi = ["0 deg", ...] }, or { csv = "law.csv" }',
+        'Write "psi0 + 0.5*(phi - phi0)", or { phi = ["0 deg", ...], psi = ["0 deg", ...] }, or { csv = "law.csv" }, '
+        'or { function = "log10(x)", x = [1, 2], input = "60 deg", output = "60 deg" }',
     )
 
 

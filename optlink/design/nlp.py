@@ -55,7 +55,8 @@ class NLP:
     """minimise f(x, p) subject to low <= g(x, p) <= high, x_low <= x <= x_high.
 
     `x` (n,) are the scaled free quantities (and, last, the largest error of a minimax problem); `p` is the scale of the
-    objective followed by the fixed quantities, so that they can be varied without tracing anew.
+    objective followed by the fixed quantities (and crank rotations of roaming positions), so that they can be varied without
+    tracing anew.
     """
 
     variables: tuple[Variable, ...]
@@ -142,6 +143,10 @@ class NLP:
         x = np.array([(values.get(v.name, 0.0) - v.origin) / v.size for v in self.variables])
         return self.lifted(np.clip(x, self.x_low, self.x_high))
 
+    def roam(self, offsets: Array) -> None:
+        """Move the roaming positions to these crank rotations [rad], `ROAMING` at most."""
+        self.p[len(self.p) - len(offsets) :] = offsets
+
     def lifted(self, x: Array) -> Array:
         """The same design with the epigraph variable (if there is one) at the largest residual."""
         if self.variables[-1].name != EPIGRAPH:
@@ -153,7 +158,10 @@ class NLP:
 SMALLEST_SCALE = 1e-6  # of the objective: where the law can be met exactly, rounding errors must not be blown up
 
 
-def _residuals(problem: DesignProblem, values: dict[str, Any], start: StartPosition) -> list[Any]:
+ROAMING = 12  # positions of a function's programme that are moved to where its error is largest
+
+
+def _residuals(problem: DesignProblem, values: dict[str, Any], start: StartPosition, roaming: list[Any]) -> list[Any]:
     """Trace the output error once, at a symbolic position, then put the design positions in (numpy's dispatch is paid once)."""
     names = list(values)
     inputs = casadi.SX.sym("inputs", len(names) + 6)
@@ -162,10 +170,11 @@ def _residuals(problem: DesignProblem, values: dict[str, Any], start: StartPosit
     one = casadi.Function("error", [inputs], [error])
     known = [*values.values(), *start.crank, start.phi0, start.psi0]
     law = problem.law
-    return [
+    fixed = [
         one(casadi.vertcat(*known, float(offset), float(tabulated)))
         for offset, tabulated in zip(law.offsets, law.tabulated, strict=True)
     ]
+    return fixed + [one(casadi.vertcat(*known, offset, 0.0)) for offset in roaming]
 
 
 def build(problem: DesignProblem) -> NLP:
@@ -181,18 +190,21 @@ def build(problem: DesignProblem) -> NLP:
     minimax = measure.name == "max"
 
     x = casadi.SX.sym("x", len(free) + minimax)
-    p = casadi.SX.sym("p", 1 + len(fixed))
+    many = ROAMING if problem.everywhere else 0
+    p = casadi.SX.sym("p", 1 + len(fixed) + many)
     values = {name: x[i] * sizes[name] for i, name in enumerate(free)}
     values |= {name: p[1 + i] * sizes[name] for i, name in enumerate(fixed)}
     with tracing():
         start = problem.start_position(values)
-        residuals = _residuals(problem, values, start)
+        residuals = _residuals(problem, values, start, [p[1 + len(fixed) + i] for i in range(many)])
         rows = limit_rows(problem, values, Reach(start.phi0, problem.span), size)
         if minimax:
-            for offset, residual in zip(problem.law.offsets, residuals, strict=True):
-                label = f"error {math.degrees(offset):.4g} deg from the start"
-                rows.append(Row(EPIGRAPH, f"{label}, above", x[-1] - residual, 0.0, math.inf, DEGREES))
-                rows.append(Row(EPIGRAPH, f"{label}, below", x[-1] + residual, 0.0, math.inf, DEGREES))
+            labels = [f"error {math.degrees(offset):.4g} deg from the start" for offset in problem.law.offsets]
+            labels += [f"error at its peak {i + 1}" for i in range(many)]
+            # as shares of the objective's scale: else all rows of a small error would count as active
+            for label, residual in zip(labels, residuals, strict=True):
+                rows.append(Row(EPIGRAPH, f"{label}, above", (x[-1] - residual) / p[0], 0.0, math.inf, DEGREES))
+                rows.append(Row(EPIGRAPH, f"{label}, below", (x[-1] + residual) / p[0], 0.0, math.inf, DEGREES))
         vector = casadi.vertcat(*residuals)
         f = x[-1] if minimax else casadi.sumsqr(vector) / (len(residuals) if measure.name == "rms" else 1)
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
@@ -213,7 +225,7 @@ def build(problem: DesignProblem) -> NLP:
         x_start=np.array(at),
         x_low=np.array(low),
         x_high=np.array(high),
-        p=np.array([1.0, *(problem.quantities[name].value / sizes[name] for name in fixed)]),
+        p=np.array([1.0, *(problem.quantities[name].value / sizes[name] for name in fixed), *np.zeros(many)]),
         x_symbol=x,
         p_symbol=p,
         f_expression=f / p[0],

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from optlink.design.expression import Expression
+from optlink.design.function import Function
 from optlink.design.law import Law, Table, read_law
 from optlink.design.limits import Limits, Reach, check_ranges
 from optlink.design.linkages import FourBarSection
@@ -30,6 +31,7 @@ from optlink.linkage.fourbar import dead_centre, lengths_of
 from optlink.linkage.structure import EITHER
 
 MAX_POINTS = 10_000
+POSITIONS = 60  # design positions of a function, where the file does not say how many
 DEAD_CENTRES = ("outer dead centre", "inner dead centre")
 EPIGRAPH = "largest error"  # name of the extra variable of a minimax programme, and of its rows
 ABSURD = 1e3  # rad; a rocker that shall turn further follows a slip of the pen, or a pole
@@ -57,7 +59,7 @@ class Requirement(Section):
 
     @field_validator("law", mode="before")
     @classmethod
-    def _law(cls, raw: object, info: ValidationInfo) -> Expression | Table:
+    def _law(cls, raw: object, info: ValidationInfo) -> Expression | Function | Table:
         return read_law(raw, (info.context or {}).get("folder", Path()))
 
 
@@ -82,12 +84,17 @@ class DesignProblem(Problem):
     def quantities(self) -> dict[str, Quantity]:
         """Every quantity that can be fixed or free, by name: the four lengths, phi0 and psi0 where they are given."""
         found = dict(self.mechanism.quantities)
+        anywhere = Quantity(0.0, "angle", "deg", -FULL_TURN, FULL_TURN)
         if isinstance(self.requirement.start, Quantity):
             found["phi0"] = self.requirement.start
+        elif isinstance(self.requirement.law, Function):
+            found["phi0"] = anywhere
         elif isinstance(self.requirement.law, Table) and not self.requirement.law.from_start:
             found["phi0"] = Quantity(self.requirement.law.phi[0], "angle", "deg")
         if self.requirement.psi0 is not None:
             found["psi0"] = self.requirement.psi0
+        elif isinstance(self.requirement.law, Function):
+            found["psi0"] = anywhere
         return found
 
     @property
@@ -100,13 +107,15 @@ class DesignProblem(Problem):
         """Crank rotation [rad] of the requirement, negative clockwise."""
         if isinstance(self.requirement.law, Table):
             return self.requirement.law.span
+        if isinstance(self.requirement.law, Function):
+            return self.requirement.law.input
         assert self.requirement.span is not None
         return self.requirement.span.value
 
     @property
     def tied(self) -> bool:
         """Whether psi0 is the rocker's own angle at the start."""
-        return self.requirement.psi0 is None
+        return "psi0" not in self.quantities
 
     @cached_property
     def law(self) -> Law:
@@ -122,9 +131,14 @@ class DesignProblem(Problem):
                 offsets = np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0])
                 own = self.tied and source.from_start and offsets[0] == 0.0 and source.psi[0] == 0.0
                 return Law(source, offsets[1:] if own else offsets)
-        count = points or 1
+        count = points or POSITIONS
         steps = np.arange(1 if self.tied and first == 0.0 else 0, count + 1) / count
         return Law(source, first + (self.span - first) * steps)
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether the largest error is that of the whole range, not of the design positions alone: so for functions."""
+        return self.requirement.measure == "max" and isinstance(self.requirement.law, Function)
 
     @property
     def transmission_over(self) -> str:
@@ -163,13 +177,24 @@ def cross_check_design(problem: DesignProblem) -> None:
         with the full key that is to blame.
     """
     requirement, limits = problem.requirement, problem.limits
+    function = requirement.law if isinstance(requirement.law, Function) else None
     if problem.mechanism.placed:
         raise Unusable("a motion law has no place in the plane", "Leave pivot and direction out", "mechanism.pivot")
-    if problem.mechanism.assembly == EITHER:
-        raise Unusable("a motion law is designed for one assembly mode", 'Write "left" or "right"', "mechanism.assembly", EITHER)
+    if problem.mechanism.assembly == EITHER and function is None:
+        remedy = 'Write "left" or "right"'
+        raise Unusable("a motion law is designed for one assembly mode", remedy, "mechanism.assembly", EITHER)
     table = requirement.law if isinstance(requirement.law, Table) else None
+    if function is not None and requirement.span is not None:
+        raise Unusable("a function brings its own span, the input", "Leave span out", "requirement.span", str(requirement.span))
+    if function is not None and "start" in requirement.model_fields_set and not isinstance(requirement.start, Quantity):
+        raise Unusable(
+            "a function starts at an angle, given or to be found",
+            'Write from = { start = "50 deg", bounds = ["0 deg", "180 deg"] }, or leave it out: then the search finds it',
+            "requirement.from",
+            requirement.start,
+        )
     if table is None:
-        for key in ("span", "points"):
+        for key in ("span", "points") if function is None else ():
             if getattr(requirement, key) is None:
                 example = 'span = "90 deg"' if key == "span" else "points = 30"
                 raise Unusable("an expression as the law needs it", f"Add {example}", f"requirement.{key}")
@@ -236,7 +261,7 @@ def cross_check_design(problem: DesignProblem) -> None:
 def _check_law(problem: DesignProblem) -> None:
     """Follow an expression over the span: it must have a sensible value everywhere, whatever the start angle."""
     law = problem.requirement.law
-    if not isinstance(law, Expression):
+    if not isinstance(law, Expression | Function):
         return
     nominal = problem.design({})
     known = (nominal["phi0"], nominal["psi0"])
@@ -252,7 +277,7 @@ def _check_law(problem: DesignProblem) -> None:
         )
 
 
-def _worry(law: Expression, span: float, phi0: float, psi0: float) -> str | None:
+def _worry(law: Expression | Function, span: float, phi0: float, psi0: float) -> str | None:
     """What is wrong with a law along the span, if anything; poles of even order are found by closing in on the largest value."""
     low, high = 0.0, 1.0
     for _ in range(5):

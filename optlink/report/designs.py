@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from optlink.generation import Design, Generation, people_unit
+from optlink.generation import OUTPUT, Design, Generation, objective_unit, people_unit
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, active, checks, fixed, grid, number
 
 SHOWN = 12  # points listed on a terminal; result.json and points.csv have all
@@ -36,19 +36,17 @@ def generation(outcome: Generation) -> RenderableType:
         title.append(f"; {many}")
     for note in outcome.notes:
         title.append(f"\nNote: {note}")
-    parts: list[RenderableType] = [title, Text(), _sizes(best), Text(), _objective(best), Text(), _points(best)]
+    parts: list[RenderableType] = [title, Text(), _sizes(best), Text(), _objective(best)]
+    if best.task.pointed:
+        parts += [Text(), _points(best)]
     if best.solution is not None:
-        parts += [Text(), active(best.limits, best.objective, _unit(best))]
+        parts += [Text(), active(best.limits, best.objective, objective_unit(best.task))]
     parts += [Text(), checks(best.validation.checks)]
     if len(outcome.designs) > 1:
         parts += [Text(), _designs(outcome)]
     if best.cognates:
         parts += [Text(), _cognates(best)]
     return Group(*parts, Text(), _times(outcome))
-
-
-def _unit(design: Design) -> str:
-    return "m^2" if design.task.requirement.measure == "sum of squares" else "m"
 
 
 def _sizes(design: Design) -> Table:
@@ -84,19 +82,27 @@ def significant(value: float) -> str:
 def _objective(design: Design) -> Table:
     measured, task = design.measured, design.task
     table = grid("Objective", [("", "left"), ("", "right"), ("", "left"), ("", "left")])
-    squared = task.requirement.measure == "sum of squares"
-    people = design.objective * (1e6 if squared else 1e3)
-    rms = 1e3 * math.sqrt(float((measured.distances**2).mean()))
-    remark = f"distance from the points: rms {number(rms, 4)}, largest {number(1e3 * float(measured.distances.max()), 4)} mm"
+    factor, unit = OUTPUT[task.unit]
+    squared = task.measure == "sum of squares"
+    rms, largest = math.sqrt(float((measured.distances**2).mean())), float(measured.distances.max())
+    what = {"m": "distance", "rad": "error", "": "cosine"}[task.unit]
+    remark = f"{what}: rms {number(factor * rms, 4)}, largest {number(factor * largest, 4)} {unit}".rstrip()
     if measured.turned is not None:
         remark += f"; angle: largest {number(math.degrees(float(abs(measured.turned).max())), 4)} deg"
-    name = task.requirement.measure + (", weighted" if task.wanted.weights is not None else "")
-    table.add_row(name, Text(number(people, 8), style=HEAD), "mm^2" if squared else "mm", Text(remark, style=QUIET))
+    name = task.measure + (", weighted" if task.wanted.weights is not None else "")
+    objective = Text(number(people_objective(design), 8), style=HEAD)
+    table.add_row(name, objective, f"{unit}^2" if squared and unit else unit, Text(remark, style=QUIET))
     least = math.degrees(design.least_transmission)
     if math.isfinite(least):
         remark = "from 0 or 180 deg, at its worst " + ("of the revolution" if design.turns else "between the points")
         table.add_row("transmission angle", Text(fixed(least, 2)), "deg", Text(remark, style=QUIET))
     return table
+
+
+def people_objective(design: Design) -> float:
+    """The objective in the unit that people read."""
+    factor = OUTPUT[design.task.unit][0]
+    return design.objective * (factor**2 if design.task.measure == "sum of squares" else factor)
 
 
 def _points(design: Design) -> Table:
@@ -138,10 +144,9 @@ def _designs(outcome: Generation) -> Table:
         ("assembly", "left"),
     ]
     table = grid(f"Designs, best first ({len(outcome.designs)} distinct)", columns, header=True)
-    squared = outcome.designs[0].task.requirement.measure == "sum of squares"
     for k, design in enumerate(outcome.designs, start=1):
         values = [significant(design.values[name] * people_unit(design.task, name)[0]) for name in shown]
-        objective = number(design.objective * (1e6 if squared else 1e3), 5)
+        objective = number(people_objective(design), 5)
         table.add_row(str(k), objective, fixed(math.degrees(design.least_transmission), 1), *values, words(design))
     return table
 

@@ -112,6 +112,13 @@ def _objective(outcome: Result) -> Table:
     rms, largest = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
     remark = f"error: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
     table.add_row(outcome.measure, Text(number(outcome.objective), style=HEAD), outcome.unit, Text(remark, style=QUIET))
+    if outcome.problem.spec.everywhere:
+        remark = f"the largest error is reached {outcome.alternations} times in turn, anywhere in the range"
+        table.add_row("", Text(number(math.degrees(outcome.objective)), style=HEAD), "deg", Text(remark, style=QUIET))
+    if outcome.first is not None:
+        error, bound = (number(math.degrees(value), 4) for value in (outcome.first.error, outcome.first.bound))
+        proof = f"; {bound} deg is the least at its start angles, proven" if outcome.first.proven else ""
+        table.add_row("convex first step", Text(error), "deg", Text(f"found without a start{proof}", style=QUIET))
     return table
 
 

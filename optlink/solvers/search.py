@@ -127,12 +127,17 @@ def cluster(nlp: NLP, solutions: list[Solution]) -> list[Cluster]:
 
 
 def multistart(
-    nlp: NLP, name: str, count: int, seed: int, progress: Callable[[int], None] | None = None, *, track: bool = False
+    nlp: NLP,
+    name: str,
+    begin: list[Array],
+    progress: Callable[[int], None] | None = None,
+    *,
+    track: bool = False,
 ) -> list[Solution]:
     """One solution per start, in the order of the starts; an interrupt (Ctrl-C) keeps those that are done, if there are any."""
     solutions: list[Solution] = []
     try:
-        for k, x in enumerate(starts(nlp, count, seed)):
+        for k, x in enumerate(begin):
             solutions.append(solve_from(nlp, x, name, track=track and k == 0))
             if progress:
                 progress(k + 1)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from optlink.design.nlp import NLP, Point
+from optlink.design.problem import EPIGRAPH
 from optlink.solvers.solution import Attempt
 
 Array = NDArray[np.float64]
@@ -35,6 +36,9 @@ class _View:
 
     def __init__(self, nlp: NLP, x: Array, p: Array) -> None:
         self.nlp, self.p = nlp, p
+        self.size = np.ones(len(x))  # the largest error of a minimax programme is tiny beside all other variables
+        if nlp.variables[-1].name == EPIGRAPH:
+            self.size[-1] = p[0]
         low, high = nlp.low, nlp.high
         below = np.flatnonzero(np.isfinite(low) & (low != high))
         above = np.flatnonzero(np.isfinite(high) & (low != high))
@@ -47,8 +51,9 @@ class _View:
         self.weight = float(1.0 / bend) if math.isfinite(bend) and bend > 0.0 else 1.0
         self.key, self.seen = b"", self._look(x)
 
-    def at(self, x: Array) -> _Seen:
-        """Everything at x."""
+    def at(self, y: Array) -> _Seen:
+        """Everything at x = size * y, derivatives by y."""
+        x = y * self.size
         key = x.tobytes()
         if key != self.key:
             self.key, self.seen = key, self._look(x)
@@ -65,11 +70,11 @@ class _View:
             )
         return _Seen(
             point.f * self.weight,
-            point.gradient * self.weight,
+            point.gradient * self.size * self.weight,
             point.g[self.equal] - self.nlp.low[self.equal],
-            point.jacobian[self.equal],
+            point.jacobian[self.equal] * self.size,
             self.sign * point.g[self.inside] - self.bound,
-            self.sign[:, None] * point.jacobian[self.inside],
+            self.sign[:, None] * point.jacobian[self.inside] * self.size,
         )
 
 
@@ -82,15 +87,16 @@ def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
     if view.inside.size:
         constraints.append({"type": "ineq", "fun": lambda y: view.at(y).inside, "jac": lambda y: view.at(y).inside_jacobian})
     path = [x.copy()]
+    low, high = nlp.x_low / view.size, nlp.x_high / view.size
     result = minimize(
         lambda y: view.at(y).f,
-        x,
+        x / view.size,
         jac=lambda y: view.at(y).gradient,
-        bounds=list(zip(nlp.x_low, nlp.x_high, strict=True)),
+        bounds=list(zip(low, high, strict=True)),
         constraints=constraints,
         method="SLSQP",
-        callback=(lambda y: path.append(np.array(y))) if track else None,
+        callback=(lambda y: path.append(np.array(y) * view.size)) if track else None,
         options={"ftol": (1e-16 if tight else 1e-11) * min(1.0, view.weight), "maxiter": 300},
     )
-    end = np.clip(np.asarray(result.x, dtype=float), nlp.x_low, nlp.x_high)
+    end = np.clip(np.asarray(result.x, dtype=float) * view.size, nlp.x_low, nlp.x_high)
     return Attempt(end, int(result.nit), str(result.message), np.array(path) if track else None)

@@ -54,7 +54,7 @@ class Batch:
         inputs = [x[i] for i in range(n)]
         with tracing():
             pose = problem.linkage.pose(values, unit(t))
-            residual = casadi.vertcat(*problem.deviation(pose, values, wanted)) * (more[width] / problem.size)
+            residual = casadi.vertcat(*problem.deviation(pose, values, wanted)) * (more[width] / problem.whole)
             self.width = int(residual.numel())
             slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
             self._residual = Tape([*inputs, t, *(more[k] for k in range(width + 1))], [residual, slopes])

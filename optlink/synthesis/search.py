@@ -114,8 +114,6 @@ class Searcher:
     def _sample(self, batch: Batch, fit: Similarity, count: int) -> tuple[Array, Array]:
         many = POOL * count
         x, t = starts.designs(batch, many, self.rng), starts.timing(batch, many, self.rng)
-        if not batch.own:
-            t = np.zeros((many, len(batch.data.columns)))
         whole = starts.assembled(batch, x, t)
         x, t = x[whole], t[whole]
         if not len(x):

@@ -66,8 +66,8 @@ def timing(batch: Batch, count: int, rng: np.random.Generator) -> Array:
     """Random crank angles (count, points) in order, steps loosely following the distances of the points."""
     problem, points = batch.problem, batch.data.columns[:, :2]
     number = len(points)
-    if number == 1:
-        return rng.uniform(-math.pi, math.pi, (count, 1))
+    if not batch.own:
+        return np.zeros((count, number))
     chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if problem.closed:
         chords = np.append(chords, np.linalg.norm(points[0] - points[-1]))

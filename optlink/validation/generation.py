@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.generation import MARK, STEP, TURN, GenerationProblem
+from optlink.design.generation import MARK, STEP, TURN, ZERO, GenerationProblem
 from optlink.design.linkages import FourBarSection
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.groups import RRR
-from optlink.linkage.mechanism import FRAME
+from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.refine import extremes
 from optlink.validation.check import (
@@ -35,7 +35,12 @@ ROUNDING = 1e-11  # of the size of the curve; two routes to a deviation that is 
 
 @dataclass(frozen=True)
 class Deviations:
-    """What was measured at the points: generated points (points, 2) [m], distances [m], errors of the angle [rad] (or None)."""
+    """What was measured at the positions, and the objective [SI].
+
+    `generated` (positions, 2) [m]: points; of a function (positions, 1): its output [m or rad]; of the transmission (positions,
+    joints): angles [rad]. `distances` (positions,): from the points [m], of the output, of the cosine farthest from 0.
+    `turned`: errors of the angle [rad] of poses.
+    """
 
     generated: Array
     distances: Array
@@ -44,26 +49,48 @@ class Deviations:
 
 
 def deviations(problem: GenerationProblem, design: Mapping[str, float], crank_angles: Array) -> Deviations:
-    """Drive the mechanism to the crank angles and measure how far it misses the points, weighted as the problem asks."""
+    """Drive the mechanism to the crank angles and measure how far it misses what is wanted, weighted as the problem asks."""
     motion = sweep(problem.linkage, design, crank_angles)
     wanted, weights = problem.data.columns, problem.data.roots**2
-    point = problem.requirement.point
-    generated = motion.position(point) if point in motion.pose.points else np.full((len(wanted), 2), np.nan)
-    distances = np.hypot(*(generated - wanted[:, :2]).T)
-    square = distances**2
-    turned = None
-    if problem.requirement.kind == "motion":
+    kind, turned = problem.requirement.kind, None
+    if kind == "transmission":
+        generated = transmission_angles(motion, problem.linkage)
+        square = np.sum(np.cos(generated) ** 2, axis=1)
+        distances = np.max(np.abs(np.cos(generated)), axis=1)
+    elif kind == "function":
+        output = str(problem.requirement.output)
+        travel = np.asarray(motion.slide(output).value if problem.slides else motion.body_angle(output).value, dtype=float)
+        error = travel - design[ZERO] - wanted[:, 0]
+        error = error if problem.slides else np.remainder(error + math.pi, TURN) - math.pi
+        generated, distances, square = travel[:, None], np.abs(error), error**2
+    else:
+        point = problem.requirement.point
+        generated = motion.position(point) if point in motion.pose.points else np.full((len(wanted), 2), np.nan)
+        distances = np.hypot(*(generated - wanted[:, :2]).T)
+        square = distances**2
+    if kind == "motion":
         angle = np.asarray(motion.body_angle(problem.body).value) + design[MARK]
         aim = np.arctan2(wanted[:, 3], wanted[:, 2])
         turned = np.remainder(angle - aim + math.pi, TURN) - math.pi
         square = square + (problem.radian * turned) ** 2
-    measure = problem.requirement.measure
-    if measure == "max":
+    if problem.measure == "max":
         objective = float(np.max(np.sqrt(square * weights)))
     else:
         objective = float(np.sum(square * weights))
-        objective = math.sqrt(objective / len(wanted)) if measure == "rms" else objective
+        objective = math.sqrt(objective / len(wanted)) if problem.measure == "rms" else objective
     return Deviations(generated, distances, turned, objective)
+
+
+def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
+    """Angle between the two links of every RRR group [rad], 0 ... pi, (positions, groups)."""
+    found = []
+    for group in mechanism.groups:
+        if isinstance(group, RRR):
+            p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
+            one, other = p - c, q - c
+            cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+            found.append(np.abs(np.arctan2(cross, np.sum(one * other, axis=-1))))
+    return np.stack(found, axis=1) if found else np.zeros((len(motion.crank_angle), 0))
 
 
 def validate_generation(
@@ -86,10 +113,10 @@ def validate_generation(
     groups = (_sizes, _closure, _circuit, _order, _points, _transmission, _strokes, _pivots)
     checks = [check for group in groups for check in group(tested)]
     if objective is not None:
-        squared = problem.requirement.measure == "sum of squares"
+        squared = problem.measure == "sum of squares"
         gap = abs(found - objective) / max(abs(found), 1e-300)
         error, claimed = (math.sqrt(f) if squared else f for f in (max(found, 0.0), max(objective, 0.0)))
-        agrees = bool(gap <= 1e-6 or abs(error - claimed) <= ROUNDING * problem.size)
+        agrees = bool(gap <= 1e-6 or abs(error - claimed) <= ROUNDING * problem.whole)
         checks.append(Check("objective measured in motion", agrees, gap, "<= 1e-06", ""))
     return Validation(tuple(checks), found)
 
@@ -176,7 +203,7 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
         yield Check("one branch: every joint on one side", bool(least > 0.0), least, "> 0", "")
     step = abs(motion.crank_angle[1] - motion.crank_angle[0])
     worst, allowed = 0.0, 1.0
-    for name in (*(group.joint for group in tested.mechanism.groups), tested.problem.requirement.point):
+    for name in dict.fromkeys((*(group.joint for group in tested.mechanism.groups), tested.problem.requirement.point)):
         if name not in motion.pose.points:
             continue
         places = motion.position(name)
@@ -194,7 +221,7 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
 def _order(tested: _Tested) -> Iterator[Check]:
     """The points are met in the order listed, within one revolution, the crank turning one way."""
     steps = np.diff(tested.crank_angles) * tested.way
-    if len(steps):
+    if len(steps) and tested.problem.pointed:
         least = math.degrees(float(np.min(steps)))
         yield Check("points met in order", bool(least >= math.degrees(STEP) * (1.0 - 1e-3)), least, "> 0", "deg")
         whole = math.degrees(float(np.sum(steps)))
@@ -205,6 +232,8 @@ def _order(tested: _Tested) -> Iterator[Check]:
             f"crank turns {tested.problem.requirement.rotation}", tested.way == rotation, tested.way, f"= {rotation:g}", ""
         )
     given = tested.problem.data.offsets
+    if not tested.problem.pointed and tested.problem.timing == "given":
+        return
     if given is not None:
         start = tested.design["start"] if tested.problem.timing == "from start" else 0.0
         miss = math.degrees(float(np.max(np.abs(tested.crank_angles - start - given))))
@@ -215,8 +244,9 @@ def _points(tested: _Tested) -> Iterator[Check]:
     """Every point has a position, and is met within its tolerance."""
     distances, tolerances = tested.measured.distances, tested.problem.data.tolerances
     whole = bool(np.all(np.isfinite(distances)))
-    largest = float(np.max(distances)) * 1e3
-    yield Check("the linkage reaches a position for every point", whole, largest, "finite", "mm")
+    factor, unit = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}[tested.problem.unit]
+    largest = float(np.max(distances)) * factor
+    yield Check("the linkage has a position for everything wanted", whole, largest, "finite", unit)
     if np.any(np.isfinite(tolerances)):
         used = np.max(distances / tolerances)
         yield Check("points met within their tolerances", bool(used <= 1.0 + 1e-6), float(used), "<= 1", "of the tolerance")
@@ -238,14 +268,7 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
     groups = [group for group in tested.mechanism.groups if isinstance(group, RRR)]
 
     def angles(at: Array) -> Array:
-        motion = tested.sweep(at)
-        found = []
-        for group in groups:
-            p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
-            one, other = p - c, q - c
-            cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-            found.append(np.abs(np.arctan2(cross, np.sum(one * other, axis=-1))))
-        return np.array(found)
+        return transmission_angles(tested.sweep(at), tested.mechanism).T
 
     motion = tested.asked()
     grid = np.sort(motion.crank_angle)

@@ -18,6 +18,7 @@ from optlink.design.quantity import Interval
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.refine import extremes
 from optlink.validation.check import (
     ANGLE_TOLERANCE,
     LENGTH_TOLERANCE,
@@ -155,17 +156,25 @@ class _Tested:
         motion = self._sweep(np.array([crank_angle]))
         return float(np.linalg.norm(motion.position("C")[0] - motion.position("A")[0]))
 
-    def wanted_minus_actual(self) -> Array:
-        """Error of the rocker angle [rad] at the design positions, from two angles and their difference modulo a turn."""
+    def wanted_minus_actual(self, offsets: Array | None = None) -> Array:
+        """Error of the rocker angle [rad], from two angles and their difference modulo a turn.
+
+        At crank rotations from the start, those of the design positions if no `offsets` are given.
+        """
         law = self.problem.law
-        motion = self._sweep(self.phi0 + law.offsets)
+        at, tabulated = (law.offsets, law.tabulated) if offsets is None else (offsets, 0.0)
+        motion = self._sweep(self.phi0 + at)
         d, c = motion.position("D"), motion.position("C")
         actual = np.arctan2(c[:, 1] - d[:, 1], c[:, 0] - d[:, 0])
-        wanted = np.asarray(law.wanted(law.offsets, law.tabulated, self.phi0, self.psi0) + 0.0 * law.offsets, dtype=float)
+        wanted = np.asarray(law.wanted(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
         return np.remainder(wanted - actual + np.pi, 2.0 * np.pi) - np.pi
 
     def objective(self) -> float:
-        """The figure that the requirement minimises."""
+        """The figure that the requirement minimises; the largest error of a function is that of its whole range."""
+        if self.problem.everywhere:
+            grid = np.sort(np.linspace(0.0, self.problem.span, POSITIONS + 1))
+            ends = extremes(lambda at: self.wanted_minus_actual(at)[None, :], grid)[1][0]
+            return float(np.max(np.abs(ends)))
         error = self.wanted_minus_actual()
         if self.problem.requirement.measure == "max":
             return float(np.max(np.abs(error)))

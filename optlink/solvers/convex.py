@@ -1,0 +1,84 @@
+"""Where the search for a function begins: convex first steps (`optlink.solvers.freudenstein`) as starts of the programme."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.function import Function
+from optlink.design.problem import FULL_TURN, DesignProblem
+from optlink.design.quantity import Quantity
+from optlink.linkage.elementwise import unit
+from optlink.linkage.fourbar import LENGTHS, transmission_cosine
+from optlink.solvers.freudenstein import FirstStep, first_steps
+
+Array = NDArray[np.float64]
+
+COUNT = 5  # first steps that are followed
+GRID = 36  # start angles of crank and rocker that are scanned, each over half a turn
+WIDER = 2.0 * math.pi / 180.0  # transmission angles a little beyond the limit: the nearest start may just miss it
+ENOUGH = 24  # Sobol starts where no first step exists
+
+
+def applies(problem: DesignProblem) -> bool:
+    """Whether a function is wanted of crank, coupler and rocker that are free: then the first step is convex."""
+    lengths = all(problem.quantities[name].free for name in LENGTHS[:3])
+    return isinstance(problem.requirement.law, Function) and lengths
+
+
+def steps(problem: DesignProblem, count: int = COUNT) -> list[FirstStep]:
+    """The best first steps with the problem's assembly mode, least error first."""
+    law = problem.requirement.law
+    assert isinstance(law, Function)
+    offsets = problem.law.offsets
+    wanted = np.asarray(law.rise(offsets), dtype=float)
+    starts = [problem.quantities[name] for name in ("phi0", "psi0")]
+    free = all(start.free and start.bounds[1] - start.bounds[0] >= math.pi for start in starts)
+    phi0, psi0 = (_grid(start, free) for start in starts)
+    ratio = problem.limits.link_ratio
+    ratios = None if ratio is None else (ratio.low or 1e-3, ratio.high or 1e3)
+    measure, keep = problem.requirement.measure, _keep(problem, offsets)
+    return first_steps(offsets, wanted, phi0, psi0, measure, ratios, count, shift=free, keep=keep)
+
+
+def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:
+    """A first step as quantities of the problem."""
+    frame = problem.quantities["frame"].value
+    lengths = {name: getattr(step, name) * frame for name in LENGTHS[:3]}
+    angles = {name: _into(problem.quantities[name], getattr(step, name)) for name in ("phi0", "psi0")}
+    return {**lengths, "frame": frame, **angles}
+
+
+def _grid(start: Quantity, whole: bool) -> Array:
+    low, high = start.bounds
+    if low == high:
+        return np.array([low])
+    if whole:
+        return np.linspace(0.0, math.pi, GRID, endpoint=False) + low
+    return np.linspace(low, high, GRID)
+
+
+def _into(start: Quantity, angle: float) -> float:
+    """An angle, turned by whole revolutions into the bounds of its quantity if that is possible: as near to zero as can be."""
+    low, high = start.bounds
+    turned = [angle + FULL_TURN * k for k in range(-2, 3)]
+    return min(turned, key=lambda a: (not low <= a <= high, abs(a)))
+
+
+def _keep(problem: DesignProblem, offsets: Array) -> Callable[..., Any]:
+    """Which linkages have the problem's assembly mode and nearly meet its limits of the transmission angle over the range."""
+    interval = problem.limits.transmission_angle
+    low = 0.0 if interval is None or interval.low is None else interval.low - WIDER
+    high = math.pi if interval is None or interval.high is None else interval.high + WIDER
+
+    def keep(crank: Array, coupler: Array, rocker: Array, phi0: Array, psi0: Array, side: Array) -> NDArray[np.bool_]:
+        cos_phi = unit(phi0[:, None] + offsets)[0]
+        cosine = transmission_cosine(crank[:, None], coupler[:, None], rocker[:, None], 1.0, cos_phi)
+        inside = np.all((cosine <= math.cos(max(low, 0.0))) & (cosine >= math.cos(min(high, math.pi))), axis=1)
+        return np.asarray(inside & (side == problem.side))
+
+    return keep
