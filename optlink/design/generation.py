@@ -120,7 +120,7 @@ class GenerationLimits(Limits):
     pivots: RegionSection | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Data:
     """What is wanted at each point, as arrays.
 

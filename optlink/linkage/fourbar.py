@@ -182,7 +182,7 @@ def reachable(crank: float, coupler: float, rocker: float, frame: float) -> list
     constant = crank * crank + frame * frame
     highest = (constant - (coupler - rocker) ** 2) / denominator  # cos phi must stay below: B too close to D beyond
     lowest = (constant - (coupler + rocker) ** 2) / denominator  # and above: B too far from D
-    if lowest > 1.0 or highest < -1.0:
+    if lowest >= 1.0 or highest <= -1.0:  # at equality a single position, which is no range
         return []
     near = float(np.arccos(highest)) if highest < 1.0 else 0.0
     far = float(np.arccos(lowest)) if lowest > -1.0 else float(np.pi)
