@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.analysis import machine_of
 from optlink.cli import app
+from optlink.design.problem import DesignProblem
 from optlink.dynamics.record import Record
 from optlink.dynamics.work import Work, jumps
 from optlink.linkage import cycle
@@ -24,7 +25,8 @@ from optlink.linkage.fourbar import reachable as four_bar_reachable
 from optlink.linkage.refine import extremes, zeros
 
 TURN = 2.0 * math.pi
-MACHINES = sorted(name for name in optlink.shipped() if name != "crank-rocker")
+DESIGNED = {name for name in optlink.shipped() if isinstance(optlink.load(name).model, DesignProblem)}
+MACHINES = sorted(name for name in optlink.shipped() if name not in DESIGNED and not optlink.load(name).generated)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,7 @@
-"""Every shipped problem loads, round-trips, cites its source and reaches what it expects; of machines the power balances."""
+"""Every shipped problem loads, round-trips, cites its source and reaches what it expects; of machines the power balances.
+
+Linkages that were found for points or poses are judged by `synthesis_oracle`, which has nothing of optlink.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +18,24 @@ import optlink
 from optlink.analysis import Analysis, analyze
 from optlink.design.expression import parse as parse_expression
 from optlink.design.files import dump, problems_folder
+from optlink.design.linkages import FourBarSection
 from optlink.design.problem import DesignProblem
 from optlink.dynamics import reactions as reactions_module
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.units import factor, parse
+from tests import synthesis_oracle as oracle
 
 NAMES = sorted(optlink.shipped())
 DESIGNS = [name for name in NAMES if isinstance(optlink.load(name).model, DesignProblem)]
-MACHINES = [name for name in NAMES if name not in DESIGNS]
+GENERATED = [name for name in NAMES if optlink.load(name).generated]
+POINTED = [name for name in GENERATED if name.startswith(("path-", "motion-"))]
+MACHINES = [name for name in NAMES if name not in (*DESIGNS, *GENERATED)]
 
 
 def test_problems_are_found():
     assert "crank-rocker" in DESIGNS
     assert {"six-bar", "shaper"} < set(MACHINES)
+    assert {"path-closed18", "path-watt-leg", "motion-5-poses"} < set(POINTED)
     assert problems_folder().is_dir()
 
 
@@ -67,6 +75,69 @@ def test_expected_design_is_reached(name):
         assert result.objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
         checked += 1
     assert checked > 0
+
+
+# --- linkages for points and poses --------------------------------------------------------------------------------------------
+
+
+@cache
+def generated(name: str) -> optlink.Generation:
+    return optlink.generate(optlink.load(name))
+
+
+@pytest.mark.parametrize("name", GENERATED)
+def test_best_known_objective_is_reached_or_beaten(name):
+    result, expected = generated(name), optlink.load(name).model.expected
+    assert result.valid
+    assert expected.objective is not None
+    assert expected.objective_tolerance <= 2e-6 * expected.objective or expected.objective == 0.0
+    assert result.objective <= expected.objective + expected.objective_tolerance
+    assert [design.objective for design in result.designs] == sorted(design.objective for design in result.designs) or (
+        expected.objective == 0.0
+    )
+    for quantity in ("crank", "coupler", "rocker"):
+        wanted = getattr(expected, quantity)
+        if wanted is not None:
+            assert result.best.values[quantity] == pytest.approx(wanted.value, abs=expected.length_tolerance.value)
+
+
+def judged(design: optlink.Design) -> oracle.Report:
+    """A four-bar of optlink before the oracle."""
+    task, found, data = design.task, design.coupler_linkage, design.task.data
+    assert found is not None
+    linkage = oracle.four_bar(
+        found.frame,
+        found.crank,
+        found.coupler,
+        found.rocker,
+        x=found.x,
+        y=found.y,
+        direction=found.direction,
+        along=found.along,
+        across=found.across,
+        mode=found.side,
+    )
+    if task.requirement.kind == "path":
+        return oracle.judge_path(linkage, data.columns, design.crank_angles, closed=task.closed, timed=data.offsets)
+    poses = np.column_stack([data.columns[:, :2], np.arctan2(data.columns[:, 3], data.columns[:, 2])])
+    how = {"weight": task.radian, "closed": task.closed, "timed": data.offsets}
+    return oracle.judge_motion(linkage, poses, design.crank_angles, design.values["mark"], **how)
+
+
+@pytest.mark.parametrize("name", [name for name in POINTED if isinstance(optlink.load(name).model.mechanism, FourBarSection)])
+def test_four_bars_are_free_of_defects_before_the_oracle(name):
+    for design in generated(name).designs:
+        report, task = judged(design), design.task
+        data, size = task.data, task.size
+        assert report.free
+        assert report.errors == pytest.approx(design.measured.distances, abs=1e-9 * size)
+        angles = report.angle_errors if task.requirement.kind == "motion" else np.zeros(len(report.errors))
+        squares = data.roots**2 * (report.errors**2 + (task.radian * angles) ** 2)
+        assert float(np.sum(squares)) == pytest.approx(design.objective, rel=1e-6, abs=1e-20 * size**2)
+        assert report.timing <= 1e-9
+        assert np.all(report.errors <= data.tolerances * (1.0 + 1e-6))
+        if data.offsets is None:
+            assert report.gain <= 1e-6 * size, "a point could be met more closely at another crank angle"
 
 
 @cache

@@ -294,11 +294,13 @@ def cognates(linkage: CouplerLinkage, at: float | None = None) -> Cognates:
     centres whichever end is driven (`Cognate.turning_back`). A coupler point on the line B-C is nothing special: then the three
     pivots lie on a line too. Nothing is promised at a change point itself.
 
-    InputError if `linkage` cannot be assembled at all, or not at `at`.
+    InputError if `linkage` cannot be assembled at all or only lies flat, or not at `at`.
     """
     ranges = reachable(*linkage.lengths)
     if not ranges:
-        raise InputError(Fault("the four-bar cannot be assembled", "Make the longest link shorter", value=linkage.lengths))
+        raise InputError(
+            Fault("the four-bar cannot be assembled so that it moves", "Make the longest link shorter", value=linkage.lengths)
+        )
     if at is not None and not any(_within(at, low, high) for low, high in ranges):
         raise InputError(Fault("the four-bar is not assembled there", f"It is in {ranges} rad", key="at", value=at))
     smallest = DEGENERATE * max(linkage.lengths)
