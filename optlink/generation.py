@@ -21,7 +21,9 @@ from optlink.documents import finite, head
 from optlink.errors import Fault, InputError, Status
 from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.groups import RRR
 from optlink.linkage.motion import sweep
+from optlink.linkage.refine import extremes
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Solution
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
@@ -81,10 +83,17 @@ class Design:
     @cached_property
     def least_transmission(self) -> float:
         """How far the worst transmission angle of the needed motion is from 0 and 180 deg [rad]; NaN if there is none."""
-        begin, end = float(self.crank_angles[0]), float(self.crank_angles[-1])
-        angles = np.linspace(0.0, TURN, 721) if self.turns else np.linspace(begin, end, 361)
-        gamma = transmission_angles(sweep(self.task.linkage, self.values, angles), self.task.linkage)
-        return float(np.min(np.minimum(gamma, np.pi - gamma))) if gamma.size else math.nan
+        begin, end = (0.0, TURN) if self.turns else sorted((float(self.crank_angles[0]), float(self.crank_angles[-1])))
+        groups = [group for group in self.task.linkage.groups if isinstance(group, RRR)]
+
+        def cosines(angles: Array) -> Array:  # smooth, other than the angles, which turn back sharply near 0 and pi
+            gamma = transmission_angles(sweep(self.task.linkage, self.values, angles), self.task.linkage)
+            return np.cos(gamma).T
+
+        grid = np.linspace(begin, end, 721)
+        if not groups or not np.all(np.isfinite(cosines(grid))):
+            return math.nan
+        return math.acos(min(float(np.max(np.abs(extremes(cosines, grid)[1]))), 1.0))
 
     @cached_property
     def cognates(self) -> tuple[Cognate, ...]:
@@ -92,7 +101,10 @@ class Design:
         linkage = self.coupler_linkage
         if linkage is None:
             return ()
-        found = [c for c in cognates(linkage, at=float(self.crank_angles[0])) if c is not None]
+        try:
+            found = [c for c in cognates(linkage, at=float(self.crank_angles[0])) if c is not None]
+        except InputError:  # a miss that cannot be assembled at its first point
+            return ()
         return tuple(sorted(found, key=lambda c: not (c.crank_turns and c.keeps_side)))
 
     @property
@@ -347,7 +359,7 @@ def generate(
     proven, miss = _prove(polisher, found, designs)
     clock.append(time.perf_counter())
     notes = [_task(problem).wanted.note] if _task(problem).wanted.note else []
-    if proven and proven[0].objective > 0 and found.hits < 2 and not found.perfect:
+    if proven and proven[0].objective > 0 and found.hits < 2 and not found.perfect and _task(problem).measure != "max":
         notes.append(f"only {found.hits} of {found.starts} starts reached the best value: more may find a better one (--starts)")
     return Generation(
         problem=problem,
@@ -360,6 +372,39 @@ def generate(
         seconds={name: b - a for name, a, b in zip(("build", "search", "polish and validate"), clock, clock[1:], strict=False)},
         interrupted=found.interrupted,
         notes=tuple(notes),
+    )
+
+
+def validate(problem: ProblemFile, given: Mapping[str, float]) -> Generation:
+    """Prove a given design, or show where it fails; where the timing is free, at the crank angles at which it passes best.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    given : mapping of every free quantity [m, rad]; others may be given too and replace what the file says
+    """
+    from optlink.validation.passing import passing
+
+    clock = time.perf_counter()
+    found = []
+    for file in variants_of(problem):
+        task = _task(file)
+        values = {name: float(given.get(name, quantity.value)) for name, quantity in task.quantities.items()}
+        angles, figure = passing(task, values)
+        found.append((figure, file, values, angles))
+    _, file, values, angles = min(found, key=lambda each: each[0])
+    proof = validate_generation(_task(file), values, angles)
+    design = Design(file, values, angles, proof.objective, Status.NOT_SEARCHED, proof)
+    return Generation(
+        problem=problem,
+        designs=(design,) if design.valid else (),
+        nearest=None if design.valid else design,
+        backend="none",
+        seed=0,
+        starts=0,
+        hits=0,
+        seconds={"validate": time.perf_counter() - clock},
+        notes=tuple(filter(None, [_task(problem).wanted.note])),
     )
 
 
@@ -390,14 +435,24 @@ class _Polisher:
 
         file = self.files[candidate.variant]
         task, nlp = _task(file), self.programme(candidate.variant, candidate.direction)
-        own = task.data.offsets is None
+        own, minimax = task.data.offsets is None, task.measure == "max"
         x = np.concatenate([candidate.x, candidate.t]) if own else candidate.x
         if len(nlp.variables) > len(x):
-            x = np.append(x, 0.0)
-        solution = local.given(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
-        if solution.status is not Status.OPTIMAL:
-            solution = local.solve_from(nlp, solution.x, self.backend)
+            x = np.append(x, 0.0)  # the largest deviation; `given` lifts it
+        start = local.given(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
+        if start.status is Status.OPTIMAL:
+            return proven(file, nlp, start)
+        solution = local.solve_from(nlp, start.x, self.backend)
+        if minimax and start.usable and not _improves(solution, start):
+            (other,) = (name for name in local.BACKENDS if name != self.backend)
+            solution = local.best([solution, local.solve_from(nlp, start.x, other)])
+            if not _improves(solution, start):  # an optimum, but not the one beside the start
+                solution = replace(solution, status=Status.STALLED)
         return proven(file, nlp, solution)
+
+
+def _improves(solution: Solution, start: Solution) -> bool:
+    return solution.status is Status.OPTIMAL and solution.objective <= start.objective * (1.0 + 1e-9)
 
 
 def proven(file: ProblemFile, nlp: NLP, solution: Solution) -> Design:
@@ -420,27 +475,43 @@ def proven(file: ProblemFile, nlp: NLP, solution: Solution) -> Design:
 
 def _prove(polisher: _Polisher, found: Exploration, wanted: int) -> tuple[list[Design], Design | None]:
     """Polish candidates, best first, until enough distinct designs are proven; and the best of those that are not."""
+    from optlink.synthesis.search import PERFECT
+
     designs: list[Design] = []
     misses: list[Design] = []
-    for tried, candidate in enumerate(found.candidates):
-        if len(designs) >= wanted or tried >= TRIES * wanted:
-            break
-        design = polisher.polish(candidate)
-        if not design.valid:
-            misses.append(design)
-        elif not any(_same(design, known) for known in designs):
-            designs.append(design)
+
+    def follow(candidates: list[Candidate], tries: int) -> None:
+        many = len(designs)
+        for candidate in candidates[:tries]:
+            if len(designs) - many >= wanted:
+                break
+            if designs and _exact(designs[0]) and candidate.cost > PERFECT:
+                break  # beside a design that passes everything nobody wants one that does not
+            design = polisher.polish(candidate)
+            if not design.valid:
+                misses.append(design)
+            elif not any(_same(design, known) for known in designs):
+                designs.append(design)
+
+    follow(found.candidates, TRIES * wanted)
+    if not (designs and _exact(designs[0])):
+        better = found.candidates[len(designs) - 1].cost if len(designs) >= wanted else math.inf
+        follow([c for c in found.repaired if c.cost < better], (2 if designs else TRIES) * wanted)
     designs.sort(key=_rank)
     misses.sort(key=lambda d: (sum(not check.passed for check in d.validation.checks), d.objective))
-    return designs, (misses[0] if misses else None)
+    return designs[:wanted], (misses[0] if misses else None)
 
 
 def _rank(design: Design) -> tuple[float, float]:
     """By objective; those that pass the points exactly by their worst transmission angle, best first."""
-    error = math.sqrt(design.objective) if design.task.measure == "sum of squares" else design.objective
-    exact = error <= LEVEL * design.task.whole
     transmission = design.least_transmission
-    return (0.0 if exact else design.objective), -(transmission if math.isfinite(transmission) else 0.0)
+    return (0.0 if _exact(design) else design.objective), -(transmission if math.isfinite(transmission) else 0.0)
+
+
+def _exact(design: Design) -> bool:
+    """Whether a design passes everything but for rounding."""
+    error = math.sqrt(max(design.objective, 0.0)) if design.task.measure == "sum of squares" else design.objective
+    return error <= LEVEL * design.task.whole
 
 
 def _same(a: Design, b: Design) -> bool:

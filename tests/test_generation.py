@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 import optlink
 from optlink.generation import Design, generate
 from optlink.report.paths import write_all
+from optlink.solvers.search import solve_from
 from tests import synthesis_oracle as oracle
 
 VLINE = [(20, 20), (20, 25), (20, 30), (20, 35), (20, 40), (20, 45)]
@@ -166,3 +168,46 @@ def test_points_out_of_reach_are_a_nearest_miss():
     raw = problem(VLINE, lengths=(1.0, 3.0), far=5.0)
     result = generate(optlink.read(raw), starts=200)
     assert result.best is None or result.best.objective > 1e-6
+
+
+@pytest.mark.parametrize("measure", ["sum of squares", "rms"])
+def test_the_price_of_an_active_limit_is_what_solving_again_finds(measure):
+    """The frame of the ellipse is at its bound of 80 mm: central differences of 0.2 % against the multiplier."""
+
+    own = generate(optlink.load("path-ellipse10", {"requirement.measure": measure}), designs=1, starts=240).best
+    price = next(limit.multiplier for limit in own.limits if limit.key == "mechanism.frame" and limit.active)
+    programme = own.solution.nlp
+    at = [variable.name for variable in programme.variables].index("frame")
+
+    def best(bound):
+        high = programme.x_high.copy()
+        high[at] = bound * 1e-3 / programme.variables[at].size
+        again = solve_from(replace(programme, x_high=high, cache={}), np.minimum(own.solution.x, high), "ipopt")
+        assert again.usable
+        return again.objective
+
+    assert best(80.0) == pytest.approx(own.objective, rel=1e-9)
+    assert price == pytest.approx((best(80.16) - best(79.84)) / 0.32, rel=1e-3)
+    assert price < 0.0
+
+
+@pytest.mark.parametrize("name", ["path-closed18", "path-vline6", "path-closed18-untimed", "motion-5-poses", "path-watt-leg"])
+def test_a_given_design_is_proven_at_crank_angles_found_by_another_route(name):
+    """Dynamic programming on the given sizes finds the crank angles again that the search found with them."""
+    task = optlink.load(name)
+    found = generate(task, starts=480, designs=1).best
+    again = optlink.generation.validate(task, found.values)
+    assert again.valid
+    assert again.best.assembly == found.assembly
+    assert math.sqrt(again.objective) == pytest.approx(math.sqrt(found.objective), rel=1e-6, abs=1e-10 * found.task.size)
+    turned = np.remainder(again.best.crank_angles - found.crank_angles + np.pi, 2.0 * np.pi) - np.pi
+    assert np.max(np.abs(turned)) < 1e-5
+
+
+def test_a_given_design_that_fails_says_where():
+    task = optlink.load("path-ellipse10")
+    found = generate(task, starts=240, designs=1).best
+    wrong = optlink.generation.validate(task, {**found.values, "rocker": 0.09, "crank": 0.03})
+    assert not wrong.valid
+    failed = {check.name for check in wrong.best.validation.checks if not check.passed}
+    assert "rocker within its bounds" in failed

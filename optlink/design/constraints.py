@@ -6,7 +6,7 @@ A row's value is dimensionless or in rad and smooth wherever it can be; `Scale` 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +59,9 @@ class Scale:
 CLEARANCE = 1e-4
 """Share of the frame by which Grashof's sums must be met: at zero the linkage is a change-point linkage, no crank-rocker."""
 
+FLAT = 1.0 - math.cos(math.radians(1.0))
+"""What the cosine of the transmission angle of a generated linkage keeps from one, 1 deg: at one the assembly modes meet."""
+
 DEGREES = Scale("deg", math.degrees(1.0))
 COSINE = Scale("deg", cosine=True)
 PLAIN = Scale("")
@@ -93,6 +96,9 @@ def crank(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: 
     if problem.limits.crank == "span":
         r, a, b, f = lengths
         cosines = [np.cos(phi) for phi in turning_points(reach.start, reach.span)]
+        if isinstance(problem, GenerationProblem):
+            yield from _bent(lengths, cosines)
+            return
         for cos_phi in cosines:
             square = diagonal_squared(r, f, cos_phi) / size**2
             yield Row(
@@ -117,6 +123,9 @@ def crank(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: 
         for label, slack in conditions(*lengths).items():
             least = CLEARANCE if "+" in label else 0.0
             yield Row("limits.crank", label, slack / size, least, math.inf, millimetres)
+        unlimited = problem.limits.transmission_angle is None and problem.limits.transmission_cosine is None
+        if isinstance(problem, GenerationProblem) and (unlimited or problem.transmission_over != "revolution"):
+            yield from _bent(lengths, [1.0, -1.0])
     if problem.limits.crank == "span" and problem.requirement.start in DEAD_CENTRES and "phi0" not in problem.quantities:
         r, a, b, f = lengths
         line = a + r if problem.requirement.start == DEAD_CENTRES[0] else a - r  # its sign does not matter
@@ -124,6 +133,13 @@ def crank(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: 
         longest, shortest = (b + f) * (b + f) / size**2, (b - f) * (b - f) / size**2
         yield Row("requirement.from", "dead centre: C not too far from A", longest - square, 0.0, math.inf, PLAIN)
         yield Row("requirement.from", "dead centre: C not too near to A", square - shortest, 0.0, math.inf, PLAIN)
+
+
+def _bent(lengths: tuple[Value, Value, Value, Value], cosines: Sequence[Value]) -> Iterator[Row]:
+    """Coupler and rocker are never in line, where the assembly modes meet; `cosines` of the crank angles closest to that."""
+    for cosine in cosines:
+        value = transmission_cosine(*lengths, cosine)
+        yield Row("limits.crank", "coupler and rocker not in line", value, FLAT - 1.0, 1.0 - FLAT, COSINE)
 
 
 def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:

@@ -209,6 +209,12 @@ class GenerationProblem(Problem):
         return len(self.wanted.points) > 3 and closed(self.wanted)
 
     @property
+    def meets_again(self) -> bool:
+        """Whether the last point is the first again: only then may it be met at the first crank angle again."""
+        columns = self.data.columns
+        return bool(np.max(np.abs(columns[0, :2] - columns[-1, :2])) <= 1e-9 * self.size)
+
+    @property
     def side(self) -> int:
         """Assembly mode of a four-bar: +1 left, -1 right of B -> D."""
         assert isinstance(self.mechanism, FourBarSection)

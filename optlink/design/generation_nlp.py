@@ -115,7 +115,7 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
                 for i, step in enumerate(steps)
             ]
             whole = (angles[-1] - angles[0]) * direction
-            most = TURN - (STEP if problem.closed and not _repeated(problem) else 0.0)
+            most = TURN - (0.0 if problem.meets_again else STEP)
             rows.append(Row("requirement.points", "points within one revolution", whole, -math.inf, most, DEGREES))
         for i, (error, tolerance) in enumerate(zip(errors, data.tolerances, strict=True)):
             if math.isfinite(tolerance):
@@ -154,14 +154,10 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
         g_expression=g,
         residual_expression=vector,
         exact=EXACT * share,
+        factor=share if minimax else share**2,
         helpers=frozenset(helpers),
+        constants=tuple(constants),
     )
-
-
-def _repeated(problem: GenerationProblem) -> bool:
-    """Whether the last point of a closed curve is the first again."""
-    columns = problem.data.columns
-    return bool(np.max(np.abs(columns[0, :2] - columns[-1, :2])) <= 1e-9 * problem.size)
 
 
 def _traced(problem: GenerationProblem, values: dict[str, Any]) -> tuple[Any, tuple[Any, list[Row]]]:

@@ -74,6 +74,9 @@ class NLP:
     residual_expression: Any
     exact: float = 1e-9  # a residual below this everywhere leaves nothing to improve
     helpers: frozenset[str] = frozenset({EPIGRAPH})  # variables and rows that state the objective rather than a limit
+    factor: float = 1.0  # from f * p[0] to what the measure makes of the residuals (of rms: their mean square)
+    states: frozenset[str] = frozenset()  # variables and rows that never give way, such as those that equations define
+    constants: tuple[Variable, ...] = ()  # the fixed quantities as `p` holds them, from its second component on
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # what a back end compiles for this programme
 
     @cached_property
@@ -147,6 +150,15 @@ class NLP:
         """Move the roaming positions to these crank rotations [rad], `ROAMING` at most."""
         self.p[len(self.p) - len(offsets) :] = offsets
 
+    def limit(self, entry: int, bound: float, *, upper: bool) -> None:
+        """Move a bound [scaled] of a component of x, or (from n on) of a row; `rows` keep those that they were made with."""
+        both, own, rows = (self.upper, self.x_high, self.high) if upper else (self.lower, self.x_low, self.low)
+        both[entry] = bound
+        if entry < len(own):
+            own[entry] = bound
+        else:
+            rows[entry - len(own)] = bound
+
     def lifted(self, x: Array) -> Array:
         """The same design with the epigraph variable (if there is one) at the largest residual."""
         if self.variables[-1].name != EPIGRAPH:
@@ -210,7 +222,11 @@ def build(problem: DesignProblem) -> NLP:
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
 
     quantities = [problem.quantities[name] for name in free]
-    variables = [Variable(name, sizes[name], Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES) for name in free]
+
+    def scaled(name: str) -> Variable:
+        return Variable(name, sizes[name], Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES)
+
+    variables = [scaled(name) for name in free]
     low = [q.bounds[0] / sizes[name] for q, name in zip(quantities, free, strict=True)]
     high = [q.bounds[1] / sizes[name] for q, name in zip(quantities, free, strict=True)]
     at = [q.value / sizes[name] for q, name in zip(quantities, free, strict=True)]
@@ -231,5 +247,6 @@ def build(problem: DesignProblem) -> NLP:
         f_expression=f / p[0],
         g_expression=g,
         residual_expression=vector,
+        constants=tuple(scaled(name) for name in fixed),
     )
     return nlp

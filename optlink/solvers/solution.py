@@ -143,7 +143,7 @@ def examine(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
         status = Status.NON_FINITE
     else:
         status = Status.OPTIMAL if _optimal(nlp, x, p, point, proof, residuals) else Status.STALLED
-    price = p[0] * nlp.measure.slope(residuals) if np.all(np.isfinite(residuals)) else 0.0
+    price = p[0] * nlp.factor * nlp.measure.slope(residuals) if np.all(np.isfinite(residuals)) else 0.0
     return Solution(
         nlp=nlp,
         x=x,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import math
+from dataclasses import replace
 from typing import Any
 
 import casadi
@@ -44,6 +47,23 @@ class Batch:
         self.four_bar = isinstance(problem.mechanism, FourBarSection)
         self.turns = problem.limits.crank != "span"
         self._trace()
+
+    def thinned(self, most: int) -> tuple[Batch, Array]:
+        """The same with `most` of the points, spread over all, and the matrix that makes all crank angles from theirs.
+
+        Crank angles between them follow the distances of the points.
+        """
+        data, count = self.data, len(self.data.columns)
+        if count <= most:
+            return self, np.eye(count)
+        pick = np.unique(np.linspace(0, count - 1, most).round().astype(int))
+        thin = copy.copy(self)
+        roots = data.roots[pick] * math.sqrt(count / len(pick))
+        offsets = None if data.offsets is None else data.offsets[pick]
+        thin.data = replace(data, columns=data.columns[pick], roots=roots, offsets=offsets, tolerances=data.tolerances[pick])
+        chords = np.linalg.norm(np.diff(data.columns[:, :2], axis=0), axis=1)
+        way = np.concatenate([[0.0], np.cumsum(chords + 1e-6 * self.problem.size)])
+        return thin, np.array([np.interp(way, way[pick], row) for row in np.eye(len(pick))])
 
     def _trace(self) -> None:
         problem, n, width = self.problem, len(self.names), self.data.columns.shape[1]

@@ -34,6 +34,10 @@ class Ends:
     cost: Array
     missed: Array
 
+    def take(self, keep: NDArray[np.intp]) -> Ends:
+        """Only some of them."""
+        return Ends(self.x[keep], self.t[keep], self.cost[keep], self.missed[keep])
+
 
 @dataclass
 class _State:
@@ -66,7 +70,17 @@ def _look(batch: Batch, x: Array, t: Array) -> tuple[Array, Array, Array, Array,
 
 
 def descend(
-    batch: Batch, x: Array, t: Array, steps: int, fit: Fit | None = None, linear: list[int] | None = None, slow: float = SLOW
+    batch: Batch,
+    x: Array,
+    t: Array,
+    steps: int,
+    fit: Fit | None = None,
+    linear: list[int] | None = None,
+    *,
+    slow: float = SLOW,
+    zero: float = ZERO,
+    left: float = 0.0,
+    after: int | None = None,
 ) -> Ends:
     """Minimise the sum of squares of residuals and missed limits, for every design on its own.
 
@@ -78,6 +92,14 @@ def descend(
         Largest number of steps.
     fit : function, optional
         Puts what is linear (the variables `linear`) to its best at every step; a fit outside the bounds is not taken.
+    slow : float
+        Relative decrease of the cost below which a step counts as slow.
+    zero : float
+        Cost at which nothing is left.
+    left : float
+        Share of the designs that is stopped where it is when all others have ended: a step costs much the same for few.
+    after : int, optional
+        Steps that are left to all others once a design has reached `zero`.
     """
     n = x.shape[1]
     weight = np.ones(n)
@@ -85,12 +107,19 @@ def descend(
         weight[linear] = 1e-6  # their own step is undone by the fit: damping them would only hold the others back
     end_x, end_t = x.copy(), t.copy()
     end_cost, end_missed = np.full(len(x), np.inf), np.full(len(x), np.inf)
-    r, by_x, by_t, h, by_h, cost = _look(batch, x, t)
+    with np.errstate(all="ignore"):
+        r, by_x, by_t, h, by_h, cost = _look(batch, x, t)
     state = _State(
         np.arange(len(x)), x, t, r, by_x, by_t, h, by_h, cost, np.full(len(x), FIRST_DAMPING), np.zeros(len(x), dtype=int)
     ).take(np.isfinite(cost))
+    last, few = steps, left * len(x)
     for step in range(steps + 1):
-        done = (state.cost <= ZERO) | (state.slow >= PATIENCE) | (state.damping >= MOST_DAMPING) | (step == steps)
+        none_left = state.cost <= zero
+        if after is not None and none_left.any():
+            last = min(last, step + after)
+        done = none_left | (state.slow >= PATIENCE) | (state.damping >= MOST_DAMPING)
+        if step >= last or np.count_nonzero(~done) <= few:
+            done[:] = True
         if done.any():
             where = state.index[done]
             end_x[where], end_t[where], end_cost[where] = state.x[done], state.t[done], state.cost[done]
@@ -98,7 +127,8 @@ def descend(
             state = state.take(~done)
         if not len(state.index):
             break
-        _advance(batch, state, weight, fit, slow)
+        with np.errstate(all="ignore"):  # a step to where nothing is defined is not taken
+            _advance(batch, state, weight, fit, slow)
     return Ends(end_x, end_t, end_cost, end_missed)
 
 

@@ -10,6 +10,7 @@ separate, SIAM J. Numer. Anal. 10 (1973).
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import casadi
@@ -61,6 +62,12 @@ class Similarity:
         self.counted_from_x = not isinstance(problem.mechanism, FourBarSection)
         if self.applies:
             self._trace()
+
+    def of(self, batch: Batch) -> Similarity:
+        """The same for a batch with fewer points."""
+        other = copy.copy(self)
+        other.batch = batch
+        return other
 
     def _on_frame(self, name: str) -> bool:
         """Whether an angle turns with the frame: its direction, or that of a guide on it."""

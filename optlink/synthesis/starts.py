@@ -55,7 +55,9 @@ def proportions(batch: Batch, count: int, rng: np.random.Generator) -> Array:
     if crank == "span":
         lengths = np.exp(rng.uniform(math.log(0.2), math.log(3.0), (count, 4)))
     else:
-        a, u, v, w = rng.exponential(size=(4, count))
+        a, u, v, w = np.where(
+            rng.random(count) < 0.7, rng.exponential(size=(4, count)), np.exp(1.7 * rng.standard_normal((4, count)))
+        )
         lengths = np.stack([a, a + v + w, a + u + w, a + u + v], axis=1)
         if crank == "double-crank":
             lengths = lengths[:, [3, 1, 2, 0]]
@@ -74,7 +76,7 @@ def timing(batch: Batch, count: int, rng: np.random.Generator) -> Array:
     chords = chords / max(float(np.mean(chords)), 1e-300) + 1e-3
     noise = 0.4 * min(1.0, math.sqrt(9.0 / number))
     steps = chords ** rng.uniform(0.0, 1.0, (count, 1)) * np.exp(noise * rng.standard_normal((count, len(chords))))
-    if problem.closed and problem.wanted.points[0] == problem.wanted.points[-1]:
+    if problem.closed and problem.meets_again:
         steps[:, -1] = 0.0
     span = np.full((count, 1), TURN) if problem.closed else TURN * rng.uniform(0.1, 0.97, (count, 1))
     steps = np.maximum(steps / steps.sum(axis=1, keepdims=True) * span, 2.0 * STEP * (steps > 0.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ from optlink.validation.check import (
 
 Array = NDArray[np.float64]
 
+MEETING = 1e-3  # sine of the angle between two links at which the assembly modes count as meeting
 ROUNDING = 1e-11  # of the size of the curve; two routes to a deviation that is all but zero need not agree more closely
 
 
@@ -190,17 +191,11 @@ def _closure(tested: _Tested) -> Iterator[Check]:
 def _circuit(tested: _Tested) -> Iterator[Check]:
     """One branch: each joint of two links stays on its side. One circuit: all points move without a jump, and come back."""
     motion = tested.required
-    least = math.inf
-    for group in tested.mechanism.groups:
-        if isinstance(group, RRR):
-            p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
-            line, arm = q - p, c - p
-            cross = line[:, 0] * arm[:, 1] - line[:, 1] * arm[:, 0]
-            with np.errstate(all="ignore"):
-                sine = group.side * cross / (np.linalg.norm(line, axis=-1) * np.linalg.norm(arm, axis=-1))
-            least = min(least, float(np.min(sine))) if np.all(np.isfinite(sine)) else -math.inf
-    if math.isfinite(least) or least < 0.0:
-        yield Check("one branch: every joint on one side", bool(least > 0.0), least, "> 0", "")
+    groups = [group for group in tested.mechanism.groups if isinstance(group, RRR)]
+    if groups:
+        yield Check(
+            "one branch: every joint on one side", (least := _least_sine(tested, groups)) > MEETING, least, f"> {MEETING:g}", ""
+        )
     step = abs(motion.crank_angle[1] - motion.crank_angle[0])
     worst, allowed = 0.0, 1.0
     for name in dict.fromkeys((*(group.joint for group in tested.mechanism.groups), tested.problem.requirement.point)):
@@ -218,6 +213,36 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
     yield Check("one circuit: no point jumps", bool(worst <= allowed), worst, "<= 1 step at its speed", "")
 
 
+def _least_sine(tested: _Tested, groups: Sequence[RRR]) -> float:
+    """Least sine of the angle between the two links of a group, negative on the wrong side; -inf where it is not assembled.
+
+    On the side by the positions swept; between them by the distance of the outer pins, which, other than the sine, is smooth
+    where the assembly modes meet.
+    """
+
+    def cosines(angles: Array) -> Array:
+        motion = tested.sweep(angles)
+        found = []
+        for group in groups:
+            p, q = (motion.position(name) for name in group.pins)
+            one, other = (np.linalg.norm(motion.position(group.joint)[0] - pin[0]) for pin in (p, q))
+            found.append((one * one + other * other - np.sum((q - p) ** 2, axis=-1)) / (2.0 * one * other))
+        return np.array(found)
+
+    motion, least = tested.required, math.inf
+    for group in groups:
+        p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
+        line, arm = q - p, c - p
+        cross = group.side * (line[:, 0] * arm[:, 1] - line[:, 1] * arm[:, 0])
+        least = min(least, float(np.min(cross))) if np.all(np.isfinite(cross)) else -math.inf
+    if not least > 0.0:
+        return -1.0 if math.isfinite(least) else -math.inf
+    grid = np.sort(motion.crank_angle)
+    grid = np.append(grid, grid[0] + TURN) if tested.turns else grid
+    largest = np.max(np.abs(extremes(cosines, grid)[1]))
+    return math.sqrt(max(1.0 - float(largest) ** 2, 0.0)) if largest < 1.0 else -math.sqrt(float(largest) ** 2 - 1.0)
+
+
 def _order(tested: _Tested) -> Iterator[Check]:
     """The points are met in the order listed, within one revolution, the crank turning one way."""
     steps = np.diff(tested.crank_angles) * tested.way
@@ -225,7 +250,10 @@ def _order(tested: _Tested) -> Iterator[Check]:
         least = math.degrees(float(np.min(steps)))
         yield Check("points met in order", bool(least >= math.degrees(STEP) * (1.0 - 1e-3)), least, "> 0", "deg")
         whole = math.degrees(float(np.sum(steps)))
-        yield Check("points met within one revolution", bool(whole <= 360.0 + 1e-6), whole, "<= 360", "deg")
+        most = (
+            360.0 if tested.problem.meets_again else 360.0 - math.degrees(STEP)
+        )  # only a point that is wanted again may be met there
+        yield Check("points met within one revolution", bool(whole <= most + 1e-6), whole, f"<= {most:.6g}", "deg")
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(tested.problem.requirement.rotation)
     if rotation is not None:
         yield Check(
