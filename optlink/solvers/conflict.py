@@ -72,7 +72,7 @@ def sides(nlp: NLP) -> list[Side]:
     """Every side of every limit that can conflict: rows of one limit and one side go together."""
     found: dict[tuple[str, str, bool], list[int]] = {}
     for j, row in enumerate(nlp.rows):
-        if row.limit == EPIGRAPH:
+        if row.limit == EPIGRAPH or row.limit in nlp.states:
             continue
         for upper, bound in ((False, row.low), (True, row.high)):
             if math.isfinite(bound):
@@ -82,7 +82,7 @@ def sides(nlp: NLP) -> list[Side]:
         row = nlp.rows[rows[0]]
         result.append(Side(key, name, upper, tuple(rows), (), row.high if upper else row.low, row.scale))
     for i, variable in enumerate(nlp.variables):
-        if variable.name == EPIGRAPH:
+        if variable.name in nlp.helpers or variable.name in nlp.states:
             continue
         for upper, bound in ((False, nlp.x_low[i]), (True, nlp.x_high[i])):
             result.append(Side(key_of(variable.name), variable.name, upper, (), (i,), float(bound), variable.scale))
@@ -96,24 +96,32 @@ def elastic(nlp: NLP, limits: list[Side]) -> NLP:
     g = casadi.substitute(nlp.g_expression, nlp.x_symbol, x)
     g = casadi.substitute(g, nlp.p_symbol, casadi.SX(nlp.p))
     weights = casadi.SX.sym("weights", k)
-    rows: list[Row] = []
+    # a wanted value stays one equation, which may be missed to either side: two inequalities would have no inside
+    exact = {j: g[j] for side in limits for j in side.rows if nlp.rows[j].low == nlp.rows[j].high}
+    for i, side in enumerate(limits):
+        for j in exact.keys() & set(side.rows):
+            exact[j] = exact[j] + (-s[i] if side.upper else s[i])
+    rows = [replace(nlp.rows[j], value=value) for j, value in exact.items()]
     for i, side in enumerate(limits):
         give = -s[i] if side.upper else s[i]
         low, high = (-math.inf, side.bound) if side.upper else (side.bound, math.inf)
-        rows += [Row(side.key, side.name, g[j] + give, low, high, side.scale) for j in side.rows]
+        rows += [Row(side.key, side.name, g[j] + give, low, high, side.scale) for j in side.rows if j not in exact]
         rows += [Row(side.key, side.name, x[j] + give, low, high, side.scale) for j in side.variables]
-    bounded = [v.name != EPIGRAPH for v in nlp.variables]
-    length = np.array([v.name in LENGTHS for v in nlp.variables])
+    rows += [replace(row, value=g[j]) for j, row in enumerate(nlp.rows) if row.limit in nlp.states]
+    bounded = np.array([v.name not in nlp.helpers for v in nlp.variables])
+    state = np.array([v.name in nlp.states for v in nlp.variables])
+    length = np.array([v.name in LENGTHS or v.name.endswith(".length") for v in nlp.variables])
     room = np.where(bounded, np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
     lowest = np.where(length, 1e-3 * nlp.x_low, nlp.x_low - room)  # a length gives way towards zero, never beyond
-    highest = np.where(bounded, nlp.x_high + room, 1.0)
+    lowest = np.where(state, nlp.x_low, np.where(bounded, lowest, 0.0))
+    highest = np.where(state, nlp.x_high, np.where(bounded, nlp.x_high + room, 1.0))
     return NLP(
         variables=(*nlp.variables, *(Variable(f"slack {i}", 1.0, PLAIN) for i in range(k))),
         fixed=(),
         rows=tuple(rows),
         measure=nlp.measure,
         x_start=np.concatenate([nlp.x_start, np.zeros(k)]),
-        x_low=np.concatenate([np.where(bounded, lowest, 0.0), np.zeros(k)]),
+        x_low=np.concatenate([lowest, np.zeros(k)]),
         x_high=np.concatenate([highest, np.full(k, FREE)]),
         p=np.ones(k),
         x_symbol=casadi.vertcat(x, s),
@@ -130,24 +138,23 @@ class _Search:
     Both back ends are asked, so that the answer does not depend on which one the user chose.
     """
 
-    def __init__(self, nlp: NLP, limits: list[Side], seed: int) -> None:
+    def __init__(self, nlp: NLP, limits: list[Side], points: list[Array]) -> None:
         self.programme, self.n, self.k = elastic(nlp, limits), len(nlp.variables), len(limits)
-        self.points = starts(nlp, STARTS, seed)
+        self.points = points
         self.solvers = [backend(name) for name in reversed(BACKENDS)]
 
     def least(self, weights: Array, loose: Array) -> tuple[float, Array]:
         """The least weighted slack, and x with the slacks; `loose` (k,) are the upper bounds of the slacks."""
-        high = np.concatenate([self.programme.x_high[: self.n], loose])
-        nlp = replace(self.programme, x_high=high, cache=self.programme.cache)
+        nlp = self.programme
+        nlp.x_high[self.n :] = loose  # in place: what is compiled for the programme is kept
         best, found = math.inf, np.full(self.n + self.k, math.inf)
         for point in self.points:
             x = np.concatenate([point, np.zeros(self.k)])
             here = nlp.at(x, weights)
-            need = np.nan_to_num(np.maximum(0.0, np.maximum(nlp.low - here.g, here.g - nlp.high)))
-            giving = np.abs(here.jacobian[:, self.n :])
-            x[self.n :] = np.minimum(np.max(giving * need[:, None], axis=0, initial=0.0), loose)
-            for solver in self.solvers:
-                end = solver(nlp, x, weights).x
+            need = np.nan_to_num(np.maximum(0.0, nlp.low - here.g) - np.maximum(0.0, here.g - nlp.high))
+            x[self.n :] = np.minimum(np.max(here.jacobian[:, self.n :] * need[:, None], axis=0, initial=0.0), loose)
+            for solver in (None, *self.solvers):  # the point itself may do already
+                end = x if solver is None else solver(nlp, x, weights).x
                 g = nlp.at(end, weights).g
                 missed = float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
                 total = float(weights @ end[self.n :])
@@ -158,14 +165,15 @@ class _Search:
         return best, found
 
 
-def explain(nlp: NLP, seed: int = 0) -> Explanation | Array:
+def explain(nlp: NLP, seed: int = 0, points: list[Array] | None = None) -> Explanation | Array:
     """Name the conflict of an infeasible programme, or give the x of a feasible design where there is one after all.
 
-    Local searches from several starts by both back ends: a proof only in the sense that none of them found a design.
+    Local searches from several starts by both back ends (from `points`, or the start and Sobol points): a proof only in the sense
+    that none of them found a design.
     """
     limits = sides(nlp)
     k = len(limits)
-    search = _Search(nlp, limits, seed)
+    search = _Search(nlp, limits, starts(nlp, STARTS, seed) if points is None else points)
     free = np.full(k, FREE)
     total, x = search.least(np.ones(k), free)
     if total <= MET:
