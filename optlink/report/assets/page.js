@@ -1,0 +1,149 @@
+"use strict";
+(() => {
+  const read = (id) => JSON.parse(document.getElementById(id).textContent);
+  const motion = read("motion-data");
+  const charts = read("chart-data");
+  const cursors = [];
+
+  // --- charts ---------------------------------------------------------------------------------------------------------------
+  // these buttons and no others: the library has some that send a chart to its makers
+  const buttons = [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]];
+  const config = { displaylogo: false, responsive: true, modeBarButtons: buttons };
+  const places = charts.map((chart, index) => {
+    const place = document.getElementById("chart-" + (index + 1));
+    Plotly.newPlot(place, chart.figure.data, chart.figure.layout, config);
+    if (chart.cranked) {
+      const cursor = document.createElement("div");
+      cursor.className = "cursor";
+      place.appendChild(cursor);
+      cursors.push({ place, cursor });
+      place.on("plotly_afterplot", () => follow());
+    }
+    return place;
+  });
+  // paper has a width of its own: charts are drawn anew for it
+  addEventListener("beforeprint", () => places.forEach((place) => Plotly.relayout(place, { width: 680, autosize: false })));
+  addEventListener("afterprint", () => places.forEach((place) => Plotly.relayout(place, { width: null, autosize: true })));
+
+  // --- the moving linkage -----------------------------------------------------------------------------------------------------
+  const stage = document.querySelector(".stage");
+  if (!stage || !motion) {
+    return;
+  }
+  const byName = (selector, key) => {
+    const found = new Map();
+    for (const node of stage.querySelectorAll(selector)) {
+      const name = node.dataset[key];
+      found.set(name, [...(found.get(name) || []), node]);
+    }
+    return found;
+  };
+  const bodies = byName("[data-body]", "body");
+  const points = byName("[data-point]", "point");
+  const springs = byName("[data-spring]", "spring");
+  const slider = document.getElementById("crank");
+  const angle = document.getElementById("crank-angle");
+  const play = document.getElementById("play");
+  const figures = [...document.querySelectorAll("[data-readout]")];
+  const last = motion.angles_deg.length - 1;
+  let at = 0;
+
+  function follow() {
+    const crank = motion.angles_deg[at];
+    for (const { place, cursor } of cursors) {
+      const layout = place._fullLayout;
+      const axis = layout && layout.xaxis;
+      if (!axis || !axis.range) {
+        continue;
+      }
+      const [low, high] = axis.range[0] < axis.range[1] ? axis.range : [axis.range[1], axis.range[0]];
+      const shown = crank - 360 * Math.floor((crank - low) / 360);
+      const inside = shown <= high + 1e-9;
+      cursor.style.display = inside ? "block" : "none";
+      if (inside) {
+        cursor.style.left = axis._offset + axis.d2p(shown) + "px";
+        cursor.style.top = layout._size.t + "px";
+        cursor.style.height = layout._size.h + "px";
+      }
+    }
+  }
+
+  function show(index) {
+    at = index;
+    for (const [name, pose] of Object.entries(motion.bodies)) {
+      for (const node of bodies.get(name) || []) {
+        node.setAttribute("transform", `translate(${pose.x[at]} ${pose.y[at]}) rotate(${pose.a[at]})`);
+      }
+    }
+    for (const [name, place] of Object.entries(motion.points)) {
+      for (const node of points.get(name) || []) {
+        node.setAttribute("transform", `translate(${place.x[at]} ${place.y[at]})`);
+      }
+    }
+    for (const [name, ends] of Object.entries(motion.springs)) {
+      const [x, y, dx, dy] = [ends.x[at], ends.y[at], ends.u[at] - ends.x[at], ends.v[at] - ends.y[at]];
+      const length = Math.max(Math.hypot(dx, dy), 1e-30);
+      const line = motion.zigzag.map(
+        ([share, side]) => `${x + share * dx + (side * dy) / length} ${y + share * dy - (side * dx) / length}`
+      );
+      for (const node of springs.get(name) || []) {
+        node.setAttribute("d", "M" + line.join("L"));
+      }
+    }
+    figures.forEach((node, k) => {
+      const value = motion.readouts[k].values[at];
+      node.textContent = value === null ? "–" : value.toFixed(motion.readouts[k].decimals).replace("-", "−");
+    });
+    angle.textContent = motion.angles_deg[at].toFixed(1).replace("-", "−") + "°";
+    slider.value = String(at);
+    slider.setAttribute("aria-valuetext", angle.textContent);
+    follow();
+  }
+
+  let timer = null;
+  let way = 1;
+  let due = 0;
+  const stop = () => {
+    cancelAnimationFrame(timer);
+    timer = null;
+    play.textContent = "▶ Play";
+    play.setAttribute("aria-pressed", "false");
+  };
+  const step = (now) => {
+    if (now >= due) {
+      due = now + 1000 / 75;
+      let next = at + way;
+      if (motion.closed) {
+        next = (next + last) % last;
+      } else if (next < 0 || next > last) {
+        way = -way;
+        next = at + way;
+      }
+      show(Math.min(Math.max(next, 0), last));
+    }
+    timer = requestAnimationFrame(step);
+  };
+  play.addEventListener("click", () => {
+    if (timer === null) {
+      play.textContent = "❚❚ Pause";
+      play.setAttribute("aria-pressed", "true");
+      timer = requestAnimationFrame(step);
+    } else {
+      stop();
+    }
+  });
+  slider.addEventListener("input", () => {
+    if (timer !== null) {
+      stop();
+    }
+    show(Number(slider.value));
+  });
+  for (const box of document.querySelectorAll("[data-toggle]")) {
+    box.addEventListener("change", () => {
+      for (const layer of stage.querySelectorAll(`[data-layer="${box.dataset.toggle}"]`)) {
+        layer.style.display = box.checked ? "" : "none";
+      }
+    });
+  }
+  show(0);
+})();

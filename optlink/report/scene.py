@@ -1,0 +1,144 @@
+"""A mechanism in motion as numbers [mm, deg]: outlines of its bodies, and where they are at every crank angle of the motion.
+
+The y axis points down, as in SVG, and angles turn with it; what is drawn of it is right way up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.analysis import Analysis
+from optlink.linkage.cycle import TURN
+from optlink.linkage.mechanism import FRAME
+from optlink.linkage.motion import Motion, sweep
+from optlink.report.draw import Sketch
+from optlink.report.shapes import Part
+
+Array = NDArray[np.float64]
+FLIP = np.array([1.0, -1.0])
+STEPS = 360  # of a revolution
+PLACES = 6  # significant digits of a place, beside the extent of the whole
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A body: its outlines in its own axes, its centroid there if it has a mass, and its poses (positions, x y angle)."""
+
+    name: str
+    colour: str
+    parts: tuple[Part, ...]
+    centroid: Array | None
+    poses: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A mechanism over its motion.
+
+    `angles` (positions,) [deg] in the order of the motion; `closed`: whether the last position is the first one again; `points`
+    by name (positions, 2); `moving`, `free`, `pins`: names of them; `ground`: lines, widths and whether they are filled;
+    `springs`: names with the two points that each joins (positions, 2, 2); `size`: the height of a ground pivot; `box`: x, y,
+    width and height of everything.
+    """
+
+    angles: Array
+    closed: bool
+    bodies: tuple[Body, ...]
+    points: Mapping[str, Array]
+    moving: tuple[str, ...]
+    free: tuple[str, ...]
+    pins: tuple[str, ...]
+    owner: Mapping[str, str]
+    ground: Sequence[tuple[Array, float, bool]]
+    springs: Mapping[str, Array]
+    size: float
+    box: tuple[float, float, float, float]
+
+    @property
+    def still(self) -> frozenset[str]:
+        """Names of the points of the frame."""
+        return frozenset(self.points).difference(self.moving)
+
+    @property
+    def decimals(self) -> int:
+        """Decimals that places are told with."""
+        return max(0, PLACES - 1 - math.floor(math.log10(max(self.box[2], self.box[3]))))
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a script needs to move the drawing."""
+
+        def columns(table: Array, names: str) -> dict[str, list[float]]:
+            return {name: np.round(table[:, k], self.decimals).tolist() for k, name in enumerate(names)}
+
+        return {
+            "angles_deg": np.round(self.angles, 9).tolist(),
+            "closed": self.closed,
+            "bodies": {
+                body.name: columns(body.poses[:, :2], "xy") | {"a": np.round(body.poses[:, 2], 5).tolist()}
+                for body in self.bodies
+            },
+            "points": {name: columns(self.points[name], "xy") for name in self.moving},
+            "springs": {name: columns(ends.reshape(len(ends), 4), "xyuv") for name, ends in self.springs.items()},
+            "size": self.size,
+        }
+
+
+def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene:
+    """The motion of an analysed machine, from its start in the sense of its speed; or one position `at` a crank angle [rad].
+
+    The extent and the outlines are those of the whole motion in either case.
+    """
+    machine = cycle.machine
+    way = math.copysign(1.0, cycle.speed)
+    first = math.radians(float(cycle["crank_angle_deg"][0]))
+    last = first + way * TURN if cycle.full else math.radians(float(cycle["crank_angle_deg"][-1]))
+    count = steps if cycle.full else max(1, math.ceil(abs(last - first) / TURN * steps))
+    angles = np.linspace(first, last, count + 1)
+    whole = sweep(machine.mechanism, machine.sizes, angles, cycle.speed)
+    sketch = Sketch(whole, machine)
+    shown = whole if at is None else sweep(machine.mechanism, machine.sizes, [at], cycle.speed)
+    return _scene(sketch, shown, closed=cycle.full and at is None)
+
+
+def _scene(sketch: Sketch, motion: Motion, *, closed: bool) -> Scene:
+    mechanism, k = sketch.mechanism, 1e3 / sketch.scale.factor
+    flip = k * FLIP
+
+    def body(name: str) -> Body:
+        parts = tuple(Part(part.kind, part.outline * flip) for part in sketch.parts[name])
+        start = motion.position(mechanism.bodies[name].start) * 1e3 * FLIP
+        angle = -np.degrees(np.asarray(motion.body_angle(name).value, dtype=float))
+        centroid = sketch.centroids.get(name)
+        poses = np.concatenate([start, angle[:, None]], axis=1)
+        return Body(name, sketch.colours[name], parts, None if centroid is None else centroid[0] * flip, poses)
+
+    owners = mechanism.owners
+    (x0, x1), (y0, y1) = sketch.limits
+    return Scene(
+        angles=np.degrees(np.asarray(motion.crank_angle, dtype=float)),
+        closed=closed,
+        bodies=tuple(body(name) for name in mechanism.bodies),
+        points={name: motion.position(name) * 1e3 * FLIP for name in sketch.names},
+        moving=tuple(name for name, bodies in owners.items() if FRAME not in bodies),
+        free=tuple(name for name, bodies in owners.items() if len(bodies) == 1 and bodies[0] != FRAME),
+        pins=tuple(mechanism.pins),
+        owner={name: _owner(bodies, mechanism.crank.body) for name, bodies in owners.items()},
+        ground=[(line * flip, width, filled) for line, width, filled in sketch.ground],
+        springs={
+            spring.name: np.stack([motion.position(point) * 1e3 * FLIP for _, point in spring.ends], axis=1)
+            for spring in sketch.springs
+        },
+        size=sketch.size * k,
+        box=(k * x0, -k * y1, k * (x1 - x0), k * (y1 - y0)),
+    )
+
+
+def _owner(bodies: Sequence[str], crank: str) -> str:
+    """The body in whose colour the trace of a point is drawn."""
+    return bodies[0] if bodies[0] == crank else bodies[-1]

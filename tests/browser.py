@@ -1,0 +1,56 @@
+"""A real browser for the tests: the system's Chromium without a window, driven by selenium; what it complains of and asks for."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+DRIVER = shutil.which("chromedriver")
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Chromium; the test is skipped where there is none."""
+    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+    if CHROMIUM is None or DRIVER is None:
+        pytest.skip("no browser here: install Debian's packages chromium and chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for argument in ("--headless=new", "--disable-dev-shm-usage", "--window-size=1200,1000", "--disable-gpu"):
+        options.add_argument(argument)
+    if os.name == "posix" and os.geteuid() == 0:
+        options.add_argument("--no-sandbox")  # Chromium's sandbox is not for the superuser
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        yield driver
+    finally:
+        driver.quit()
+
+
+def opened(driver: Any, path: Path) -> tuple[list[str], list[str]]:
+    """Open a page; what stands on its console, and every address that it asks for beside its own."""
+    driver.get_log("browser")
+    driver.get_log("performance")
+    driver.get(path.as_uri())
+    return console(driver), requests(driver, path)
+
+
+def console(driver: Any) -> list[str]:
+    """What stands on the console since it was last asked for."""
+    return [entry["message"] for entry in driver.get_log("browser")]
+
+
+def requests(driver: Any, path: Path) -> list[str]:
+    """Every address that was asked for since then, beside the page itself and what it holds."""
+    events = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
+    found = [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
+    return [address for address in found if address != path.as_uri() and not address.startswith(("data:", "blob:"))]
