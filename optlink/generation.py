@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -17,6 +16,7 @@ from optlink.design.files import ProblemFile
 from optlink.design.generation import START, TURN, GenerationProblem
 from optlink.design.linkages import FourBarSection
 from optlink.design.quantity import nearest
+from optlink.design.settled import settled
 from optlink.documents import finite, head
 from optlink.errors import Fault, InputError, Status
 from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
@@ -121,15 +121,7 @@ class Design:
     @property
     def machine(self) -> ProblemFile:
         """The linkage alone as a problem with every size fixed: what `analyze`, `simulate` and pictures take."""
-        raw = json.loads(
-            json.dumps({k: v for k, v in self.problem.raw.items() if k not in ("requirement", "limits", "expected")})
-        )
-        changes: dict[str, object] = {}
-        for name in self.task.mechanism.quantities:
-            _fix(raw["mechanism"], self.task, name, self.values[name])
-        from optlink.design.files import read
-
-        return read({**raw, **changes}, self.problem.name, self.problem.file, self.problem.folder)
+        return settled(self.problem, self.values)
 
     @property
     def assembly(self) -> object:
@@ -270,33 +262,6 @@ class Generation:
         document["designs"] = [design.to_dict() for design in self.designs]
         document["nearest_miss"] = None if self.nearest is None or self.designs else self.nearest.to_dict()
         return finite(document)  # type: ignore[no-any-return]
-
-
-def _fix(mechanism: dict[str, Any], task: GenerationProblem, name: str, value: float) -> None:
-    """Write one quantity of a mechanism as a fixed value, in the section that it comes from."""
-    factor_, unit = people_unit(task, name)
-    text = f"{value * factor_!r} {unit}"
-    parts = name.split(".")
-    if isinstance(task.mechanism, FourBarSection):
-        if name in (*LENGTHS, "direction"):
-            mechanism[name] = text
-        elif parts[0] == "A":
-            place = list(mechanism.get("pivot") or ["0 mm", "0 mm"])
-            place["xy".index(parts[1])] = text
-            mechanism["pivot"] = place
-        else:
-            mechanism["points"][parts[0]][("along", "across").index(parts[1])] = text
-        return
-    if len(parts) == 3:
-        mechanism["links"][parts[0]]["points"][parts[1]][("along", "across").index(parts[2])] = text
-    elif parts[1] == "length":
-        mechanism["links"][parts[0]]["length"] = text
-    elif parts[0] in mechanism["ground"]:
-        mechanism["ground"][parts[0]]["xy".index(parts[1])] = text
-    elif parts[1] in ("x", "y"):
-        mechanism["guides"][parts[0]]["through"]["xy".index(parts[1])] = text
-    else:
-        mechanism["guides"][parts[0]][parts[1]] = text
 
 
 def variants_of(problem: ProblemFile) -> list[ProblemFile]:

@@ -416,7 +416,7 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
 def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, object]]:
     """KEY=VALUE as one assignment; a result.json as one for each quantity (phi0 and psi0 only where they are not derived)."""
     if not text.endswith(".json"):
-        return [parse_assignment(text)]
+        return [parse_assignment(text, "--design")]
     try:
         design = json.loads(Path(text).read_text(encoding="utf-8"))["design"].items()
         parts = [(*key.rpartition("_"), float(value)) for key, value in design if not isinstance(value, bool)]
@@ -442,6 +442,9 @@ def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float
         name = key.removeprefix("mechanism.")
         if name not in quantities:
             raise InputError(Fault("unknown quantity of the design", nearest(name, quantities), problem.file, "--design", key))
+        if isinstance(value, dict | list):
+            remedy = f'Give one value, such as {name}="{show(quantities[name].value, quantities[name].kind)}"'
+            raise InputError(Fault("a given design has no bounds", remedy, problem.file, f"--design {name}", value))
         try:
             quantity: Quantity = read_quantity(value, quantities[name].kind)
         except Unusable as error:

@@ -384,7 +384,7 @@ def _check_output(problem: GenerationProblem, mechanism: Mechanism) -> None:
 
 def _check_points(problem: GenerationProblem, mechanism: Mechanism) -> None:
     task, wanted = problem.requirement, problem.wanted
-    named = [name for name, bodies in mechanism.owners.items() if set(bodies) != {FRAME}]
+    named = [name for name, bodies in mechanism.owners.items() if FRAME not in bodies]
     if task.point not in named:
         remedy = nearest(task.point, named)
         if isinstance(problem.mechanism, FourBarSection) and not problem.mechanism.points:
@@ -399,10 +399,10 @@ def _check_points(problem: GenerationProblem, mechanism: Mechanism) -> None:
         )
     if task.kind == "path" and wanted.angles is not None:
         raise Unusable("a path has no angles", 'Leave them out, or write kind = "motion"', "requirement.points")
-    least = 2
+    least = 3 if task.closed else 2
     if count < least:
         raise Unusable(
-            f"{count} point is no {task.kind}",
+            f"{count} point{'s are' if count > 1 else ' is'} no {'closed curve' if task.closed else task.kind}",
             f"Give at least {least}",
             "requirement.points",
             f"{count} point{'s' * (count > 1)}",

@@ -261,13 +261,13 @@ def _contents(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, byte
     try:
         if not path.is_file():
             reason = "it is a folder" if path.is_dir() else "it is no plain file" if path.exists() else "no such file"
-            raise Unusable(f"cannot read the file: {reason}", remedy, key, str(path))
+            raise Unusable(f"cannot read the file: {reason}", remedy, key, _cut(name))
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except OSError as error:
-        raise Unusable(f"cannot read the file: {error.strerror}", remedy, key, _cut(path)) from None
+        raise Unusable(f"cannot read the file: {error.strerror}", remedy, key, _cut(name)) from None
     if len(data) > MAX_BYTES:
-        raise Unusable(f"{_cut(name)} is larger than {MAX_BYTES / 1e6:g} MB", "Thin it out", key, str(path))
+        raise Unusable(f"{_cut(name)} is larger than {MAX_BYTES / 1e6:g} MB", "Thin it out", key, _cut(name))
     return _cut(name), data
 
 

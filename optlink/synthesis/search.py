@@ -138,6 +138,7 @@ class Searcher:
     def _sample(self, batch: Batch, fit: Similarity, count: int) -> tuple[Array, Array]:
         many = POOL * count
         x, t = starts.designs(batch, many, self.rng), starts.timing(batch, many, self.rng)
+        t = starts.within_reach(batch, x, t, self.rng)
         whole = starts.assembled(batch, x, t)
         x, t = x[whole], t[whole]
         if not len(x):

@@ -87,6 +87,28 @@ def timing(batch: Batch, count: int, rng: np.random.Generator) -> Array:
     return np.asarray(rng.uniform(-math.pi, math.pi, (count, 1)) + ways * turned, dtype=float)
 
 
+def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> Array:
+    """Crank angles (count, points) of four-bars that need not turn fully, moved and shortened to where they can be assembled."""
+    if batch.turns or not batch.four_bar or not batch.own:
+        return t
+    values = batch.values(x)
+    crank, coupler, rocker, frame = (values[name][:, 0] for name in LENGTHS)
+    square, twice = crank**2 + frame**2, 2.0 * crank * frame
+    near = np.arccos(np.clip((square - (coupler - rocker) ** 2) / twice, -1.0, 1.0))  # closer to the frame B is too near to D
+    far = np.arccos(np.clip((square - (coupler + rocker) ** 2) / twice, -1.0, 1.0))  # beyond B is too far from D
+    mirrored = rng.random(len(x)) < 0.5
+    low = np.where(near <= 0.0, -far, np.where(far >= math.pi, near, np.where(mirrored, -far, near)))
+    high = np.where(near <= 0.0, far, np.where(far >= math.pi, TURN - near, np.where(mirrored, -near, far)))
+    span = np.abs(t[:, -1] - t[:, 0])
+    room = 0.98 * (high - low)
+    share = np.minimum(1.0, room * rng.uniform(0.3, 1.0, len(x)) / np.maximum(span, 1e-9))
+    begin = low + 0.01 * (high - low) + rng.random(len(x)) * np.maximum(room - share * span, 0.0)
+    least = np.minimum(t[:, 0], t[:, -1])
+    limited = (near > 0.0) | (far < math.pi)
+    moved = begin[:, None] + (t - least[:, None]) * share[:, None]
+    return np.asarray(np.where(limited[:, None], moved, t), dtype=float)
+
+
 def assembled(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
     """Which designs close at all their points, and over the whole revolution if the crank shall turn."""
     mechanism, values = batch.problem.linkage, batch.values(x)
