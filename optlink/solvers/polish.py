@@ -53,7 +53,7 @@ def polish(nlp: NLP, attempt: Attempt, p: Array) -> Attempt:
         weights[rows] = multipliers[rows + n]
         hessian = nlp.hessian(y, p, weights)
         stiffness = max(stiffness, float(np.max(np.abs(hessian), initial=0.0)))
-        step = _newton(hessian, jacobian, residual)
+        step = newton(hessian, jacobian, residual)
         if step is None:
             break
         y = np.clip(y + step[:n], nlp.x_low, nlp.x_high)
@@ -68,7 +68,7 @@ def polish(nlp: NLP, attempt: Attempt, p: Array) -> Attempt:
     return attempt if worse else replace(attempt, x=y)
 
 
-def _newton(hessian: Array, jacobian: Array, residual: Array) -> Array | None:
+def newton(hessian: Array, jacobian: Array, residual: Array) -> Array | None:
     """Step of the optimality system; least squares where limits depend on one another or the objective is flat."""
     k = len(jacobian)
     system = np.block([[hessian, jacobian.T], [jacobian, np.zeros((k, k))]])

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.design.problem import DEAD_CENTRES, DesignProblem
 from optlink.design.quantity import Interval
+from optlink.linkage.elementwise import Vector, cross, dot, minus, unit
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
@@ -33,6 +35,7 @@ from optlink.validation.check import (
 
 Array = NDArray[np.float64]
 
+CLOSING = 4  # rounds of closing in on an extreme: to 6e-6 of a step of the sweep, where it is flat to rounding
 ROUNDING = 1e-12  # rad; two routes to an error that is all but zero need not agree more closely
 
 
@@ -73,11 +76,21 @@ class _Tested:
         self.sizes = {name: design[name] for name in LENGTHS}
         self.phi0, self.psi0 = design["phi0"], design["psi0"]
         self.revolution = self._sweep(np.linspace(0.0, 2.0 * np.pi, POSITIONS, endpoint=False))
-        count = max(2, math.ceil(abs(problem.span) / (2.0 * np.pi) * POSITIONS)) + 1
-        self.span = self._sweep(self.phi0 + np.linspace(0.0, problem.span, count))
+
+    @cached_property
+    def span(self) -> Motion:
+        """The motion over the span of the requirement."""
+        count = max(2, math.ceil(abs(self.problem.span) / (2.0 * np.pi) * POSITIONS)) + 1
+        return self._sweep(self.phi0 + np.linspace(0.0, self.problem.span, count))
 
     def _sweep(self, angles: Array) -> Motion:
         return sweep(self.mechanism, self.sizes, angles)
+
+    def _placed(self, angles: Array) -> list[Vector]:
+        """Coordinates of B, C and D at crank angles: where nothing but positions matters, speeds are not asked for."""
+        with np.errstate(all="ignore"):
+            pose = self.mechanism.pose(self.sizes, unit(angles))
+        return [pose.point(name) for name in "BCD"]
 
     @property
     def squared(self) -> bool:
@@ -94,33 +107,28 @@ class _Tested:
         """The motion over which the mechanism must be assembled."""
         return self.revolution if self.turns else self.span
 
-    def transmission(self, motion: Motion) -> Array:
+    def transmission(self, b: Vector, c: Vector, d: Vector) -> Array:
         """Angle B-C-D [rad] at each position."""
-        b, c, d = (motion.position(name) for name in "BCD")
-        to_b, to_d = b - c, d - c
-        cross = to_b[..., 0] * to_d[..., 1] - to_b[..., 1] * to_d[..., 0]
-        gamma: Array = np.abs(np.arctan2(cross, np.sum(to_b * to_d, axis=-1)))
+        to_b, to_d = minus(b, c), minus(d, c)
+        gamma: Array = np.abs(np.arctan2(cross(to_b, to_d), dot(to_b, to_d)))
         return gamma
 
     def transmission_extremes(self, motion: Motion) -> tuple[float, float]:
         """Least and largest transmission angle [rad], refined around the extreme positions of the sweep."""
         angles = motion.crank_angle
-        gamma = self.transmission(motion)
+        gamma = self.transmission(*self._placed(angles))
         if not np.all(np.isfinite(gamma)):
             return math.nan, math.nan
-        low, high = (angles[0], angles[-1]) if motion is self.span else (-np.inf, np.inf)
-        results = []
-        for sign in (1.0, -1.0):
-            centre = angles[int(np.argmin(sign * gamma))]
-            width = abs(angles[1] - angles[0])
-            for _ in range(6):
-                near = np.clip(centre + width * np.linspace(-1.0, 1.0, 41), min(low, high), max(low, high))
-                values = sign * self.transmission(self._sweep(near))
-                if not np.any(np.isfinite(values)):
-                    break
-                centre, width = near[int(np.nanargmin(values))], width / 20.0
-            results.append(float(self.transmission(self._sweep(np.array([centre])))[0]))
-        return results[0], results[1]
+        low, high = sorted((angles[0], angles[-1])) if motion is self.span else (-np.inf, np.inf)
+        signs = np.array([[1.0], [-1.0]])  # both extremes are closed in on together
+        centres, width = angles[np.argmin(signs * gamma, axis=1)], abs(angles[1] - angles[0])
+        for _ in range(CLOSING):
+            near = np.clip(centres[:, None] + width * np.linspace(-1.0, 1.0, 41), low, high)
+            values = signs * self.transmission(*self._placed(near.ravel())).reshape(near.shape)
+            best = np.argmin(np.where(np.isfinite(values), values, np.inf), axis=1)
+            centres, width = near[[0, 1], best], width / 20.0
+        least, largest = self.transmission(*self._placed(centres))
+        return float(least), float(largest)
 
     def dead_centres(self) -> list[tuple[float, float]]:
         """Crank and rocker angle [rad] where the rocker's angular velocity changes its sign, refined by secants."""
@@ -163,11 +171,11 @@ class _Tested:
         """
         law = self.problem.law
         at, tabulated = (law.offsets, law.tabulated) if offsets is None else (offsets, 0.0)
-        motion = self._sweep(self.phi0 + at)
-        d, c = motion.position("D"), motion.position("C")
-        actual = np.arctan2(c[:, 1] - d[:, 1], c[:, 0] - d[:, 0])
+        _, c, d = self._placed(self.phi0 + at)
+        actual = np.arctan2(c[1] - d[1], c[0] - d[0])
         wanted = np.asarray(law.wanted(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
-        return np.remainder(wanted - actual + np.pi, 2.0 * np.pi) - np.pi
+        error: Array = np.remainder(wanted - actual + np.pi, 2.0 * np.pi) - np.pi
+        return error
 
     def objective(self) -> float:
         """The figure that the requirement minimises; the largest error of a function is that of its whole range."""

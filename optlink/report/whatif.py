@@ -1,0 +1,160 @@
+"""What-if studies as tables for people."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
+from optlink.studies.outputs import OutputSensitivity
+from optlink.studies.sensitivity import End, Sensitivities, Sensitivity
+from optlink.studies.sweep import Sweep
+
+AGREES = 1e-5  # share by which exact and searched derivatives may differ
+SHOWN = 12  # changes of the active set
+
+
+def step(row: Sensitivity) -> str:
+    """The change by which effects are compared, in words."""
+    p = row.parameter
+    return "1 deg" if p.unit == "deg" else "1 %"
+
+
+def sensitivities(result: Sensitivities) -> RenderableType:
+    """Everything that moves the optimum, largest effect first."""
+    names = list(result.units)
+    title = Text(result.problem.model.title, style=HEAD)
+    for note in result.notes:
+        title.append(f"\nNote: {note}")
+    found = grid("Optimum", [("", "left"), ("", "right"), ("", "left")])
+    found.add_row("objective", Text(number(result.solution.objective), style=HEAD), result.unit)
+    for name, value in result.values.items():
+        found.add_row(name, Text(fixed(value), style=HEAD), result.units[name])
+    table = grid(
+        "What a change of what is given does, largest effect first",
+        [
+            ("given", "left"),
+            ("change", "right"),
+            ("objective", "right"),
+            *((f"{name}\n[{result.units[name]}]", "right") for name in names),
+        ],
+        header=True,
+    )
+    for row in result.moving:
+        p = row.parameter
+        share = row.effect / result.solution.objective if result.solution.objective else math.nan
+        table.add_row(
+            p.name,
+            f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}",
+            Text(_percent(share), style=GOOD if row.effect < 0.0 else ""),
+            *(_signed(row.design[name] * p.step) for name in names),
+        )
+    parts: list[RenderableType] = [title, Text(), found, Text()]
+    if result.moving:
+        parts += [table, Text(), _prices(result), Text(), _events(result)]
+    else:
+        parts.append(Text("Nothing that is given moves this optimum, to first order."))
+    still = [row.parameter.name for row in result.rows if not row.moves]
+    if still:
+        parts += [Text(), Text(f"Without effect here: {', '.join(dict.fromkeys(still))}.", style=QUIET)]
+    if result.gap is not None:
+        style = GOOD if result.gap <= AGREES else BAD
+        line = Text.assemble(("\nSearched again on both sides of each: ", QUIET), (f"largest difference {result.gap:.1e}", style))
+        parts.append(line)
+    return Group(*parts)
+
+
+def _prices(result: Sensitivities) -> Table:
+    """What one more unit does to the objective."""
+    table = grid("Per unit", [("", "left"), ("", "right"), ("", "left")])
+    for row in result.moving:
+        p = row.parameter
+        per = f"{result.unit} per {p.unit or 'unit'}".strip()
+        table.add_row(p.name, f"{row.objective:+.6g}", Text(per, style=QUIET))
+    return table
+
+
+def _events(result: Sensitivities) -> Table:
+    table = grid("What ends the range in which this holds (to first order)", [("", "left"), ("", "left"), ("", "left")])
+    for row in result.moving:
+        for word, end in (("below", row.below), ("above", row.above)):
+            if math.isfinite(end.value):
+                table.add_row(
+                    row.parameter.key, f"{word} {_end(end)} {row.parameter.unit}".rstrip(), Text(end.event, style=QUIET)
+                )
+    return table
+
+
+def _end(end: End) -> str:
+    return number(end.value, 5) if math.isfinite(end.value) else "any"
+
+
+def _percent(share: float) -> str:
+    return f"{share:+.3%}".replace("%", " %") if math.isfinite(share) else "-"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.4g}" if value else "0"
+
+
+def outputs(found: OutputSensitivity) -> RenderableType:
+    """Derivatives of an output by every size, one row for each crank angle."""
+    angular = found.unit == "rad"
+    per = "deg per mm" if angular else "mm per mm"
+    factor = math.degrees(1.0) / 1e3 if angular else 1.0
+    table = grid(
+        f"{found.name}: change per size, at a crank angle that stays [{per}]",
+        [("crank [deg]", "right"), (f"{found.name} [{'deg' if angular else 'mm'}]", "right"), *((n, "right") for n in found.by)],
+        header=True,
+    )
+    shown = np.degrees(found.value) if angular else 1e3 * found.value
+    for i, angle in enumerate(np.degrees(found.crank_angles)):
+        table.add_row(f"{angle:g}", fixed(shown[i], 4), *(fixed(factor * column[i], 6) for column in found.by.values()))
+    return table
+
+
+def sweep(result: Sweep) -> RenderableType:
+    """What a sweep found."""
+    title = Text(result.problem.model.title, style=HEAD)
+    every = " x ".join(f"{len(axis.values):,}" for axis in result.grid.axes)
+    title.append(f"\n{result.grid.count:,} points" + (f" ({every})" if len(result.grid.axes) > 1 else ""))
+    if not result.analysed:
+        title.append(", ")
+        word = "every optimum proven" if result.complete else f"{result.valid:,} proven, {result.grid.count - result.valid:,} not"
+        title.append(word, style=GOOD if result.complete else BAD)
+    parts: list[RenderableType] = [title, Text()]
+    axes = grid("Varied", [("", "left"), ("", "left"), ("", "right")])
+    for axis in result.grid.axes:
+        span = f"{axis.values[0]:g} ... {axis.values[-1]:g} {axis.unit}".rstrip()
+        axes.add_row(axis.key, span, Text(f"{len(axis.values):,} values", style=QUIET))
+    parts.append(axes)
+    if result.best is not None:
+        best = grid("Best", [("", "left"), ("", "right")])
+        for name, value in result.best.items():
+            if name in ("status", "valid", "failed", "found", "active_set_changed"):
+                continue
+            best.add_row(name, value if name == "active" else number(float(value), 8))
+        parts += [Text(), best]
+    if result.changes:
+        parts += [Text(), _changes(result)]
+    rate = result.done / result.seconds if result.seconds else 0.0
+    line = f"{result.done:,} points done in {result.seconds:.1f} s ({rate:,.0f} a second"
+    line += f"; {1e3 * result.cpu / result.done:.2f} ms of processor time each)" if result.done else ")"
+    if not result.analysed:
+        line += f"; {result.searched:,} needed a search, the others followed a neighbour"
+    return Group(*parts, Text(), Text(line, style=QUIET))
+
+
+def _changes(result: Sweep) -> Table:
+    table = grid(
+        f"Where other limits begin to hold the design: {result.changed}",
+        [*((axis.column, "right") for axis in result.grid.axes), ("before", "left"), ("from there on", "left")],
+        header=True,
+    )
+    for change in result.changes[:SHOWN]:
+        table.add_row(*(f"{value:g}" for value in change.at.values()), change.before or "none", change.after or "none")
+    return table

@@ -1,0 +1,83 @@
+"""What an optimum depends on: the quantities that are fixed, and every bound and limit, as numbers in people's units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from optlink.design.constraints import Scale
+from optlink.design.nlp import NLP
+from optlink.solvers.solution import key_of
+
+SHARE = 0.01
+"""Step of a length or a plain number by which effects are compared, as a share of its value; that of an angle is 1 deg."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that is given.
+
+    `value` in `unit`; `constant`: its place among the fixed quantities of the programme, -1 for a limit; `entries`: those of x,
+    then of the rows, whose lower or `upper` bound it is (both where it is a wanted value: `equal`).
+    """
+
+    key: str
+    name: str
+    value: float
+    unit: str
+    scale: Scale
+    constant: int = -1
+    entries: tuple[int, ...] = ()
+    upper: bool = False
+    equal: bool = False
+    stated: bool = True  # whether the problem file holds this number, so that it can be changed there
+
+    @property
+    def step(self) -> float:
+        """The change by which effects are compared: 1 deg of an angle, else 1 % of the value (0.01 of a zero)."""
+        return 1.0 if self.unit == "deg" else SHARE * (abs(self.value) or 1.0)
+
+    def rate(self) -> float:
+        """Change of the programme's own number per unit of this one."""
+        return 1.0 / self.scale.slope(self.scale.own(self.value))
+
+    def place(self, nlp: NLP, value: float) -> None:
+        """Give the programme another value of this number [unit]."""
+        own = self.scale.own(value)
+        if self.constant >= 0:
+            nlp.p[1 + self.constant] = own
+        for entry in self.entries:
+            if self.upper or self.equal:
+                nlp.limit(entry, own, upper=True)
+            if not self.upper or self.equal:
+                nlp.limit(entry, own, upper=False)
+
+
+def parameters(nlp: NLP) -> list[Parameter]:
+    """Every fixed quantity, then every finite bound of a free one and every limit.
+
+    Rows that share a limit and a label are one limit, with one bound.
+    """
+    found = [
+        Parameter(key_of(c.name), c.name, c.scale.people(float(nlp.p[1 + i])), c.scale.unit, c.scale, constant=i)
+        for i, c in enumerate(nlp.constants)
+    ]
+    n = len(nlp.variables)
+    entries = [(key_of(v.name), v.name, i, v.scale) for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers]
+    entries += [(row.limit, row.label, n + j, row.scale) for j, row in enumerate(nlp.rows) if row.limit not in nlp.helpers]
+    limits: dict[tuple[str, str, str, float], Parameter] = {}
+    for key, name, entry, scale in entries:
+        low, high = float(nlp.lower[entry]), float(nlp.upper[entry])
+        for upper, bound in ((False, low), (True, high)):
+            if not math.isfinite(bound) or (upper and low == high) or (scale.cosine and abs(bound) >= 1.0):
+                continue
+            side = "" if low == high else "max" if upper != scale.cosine else "min"
+            mark = (key, name, side, bound)
+            if mark in limits:
+                limits[mark] = replace(limits[mark], entries=(*limits[mark].entries, entry))
+                continue
+            stated = entry < n or (key.startswith("limits.") and key != "limits.crank")
+            bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if entry < n else name
+            whole = f"{key}.{side}" if side and stated else key
+            limits[mark] = Parameter(whole, bounds, scale.people(bound), scale.unit, scale, -1, (entry,), upper, not side, stated)
+    return found + list(limits.values())

@@ -1,0 +1,211 @@
+"""The task that finds a new optimum at every point of a grid.
+
+The programme is built once: what varies are its parameters and bounds. Within a chunk each search begins at the optimum of a
+neighbour that is done, and mostly ends after a few steps of Newton's method; the first search of a chunk begins where the problem
+says, so that no chunk depends on another. Every optimum is proven by the validator, as a single one is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.constraints import rows as limit_rows
+from optlink.design.files import ProblemFile
+from optlink.design.limits import Reach
+from optlink.design.nlp import NLP, build
+from optlink.design.problem import DesignProblem
+from optlink.design.quantity import Quantity
+from optlink.errors import Status
+from optlink.generation import generate
+from optlink.linkage.structure import EITHER
+from optlink.solvers import search
+from optlink.solvers.solution import Solution
+from optlink.studies.direct import Direct
+from optlink.studies.follow import FOLLOWED, follow
+from optlink.studies.keys import changed
+from optlink.studies.tasks import Sweeping, figure
+from optlink.units import KINDS, factor
+from optlink.validation import validate
+from optlink.workflow import solve
+
+Array = NDArray[np.float64]
+CHUNK, SLOW_CHUNK = 100, 4  # points; the second where every point is a search of its own
+TAIL = ("status", "valid", "failed", "active", "found")
+NUMBERS = ("mechanism.", "limits.", "requirement.from", "requirement.psi0")  # keys that a programme holds as numbers
+SEARCHED = "searched"
+
+
+def buildable(problem: ProblemFile, keys: tuple[str, ...]) -> bool:
+    """Whether one programme serves all values of these keys."""
+    task = problem.model
+    if not isinstance(task, DesignProblem) or task.everywhere or task.mechanism.assembly == EITHER:
+        return False
+    return all(key.startswith(NUMBERS) and key not in ("limits.crank", "limits.transmission_over") for key in keys)
+
+
+@dataclass(frozen=True)
+class _Optimum:
+    """What a row is made of; `design` [SI] by free quantity."""
+
+    design: Mapping[str, float]
+    objective: float
+    status: Status
+    valid: bool
+    failed: tuple[str, ...]
+    active: tuple[str, ...]
+    found: str
+
+
+@dataclass(frozen=True)
+class Reoptimising(Sweeping):
+    """A new optimum at every point."""
+
+    backend: str
+
+    @cached_property
+    def template(self) -> ProblemFile:
+        """The problem at the first point: what is free there is free everywhere."""
+        return changed(self.problem, self.grid.changes(0))
+
+    @cached_property
+    def free(self) -> dict[str, Quantity]:
+        """The free quantities."""
+        model = self.template.model
+        return {name: model.quantities[name] for name in model.free}
+
+    @property
+    def columns(self) -> list[str]:
+        """The axes, the free quantities in people's units, the objective in SI, and how it was found."""
+        from optlink.studies.sweep import objective_column
+
+        free = [f"{name}_{KINDS[quantity.kind].people}" for name, quantity in self.free.items()]
+        return [*(axis.column for axis in self.grid.axes), *free, objective_column(self.template), *TAIL]
+
+    @cached_property
+    def programme(self) -> Programme | None:
+        """The programme of all points; None where every point needs its own."""
+        keys = tuple(axis.key for axis in self.grid.axes)
+        return Programme(self.template) if buildable(self.template, keys) else None
+
+    @cached_property
+    def direct(self) -> Direct | None:
+        """Puts values into the model; None where the file has to be read again for each."""
+        found = Direct(self.template.spec, self.grid.axes) if self.programme is not None else None
+        return found if found is not None and found.possible else None
+
+    def lines(self, index: int) -> list[list[str]]:
+        """Rows of a chunk."""
+        done: dict[int, Solution] = {}
+        rows = []
+        for point in self.span(index):
+            if self.programme is None:
+                found = _alone(changed(self.problem, self.grid.changes(point)), self.backend)
+            else:
+                found = self._again(self.programme, point, done)
+            rows.append(self._row(point, found))
+        return rows
+
+    def model(self, point: int) -> DesignProblem:
+        """The problem at a point of the grid."""
+        if self.direct is not None:
+            return self.direct.model(self.grid.values(point))
+        return changed(self.problem, self.grid.changes(point)).spec
+
+    def _again(self, programme: Programme, point: int, done: dict[int, Solution]) -> _Optimum:
+        """The optimum at a point, from that of a neighbour of this chunk if there is one."""
+        task = self.model(point)
+        programme.bind(task)
+        before = point - 1 if point % self.grid.row else point - self.grid.row
+        solution, found = programme.solve(done.get(before), self.backend)
+        if solution.usable:
+            done[point] = solution
+        design = task.design(solution.design)
+        proof = validate(task, design, solution.objective)
+        optimal = solution.status is Status.OPTIMAL
+        failed = tuple(check.name for check in proof.checks if not check.passed)
+        valid = optimal and not failed
+        return _Optimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), found)
+
+    def _row(self, point: int, found: _Optimum) -> list[str]:
+        usable = found.status in (Status.OPTIMAL, Status.STALLED)
+        values = [figure(v) if usable else "" for v in (*self._people(found.design), found.objective)]
+        tail = [found.status.value, str(found.valid).lower(), "; ".join(found.failed), "; ".join(found.active), found.found]
+        return [*map(repr, self.grid.values(point)), *values, *tail]
+
+    def _people(self, design: Mapping[str, float]) -> list[float]:
+        return [design.get(n, np.nan) / factor(KINDS[q.kind].people, q.kind) for n, q in self.free.items()]
+
+
+class Programme:
+    """One programme for many values of its parameters and bounds."""
+
+    def __init__(self, problem: ProblemFile) -> None:
+        self.nlp: NLP = build(problem.spec)
+        self.size = problem.spec.quantities["frame"].value
+
+    def bind(self, task: DesignProblem) -> None:
+        """Take fixed quantities, bounds and limits from a problem of the same structure."""
+        nlp, quantities = self.nlp, task.quantities
+        for i, constant in enumerate(nlp.constants):
+            nlp.p[1 + i] = (quantities[constant.name].value - constant.origin) / constant.size
+        n = len(nlp.variables)
+        for i, v in enumerate(nlp.variables):
+            if v.name not in nlp.helpers:
+                low, high = quantities[v.name].bounds
+                nlp.limit(i, (low - v.origin) / v.size, upper=False)
+                nlp.limit(i, (high - v.origin) / v.size, upper=True)
+        values = {name: quantity.value for name, quantity in quantities.items()}
+        with np.errstate(all="ignore"):
+            reach = Reach(task.start_position(values).phi0, task.span)
+            rows = limit_rows(task, values, reach, self.size)
+        for j, row in enumerate(rows):
+            nlp.limit(n + j, row.low, upper=False)
+            nlp.limit(n + j, row.high, upper=True)
+
+    def solve(self, near: Solution | None, backend: str) -> tuple[Solution, str]:
+        """The optimum for the parameters that are bound, from a neighbour's if there is one."""
+        nlp = self.nlp
+        if near is not None:
+            solution = follow(nlp, near)
+            if solution is not None:
+                return solution, FOLLOWED
+        starts = [nlp.x_start] if near is None else [near.x, nlp.x_start]
+        tries = []
+        for x in starts:
+            tries.append(search.solve_from(nlp, nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)), backend))
+            if tries[-1].status is Status.OPTIMAL:
+                break
+        return search.best(tries), SEARCHED
+
+
+def _alone(task: ProblemFile, backend: str) -> _Optimum:
+    """The optimum of a problem that is built and searched for itself."""
+    if task.generated:
+        best = generate(task, backend).best
+        if best is None:
+            return _Optimum({}, np.nan, Status.INFEASIBLE, False, (), (), SEARCHED)
+        failed = tuple(check.name for check in best.validation.checks if not check.passed)
+        held = () if best.solution is None else active(best.solution)
+        return _Optimum(best.values, best.objective, best.status, best.valid, failed, held, SEARCHED)
+    result = solve(task, backend)
+    failed = tuple(check.name for check in result.validation.checks if not check.passed)
+    held = () if result.solution is None else active(result.solution)
+    return _Optimum(result.design, result.objective, result.status, result.valid, failed, held, SEARCHED)
+
+
+def active(solution: Solution) -> tuple[str, ...]:
+    """Names of the limits and bounds that hold a design, each once."""
+    nlp, prices = solution.nlp, solution.proof.multipliers
+    n = len(nlp.variables)
+    names = []
+    for entry in solution.proof.active:
+        if entry >= n and nlp.rows[entry - n].limit not in nlp.helpers:
+            names.append(nlp.rows[entry - n].label)
+        elif entry < n and nlp.variables[entry].name not in nlp.helpers:
+            names.append(f"{nlp.variables[entry].name} {'<=' if prices[entry] > 0.0 else '>='} its bound")
+    return tuple(dict.fromkeys(names))

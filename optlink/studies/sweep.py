@@ -1,0 +1,321 @@
+"""A sweep: the problem solved again, or designs analysed, at every point of a grid; resumable, on one machine or on a cluster."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import tempfile
+import time
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.files import ProblemFile
+from optlink.design.objectives import MEASURES
+from optlink.documents import finite, head
+from optlink.errors import Fault, InputError
+from optlink.studies.axes import Grid, read_grid
+from optlink.studies.chunks import Store
+from optlink.studies.engine import run
+from optlink.studies.reoptimise import CHUNK, SEARCHED, SLOW_CHUNK, Reoptimising, buildable
+from optlink.studies.tasks import MANY, Analysing, Sweeping, quantity_of
+
+SCHEMA = "optlink/sweep/1"
+CHANGED = "active_set_changed"
+KEPT = 200  # changes of the active set that a result names; the table marks all
+TEXT = ("status", "failed", "active", "found")
+Progress = Callable[[int, int], None]
+
+
+def objective_column(problem: ProblemFile) -> str:
+    """Name of the objective's column, with its SI unit."""
+    if problem.generated:
+        from optlink.design.generation import GenerationProblem
+        from optlink.generation import objective_unit
+
+        assert isinstance(problem.model, GenerationProblem)
+        unit = objective_unit(problem.model)
+    else:
+        unit = MEASURES[problem.spec.requirement.measure].unit
+    return f"objective_{unit.replace('^', '')}".rstrip("_")
+
+
+@dataclass(frozen=True)
+class Change:
+    """Where another set of limits begins to hold the design: at a point `at`, the next after one that others hold."""
+
+    at: Mapping[str, float]
+    before: str
+    after: str
+
+
+@dataclass
+class _Summary:
+    """What a table says, gathered row by row."""
+
+    objective: str | None
+    valid: int = 0
+    searched: int = 0
+    changed: int = 0
+    best: dict[str, str] | None = None
+    changes: list[Change] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A finished sweep. Its table is a file; nothing of it is held in memory until it is asked for.
+
+    `valid`, `searched`, `changed`: how many points have a proven optimum, needed more than steps from a neighbour, have another
+    active set than the point before; `cpu` [s] of all processes for the `done` points that this run did itself.
+    """
+
+    problem: ProblemFile
+    grid: Grid
+    analysed: bool
+    path: Path
+    names: tuple[str, ...]
+    valid: int
+    searched: int
+    changed: int
+    best: Mapping[str, str] | None
+    changes: tuple[Change, ...]
+    done: int
+    seconds: float
+    cpu: float
+    engine: str
+    workers: int | None
+    keep: Any = None  # a temporary folder, as long as the result lives
+
+    @cached_property
+    def columns(self) -> dict[str, Any]:
+        """The table: arrays by name, of texts where a column holds words."""
+        with self.path.open(encoding="utf-8", newline="") as file:
+            rows = csv.reader(file)
+            names = next(rows)
+            table = list(zip(*rows, strict=True))
+        return {name: _column(name, values) for name, values in zip(names, table, strict=True)}
+
+    @property
+    def complete(self) -> bool:
+        """Whether every point has a proven optimum (or was analysed)."""
+        return self.analysed or self.valid == self.grid.count
+
+    def to_dict(self) -> dict[str, Any]:
+        """As a JSON document."""
+        axes = [
+            {"key": a.key, "unit": a.unit, "first": a.values[0], "last": a.values[-1], "values": len(a.values)}
+            for a in self.grid.axes
+        ]
+        document = head(SCHEMA, self.problem, "complete" if self.complete else "not valid everywhere")
+        document |= {
+            "mode": "analyse" if self.analysed else "optimise",
+            "axes": axes,
+            "points": self.grid.count,
+            "table": None if self.keep is not None else str(self.path),
+            "columns": list(self.names),
+            "engine": self.engine,
+            "workers": self.workers,
+            "points_done_now": self.done,
+            "seconds": self.seconds,
+            "processor_seconds": self.cpu,
+        }
+        if not self.analysed:
+            document |= {
+                "valid_points": self.valid,
+                "searched_points": self.searched,
+                "active_set_changes": self.changed,
+                "changes": [vars(change) | {"at": dict(change.at)} for change in self.changes],
+                "best": None if self.best is None else dict(self.best),
+            }
+        return finite(document)  # type: ignore[no-any-return]
+
+
+def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
+    if name in TEXT:
+        return np.array(values)
+    if name in ("valid", CHANGED):
+        return np.array([value == "true" for value in values])
+    return np.array([float(value) if value else np.nan for value in values])
+
+
+class _Folder:
+    """A temporary folder that goes with whoever holds it."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="optlink-sweep-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+
+def sweep(
+    problem: ProblemFile,
+    vary: Sequence[str],
+    out: Path | None = None,
+    *,
+    resume: bool = False,
+    analyze: bool = False,
+    columns: Sequence[str] = ("input.torque_Nm",),
+    points: int = 360,
+    design: Mapping[str, float] | None = None,
+    backend: str = "ipopt",
+    engine: str = "local",
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> Sweep:
+    """Solve a problem, or analyse its linkage, at every point of a grid.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    vary : texts such as "mechanism.frame=450..550 mm:101"
+        The last one changes fastest. See `optlink.studies.axes`.
+    out : folder, optional
+        Where chunks are kept as they are done, and the table `sweep.csv` at the end.
+    resume : bool
+        Go on with a run of before that ended early in that folder.
+    analyze : bool
+        No optimisation: `columns` of the analysis at `points` crank angles, their least, largest and rms value; `design` [SI] of
+        what is free and not varied, its start if left out.
+    backend : "slsqp" or "ipopt"
+    engine, workers, scheduler
+        See `optlink.studies.engine.run`.
+    progress : function of the points done and of all, optional
+
+    Raises
+    ------
+    InputError
+        see `read_grid`; a folder that holds another study; a disk that is full (what is done is kept).
+    """
+    begin = time.perf_counter()
+    grid = read_grid(problem, vary)
+    task = _task(problem, grid, analyze, columns, points, design, backend)
+    holder = _Folder() if out is None else None
+    store = Store(holder.path if holder is not None else Path(str(out)), _about(task), task.size, task.chunks, resume=resume)
+    todo = store.missing()
+    done = (task.chunks - len(todo)) * task.chunk if todo else grid.count
+    mine, cpu = 0, 0.0
+    if progress is not None:
+        progress(done, grid.count)
+    for index, answer in run(task, todo, engine, workers, scheduler) if todo else ():
+        store.write(index, answer.value)
+        cpu += answer.cpu
+        mine += task.size(index)
+        if progress is not None:
+            progress(min(done + mine, grid.count), grid.count)
+    names = [*task.columns, *(() if analyze else (CHANGED,))]
+    summary = _Summary(None if analyze else objective_column(problem))
+    if store.finished:
+        store.drop()
+        with store.table.open(encoding="utf-8", newline="") as file:
+            rows = csv.reader(file)
+            next(rows)
+            for number, row in enumerate(rows):
+                _count(summary, grid, names, number, row)
+    else:
+        store.finish(names, _marked(store.rows(), grid, names, summary))
+    return Sweep(
+        problem=problem,
+        grid=grid,
+        analysed=analyze,
+        path=store.table,
+        names=tuple(names),
+        valid=summary.valid,
+        searched=summary.searched,
+        changed=summary.changed,
+        best=summary.best,
+        changes=tuple(summary.changes),
+        done=mine,
+        seconds=time.perf_counter() - begin,
+        cpu=cpu,
+        engine=engine,
+        workers=workers,
+        keep=holder,
+    )
+
+
+def _task(
+    problem: ProblemFile,
+    grid: Grid,
+    analyze: bool,
+    columns: Sequence[str],
+    points: int,
+    design: Mapping[str, float] | None,
+    backend: str,
+) -> Sweeping:
+    stated = Sweeping.stated(problem)
+    if analyze:
+        quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
+        given = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
+        whole = Analysing(
+            **stated, grid=grid, chunk=MANY, quantities=quantities, asked=tuple(columns), points=points, design=given
+        )
+        first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
+        replace(whole, grid=first).lines(0)  # whatever is wrong with the columns shows now
+        return whole
+    if design is not None:
+        raise InputError(Fault("a given design is not optimised", "Leave --design out, or add --analyze", key="--design"))
+    if problem.machined:
+        remedy = "Solve it for each value with --set, or analyse designs with --analyze"
+        raise InputError(Fault("a machine that is designed by its cycle cannot be swept yet", remedy, problem.file))
+    if not problem.generated:
+        problem.spec  # noqa: B018 - raises if there is nothing to solve
+    task = Reoptimising(**stated, grid=grid, chunk=CHUNK, backend=backend)
+    if not task.free:
+        raise InputError(Fault("nothing is free, there is nothing to find", "Add --analyze, or free a size", problem.file))
+    if buildable(task.template, tuple(axis.key for axis in grid.axes)):
+        return task
+    return replace(task, chunk=SLOW_CHUNK)
+
+
+def _about(task: Sweeping) -> dict[str, Any]:
+    """What makes a study this one and no other."""
+    about: dict[str, Any] = {
+        "schema": "optlink/study/1",
+        "optlink": task.version,
+        "problem": task.name,
+        "problem_hash": task.hash,
+        "mode": "analyse" if isinstance(task, Analysing) else "optimise",
+        "axes": [[axis.key, axis.unit, list(axis.values)] for axis in task.grid.axes],
+        "points_per_chunk": task.chunk,
+        "columns": task.columns,
+    }
+    if isinstance(task, Analysing):
+        about |= {"crank_angles": task.points, "design": dict(task.design)}
+    if isinstance(task, Reoptimising):
+        about["backend"] = task.backend
+    return about
+
+
+def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _Summary) -> Iterator[list[str]]:
+    """Rows with the mark of a new active set, if they have one; the summary is gathered on the way."""
+    before: str | None = None
+    held = names.index("active") if summary.objective is not None else -1
+    for number, row in enumerate(rows):
+        if summary.objective is not None:
+            first = number % grid.row == 0
+            row = [*row, "true" if not first and before != row[held] else "false"]
+        _count(summary, grid, names, number, row, before)
+        before = row[held]
+        yield row
+
+
+def _count(summary: _Summary, grid: Grid, names: list[str], number: int, row: list[str], before: str | None = None) -> None:
+    if summary.objective is None:
+        return
+    found = dict(zip(names, row, strict=True))
+    summary.searched += found["found"] == SEARCHED
+    if found[CHANGED] == "true":
+        summary.changed += 1
+        if len(summary.changes) < KEPT and before is not None:
+            at = {axis.column: value for axis, value in zip(grid.axes, grid.values(number), strict=True)}
+            summary.changes.append(Change(at, before, found["active"]))
+    if found["valid"] == "true":
+        summary.valid += 1
+        if summary.best is None or float(found[summary.objective]) < float(summary.best[summary.objective]):
+            summary.best = found

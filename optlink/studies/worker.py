@@ -1,0 +1,105 @@
+"""One process of a study: takes a task once, then numbers of chunks, and answers with their results, as lines of JSON."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+import threading
+import time
+import traceback
+from typing import Any, NamedTuple, Protocol, Self
+
+from optlink.errors import Fault, InputError, OptlinkError, SolverError
+
+
+class Task(Protocol):
+    """From the number of a chunk to its result, fit for JSON; nothing else goes into it than what it states."""
+
+    def __call__(self, index: int) -> Any:
+        """The result of a chunk."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """What makes this task, fit for JSON."""
+        ...
+
+    @classmethod
+    def revived(cls, state: dict[str, Any]) -> Self:
+        """The task that such a state is of."""
+        ...
+
+
+_ALONE = threading.Lock()
+
+
+class Answer(NamedTuple):
+    """What became of a chunk: its value and the processor time it took [s], or faults, or the text of a breakdown."""
+
+    value: Any = None
+    cpu: float = 0.0
+    faults: tuple[Fault, ...] = ()
+    broken: str = ""
+
+    def checked(self, index: int) -> Answer:
+        """This answer, if it is a result.
+
+        Raises
+        ------
+        InputError, SolverError
+            where it is none.
+        """
+        if self.faults:
+            raise InputError(self.faults)
+        if self.broken:
+            raise SolverError(f"chunk {index} of the study broke down; please report it with the problem file:\n{self.broken}")
+        return self
+
+
+def perform(task: Task, index: int) -> Answer:
+    """Do a chunk; whatever goes wrong is an answer too. One at a time in a process: a task keeps what it has built."""
+    with _ALONE:
+        begin = time.process_time()
+        try:
+            return Answer(task(index), time.process_time() - begin)
+        except InputError as error:
+            return Answer(faults=error.faults)
+        except OptlinkError as error:
+            return Answer(broken=str(error))
+        except Exception:  # noqa: BLE001 - told where the study is run
+            return Answer(broken=traceback.format_exc())
+
+
+def packed(task: Task) -> str:
+    """A task as a line of JSON."""
+    kind = type(task)
+    return json.dumps({"room": kind.__module__, "name": kind.__qualname__, "state": task.state()}) + "\n"
+
+
+def unpacked(line: str) -> Task:
+    """The task of such a line."""
+    document = json.loads(line)
+    kind = getattr(importlib.import_module(document["room"]), document["name"])
+    return kind.revived(document["state"])  # type: ignore[no-any-return]
+
+
+def answered(line: str) -> Answer:
+    """The answer of a line that a process wrote."""
+    document = json.loads(line)
+    return Answer(**{**document, "faults": tuple(Fault(**fault) for fault in document["faults"])})
+
+
+def main() -> None:
+    """Serve standard input until it ends; what a library prints goes to standard error."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    try:
+        task = unpacked(sys.stdin.readline())
+        for line in sys.stdin:
+            answer = perform(task, int(line))
+            faults = [vars(fault) for fault in answer.faults]
+            answers.write(json.dumps({**answer._asdict(), "faults": faults}, default=str) + "\n")
+            answers.flush()
+    except BrokenPipeError:
+        pass  # who asked has ended

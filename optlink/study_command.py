@@ -1,0 +1,216 @@
+"""The commands `study sensitivity` and `study sweep`: parse, call one library function, print, exit code; made known by `cli`."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help="A shipped problem (see `list`) or the path of a TOML file.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help='Change a key: --set mechanism.frame="480 mm". Repeatable.'),
+]
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
+Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="slsqp or ipopt.")]
+
+study = typer.Typer(no_args_is_help=True, help="What if: how an optimum answers to what is given, one by one or over a grid.")
+
+
+def register(app: typer.Typer) -> None:
+    """Make the commands known."""
+    app.add_typer(study, name="study")
+
+
+@study.command()
+def sensitivity(
+    problem: Problem,
+    check: Annotated[bool, typer.Option("--check", help="Search again on both sides of each, and print the agreement.")] = False,
+    output: Annotated[
+        str | None,
+        typer.Option(metavar="BODY|P.x", help="Instead: how an output angle or point answers to every size."),
+    ] = None,
+    angles: Annotated[
+        str, typer.Option("--angles", metavar="LIST", help='With --output, crank angles: "0 deg, 60 deg" or "0..330 deg:12".')
+    ] = "0..330 deg:12",
+    backend: Backend = "ipopt",
+    starts: Annotated[int | None, typer.Option(metavar="N", help="Number of starts of the search.")] = None,
+    seed: Annotated[int, typer.Option(metavar="S", help="Seed of the starts.")] = 0,
+    changes: Set = None,
+    design: Annotated[
+        list[str] | None, typer.Option("--design", metavar="NAME=VALUE", help="With --output: a given design. Repeatable.")
+    ] = None,
+    as_json: Json = False,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and the tornado.")] = None,
+) -> None:
+    """At the optimum: what each fixed size and each limit costs, how the design moves with it, and how far that holds."""
+    from optlink import cli
+
+    with cli._reported(as_json):
+        file = cli._load(problem, changes)
+        cli._places(None, out)
+        if output is not None:
+            _output(problem, file, output, angles, design, as_json)
+            return
+        if design:
+            from optlink.errors import Fault, InputError
+
+            remedy = "Leave --design out; --output takes one"
+            raise InputError(Fault("sensitivities are those of the optimum, which is searched", remedy, key="--design"))
+        from optlink.studies.sensitivity import sensitivities
+
+        with cli._share("searching again" if check else "searching") as progress:
+            result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
+        cli._told(result, "whatif.sensitivities", "tornado", None, as_json, out)
+        from optlink.report.whatif import AGREES
+
+        if result.gap is not None and result.gap > AGREES:
+            raise typer.Exit(1)
+
+
+def _output(name: str, file: object, output: str, angles: str, design: list[str] | None, as_json: bool) -> None:
+    """Derivatives of an output by every size."""
+    import numpy as np
+
+    from optlink import cli
+    from optlink.design.files import ProblemFile
+    from optlink.documents import finite, head
+    from optlink.studies.axes import read_axis
+    from optlink.studies.outputs import output_sensitivity
+    from optlink.units import factor
+    from optlink.workflow import read_design
+
+    assert isinstance(file, ProblemFile)
+    axis = read_axis(f"angles={angles}")
+    crank = np.asarray(axis.values) * factor(axis.unit, "angle")
+    sizes = {key: quantity.value for key, quantity in file.model.mechanism.quantities.items()}
+    if file.model.free and not design:
+        from optlink.workflow import solve
+
+        if not file.generated and not file.machined:
+            sizes |= {key: value for key, value in solve(file).design.items() if key in sizes}
+    elif design:
+        sizes |= {key: value for key, value in read_design(file, design).items() if key in sizes}
+    found = output_sensitivity(file.model.linkage, sizes, crank, output)
+    if as_json:
+        document = {
+            **head("optlink/output-sensitivity/1", file, "done"),
+            "output": found.name,
+            "unit": found.unit,
+            "sizes_SI": sizes,
+            "crank_angles_deg": np.degrees(crank),
+            "value": found.value,
+            "per_size_SI": dict(found.by),
+        }
+        cli._print_json(finite(document))
+        return
+    from optlink.report import terminal, whatif
+
+    terminal.console().print(whatif.outputs(found))
+
+
+@study.command()
+def sweep(
+    problem: Problem,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option("--vary", metavar="KEY=VALUES", help='mechanism.frame="450..550 mm:101", or a list of values. Repeatable.'),
+    ] = None,
+    analyze: Annotated[bool, typer.Option("--analyze", help="Only analyse the designs, no optimisation.")] = False,
+    column: Annotated[
+        list[str] | None,
+        typer.Option("--column", metavar="NAME", help="With --analyze: a column of the analysis. Repeatable."),
+    ] = None,
+    points: Annotated[int, typer.Option(metavar="N", help="With --analyze: crank angles per revolution.")] = 360,
+    design: Annotated[
+        list[str] | None,
+        typer.Option("--design", metavar="NAME=VALUE", help="With --analyze: what is free and not varied. Repeatable."),
+    ] = None,
+    backend: Backend = "ipopt",
+    engine: Annotated[str, typer.Option("--engine", metavar="NAME", help="local (processes) or dask.")] = "local",
+    workers: Annotated[
+        int | None, typer.Option("--workers", metavar="N", help="Processes; as many as cores if left out.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="With --engine dask: of a cluster that runs.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out DIR that ended early.")] = False,
+    changes: Set = None,
+    as_json: Json = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Keep chunks there as they are done; sweep.csv at the end.")
+    ] = None,
+) -> None:
+    """Solve the problem again at every point of a grid; each optimum proven, interruptible, on one machine or a cluster."""
+    from optlink import cli
+
+    with cli._reported(as_json):
+        from optlink.errors import Fault, InputError
+        from optlink.studies.sweep import sweep as run
+
+        file = cli._load(problem, changes)
+        if resume and out is None:
+            raise InputError(Fault("which run is to go on is not said", "Name its folder: --out DIR", key="--resume"))
+        given = None
+        if design:
+            from optlink.workflow import read_design
+
+            given = read_design(file, design)
+        if column and not analyze:
+            raise InputError(Fault("columns are those of the analysis", "Add --analyze", key="--column", value=column[0]))
+        with _points() as progress:
+            try:
+                result = run(
+                    file,
+                    vary or [],
+                    out,
+                    resume=resume,
+                    analyze=analyze,
+                    columns=column or ("input.torque_Nm",),
+                    points=points,
+                    design=given,
+                    backend=backend,
+                    engine=engine,
+                    workers=workers,
+                    scheduler=scheduler,
+                    progress=progress,
+                )
+            except KeyboardInterrupt:
+                kept = (
+                    "nothing was kept: there is no --out"
+                    if out is None
+                    else f"what is done is kept; go on with --resume --out {out}"
+                )
+                typer.echo(f"Interrupted: {kept}.", err=True)
+                raise typer.Exit(130) from None
+        cli._told(result, "whatif.sweep", "sweeps", None, as_json, out)
+        if not result.complete:
+            raise typer.Exit(1)
+
+
+@contextlib.contextmanager
+def _points() -> Iterator[Callable[[int, int], None]]:
+    """A bar with the points done, their rate and the time left, on standard error."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from optlink.report import terminal
+
+    columns = (
+        TextColumn("sweeping"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    console = terminal.console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("points", total=None, rate="")
+
+        def advance(done: int, total: int) -> None:
+            speed = bar.tasks[0].speed
+            bar.update(task, completed=done, total=total, rate=f"{speed:,.0f} a second" if speed else "")
+
+        yield advance

@@ -1,0 +1,583 @@
+"""Sweeps: rows against single solves, the same bytes whatever happens on the way, and every kind of bad input."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink import storage
+from optlink.cli import app
+from optlink.errors import InputError, SolverError
+from optlink.studies import chunks, engine
+from optlink.studies.axes import read_axis, read_grid
+from optlink.studies.direct import Direct
+from optlink.studies.keys import changed
+from optlink.studies.sweep import CHANGED, sweep
+from optlink.validation import validate as prove
+
+ROOT = Path(__file__).parent.parent
+FRAME = "mechanism.frame=450..550 mm"
+LIMIT = "limits.transmission_angle.max"
+
+
+def problem(name: str = "crank-rocker", **overrides):
+    return optlink.load(name, overrides)
+
+
+# --- what is varied --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "values"),
+    [
+        ("a=450..550 mm:5", "mm", [450.0, 475.0, 500.0, 525.0, 550.0]),
+        ("a = 450 mm..550 mm : 3", "mm", [450.0, 500.0, 550.0]),
+        ('a="1..100 mm:3 log"', "mm", [1.0, 10.0, 100.0]),
+        ("a=-10..10 deg:3", "deg", [-10.0, 0.0, 10.0]),
+        ("a=0..1 mm step 0.25", "mm", [0.0, 0.25, 0.5, 0.75, 1.0]),
+        ("a=450 mm, 470 mm,520 mm", "mm", [450.0, 470.0, 520.0]),
+        ("a=120, 125, 130 deg", "deg", [120.0, 125.0, 130.0]),
+        ("a=1.1..1.5:3", "", [1.1, 1.3, 1.5]),
+        ("a=1e2..1.5e2 mm:2", "mm", [100.0, 150.0]),
+        ("a=64..128 rad/s:2", "rad/s", [64.0, 128.0]),
+        ("a=.5...75 mm:2", "mm", [0.5, 0.75]),
+    ],
+)
+def test_ranges_lists_and_ratios(text, unit, values):
+    axis = read_axis(text)
+    assert (axis.key, axis.unit) == ("a", unit)
+    assert axis.values == pytest.approx(values, abs=1e-12)
+    assert (axis.values[0], axis.values[-1]) == (values[0], values[-1])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("mechanism.frame", "expected KEY=VALUES"),
+        ("mechanism.frame=", "expected KEY=VALUES"),
+        ("mechanism.frame=450..550 mm", "number of points"),
+        ("mechanism.frame=550..450 mm:11", "empty"),
+        ("mechanism.frame=500..500 mm:11", "empty"),
+        ("mechanism.frame=450..550 mm:1", "1 points are no range"),
+        ("mechanism.frame=450..550 mm:0", "0 points are no range"),
+        ("mechanism.frame=450..550 mm:-3", "-3 points are no range"),
+        ("mechanism.frame=450..550 mm step 0", "step is zero"),
+        ("mechanism.frame=450..550 mm step -1", "step is zero or negative"),
+        ("mechanism.frame=0..550 mm:5 log", "above zero"),
+        ("mechanism.frame=45 cm..550 mm:5", "different units"),
+        ("mechanism.frame=450 mm, 450 mm", "listed twice"),
+        ("mechanism.frame=wide, narrow", "no list"),
+        ("mechanism.frame=450..550:5", "needs a unit"),
+        ("mechanism.frame=450..550 kg:5", "not a unit of length"),
+        ("mechanism.frame=-5..550 mm:5", "positive"),
+        ("mechanism.fram=450..550 mm:5", 'Did you mean "frame"'),
+        ("limits.transmision_angle.max=120..130 deg:5", "Did you mean"),
+        ("mechanism.frame=450..550 mm:1000000000000", "1,000,000,000,000 points are more than a sweep takes"),
+        ("requirement.span=0..90 deg:3", "span must not be zero"),
+    ],
+)
+def test_bad_axes_say_why(text, words):
+    with pytest.raises(InputError, match=words.replace("(", r"\(")):
+        read_grid(problem(), [text])
+
+
+def test_a_million_million_points_are_refused_with_their_size():
+    with pytest.raises(InputError) as error:
+        sweep(problem(), [f"{FRAME}:1000000", f"{LIMIT}=120..140 deg:1000000"])
+    text = str(error.value)
+    assert "1,000,000 x 1,000,000 = 1,000,000,000,000 points" in text
+    assert "days" in text
+    assert "GB" in text
+
+
+def test_nothing_and_twice_are_no_grids():
+    with pytest.raises(InputError, match="nothing is varied"):
+        read_grid(problem(), [])
+    with pytest.raises(InputError, match="varied twice"):
+        read_grid(problem(), [f"{FRAME}:3", "mechanism.frame=1 m, 2 m"])
+
+
+# --- rows ------------------------------------------------------------------------------------------------------------
+
+
+def test_rows_are_those_of_single_solves():
+    result = sweep(problem(), [f"{FRAME}:21", f"{LIMIT}=125..140 deg:11"], workers=1)
+    assert result.complete
+    table = result.columns
+    assert len(table["valid"]) == 231
+    assert result.searched < 10
+    for i in np.random.default_rng(3).choice(231, 12, replace=False):
+        angle = table[f"{LIMIT}_deg"][i]
+        overrides = {
+            "mechanism.frame": f"{float(table['mechanism.frame_mm'][i])!r} mm",
+            "limits.transmission_angle": ["45 deg", f"{float(angle)!r} deg"],
+        }
+        single = optlink.solve(optlink.load("crank-rocker", overrides))
+        assert table["objective_rad2"][i] == pytest.approx(single.objective, rel=1e-9)
+        for name in ("coupler", "rocker"):
+            assert table[f"{name}_mm"][i] == pytest.approx(1e3 * single.design[name], abs=1e-6)
+
+
+def test_the_last_axis_changes_fastest():
+    columns = sweep(problem(), [f"{LIMIT}=130, 135 deg", f"{FRAME}:3"], workers=1).columns
+    assert columns["mechanism.frame_mm"].tolist() == [450.0, 500.0, 550.0] * 2
+    assert columns[f"{LIMIT}_deg"].tolist() == [130.0] * 3 + [135.0] * 3
+
+
+def test_where_other_limits_begin_to_hold_is_marked():
+    """Freed, the coupler takes 412.865 mm: its bound holds it below, and not above."""
+    result = sweep(problem(), ["mechanism.coupler.max=405..420 mm:61"], workers=1)
+    table = result.columns
+    (mark,) = np.flatnonzero(table[CHANGED])
+    assert table["mechanism.coupler.max_mm"][mark - 1] < 412.865 < table["mechanism.coupler.max_mm"][mark]
+    (change,) = result.changes
+    assert "coupler" in change.before
+    assert "coupler" not in change.after
+    assert "largest transmission angle" in change.after
+    assert np.all(table["coupler_mm"][mark:] == pytest.approx(412.86542, abs=1e-5))
+    assert result.searched >= 2  # where it changes, following a neighbour does not do
+
+
+def test_points_without_a_design_are_rows_too():
+    result = sweep(problem(), [f"{LIMIT}=70..100 deg:4"], workers=1)
+    table = result.columns
+    assert not result.complete
+    assert set(table["status"]) >= {"infeasible"}
+    bad = table["status"] == "infeasible"
+    assert np.all(np.isnan(table["objective_rad2"][bad]))
+    assert not np.any(table["valid"][bad])
+
+
+def test_what_no_programme_holds_as_a_number_is_built_for_each_point():
+    result = sweep(problem(), ["requirement.span=60..90 deg:3"], workers=1)
+    assert result.complete
+    single = optlink.solve(optlink.load("crank-rocker", {"requirement.span": "75 deg"}))
+    assert result.columns["objective_rad2"][1] == pytest.approx(single.objective, rel=1e-9)
+
+
+def test_a_row_that_the_validator_rejects_is_not_valid(monkeypatch):
+    """Every point goes through the validator, which knows nothing of the programme: here it asks for more."""
+    from optlink.studies import reoptimise
+
+    stricter = problem(**{"limits.transmission_angle": ["45 deg", "120 deg"]}).spec
+    monkeypatch.setattr(reoptimise, "validate", lambda spec, design, objective: prove(stricter, design, objective))
+    result = sweep(problem(), ["mechanism.frame=500 mm, 510 mm"], workers=1)
+    assert result.valid == 0
+    assert set(result.columns["status"]) == {"optimal"}
+    assert "largest transmission angle" in result.columns["failed"][0]
+    assert "frame" in result.columns["failed"][1]  # the sweep's own frame, not that of the file
+
+
+@pytest.mark.parametrize(
+    "vary",
+    [
+        [f"{FRAME}:3", f"{LIMIT}=130..135 deg:3"],
+        ["mechanism.coupler.max=405..420 mm:3", "mechanism.coupler.min=4..5 in:2"],
+        [f"{LIMIT}=130, 135 deg", "limits.transmission_angle.min=30..40 deg:3"],
+        ["limits.time_ratio.max=1.05, 1.2", "limits.swing_angle=40..45 deg:3"],
+        ["requirement.psi0=90, 95 deg", "requirement.from=20..30 deg:2", "mechanism.crank=3.9..4 in:2"],
+    ],
+)
+def test_models_made_directly_are_those_of_the_file(vary):
+    file = problem(**{"limits.time_ratio": {"max": 1.3}, "limits.swing_angle": "42 deg"})
+    if "psi0" in vary[0]:
+        file = file.override({"requirement.psi0": "90 deg", "requirement.from": "30 deg"})
+    grid = read_grid(file, vary)
+    template = changed(file, grid.changes(0)).spec
+    template.quantities, template.law  # noqa: B018 - what is derived must not be taken along
+    direct = Direct(template, grid.axes)
+    assert direct.possible
+    for point in range(grid.count):
+        made, read = direct.model(grid.values(point)), changed(file, grid.changes(point)).spec
+        assert {k: (q.value, q.bounds) for k, q in made.quantities.items()} == {
+            k: (q.value, q.bounds) for k, q in read.quantities.items()
+        }
+        for key in ("transmission_angle", "time_ratio", "swing_angle"):
+            one, other = getattr(made.limits, key), getattr(read.limits, key)
+            assert (one.low, one.high) == (other.low, other.high)
+        assert made.start_position({k: q.value for k, q in made.quantities.items()}) == read.start_position(
+            {k: q.value for k, q in read.quantities.items()}
+        )
+
+
+def test_analysis_without_optimisation():
+    file = problem("six-bar")
+    name = next(key for key in file.model.mechanism.quantities if key.endswith(".length"))
+    size = file.model.mechanism.quantities[name].value
+    key = f"mechanism.links.{name}"
+    result = sweep(file, [f"{key}={size!r}..{1.02 * size!r} m:5"], analyze=True, workers=1, points=90)
+    values = np.linspace(size, 1.02 * size, 5)
+    torque = optlink.analyze_batch(file, {name: values}, points=90)["input.torque_Nm"]
+    np.testing.assert_allclose(result.columns["input.torque_Nm.min"], torque.min(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(result.columns["input.torque_Nm.max"], torque.max(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(result.columns["input.torque_Nm.rms"], np.sqrt((torque**2).mean(axis=1)), rtol=1e-12)
+
+
+def test_only_sizes_can_be_analysed():
+    with pytest.raises(InputError, match="only sizes"):
+        sweep(problem(), [f"{LIMIT}=120..130 deg:3"], analyze=True)
+    with pytest.raises(InputError, match="no such column"):
+        sweep(problem(), [f"{FRAME}:3"], analyze=True, columns=["torque"])
+
+
+def test_what_cannot_be_swept_says_so():
+    with pytest.raises(InputError, match="nothing to solve"):
+        sweep(problem("shaper"), ["mechanism.links.crank.length=0.1..0.11 m:3"])
+    fixed = problem(**{"mechanism.coupler": "412 mm", "mechanism.rocker": "232 mm"})
+    with pytest.raises(InputError, match="nothing is free"):
+        sweep(fixed, [f"{FRAME}:3"])
+
+
+# --- the same bytes, whatever happens --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> bytes:
+    out = tmp_path_factory.mktemp("undisturbed")
+    sweep(problem(), [f"{FRAME}:700"], out, workers=1)
+    assert sorted(path.name for path in out.iterdir()) == ["study.json", "sweep.csv"]
+    return (out / "sweep.csv").read_bytes()
+
+
+def test_workers_and_order_do_not_matter(undisturbed, tmp_path, monkeypatch):
+    sweep(problem(), [f"{FRAME}:700"], tmp_path / "two", workers=2)
+    assert (tmp_path / "two" / "sweep.csv").read_bytes() == undisturbed
+    real = engine._local
+
+    def backwards(task, todo, workers):
+        return real(task, todo[::-1], workers)
+
+    monkeypatch.setattr(engine, "_local", backwards)
+    sweep(problem(), [f"{FRAME}:700"], tmp_path / "back", workers=1)
+    assert (tmp_path / "back" / "sweep.csv").read_bytes() == undisturbed
+
+
+def command(out: Path, *more: str) -> list[str]:
+    vary = ["--vary", f"{FRAME}:700", "--workers", "2"]
+    return [sys.executable, "-m", "optlink", "study", "sweep", "crank-rocker", *vary, "--out", str(out), *more]
+
+
+def test_killed_three_times_and_resumed(undisturbed, tmp_path):
+    """SIGKILL, each time a random while after the next chunk was written: nothing is lost, nothing is done twice."""
+    out, rng, kept = tmp_path / "run", random.Random(7), 0
+    for kill in range(3):
+        run = subprocess.Popen(command(out, *(["--resume"] if kill else [])), cwd=ROOT, stdout=subprocess.DEVNULL)
+        begin = time.monotonic()
+        while len(list(out.glob("chunks/*/0*.csv"))) <= kept and time.monotonic() - begin < 60.0:
+            assert run.poll() is None
+            time.sleep(0.01)
+        time.sleep(0.2 * rng.random())
+        run.send_signal(signal.SIGKILL)
+        run.wait()
+        now = len(list(out.glob("chunks/*/0*.csv")))
+        assert kept < now <= 7
+        kept = now
+    done = subprocess.run([*command(out, "--resume"), "--json"], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["points_done_now"] == 700 - 100 * kept
+    assert (out / "sweep.csv").read_bytes() == undisturbed
+    assert not (out / "chunks").exists()
+
+
+def test_a_finished_run_is_read_again(undisturbed, tmp_path):
+    sweep(problem(), [f"{FRAME}:700"], tmp_path, workers=1)
+    again = sweep(problem(), [f"{FRAME}:700"], tmp_path, resume=True)
+    assert again.done == 0
+    assert again.valid == 700
+    assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
+
+
+def test_a_chunk_that_is_cut_short_is_done_again(undisturbed, tmp_path, monkeypatch):
+    stopped = interrupted_after(monkeypatch, 3)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(problem(), [f"{FRAME}:700"], tmp_path, workers=1, progress=stopped)
+    first = sorted(tmp_path.glob("chunks/*/0*.csv"))[0]
+    first.write_text(first.read_text()[:-30])
+    resumed = sweep(problem(), [f"{FRAME}:700"], tmp_path, resume=True, workers=1)
+    assert resumed.done == 500
+    assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
+
+
+def interrupted_after(monkeypatch, count: int):
+    """A progress that is interrupted (Ctrl-C) when so many chunks are written."""
+    calls = [0]
+
+    def progress(done: int, total: int) -> None:
+        calls[0] += 1
+        if calls[0] > count:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+def test_a_disk_that_is_full_costs_nothing_that_is_done(undisturbed, tmp_path, monkeypatch):
+    real, written = Path.write_text, []
+
+    def full(self, text, **kwargs):
+        if "chunks" in self.parts:
+            written.append(self)
+            if len(written) > 4:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return real(self, text, **kwargs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", full)
+        with pytest.raises(InputError, match=r"No space left on device.*Free some space"):
+            sweep(problem(), [f"{FRAME}:700"], tmp_path, workers=2)
+    assert len(list(tmp_path.glob("chunks/*/*.csv"))) == 4
+    assert not list(tmp_path.glob("chunks/*/.*"))
+    assert sweep(problem(), [f"{FRAME}:700"], tmp_path, resume=True, workers=2).done == 300
+    assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
+
+
+@pytest.mark.parametrize(
+    ("other", "vary", "words"),
+    [
+        ({"mechanism.crank": "101 mm"}, f"{FRAME}:3", "problem hash differs"),
+        ({}, f"{FRAME}:4", "axes differs"),
+        ({}, "mechanism.crank=100..101 mm:3", "axes differs"),
+    ],
+)
+def test_a_folder_of_another_study_is_refused_and_left_alone(tmp_path, other, vary, words):
+    sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    for resume in (False, True):
+        with pytest.raises(InputError, match=f"{words}.*nothing was overwritten"):
+            sweep(problem(**other), [vary], tmp_path, resume=resume)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_study_of_another_version_is_refused(tmp_path):
+    sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
+    about = tmp_path / chunks.ABOUT
+    about.write_text(about.read_text().replace(f'"optlink": "{optlink.__version__}"', '"optlink": "0.0.1"'))
+    with pytest.raises(InputError, match=r"optlink differs, there 0\.0\.1"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
+
+
+def test_the_same_study_is_not_begun_twice_without_a_word(tmp_path):
+    sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
+    with pytest.raises(InputError, match="--resume"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path)
+    with pytest.raises(InputError, match="no study to go on with"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path / "empty", resume=True)
+
+
+def test_a_table_that_is_no_study_is_not_overwritten(tmp_path):
+    (tmp_path / "sweep.csv").write_text("mine\n")
+    with pytest.raises(InputError, match="another study"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path)
+    assert (tmp_path / "sweep.csv").read_text() == "mine\n"
+
+
+# --- engines ---------------------------------------------------------------------------------------------------------
+
+
+class Square:
+    """A task for engines: squares, and ways to fail."""
+
+    def __init__(self, folder: Path, deadly: int = -1, always: bool = False, faulty: int = -1) -> None:
+        self.folder, self.deadly, self.always, self.faulty = folder, deadly, always, faulty
+
+    def state(self):
+        return {**vars(self), "folder": str(self.folder)}
+
+    @classmethod
+    def revived(cls, state):
+        return cls(**{**state, "folder": Path(state["folder"])})
+
+    def __call__(self, index: int) -> int:
+        with (self.folder / f"done-{index}").open("a") as file:
+            file.write("x")
+        if index == self.deadly and (self.always or (self.folder / f"done-{index}").read_text() == "x"):
+            os.kill(os.getpid(), signal.SIGKILL)
+        if index == self.faulty:
+            raise ZeroDivisionError("no inverse of zero")
+        time.sleep(0.02)
+        return index * index
+
+
+def test_a_worker_that_dies_costs_only_its_chunk(tmp_path):
+    found = {index: answer.value for index, answer in engine.run(Square(tmp_path, deadly=3), range(12), workers=2)}
+    assert found == {index: index * index for index in range(12)}
+    done = {index: len((tmp_path / f"done-{index}").read_text()) for index in range(12)}
+    assert done == {index: 2 if index == 3 else 1 for index in range(12)}
+
+
+def test_a_chunk_that_kills_every_worker_is_named(tmp_path):
+    with pytest.raises(SolverError, match=r"chunk 3 .* ended 3 processes"):
+        list(engine.run(Square(tmp_path, deadly=3, always=True), range(6), workers=2))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_breakdown_is_told_with_its_place(tmp_path, workers):
+    with pytest.raises(SolverError, match=r"(?s)chunk 2.*no inverse of zero"):
+        list(engine.run(Square(tmp_path, faulty=2), range(4), workers=workers))
+
+
+def test_no_process_outlives_a_run_that_is_given_up(tmp_path):
+    before = threading.active_count()
+    answers = engine.run(Square(tmp_path), range(1000), workers=2)
+    next(answers)
+    answers.close()
+    assert threading.active_count() == before
+    done = len(list(tmp_path.iterdir()))
+    time.sleep(0.3)
+    assert len(list(tmp_path.iterdir())) == done < 1000
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"engine": "dusk"}, 'Did you mean "dask"'),
+        ({"workers": 0}, "out of range"),
+        ({"workers": 5000}, "out of range"),
+        ({"scheduler": "tcp://127.0.0.1:8786"}, "Add --engine dask"),
+    ],
+)
+def test_bad_engines(options, words):
+    with pytest.raises(InputError, match=words):
+        sweep(problem(), [f"{FRAME}:3"], **options)
+
+
+def test_without_dask_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r'pip install "optlink\[dask\]"'):
+        sweep(problem(), [f"{FRAME}:3"], engine="dask")
+
+
+DASK = """
+import os, signal, subprocess, sys, threading, time
+from pathlib import Path
+import optlink
+from optlink.studies.sweep import sweep
+
+def kill_one():
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not list(Path(sys.argv[1], "killed").glob("chunks/*/*.csv")):
+        time.sleep(0.05)
+    lines = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout.splitlines()
+    mine = [int(l.split()[0]) for l in lines if len(l.split()) > 2 and l.split()[1] == str(os.getpid()) and "spawn_main" in l]
+    os.kill(mine[0], signal.SIGKILL)
+    print("killed")
+
+if __name__ == "__main__":
+    vary, file = ["mechanism.frame=450..550 mm:700"], optlink.load("crank-rocker")
+    sweep(file, vary, Path(sys.argv[1], "dask"), engine="dask", workers=2)
+    thread = threading.Thread(target=kill_one)
+    thread.start()
+    sweep(file, vary, Path(sys.argv[1], "killed"), engine="dask", workers=2)
+    thread.join()
+    begin = time.monotonic()
+    try:
+        sweep(file, vary, engine="dask", scheduler="tcp://127.0.0.1:9")
+    except optlink.InputError as error:
+        print(error, time.monotonic() - begin < 20)
+"""
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_bytes_and_survives_a_killed_worker(undisturbed, tmp_path):
+    pytest.importorskip("distributed")
+    script = tmp_path / "cluster.py"
+    script.write_text(DASK)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, str(script), str(tmp_path)], capture_output=True, text=True, env=environment, check=True, timeout=300
+    )
+    assert (tmp_path / "dask" / "sweep.csv").read_bytes() == undisturbed
+    assert "killed" in done.stdout
+    assert (tmp_path / "killed" / "sweep.csv").read_bytes() == undisturbed
+    assert "no scheduler answers there within 10 s" in done.stdout
+    assert done.stdout.rstrip().endswith("True")
+
+
+# --- cost ------------------------------------------------------------------------------------------------------------
+
+
+def test_memory_is_flat_and_following_is_cheaper_than_searching(tmp_path):
+    """Resident memory after 200 and after 2000 points, in a process of its own; processor time against cold solves."""
+    code = """
+import resource, sys, time, optlink
+from pathlib import Path
+from optlink.studies.sweep import sweep
+file = optlink.load("crank-rocker")
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+first = sweep(file, ["mechanism.frame=450..550 mm:200"], workers=1)
+early = peak()
+result = sweep(file, ["mechanism.frame=450..550 mm:2000"], workers=1)
+begin = time.process_time()
+for _ in range(5):
+    optlink.solve(file)
+print(peak() - early, result.cpu / 2000, (time.process_time() - begin) / 5)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    grown, each, cold = map(float, done.stdout.split())
+    assert grown < 4.0  # MB
+    assert each < 0.5 * cold
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+def run(*arguments: str):
+    return CliRunner().invoke(app, ["study", "sweep", *arguments])
+
+
+def test_the_command_prints_and_writes(tmp_path):
+    done = run("crank-rocker", "--vary", f"{FRAME}:11", "--out", str(tmp_path), "--json")
+    assert done.exit_code == 0
+    document = json.loads(done.stdout)
+    assert document["schema"] == "optlink/sweep/1"
+    assert document["valid_points"] == 11
+    assert float(document["best"]["mechanism.frame_mm"]) == 550.0
+    assert {"result.json", "study.json", "sweep.csv", "sweep.png"} == {path.name for path in tmp_path.iterdir()}
+    text = run("crank-rocker", "--vary", f"{FRAME}:5", "--vary", f"{LIMIT}=130, 135 deg")
+    assert text.exit_code == 0
+    assert "every optimum proven" in text.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "nothing is varied"),
+        (["--vary", f"{FRAME}:3", "--resume"], "which run is to go on"),
+        (["--vary", f"{FRAME}:3", "--column", "input.torque_Nm"], "Add --analyze"),
+        (["--vary", f"{FRAME}:3", "--design", "coupler=412 mm", "--design", "rocker=232 mm"], "add --analyze"),
+        (["--vary", f"{FRAME}:3", "--engine", "slurm"], "unknown engine"),
+        (["--vary", "mechanism.fram=1..2 m:3"], 'Did you mean "frame"'),
+    ],
+)
+def test_bad_input_of_the_command(arguments, words):
+    done = run("crank-rocker", *arguments)
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_some_points_not_valid_is_exit_code_1():
+    assert run("crank-rocker", "--vary", f"{LIMIT}=70, 135 deg").exit_code == 1
+
+
+def half_written(path: Path) -> None:
+    with storage.whole(path) as temporary:
+        temporary.write_text("half")
+        raise ZeroDivisionError
+
+
+def test_storage_is_whole_or_not_there(tmp_path):
+    with pytest.raises(ZeroDivisionError):
+        half_written(tmp_path / "a.txt")
+    assert list(tmp_path.iterdir()) == []
