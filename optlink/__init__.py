@@ -15,6 +15,8 @@ from optlink.version import VERSION as __version__
 
 if TYPE_CHECKING:
     from optlink.analysis import Analysis, analyze
+    from optlink.balanced import Balance
+    from optlink.balancing import balance
     from optlink.batch import analyze_batch
     from optlink.clearances import LooseSimulation, simulate_clearance
     from optlink.compensation import Comparison, Tuning, compare, tune
@@ -23,12 +25,15 @@ if TYPE_CHECKING:
     from optlink.generation import Design, Generation, generate
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.linkage.motion import sweep
+    from optlink.machine_design import MachineDesign, design_machine
     from optlink.simulation import Simulation, simulate
     from optlink.workflow import Result, read_design, solve, validate
 
 _HOME = {
     "Analysis": "optlink.analysis",
     "analyze": "optlink.analysis",
+    "Balance": "optlink.balanced",
+    "balance": "optlink.balancing",
     "Simulation": "optlink.simulation",
     "simulate": "optlink.simulation",
     "analyze_batch": "optlink.batch",
@@ -49,6 +54,8 @@ _HOME = {
     "load": "optlink.design.files",
     "read": "optlink.design.files",
     "shipped": "optlink.design.files",
+    "MachineDesign": "optlink.machine_design",
+    "design_machine": "optlink.machine_design",
     "four_bar": "optlink.linkage.fourbar",
     "grashof": "optlink.linkage.fourbar",
     "sweep": "optlink.linkage.motion",
@@ -60,11 +67,13 @@ _HOME = {
 
 __all__ = [
     "Analysis",
+    "Balance",
     "Comparison",
     "Design",
     "Generation",
     "InputError",
     "LooseSimulation",
+    "MachineDesign",
     "OptlinkError",
     "ProblemFile",
     "Result",
@@ -75,7 +84,9 @@ __all__ = [
     "__version__",
     "analyze",
     "analyze_batch",
+    "balance",
     "compare",
+    "design_machine",
     "four_bar",
     "generate",
     "grashof",

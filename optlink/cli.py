@@ -18,10 +18,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from optlink import page_command, study_command
 from optlink.errors import InputError, OptlinkError, Status, shown
 
 if TYPE_CHECKING:
     from optlink.design.files import ProblemFile
+    from optlink.generation import Generation
+    from optlink.machine_design import MachineDesign
     from optlink.workflow import Result
 
 
@@ -139,7 +142,8 @@ def _progress(total: int) -> Iterator[Callable[[int], None] | None]:
     from optlink.report import terminal
 
     columns = (TextColumn("searching"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+    console = terminal.console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("starts", total=total)
         yield lambda done: bar.update(task, completed=done)
 
@@ -205,15 +209,16 @@ def solve(
     out: Out = None,
 ) -> None:
     """Find the design, prove it, and say what each active limit costs."""
-    with _reported(as_json):
+    with _reported(as_json), _made(out):
         if design:
             _validate(problem, design, changes, as_json, out)
             return
         file = _load(problem, changes)
-        if out is not None:
-            _folder(out)
         if file.generated:
             _generate(file, str(backend), starts, seed, 3 if designs is None else designs, as_json, out)
+            return
+        if file.machined and designs is None:
+            _design(file, backend, starts, seed, as_json, out)
             return
         if designs is not None:
             from optlink.errors import Fault
@@ -240,7 +245,33 @@ def _generate(
         result = generate(file, backend, starts, seed, designs, progress)
     if result.interrupted:
         print(f"Interrupted: the result is that of the first {result.starts} starts.", file=sys.stderr)
+    _generated(result, as_json, out)
+
+
+def _generated(result: Generation, as_json: bool, out: Path | None) -> None:
+    """Show linkages that were found, or checked."""
     _told(result, "designs.generation", "paths", None, as_json, out)
+    if not result.valid:
+        raise typer.Exit(1)
+
+
+def _design(file: ProblemFile, backend: Backend, starts: int | None, seed: int, as_json: bool, out: Path | None) -> None:
+    """Design a machine by its cycle."""
+    from optlink.machine_design import STARTS, design_machine
+
+    searches = (STARTS if starts is None else starts) * (2 if backend is Backend.both else 1)
+    with _progress(searches) as progress:
+        result = design_machine(file, str(backend), starts, seed, progress)
+    if starts is not None and result.starts < starts and not result.notes:
+        print(f"Interrupted: the result is that of the first {result.starts} of {starts} starts.", file=sys.stderr)
+    _machine(result, as_json, out)
+
+
+def _machine(result: MachineDesign, as_json: bool, out: Path | None) -> None:
+    """Show a machine that was designed by its cycle, or checked."""
+    _told(result, "improved.machine_design", "improvement", None, as_json, out)
+    if result.status in (Status.STALLED, Status.NON_FINITE):
+        raise typer.Exit(3)
     if not result.valid:
         raise typer.Exit(1)
 
@@ -248,7 +279,7 @@ def _generate(
 @app.command()
 def validate(problem: Problem, design: Design = None, changes: Set = None, as_json: Json = False, out: Out = None) -> None:
     """Prove a given design, or show where it fails."""
-    with _reported(as_json):
+    with _reported(as_json), _made(out):
         _validate(problem, design or [], changes, as_json, out)
 
 
@@ -258,8 +289,16 @@ def _validate(problem: str, design: list[str], changes: list[str] | None, as_jso
 
     file = _load(problem, changes)
     given = read_design(file, design)
-    if out is not None:
-        _folder(out)
+    if file.generated:
+        from optlink.generation import validate as check
+
+        _generated(check(file, given), as_json, out)
+        return
+    if file.machined:
+        from optlink.machine_design import check_machine
+
+        _machine(check_machine(file, given), as_json, out)
+        return
     _finish(prove(file, given), as_json, out)
 
 
@@ -289,6 +328,34 @@ def analyze(
         _told(result, "machine.analysis", "cycle", csv, as_json, out)
         if not result.sound:
             raise typer.Exit(1)
+
+
+@app.command()
+def balance(
+    problem: Problem,
+    minimise: Annotated[
+        str | None, typer.Option(metavar="MEASURE", help='In place of the problem\'s: "rms force", "largest reaction at D".')
+    ] = None,
+    trade: Annotated[
+        str | None, typer.Option(metavar="A,B", help="The curve between two measures: --trade force,torque.")
+    ] = None,
+    points: Annotated[int, typer.Option(parser=_whole_number, metavar="N", help="Of that curve.")] = 25,
+    changes: Set = None,
+    csv: Csv = None,
+    as_json: Json = False,
+    out: Out = None,
+) -> None:
+    """Counterweights and springs that make shaking, torque or reactions least: proven, verified and priced."""
+    with _reported(as_json):
+        from optlink.balancing import balance as run
+
+        file = _load(problem, changes)
+        _places(csv, out)
+        with _share("balancing") as progress:
+            result = run(file, minimise, trade, points, progress)
+        _told(result, "balance.balance", "counterweights", csv, as_json, out)
+        if not result.valid:
+            raise typer.Exit(3 if result.status == "stalled" else 1)
 
 
 @app.command()
@@ -500,10 +567,29 @@ def _places(csv: Path | None, out: Path | None) -> None:
         _folder(csv.parent, "--csv")
 
 
+@contextlib.contextmanager
+def _made(out: Path | None) -> Iterator[None]:
+    """The folder of the results; gone again where it is new and the input is refused."""
+    new = [] if out is None else [place for place in (out, *out.parents) if not place.exists()]
+    if out is not None:
+        _folder(out)
+    try:
+        yield
+    except InputError:
+        for place in new:
+            with contextlib.suppress(OSError):
+                place.rmdir()
+        raise
+
+
 def _folder(out: Path, option: str = "--out") -> None:
     from optlink.report.store import folder
 
     folder(out, option)
+
+
+page_command.register(app)
+study_command.register(app)
 
 
 def _version(wanted: bool) -> None:

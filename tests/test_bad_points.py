@@ -107,7 +107,11 @@ BAD: dict[str, tuple[str, dict[str, object], tuple[str, ...]]] = {
     "points left out": ("path", {ROWS: None}, (ROWS,)),
     "one point": ("path", {ROWS: POINTS[:1]}, (ROWS, "1 point", "Give at least 2")),
     "one pose": ("motion", {ROWS: MOTION["requirement"]["points"][:1]}, (ROWS, "1 point", "Give at least 2")),
-    "two points of a closed curve": ("path", {ROWS: POINTS[:2], "requirement.closed": True}, ("requirement.points", "closed curve", "Give")),
+    "two points of a closed curve": (
+        "path",
+        {ROWS: POINTS[:2], "requirement.closed": True},
+        ("requirement.points", "closed curve", "Give"),
+    ),
     "two points coincide": ("path", {f"{ROWS}.1": POINTS[0]}, (ROWS, "points 1 and 2 coincide")),
     "all points coincide": ("path", {ROWS: [POINTS[0]] * 4}, (ROWS, "coincide")),
     "all points in one place, timed": (

@@ -29,7 +29,7 @@ NAMES = sorted(optlink.shipped())
 DESIGNS = [name for name in NAMES if isinstance(optlink.load(name).model, DesignProblem)]
 GENERATED = [name for name in NAMES if optlink.load(name).generated]
 POINTED = [name for name in GENERATED if name.startswith(("path-", "motion-"))]
-MACHINES = [name for name in NAMES if name not in (*DESIGNS, *GENERATED)]
+MACHINES = [name for name in NAMES if name not in (*DESIGNS, *GENERATED) and not optlink.load(name).machined]
 
 
 def test_problems_are_found():
@@ -261,7 +261,7 @@ class Energy:
         return total
 
     def length(self, body: str) -> float:
-        return self.machine.sizes.get(f"{body}.length", 0.0)
+        return self.machine.sizes.get(f"{body}.length", self.machine.sizes.get(body, 0.0))  # of a four-bar by its name
 
     def centroid(self, body: str, stated: object) -> tuple[float, float]:
         if isinstance(stated, list):

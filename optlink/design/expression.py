@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -68,7 +68,7 @@ class Expression:
     """A parsed law: its text, the names it uses, and its postfix programme."""
 
     text: str
-    names: frozenset[str]
+    names: frozenset[str] = field(repr=False)  # a set has no order, and the hash of a problem reads this
     program: tuple[Step, ...]
 
     def __call__(self, values: Mapping[str, Value]) -> Value:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pydantic
 
+from optlink.design.cycle import CycleProblem, cross_check_cycle
 from optlink.design.generation import GenerationProblem, cross_check_generation
 from optlink.design.machines import Problem, cross_check
 from optlink.design.problem import DesignProblem, cross_check_design
@@ -59,11 +60,16 @@ class ProblemFile:
         return isinstance(self.model, GenerationProblem)
 
     @property
+    def machined(self) -> bool:
+        """Whether a machine is to be designed by its cycle: a problem for `optlink.machine_design`."""
+        return isinstance(self.model, CycleProblem)
+
+    @property
     def kind(self) -> str:
         """The type of the linkage, and what is asked of it."""
-        asked = (
-            f"{self.model.requirement.kind} design" if isinstance(self.model, DesignProblem | GenerationProblem) else "analysis"
-        )
+        asked = "cycle design" if self.machined else "analysis" if self.model.balance is None else "balancing"
+        if isinstance(self.model, DesignProblem | GenerationProblem):
+            asked = f"{self.model.requirement.kind} design"
         return f"{self.model.mechanism.type}, {asked}"
 
     @property
@@ -155,6 +161,9 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     task = raw.get("requirement")
     dyads = isinstance(raw.get("mechanism"), dict) and raw["mechanism"].get("type") == "dyads"
     output = dyads and isinstance(task, dict) and isinstance(task.get("law"), dict) and "function" in task["law"]
+    kinds = ("function", *GENERATED)
+    if isinstance(task, dict) and task.get("kind", "function") not in kinds:
+        raise InputError(Fault("unknown kind", nearest(str(task["kind"]), kinds), file, "requirement.kind", task["kind"]))
     generation = isinstance(task, dict) and (task.get("kind") in GENERATED or output)
     if "requirement" in raw and not generation and dyads:
         remedy = 'Use type = "four-bar", or leave the section out and `optlink analyze` it'
@@ -162,6 +171,8 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     model: type[Problem] = DesignProblem if "requirement" in raw or "limits" in raw else Problem
     if generation:
         model = GenerationProblem
+    if "objective" in raw and "requirement" not in raw:
+        model = CycleProblem
     try:
         problem = model.model_validate(raw, context={"folder": where})
     except pydantic.ValidationError as error:
@@ -171,6 +182,8 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
             cross_check_design(problem)
         if isinstance(problem, GenerationProblem):
             cross_check_generation(problem)
+        if isinstance(problem, CycleProblem):
+            cross_check_cycle(problem)
         cross_check(problem)
     except Unusable as error:
         raise InputError(Fault(error.message, error.remedy, file, error.key, error.value)) from None
@@ -193,7 +206,7 @@ def dump(problem: ProblemFile) -> str:
     return tomli_w.dumps(problem.raw)
 
 
-def parse_assignment(text: str) -> tuple[str, object]:
+def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
     """Split KEY=VALUE; the value is read as TOML, or as plain text if it is not TOML (so that quotes may be left out).
 
     Raises
@@ -204,12 +217,12 @@ def parse_assignment(text: str) -> tuple[str, object]:
     key, equals, value = text.partition("=")
     key, value = key.strip(), value.strip()
     if not equals or not key or not value:
-        raise InputError(Fault("expected KEY=VALUE", 'Write for example mechanism.frame="480 mm"', key="--set", value=text))
+        raise InputError(Fault("expected KEY=VALUE", 'Write for example mechanism.frame="480 mm"', key=option, value=text))
     try:
         read_back = tomllib.loads(f"value = {value}")
         if len(read_back) == 1:
             return key, read_back["value"]
-        raise InputError(Fault("a value is one line", "Repeat --set for every key", key=key, value=value))
+        raise InputError(Fault("a value is one line", f"Repeat {option} for every key", key=key, value=value))
     except (tomllib.TOMLDecodeError, ValueError, RecursionError):
         if value[0] in "[{\"'":
             raise InputError(Fault("the value is not valid TOML", "Check brackets and quotes", key=key, value=value)) from None
@@ -264,7 +277,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
 
 def _known(path: tuple[str | int, ...]) -> list[str]:
     """Keys that the model knows at a path of sections."""
-    models: list[Any] = [DesignProblem, GenerationProblem, Problem]
+    models: list[Any] = [DesignProblem, GenerationProblem, CycleProblem, Problem]
     for step in path:
         fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
         if fields:  # else the step is the name of a body, a point ...: what it names has the fields of the models

@@ -34,7 +34,7 @@ class Function:
     input: float
     output: float
     kind: str = "angle"  # of the output: or "coordinate"
-    names: frozenset[str] = field(default=frozenset({"phi", "phi0", "psi0"}))
+    names: frozenset[str] = field(default=frozenset({"phi", "phi0", "psi0"}), repr=False)
 
     @property
     def text(self) -> str:

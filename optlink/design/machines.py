@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from optlink.clearance.gap import Gap
+from optlink.design.balance import BalanceSection
 from optlink.design.bodies import BodySection, DriveSection, Gravity
 from optlink.design.control import ControlSection
 from optlink.design.joints import JointSection
@@ -57,6 +58,7 @@ class Problem(Section):
     loads: dict[Name, LoadSection] = Field(default_factory=dict)
     drive: DriveSection = DriveSection()
     control: ControlSection | None = None
+    balance: BalanceSection | None = None
     expected: Expected | None = None
 
     @cached_property
@@ -252,6 +254,9 @@ def cross_check(problem: Problem) -> None:
     if problem.control is not None:
         with _below("control"):
             problem.control.check(machine, gaps)
+    if problem.balance is not None:
+        with _below("balance"):
+            problem.balance.build(machine)
     if problem.drive.servo is not None:
         with _below("drive.servo"):
             problem.drive.servo.check()

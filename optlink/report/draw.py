@@ -59,7 +59,7 @@ class Sketch:
         self.centroids = {
             body: np.array([[i.along, i.across]], dtype=float) * self.scale.factor for body, i in inertias.items() if i.mass > 0.0
         }
-        self._ground = self._ground_lines()
+        self.ground = self._ground_lines()
         self.low, self.high = self._extent()
 
     # --- where things are --------------------------------------------------------------------------------------------
@@ -193,7 +193,7 @@ class Sketch:
         """Least and largest coordinates of everything that is ever drawn."""
         corners = [
             finite(self._points(self.motion, self.scale.factor)[:, self.near]),
-            *(finite(line) for line, _, _ in self._ground),
+            *(finite(line) for line, _, _ in self.ground),
         ]
         for body, own in self.parts.items():
             outlines = [part.outline for part in own] + ([self.centroids[body]] if body in self.centroids else [])
@@ -227,7 +227,7 @@ class Sketch:
 
     def stage(self, axes: Axes, *, traces: bool = True) -> None:
         """What stands still: equal scales that hold everything, the ground with its rails, the traces of the moving points."""
-        for line, width, filled in self._ground:
+        for line, width, filled in self.ground:
             if filled:
                 axes.add_patch(Polygon(line, closed=True, facecolor="white", edgecolor=GROUND, linewidth=width, zorder=2))
             else:

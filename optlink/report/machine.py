@@ -59,6 +59,10 @@ def machine(file: ProblemFile) -> list[RenderableType]:
         drive.add_row(f"friction in {name}", number(coefficient))
     parts.append(drive)
     parts += _loose(file, built)
+    if model.balance is not None:
+        from optlink.report.balance import asked
+
+        parts += asked(model.balance)
     told = grid("\nReactions: force of which body on which", [("", "left"), ("", "left")])
     for joint, words in reactions_told(built).items():
         told.add_row(joint, words)

@@ -224,7 +224,7 @@ def transmission(result: Result) -> Figure | None:
                 low, high, color=FOUND, alpha=0.08, linewidth=0, label="span of the requirement" if turn == 0.0 else None
             )
     axes.plot(crank, gamma, color=FOUND, linewidth=1.9, label="transmission angle γ")
-    for bound, low in _transmission_limits(result):
+    for bound, low in transmission_limits(result):
         ends = (crank[0], crank[-1]) if problem.transmission_over == "revolution" else tuple(sorted((start, start + span)))
         axes.plot(ends, (bound, bound), color=LIMIT, linewidth=1.3, linestyle="--")
         text = f"{'at least' if low else 'at most'} {bound:.5g}°"
@@ -251,7 +251,8 @@ def transmission(result: Result) -> Figure | None:
     return figure
 
 
-def _transmission_limits(result: Result) -> list[tuple[float, bool]]:
+def transmission_limits(result: Result) -> list[tuple[float, bool]]:
+    """Limits of the transmission angle [deg], each with whether it is the lower one."""
     limits = result.problem.spec.limits
     if limits.transmission_angle is not None:
         both = (limits.transmission_angle.low, limits.transmission_angle.high)

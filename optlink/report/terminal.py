@@ -11,6 +11,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from optlink.design.cycle import CycleProblem
 from optlink.design.files import ProblemFile
 from optlink.design.generation import GenerationProblem
 from optlink.design.linkages import FourBarSection
@@ -131,7 +132,7 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Rendera
     for limit in held:
         bound = f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip()
         gain = abs(limit.multiplier)
-        share = f" ({gain / objective:.2%})" if objective > 0 else ""
+        share = f" ({gain / objective:.2%})" if gain < 100.0 * objective else ""  # of an exact design a share says nothing
         buys = f"{gain:.4g} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "nothing"
         table.add_row(limit.name, bound, buys)
     return table
@@ -233,6 +234,10 @@ def problem(file: ProblemFile) -> RenderableType:
     if isinstance(model, DesignProblem | GenerationProblem):
         over = {"transmission_over": model.transmission_over}
         parts += [_section("requirement", model.requirement), _section("limits", model.limits, over)]
+    if isinstance(model, CycleProblem):
+        from optlink.report.improved import asked
+
+        parts.append(asked(model))
     if not isinstance(model, DesignProblem | GenerationProblem) or model.bodies or model.loads:
         from optlink.report.machine import machine
 
@@ -260,7 +265,8 @@ def _plain(name: str, value: object) -> str:
     if isinstance(value, Quantity | Interval | str | int | float):
         return str(value)
     if isinstance(value, dict):
-        return "\n".join(f"{key}  {item}" for key, item in value.items()) or "none"
+        told = ((key, ", ".join(map(str, item)) if isinstance(item, tuple) else item) for key, item in value.items())
+        return "\n".join(f"{key}  {item}" for key, item in told) or "none"
     text = getattr(value, "text", None)
     if text is not None:
         return str(text)

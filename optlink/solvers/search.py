@@ -179,7 +179,7 @@ def compare(a: Solution, b: Solution) -> Agreement:
     root = math.sqrt if a.nlp.measure.name == "sum of squares" else float
     one, other = root(a.objective), root(b.objective)
     gap = max(0.0, abs(one - other) - SAME_ERROR)
-    return Agreement(gap / max(one, other, SAME_ERROR), float(np.max(np.abs(a.x - b.x), initial=0.0)))
+    return Agreement(gap / max(abs(one), abs(other), SAME_ERROR), float(np.max(np.abs(a.x - b.x), initial=0.0)))
 
 
 def reconcile(nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:
