@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -211,3 +214,24 @@ def test_a_given_design_that_fails_says_where():
     assert not wrong.valid
     failed = {check.name for check in wrong.best.validation.checks if not check.passed}
     assert "rocker within its bounds" in failed
+
+
+PAGE = (Path(__file__).parents[1] / "docs" / "problem-files.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"```toml design\n(.*?)```", PAGE, re.DOTALL)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda text: tomllib.loads(text)["title"])
+def test_every_example_of_the_reference_page_is_solved(example):
+    task = optlink.read(tomllib.loads(example))
+    result = generate(task, designs=1) if task.generated else optlink.solve(task)
+    assert result.valid
+
+
+def test_the_reference_page_knows_every_key_of_a_task():
+    from optlink.design.generation import GenerationLimits, Task
+
+    assert len(EXAMPLES) >= 6
+    for section in (Task, GenerationLimits):
+        for name, field in section.model_fields.items():
+            key = field.alias or name
+            assert f"`{key}`" in PAGE or re.search(rf"\b{key} = ", PAGE), f"{key} of {section.__name__} is not documented"

@@ -399,6 +399,9 @@ def _check_points(problem: GenerationProblem, mechanism: Mechanism) -> None:
         )
     if task.kind == "path" and wanted.angles is not None:
         raise Unusable("a path has no angles", 'Leave them out, or write kind = "motion"', "requirement.points")
+    if not count:
+        example = 'points = [["20 mm", "5 mm"], ["25 mm", "8 mm"]], { csv = "curve.csv" } or { svg = "drawing.svg" }'
+        raise Unusable("the points are missing", f"Write {example}", "requirement.points")
     least = 3 if task.closed else 2
     if count < least:
         raise Unusable(
