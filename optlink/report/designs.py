@@ -85,7 +85,7 @@ def modes(design: Design) -> dict[str, str]:
 
 def significant(value: float) -> str:
     """A size with at least three decimals and six digits."""
-    digits = 3 if abs(value) >= 100.0 else min(9, 5 - math.floor(math.log10(max(abs(value), 1e-6))))
+    digits = 3 if abs(value) >= 100.0 or value == 0.0 else min(9, 5 - math.floor(math.log10(max(abs(value), 1e-6))))
     return fixed(value, digits)
 
 
