@@ -1,11 +1,11 @@
-"""The commands `study sensitivity` and `study sweep`: parse, call one library function, print, exit code; made known by `cli`."""
+"""The commands of `study`: parse, call one library function, print, exit code; made known by `cli`."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,6 +16,12 @@ Set = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
 Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="slsqp or ipopt.")]
+Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="local (processes) or dask.")]
+Workers = Annotated[int | None, typer.Option("--workers", metavar="N", help="Processes; as many as cores if left out.")]
+Scheduler = Annotated[
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="With --engine dask: of a cluster that runs.")
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --out DIR that ended early.")]
 
 study = typer.Typer(no_args_is_help=True, help="What if: how an optimum answers to what is given, one by one or over a grid.")
 
@@ -71,6 +77,23 @@ def sensitivity(
             raise typer.Exit(1)
 
 
+def _crank_angles(text: str) -> Any:
+    """Crank angles [rad] of an option, "0 deg, 60 deg" or "0..330 deg:12"."""
+    import numpy as np
+
+    from optlink.errors import Fault, InputError
+    from optlink.studies.axes import read_axis
+    from optlink.units import UnitProblem, factor
+
+    remedy = 'Write for example "0 deg, 60 deg" or "0..330 deg:12"'
+    try:
+        axis = read_axis(f"angles={text}")
+        return np.asarray(axis.values) * factor(axis.unit, "angle")
+    except (InputError, UnitProblem) as error:
+        message = error.faults[0].message if isinstance(error, InputError) else error.message
+        raise InputError(Fault(message, remedy, key="--angles", value=text)) from None
+
+
 def _output(name: str, file: object, output: str, angles: str, design: list[str] | None, as_json: bool) -> None:
     """Derivatives of an output by every size."""
     import numpy as np
@@ -78,14 +101,11 @@ def _output(name: str, file: object, output: str, angles: str, design: list[str]
     from optlink import cli
     from optlink.design.files import ProblemFile
     from optlink.documents import finite, head
-    from optlink.studies.axes import read_axis
     from optlink.studies.outputs import output_sensitivity
-    from optlink.units import factor
     from optlink.workflow import read_design
 
     assert isinstance(file, ProblemFile)
-    axis = read_axis(f"angles={angles}")
-    crank = np.asarray(axis.values) * factor(axis.unit, "angle")
+    crank = _crank_angles(angles)
     sizes = {key: quantity.value for key, quantity in file.model.mechanism.quantities.items()}
     if file.model.free and not design:
         from optlink.workflow import solve
@@ -130,14 +150,10 @@ def sweep(
         typer.Option("--design", metavar="NAME=VALUE", help="With --analyze: what is free and not varied. Repeatable."),
     ] = None,
     backend: Backend = "ipopt",
-    engine: Annotated[str, typer.Option("--engine", metavar="NAME", help="local (processes) or dask.")] = "local",
-    workers: Annotated[
-        int | None, typer.Option("--workers", metavar="N", help="Processes; as many as cores if left out.")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="With --engine dask: of a cluster that runs.")
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out DIR that ended early.")] = False,
+    engine: Engine = "local",
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    resume: Resume = False,
     changes: Set = None,
     as_json: Json = False,
     out: Annotated[
@@ -152,8 +168,7 @@ def sweep(
         from optlink.studies.sweep import sweep as run
 
         file = cli._load(problem, changes)
-        if resume and out is None:
-            raise InputError(Fault("which run is to go on is not said", "Name its folder: --out DIR", key="--resume"))
+        _resumable(resume, out)
         given = None
         if design:
             from optlink.workflow import read_design
@@ -161,45 +176,189 @@ def sweep(
             given = read_design(file, design)
         if column and not analyze:
             raise InputError(Fault("columns are those of the analysis", "Add --analyze", key="--column", value=column[0]))
-        with _points() as progress:
-            try:
-                result = run(
-                    file,
-                    vary or [],
-                    out,
-                    resume=resume,
-                    analyze=analyze,
-                    columns=column or ("input.torque_Nm",),
-                    points=points,
-                    design=given,
-                    backend=backend,
-                    engine=engine,
-                    workers=workers,
-                    scheduler=scheduler,
-                    progress=progress,
-                )
-            except KeyboardInterrupt:
-                kept = (
-                    "nothing was kept: there is no --out"
-                    if out is None
-                    else f"what is done is kept; go on with --resume --out {out}"
-                )
-                typer.echo(f"Interrupted: {kept}.", err=True)
-                raise typer.Exit(130) from None
+        with _points() as progress, _interruptible(out):
+            result = run(
+                file,
+                vary or [],
+                out,
+                resume=resume,
+                analyze=analyze,
+                columns=column or ("input.torque_Nm",),
+                points=points,
+                design=given,
+                backend=backend,
+                engine=engine,
+                workers=workers,
+                scheduler=scheduler,
+                progress=progress,
+            )
         cli._told(result, "whatif.sweep", "sweeps", None, as_json, out)
         if not result.complete:
             raise typer.Exit(1)
 
 
+@study.command()
+def tolerance(
+    problem: Problem,
+    tolerances: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tolerance",
+            metavar="NAME=T",
+            help='coupler="0.1 mm", D.x="0.05 mm uniform", C.clearance="0.02 mm", rocker=parts.csv. Repeatable.',
+        ),
+    ] = None,
+    output: Annotated[
+        str | None, typer.Option(metavar="BODY|P.x|error", help="What is judged; the error, where a motion law is wanted.")
+    ] = None,
+    angles: Annotated[
+        str | None, typer.Option("--angles", metavar="LIST", help='Crank angles: "0 deg, 60 deg" or "0..330 deg:12".')
+    ] = None,
+    limit: Annotated[
+        str | None, typer.Option(metavar="SIZE", help='What error or change is allowed, "0.5 deg": the yield is told.')
+    ] = None,
+    samples: Annotated[int, typer.Option(metavar="N", help="Linkages with deviations drawn; 0: linear analysis only.")] = 131072,
+    seed: Annotated[int, typer.Option(metavar="S", help="Seed of the samples.")] = 0,
+    distribution: Annotated[
+        str, typer.Option(metavar="NAME", help="Where none is said: normal (the tolerance is 3 sigma), uniform, triangular.")
+    ] = "normal",
+    allocate: Annotated[
+        str | None, typer.Option(metavar="YIELD", help='Search the loosest tolerances that keep a yield: "99.7 %".')
+    ] = None,
+    cost: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=C", help="With --allocate: a tolerance t costs C/t; 1 if left out. Repeatable."),
+    ] = None,
+    robust: Annotated[
+        str | None,
+        typer.Option(metavar="K|worst|margin", help="Search the design with the least error plus K sigma; with most sigma."),
+    ] = None,
+    changes: Set = None,
+    design: Annotated[
+        list[str] | None, typer.Option("--design", metavar="NAME=VALUE", help="A given design instead of the best. Repeatable.")
+    ] = None,
+    as_json: Json = False,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and pictures.")] = None,
+) -> None:
+    """How exact it must be built: worst case, scatter and yield for given tolerances, and the loosest that will do."""
+    from optlink import cli
+
+    with cli._reported(as_json):
+        from optlink.errors import Fault, InputError
+        from optlink.studies.sampling import read_costs, read_sigmas, read_yield
+        from optlink.studies.tolerance import tolerance as run
+
+        file = cli._load(problem, changes)
+        cli._places(None, out)
+        given = None
+        if design:
+            from optlink.workflow import read_design
+
+            given = read_design(file, design)
+        if cost and allocate is None:
+            raise InputError(Fault("costs are those of an allocation", 'Add for example --allocate "99 %"', key="--cost"))
+        with cli._share("building") as progress:
+            result = run(
+                file,
+                tolerances or [],
+                output,
+                None if angles is None else _crank_angles(angles),
+                limit,
+                samples=samples,
+                seed=seed,
+                shape=distribution,
+                design=given,
+                wanted=None if allocate is None else read_yield(allocate),
+                costs=read_costs(cost or []),
+                robust=None if robust is None else read_sigmas(robust),
+                progress=progress,
+            )
+        cli._told(result, "tolerances.tolerances", "scatter", None, as_json, out)
+        if (result.allocation is not None and not result.allocation.kept) or (
+            result.robust is not None and not result.robust.valid
+        ):
+            raise typer.Exit(1)
+
+
+@study.command()
+def pareto(
+    problem: Problem,
+    objectives: Annotated[
+        str,
+        typer.Option(
+            "--objectives",
+            metavar="A,B[,C]",
+            help='"peak torque, guide force in F=1300..1600 N" of a machine; "error, limits.transmission_angle.max" of a law.',
+        ),
+    ],
+    points: Annotated[
+        int | None, typer.Option(metavar="N", help="Points; of three objectives along each of two. 15, of three 7.")
+    ] = None,
+    backend: Backend = "ipopt",
+    engine: Engine = "local",
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    resume: Resume = False,
+    changes: Set = None,
+    as_json: Json = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Keep chunks there as they are done; front.csv and a picture.")
+    ] = None,
+) -> None:
+    """What one objective costs in another: the front of two or three, its ends and its knee, every point proven."""
+    from optlink import cli
+
+    with cli._reported(as_json):
+        from optlink.studies.pareto import pareto as run
+
+        file = cli._load(problem, changes)
+        _resumable(resume, out)
+        with _points("walking along the front") as progress, _interruptible(out):
+            result = run(
+                file,
+                objectives,
+                out,
+                points=points,
+                resume=resume,
+                backend=backend,
+                engine=engine,
+                workers=workers,
+                scheduler=scheduler,
+                progress=progress,
+            )
+        cli._told(result, "traded.front", "fronts", None, as_json, out)
+        if not result.complete:
+            raise typer.Exit(1)
+
+
+def _resumable(resume: bool, out: Path | None) -> None:
+    """What goes on must be somewhere."""
+    from optlink.errors import Fault, InputError
+
+    if resume and out is None:
+        raise InputError(Fault("which run is to go on is not said", "Name its folder: --out DIR", key="--resume"))
+
+
 @contextlib.contextmanager
-def _points() -> Iterator[Callable[[int, int], None]]:
+def _interruptible(out: Path | None) -> Iterator[None]:
+    """Say what is kept of a study that is interrupted."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = "nothing was kept: there is no --out" if out is None else f"what is done is kept; go on with --resume --out {out}"
+        typer.echo(f"Interrupted: {kept}.", err=True)
+        raise typer.Exit(130) from None
+
+
+@contextlib.contextmanager
+def _points(what: str = "sweeping") -> Iterator[Callable[[int, int], None]]:
     """A bar with the points done, their rate and the time left, on standard error."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from optlink.report import terminal
 
     columns = (
-        TextColumn("sweeping"),
+        TextColumn(what),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[rate]}"),

@@ -144,7 +144,7 @@ def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
     return np.array([float(value) if value else np.nan for value in values])
 
 
-class _Folder:
+class Folder:
     """A temporary folder that goes with whoever holds it."""
 
     def __init__(self) -> None:
@@ -195,7 +195,7 @@ def sweep(
     begin = time.perf_counter()
     grid = read_grid(problem, vary)
     task = _task(problem, grid, analyze, columns, points, design, backend)
-    holder = _Folder() if out is None else None
+    holder = Folder() if out is None else None
     store = Store(holder.path if holder is not None else Path(str(out)), _about(task), task.size, task.chunks, resume=resume)
     todo = store.missing()
     done = (task.chunks - len(todo)) * task.chunk if todo else grid.count

@@ -1,0 +1,146 @@
+"""Tolerances as tables for people: what each is to blame for, worst case and scatter, yield, and what may be loosened."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
+from optlink.studies.allocation import Allocation
+from optlink.studies.sampling import CONFIDENCE, CONTACT, Deviation
+from optlink.studies.tolerance import Carlo, Tolerance, people
+from optlink.workflow import people as inhabited
+
+if TYPE_CHECKING:
+    from optlink.studies.robust import Robust
+
+
+def tolerances(result: Tolerance) -> RenderableType:
+    """Everything about a study of tolerances."""
+    title = Text(result.problem.model.title, style=HEAD)
+    title.append(f"\nwhat tolerances do to {result.nominal.name}, at {len(result.nominal.crank_angles)} crank angles")
+    parts: list[RenderableType] = [title, Text()]
+    if result.robust is not None:
+        parts += [_redesigned(result, result.robust), Text()]
+    parts += [_blame(result), Text(), _scatter(result)]
+    if result.carlo is not None:
+        parts += [Text(), _sampled(result, result.carlo)]
+    if result.allocation is not None:
+        parts += [Text(), _allocated(result, result.allocation)]
+    return Group(*parts)
+
+
+def size(deviation: Deviation, value: float) -> str:
+    """A deviation [SI] in the unit that people read."""
+    return f"{number(math.degrees(value))} deg" if deviation.kind == "angle" else f"{number(1e3 * value)} mm"
+
+
+def _shape(deviation: Deviation) -> str:
+    if deviation.values:
+        return f"measured, {len(deviation.values):,} parts"
+    return f"{deviation.shape}, adds to {deviation.size}" if deviation.shape == CONTACT else deviation.shape
+
+
+def _redesigned(result: Tolerance, found: Robust) -> Table:
+    title = f"Made least: the largest error with {found.counted}"
+    columns = [("", "left"), ("best as drawn", "right"), ("robust", "right"), ("", "left")]
+    table = grid(title, columns, header=True)
+    for name, value in found.free.items():
+        before, unit = inhabited(name, found.nominal[name])
+        table.add_row(name, fixed(before), Text(fixed(inhabited(name, value)[0]), style=HEAD), unit)
+    table.add_row("largest", fixed(math.degrees(found.before), 4), fixed(math.degrees(found.value), 4), "deg")
+    if result.carlo is not None and result.unrobust is not None and result.limit is not None:
+        table.add_row("yield", percent(result.unrobust.share), Text(percent(result.carlo.share), style=HEAD), "")
+    word = "proven" if found.valid else "not proven: " + found.solution.status.text
+    table.caption = Text(word, style=GOOD if found.valid else BAD)
+    table.caption_justify = "left"
+    return table
+
+
+def _blame(result: Tolerance) -> Table:
+    scale, unit = people(result.nominal)
+    at = result.where
+    each = " or ".join(sorted({"deg" if d.kind == "angle" else "mm" for d in result.deviations}, reverse=True))
+    angle = math.degrees(result.nominal.crank_angles[at])
+    table = grid(
+        f"Who is to blame, where it scatters most: crank {angle:.4g} deg",
+        [
+            ("", "left"),
+            ("tolerance", "right"),
+            ("distribution", "left"),
+            (f"change [{unit}\nper {each}]", "right"),
+            ("share of the\nvariance", "right"),
+            ("over all\nangles", "right"),
+        ],
+        header=True,
+    )
+    shares, overall = result.contributions[:, at], np.mean(result.contributions, axis=1)
+    for i in np.argsort(-shares, kind="stable"):
+        d = result.deviations[i]
+        per = scale * result.by[i, at] * (math.radians(1.0) if d.kind == "angle" else 1e-3)
+        shown = (f"{per:+.5f}", Text(f"{100.0 * shares[i]:.1f} %", style=HEAD), f"{100.0 * overall[i]:.1f} %")
+        table.add_row(d.name, f"±{size(d, d.tolerance)}", Text(_shape(d), style=QUIET), *shown)
+    return table
+
+
+def _scatter(result: Tolerance) -> Table:
+    scale, unit = people(result.nominal)
+    degrees = np.degrees(result.nominal.crank_angles)
+    table = grid(f"Change of the output to first order [{unit}]", [("", "left"), ("", "right"), ("", "left")])
+    both = np.maximum(-result.worst[0], result.worst[1])
+    rows = [("worst case", both), ("root of the sum of squares", result.rss), ("standard deviation", result.sigma)]
+    for name, column in rows:
+        at = int(np.argmax(column))
+        sign = "±" if name != "standard deviation" else ""
+        table.add_row(name, sign + number(scale * column[at], 5), Text(f"at {degrees[at]:.4g} deg", style=QUIET))
+    return table
+
+
+def _sampled(result: Tolerance, carlo: Carlo) -> Table:
+    scale, unit = people(result.nominal)
+    what = "largest error" if np.any(result.nominal.base) else "largest change"
+    title = f"{carlo.samples:,} linkages with deviations drawn (Sobol, seed {carlo.seed}), moved exactly"
+    table = grid(title, [("", "left"), ("", "right"), ("", "left")])
+    at = result.where
+    sigma = f"{number(scale * carlo.sigma[at], 5)} ± {number(scale * 2.0 * carlo.sigma_error[at], 2)}"
+    table.add_row("standard deviation", sigma, Text(f"{unit}, at {math.degrees(result.nominal.crank_angles[at]):.4g} deg"))
+    for share in (0.5, 0.99):
+        table.add_row(f"{what}: {100.0 * share:g} % below", number(scale * carlo.below(share), 5), unit)
+    if carlo.stuck:
+        table.add_row(Text("cannot be assembled", style=BAD), f"{carlo.stuck:,}", "")
+    if result.limit is not None:
+        limit = f"within {number(scale * result.limit)} {unit}"
+        table.add_row(f"yield, {limit}", Text(percent(carlo.share), style=HEAD), Text(_between(carlo), style=QUIET))
+        table.add_row("yield by the linear model", percent(carlo.linear_share), "")
+    table.add_row(Text("time", style=QUIET), Text(f"{carlo.seconds:.2f} s", style=QUIET), "")
+    return table
+
+
+def percent(share: float) -> str:
+    """A yield."""
+    return f"{100.0 * share:.3f} %" if math.isfinite(share) else "-"
+
+
+def _between(carlo: Carlo) -> str:
+    low, high = carlo.interval
+    return f"{100.0 * low:.3f} ... {percent(high)} ({100.0 * CONFIDENCE:g} % sure)"
+
+
+def _allocated(result: Tolerance, found: Allocation) -> Table:
+    title = (
+        f"The loosest tolerances for a yield of {percent(found.wanted)}: cost {number(found.cost / found.before)} of the given"
+    )
+    columns = [("", "left"), ("given", "right"), ("allocated", "right"), ("cost coefficient", "right"), ("", "left")]
+    table = grid(title, columns, header=True)
+    for d, value, cost in zip(result.deviations, found.tolerances, found.costs, strict=True):
+        remark = "has no effect" if d.name in found.free else ""
+        table.add_row(d.name, f"±{size(d, d.tolerance)}", Text(f"±{size(d, value)}", style=HEAD), number(cost), remark)
+    checked = f"checked by {found.carlo.samples:,} others: {percent(found.carlo.share)}, {_between(found.carlo)}"
+    table.caption = Text(checked, style=GOOD if found.kept else BAD)
+    table.caption_justify = "left"
+    return table

@@ -1,0 +1,317 @@
+"""Trade-offs: the front of two or three objectives by the epsilon constraint method, every point an optimum that is proven.
+
+One objective is minimised, each of the others is held by a limit that walks from its best value to the one that it has where the
+others are best (Y. Y. Haimes, L. S. Lasdon, D. A. Wismer, "On a bicriterion formulation of the problems of integrated system
+identification and system optimization", IEEE Trans. SMC-1 (1971) 296-297). Unlike weighted sums that finds fronts that bulge
+either way. Grid, chunks, resuming and engines are those of a sweep.
+"""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.files import ProblemFile
+from optlink.design.linkages import sizes_of
+from optlink.design.quantity import Quantity, nearest
+from optlink.documents import finite, head
+from optlink.errors import Fault, InputError, Status
+from optlink.solvers.search import BACKENDS
+from optlink.studies.aims import OPTION, Aim, asked, cycle_figures, law_figure, read_aims, tightest
+from optlink.studies.axes import Grid
+from optlink.studies.chunks import Store
+from optlink.studies.engine import run
+from optlink.studies.front import ends, knee, undominated
+from optlink.studies.keys import changed
+from optlink.studies.machines import Designing
+from optlink.studies.reoptimise import CHUNK, SLOW_CHUNK, Reoptimising, buildable
+from optlink.studies.sweep import Folder, Progress
+from optlink.studies.tasks import Sweeping
+from optlink.studies.walks import walks
+from optlink.units import KINDS, factor
+from optlink.workflow import solve
+
+Array = NDArray[np.float64]
+
+SCHEMA = "optlink/pareto/1"
+POINTS = {1: 15, 2: 7}  # per objective that is held, by how many are held
+MOST = 100_000  # points of a grid
+
+
+@dataclass(frozen=True)
+class Point:
+    """A design of the front: objectives in the order and the units of the aims, free sizes by column, limits that hold it."""
+
+    values: tuple[float, ...]
+    design: Mapping[str, float]
+    active: str
+    mark: str
+
+
+@dataclass(frozen=True)
+class Pareto:
+    """A front, from the best of the first objective on.
+
+    `ends`: number of the best point of every objective; `knee`: its number and its distance from the chord of the ends, if it has
+    one; `given`: the objectives of the given machine, or of what the file asks for; `solved` points of the grid, of which `valid`
+    are proven, `infeasible` hold no design, and `dominated` are beaten by others.
+    """
+
+    problem: ProblemFile
+    aims: tuple[Aim, ...]
+    minimised: int
+    points: tuple[Point, ...]
+    ends: tuple[int, ...]
+    knee: tuple[int, float] | None
+    given: tuple[float, ...] | None
+    given_words: str
+    solved: int
+    valid: int
+    infeasible: int
+    dominated: int
+    grid: Grid
+    path: Path
+    done: int
+    seconds: float
+    cpu: float
+    engine: str
+    workers: int | None
+    keep: Any = None  # a temporary folder, as long as the result lives
+
+    @property
+    def costs(self) -> Array:
+        """Objectives of the points (n, k), with the sign that makes less better."""
+        return np.array([point.values for point in self.points]) * [aim.sense for aim in self.aims]
+
+    @property
+    def complete(self) -> bool:
+        """Whether there is a front, and every point of the grid is proven or has no design."""
+        return bool(self.points) and self.valid + self.infeasible == self.solved
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """The front as a table: objectives, free sizes, what holds them, and the marks."""
+        found: dict[str, list[Any]] = {aim.column: [p.values[k] for p in self.points] for k, aim in enumerate(self.aims)}
+        found |= {name: [p.design[name] for p in self.points] for name in (self.points[0].design if self.points else ())}
+        return found | {key: [getattr(p, key) for p in self.points] for key in ("active", "mark")}
+
+    def to_dict(self) -> dict[str, Any]:
+        """As a JSON document."""
+        named = [aim.column for aim in self.aims]
+        document = head(SCHEMA, self.problem, "complete" if self.complete else "not valid everywhere")
+        document |= {
+            "objectives": [
+                {"name": a.name, "column": a.column, "unit": a.unit, "sense": "minimise" if a.sense > 0 else "maximise"}
+                for a in self.aims
+            ],
+            "minimised": self.aims[self.minimised].column,
+            "held": [
+                {"limit": a.key, "unit": a.unit, "first": a.values[0], "last": a.values[-1], "values": len(a.values)}
+                for a in self.grid.axes
+            ],
+            "front": [
+                {
+                    "objectives": dict(zip(named, point.values, strict=True)),
+                    "design": dict(point.design),
+                    "active": [name for name in point.active.split("; ") if name],
+                    "mark": point.mark or None,
+                }
+                for point in self.points
+            ],
+            "ends": dict(zip(named, self.ends, strict=True)) if self.points else {},
+            "knee": None if self.knee is None else {"point": self.knee[0], "distance": self.knee[1]},
+            "given": None if self.given is None else {"what": self.given_words, **dict(zip(named, self.given, strict=True))},
+            "points": self.solved,
+            "valid_points": self.valid,
+            "infeasible_points": self.infeasible,
+            "dominated_points": self.dominated,
+            "table": None if self.keep is not None else str(self.path),
+            "engine": self.engine,
+            "workers": self.workers,
+            "points_done_now": self.done,
+            "seconds": self.seconds,
+            "processor_seconds": self.cpu,
+        }
+        return finite(document)  # type: ignore[no-any-return]
+
+
+def pareto(
+    problem: ProblemFile,
+    objectives: str,
+    out: Path | None = None,
+    *,
+    points: int | None = None,
+    resume: bool = False,
+    backend: str = "ipopt",
+    engine: str = "local",
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> Pareto:
+    """The front of two or three objectives.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        A machine that is designed by its cycle, or a four-bar for a law.
+    objectives : text such as "peak torque, guide force in F"
+        See `optlink.studies.aims`.
+    out : folder, optional
+        Where chunks are kept as they are done, and every point of the grid at the end (`sweep.csv`).
+    points : int, optional
+        Of the front, or per objective that is held if there are three; 15 or 7 if left out.
+    resume, backend, engine, workers, scheduler
+        As for a sweep.
+    progress : function of the points done and of all, optional
+
+    Raises
+    ------
+    InputError
+        see `read_aims`; an end that cannot be found; a folder that holds another study.
+    """
+    begin = time.perf_counter()
+    aims = read_aims(problem, objectives)
+    first = min(range(len(aims)), key=lambda k: (bool(aims[k].key), bool(aims[k].span), k))
+    if aims[first].span:
+        message, remedy = "all objectives have ranges", "One of them is minimised: leave its range out"
+        raise InputError(Fault(message, remedy, problem.file, OPTION, objectives))
+    count = _points(points, len(aims) - 1)
+    if backend not in BACKENDS:
+        raise InputError(Fault("unknown back end of a study", nearest(backend, BACKENDS), key="--backend", value=backend))
+    base, grid = walks(problem, aims, first, count, backend)
+    task = _task(base, grid, backend)
+    keep = Folder() if out is None else None
+    place = keep.path if keep is not None else Path(str(out))
+    store = Store(place, _about(problem, task, objectives, backend), task.size, task.chunks, resume=resume)
+    todo = store.missing()
+    before = grid.count - sum(task.size(index) for index in todo)
+    mine, cpu = 0, 0.0
+    if progress is not None:
+        progress(before, grid.count)
+    for index, answer in run(task, todo, engine, workers, scheduler) if todo else ():
+        store.write(index, answer.value)
+        mine, cpu = mine + task.size(index), cpu + answer.cpu
+        if progress is not None:
+            progress(before + mine, grid.count)
+    if store.finished:
+        store.drop()
+    else:
+        store.finish(task.columns, store.rows())
+    with store.table.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    found = [point for row in rows if row["valid"] == "true" for point in [_point(base, task, aims, row)] if point is not None]
+    costs = np.array([p.values for p in found]).reshape(-1, len(aims)) * [aim.sense for aim in aims]
+    kept = np.flatnonzero(undominated(costs))
+    kept = kept[np.lexsort(costs[kept].T[::-1])]
+    corner, bend = (ends(costs[kept]), knee(costs[kept])) if len(kept) else ((), None)
+    front = tuple(_marked(found[i], j, aims, corner, bend) for j, i in enumerate(kept))
+    words, given = _given(problem, base, aims, backend)
+    return Pareto(
+        problem=problem,
+        aims=aims,
+        minimised=first,
+        points=front,
+        ends=corner,
+        knee=bend,
+        given=given,
+        given_words=words,
+        solved=len(rows),
+        valid=len(found),
+        infeasible=sum(row["status"] == Status.INFEASIBLE.value for row in rows),
+        dominated=len(found) - len(front),
+        grid=grid,
+        path=store.table,
+        done=mine,
+        seconds=time.perf_counter() - begin,
+        cpu=cpu,
+        engine=engine,
+        workers=workers,
+        keep=keep,
+    )
+
+
+def _points(points: int | None, held: int) -> int:
+    count = POINTS[held] if points is None else points
+    if count < 2:
+        raise InputError(Fault("out of range", "Give 2 points or more", key="--points", value=points))
+    if count**held > MOST:
+        size = f"{count:,}" + (f" x {count:,} = {count**held:,}" if held > 1 else "")
+        raise InputError(Fault(f"{size} points are more than a front takes, {MOST:,}", "Give fewer", key="--points"))
+    return count
+
+
+def _task(base: ProblemFile, grid: Grid, backend: str) -> Sweeping:
+    stated = Sweeping.stated(base)
+    if base.machined:
+        return Designing(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
+    task = Reoptimising(**stated, grid=grid, chunk=CHUNK, backend=backend)
+    if buildable(task.template, tuple(axis.key for axis in grid.axes)):
+        return task
+    return Reoptimising(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
+
+
+def _about(problem: ProblemFile, task: Sweeping, objectives: str, backend: str) -> dict[str, Any]:
+    """What makes a front this one and no other."""
+    return {
+        "schema": "optlink/study/1",
+        "optlink": task.version,
+        "problem": problem.name,
+        "problem_hash": problem.hash,
+        "mode": "pareto",
+        "objectives": objectives,
+        "axes": [[axis.key, axis.unit, list(axis.values)] for axis in task.grid.axes],
+        "points_per_chunk": task.chunk,
+        "columns": task.columns,
+        "backend": backend,
+    }
+
+
+# --- from rows to the front ----------------------------------------------------------------------------------------------
+
+
+def _point(base: ProblemFile, task: Sweeping, aims: tuple[Aim, ...], row: Mapping[str, str]) -> Point | None:
+    """A row with its objectives measured: of a machine by its inverse dynamics, of a law's limits by those of the linkage."""
+    assert isinstance(task, Designing | Reoptimising)
+    columns = {name: f"{name}_{KINDS[quantity.kind].people}" for name, quantity in task.free.items()}
+    design = {column: float(row[column]) for column in columns.values()}
+    values = {name: design[columns[name]] * _people(quantity) for name, quantity in task.free.items()}
+    if isinstance(task, Designing):
+        measured = cycle_figures(base, aims, values)
+    else:
+        full = {**sizes_of(task.template.spec.quantities), **values}
+        error = float(next(value for name, value in row.items() if name.startswith("objective")))
+        measured = tuple(law_figure(task.template.spec, aim, full) if aim.key else error for aim in aims)
+    return Point(measured, design, row["active"], "") if np.all(np.isfinite(measured)) else None
+
+
+def _people(quantity: Quantity) -> float:
+    return factor(KINDS[quantity.kind].people, quantity.kind)
+
+
+def _marked(point: Point, number: int, aims: Sequence[Aim], corner: Sequence[int], bend: tuple[int, float] | None) -> Point:
+    marks = [aim.best for aim, end in zip(aims, corner, strict=True) if end == number]
+    if bend is not None and bend[0] == number:
+        marks.append("knee")
+    return Point(point.values, point.design, point.active, ", ".join(marks))
+
+
+def _given(problem: ProblemFile, base: ProblemFile, aims: tuple[Aim, ...], backend: str) -> tuple[str, tuple[float, ...] | None]:
+    """What the front is compared with: the given machine; of a law the optimum for the limits that the file states."""
+    if problem.machined:
+        found = cycle_figures(problem, aims, {})
+        return "given machine", found if np.all(np.isfinite(found)) else None
+    words, held = "as the file asks", [aim for aim in aims if aim.key]
+    if any(asked(problem, aim.key) is None for aim in held):
+        return words, None
+    result = solve(problem, backend)
+    if not result.valid:
+        return words, None
+    stated = changed(base, {aim.key: tightest(base, aim) for aim in held})
+    return words, tuple(law_figure(stated.spec, aim, result.design) if aim.key else result.objective for aim in aims)
