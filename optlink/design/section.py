@@ -17,7 +17,7 @@ RESERVED = (FRAME, "input", "energy")
 class Section(BaseModel):
     """A table of the problem file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)  # most go unused
 
 
 def _read_name(raw: object) -> str:
