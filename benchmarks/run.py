@@ -1,6 +1,7 @@
-"""Speed against peers and limits, everything measured in this one run: `python benchmarks/run.py [--json FILE]`.
+"""Speed against peers and limits, everything measured in this one run: `python benchmarks/run.py [--parts NAMES] [--json FILE]`.
 
-Medians only, contenders in turn. A peer that is not installed is skipped. Nothing here asserts a time.
+Medians only, contenders in turn. A peer that is not installed is skipped. Nothing here asserts a time. Of the synthesis a run has
+a small sample; `python benchmarks/synthesis.py` measures all of it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import math
 import os
 import platform
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,8 @@ from timing import ROOT, Row, child, race
 sys.path.insert(0, str(ROOT))  # the checkout is measured, whether it is installed or not
 
 PROCESS_RUNS = 9
+SYNTHESIS = {"seeds": 1, "linkages": 1, "laws": 10}  # minutes rather than hours
+PEERS = ("pylinkage", "fourbarhinge", "pymoo", "numba", "exudyn")
 YARDSTICK = ("-c", "import numpy, scipy.optimize, casadi")
 PROCESSES = {
     "help": (("-m", "optlink.cli", "--help"), "<= 0.5"),
@@ -85,7 +89,7 @@ def document(rows: list[Row]) -> dict[str, Any]:
         "schema": "optlink/benchmarks/1",
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
-        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "pylinkage", "numba", "exudyn")},
+        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "cvxpy", *PEERS)},
         "rows": [
             {
                 "what": row.what,
@@ -100,28 +104,40 @@ def document(rows: list[Row]) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    """Measure, print one table, write the JSON document if asked."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
-    arguments = parser.parse_args()
+def measurements() -> dict[str, Callable[[], list[Row]]]:
+    """The parts by name; each measures and gives its rows."""
     import batch
     import clearance
     import dynamics
     import solves
+    import synthesis
 
-    progress = Console(stderr=True)
-    rows: list[Row] = []
-    measurements = {
+    return {
         "solves": solves.rows,
         "batches": batch.rows,
         "dynamics": dynamics.rows,
         "clearance": clearance.rows,
+        "synthesis": partial(synthesis.rows, **SYNTHESIS),
         "processes": process_rows,
     }
-    for what, measure in measurements.items():
-        with progress.status(f"Timing {what} ..."):
-            rows += measure()
+
+
+def main() -> None:
+    """Measure, print one table, write the JSON document if asked."""
+    every = measurements()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--parts", default="", help=f"{', '.join(every)}; left out: all")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
+    arguments = parser.parse_args()
+    parts = [part for part in arguments.parts.split(",") if part] or list(every)
+    for part in parts:
+        if part not in every:
+            parser.error(f"no part {part!r}; known: {', '.join(every)}")
+    progress = Console(stderr=True)
+    rows: list[Row] = []
+    for part in parts:
+        with progress.status(f"Timing {part} ..."):
+            rows += every[part]()
     console = Console()
     if not console.is_terminal:
         console = Console(width=160)

@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     from optlink.clearances import LooseSimulation, simulate_clearance
     from optlink.compensation import Comparison, Tuning, compare, tune
     from optlink.design.files import ProblemFile, load, read, shipped
+    from optlink.designed import MachineDesign
     from optlink.errors import InputError, OptlinkError, SolverError, Status
-    from optlink.generation import Design, Generation, generate
+    from optlink.generated import Design, Generation
+    from optlink.generation import generate
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.linkage.motion import sweep
-    from optlink.machine_design import MachineDesign, design_machine
+    from optlink.machine_design import design_machine
     from optlink.simulation import Simulation, simulate
     from optlink.workflow import Result, read_design, solve, validate
 
@@ -43,8 +45,8 @@ _HOME = {
     "Tuning": "optlink.compensation",
     "compare": "optlink.compensation",
     "tune": "optlink.compensation",
-    "Design": "optlink.generation",
-    "Generation": "optlink.generation",
+    "Design": "optlink.generated",
+    "Generation": "optlink.generated",
     "generate": "optlink.generation",
     "InputError": "optlink.errors",
     "OptlinkError": "optlink.errors",
@@ -54,7 +56,7 @@ _HOME = {
     "load": "optlink.design.files",
     "read": "optlink.design.files",
     "shipped": "optlink.design.files",
-    "MachineDesign": "optlink.machine_design",
+    "MachineDesign": "optlink.designed",
     "design_machine": "optlink.machine_design",
     "four_bar": "optlink.linkage.fourbar",
     "grashof": "optlink.linkage.fourbar",

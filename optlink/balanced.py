@@ -142,13 +142,16 @@ class TradePoint:
 
 @dataclass(frozen=True)
 class Trade:
-    """The trade-off between two measures; `knee`: the number of the point that bulges furthest from the chord of the ends."""
+    """The trade-off between two measures.
+
+    `knee`: the number of the point that bulges furthest from the chord of the ends; None if the curve is as good as straight.
+    """
 
     first: Measure
     second: Measure
     before: tuple[float, float]
     points: tuple[TradePoint, ...]
-    knee: int
+    knee: int | None
     first_seconds: float
     further_seconds: float
 

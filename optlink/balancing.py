@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,15 @@ from optlink.analysis import machine_of, motion_range, sampled
 from optlink.balanced import ACTIVE, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
 from optlink.design.balance import check_measure, read_measure
 from optlink.design.files import ProblemFile
+from optlink.design.linkages import sizes_of
 from optlink.design.quantity import Unusable
+from optlink.design.settled import settled
 from optlink.dynamics.balance import Affine, Effects, Measure, amounts, joined, quantities
 from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.record import Record
 from optlink.errors import Fault, InputError
+from optlink.front import knee
 from optlink.solvers import balance as search
 from optlink.solvers.cone import GAP, NOTHING, Limits, Price, Programme, version
 
@@ -124,6 +127,7 @@ def balance(
     trade: str | None = None,
     points: int = 25,
     progress: Progress | None = None,
+    design: Mapping[str, float] | None = None,
 ) -> Balance:
     """Choose the counterweights (and springs) of a machine so that a measure is least, and prove it.
 
@@ -136,6 +140,8 @@ def balance(
     trade : str, optional
         Two measures, for example "force,torque": the curve on which neither can be made smaller without making the other
         larger, at so many `points`.
+    design : mapping of quantity to value [SI], optional
+        For problems with free quantities; their starts are taken if left out.
 
     Raises
     ------
@@ -146,6 +152,8 @@ def balance(
     importlib.import_module("cvxpy")
     seconds = {"loading cvxpy": time.perf_counter() - begin}
     begin = time.perf_counter()
+    if design is not None:
+        problem = settled(problem, {**sizes_of(problem.model.mechanism.quantities), **design})
     task = _Task(problem)
     goal = task.section.goal if minimise is None else ((_measure(minimise, "--minimise", task), 1.0),)
     pair = () if trade is None else _pair(trade, task)
@@ -372,7 +380,10 @@ def _trade(task: _Task, first: Measure, second: Measure, count: int, progress: P
         )
         if progress is not None:
             progress((k + 1) / len(found.points))
-    return Trade(first, second, scales, tuple(points), _knee(points), found.first_seconds, found.further_seconds)
+    bend = knee(np.array([[point.first, point.second] for point in points]))
+    return Trade(
+        first, second, scales, tuple(points), None if bend is None else bend[0], found.first_seconds, found.further_seconds
+    )
 
 
 def _heavier(machine: Machine, added: Sequence[Added], springs: Sequence[Fitted]) -> Machine:
@@ -382,15 +393,6 @@ def _heavier(machine: Machine, added: Sequence[Added], springs: Sequence[Fitted]
         inertias[one.body] = joined(inertias.get(one.body, Inertia()), one.parameters)
     loads = (*machine.loads, *(spring.asked.spring(spring.stiffness, spring.free) for spring in springs))
     return machine.with_(inertias=inertias, loads=loads)
-
-
-def _knee(points: Sequence[TradePoint]) -> int:
-    """The point furthest below the chord of the ends."""
-    if len(points) < 3:
-        return 0
-    way = np.array([[point.first, point.second] for point in points])
-    share = (way - way[0]) / np.where(np.ptp(way, axis=0) > 0.0, np.ptp(way, axis=0), 1.0)
-    return int(np.argmin(share[:, 0] + share[:, 1]))
 
 
 # --- notes -------------------------------------------------------------------------------------------------------------------
@@ -417,7 +419,9 @@ def _notes(
     if idle:
         notes.append(f"no counterweight is of use on {', '.join(idle)}")
     if task.problem.model.free:
-        notes.append(f"free quantities stand at their start values: {', '.join(task.problem.model.free)}")
+        notes.append(
+            f"free quantities stand at their start values: {', '.join(task.problem.model.free)} (--design takes a result)"
+        )
     if len(task.angles) != task.section.positions:
         notes.append("the crank cannot turn fully: the positions are those of its range")
     notes += _between(task, goal, heavier)

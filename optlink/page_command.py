@@ -9,32 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from optlink import console
 from optlink.errors import Fault, InputError
+from optlink.options import Backend, Design, Json, Of, Searcher, Seed, Set, Starts, Subjected, whole_number
 
 if TYPE_CHECKING:
+    from optlink.report.studied import Studied
     from optlink.report.subject import Subject
 
 SCHEMA = "optlink/written/1"
-
-Subjected = Annotated[
-    str,
-    typer.Argument(metavar="PROBLEM|RESULT", help="A shipped problem, a TOML file, or a result.json that --out wrote."),
-]
-Of = Annotated[
-    str | None, typer.Option("--problem", metavar="FILE", help="The problem of a RESULT, if it is neither shipped nor beside it.")
-]
-Starts = Annotated[int | None, typer.Option("--starts", metavar="N", help="Number of starts of the search.")]
-Seed = Annotated[int, typer.Option("--seed", metavar="S", help="Seed of the starts.")]
-Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="slsqp or ipopt; of a law and of a cycle also both.")]
-Set = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help='Change a key: --set mechanism.frame="480 mm". Repeatable.'),
-]
-Design = Annotated[
-    list[str] | None,
-    typer.Option("--design", metavar="NAME=VALUE", help="A given design instead of a search; or a result.json. Repeatable."),
-]
-Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -47,29 +30,30 @@ def report(
     subject: Subjected,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.html", help="The page that is written.")],
     problem: Of = None,
-    backend: Backend = "ipopt",
+    backend: Searcher = Backend.ipopt,
     starts: Starts = None,
     seed: Seed = 0,
     changes: Set = None,
     design: Design = None,
     as_json: Json = False,
 ) -> None:
-    """Everything about a design on one page: figures, proof, charts, the moving linkage, sources."""
-    from optlink import cli
-
-    with cli._reported(as_json):
+    """Everything about a design, a simulation or a study on one page: figures, proof, charts, the moving linkage, sources."""
+    with console.reported(as_json):
         from optlink.report.export import target
 
         target(output, (".html", ".htm"), "report.html")
-        with cli._working("Reading or solving the problem"):
+        with console.working("Reading or solving the problem"):
             about = _subject(subject, output, problem, backend, starts, seed, changes, design)
-        from optlink.report.page import write_page
+        from optlink.report.studied import Studied, write_studied
 
-        with cli._working(f"Writing {output}"):
-            write_page(about, output)
+        with console.working(f"Writing {output}"):
+            if isinstance(about, Studied):
+                write_studied(about, output)
+            else:
+                from optlink.report.page import write_page
+
+                write_page(about, output)
         _written(about, output, as_json)
-        if not about.valid:
-            raise typer.Exit(1)
 
 
 def export(
@@ -85,10 +69,12 @@ def export(
     width: Annotated[
         str | None, typer.Option("--width", metavar="SIZE", help='DXF: width of the links: --width "20 mm".')
     ] = None,
-    points: Annotated[int, typer.Option("--points", metavar="N", help="CSV: steps of the table per revolution.")] = 360,
+    points: Annotated[
+        int, typer.Option("--points", parser=whole_number, metavar="N", help="CSV: steps of the table per revolution.")
+    ] = 360,
     even_invalid: Annotated[bool, typer.Option("--even-invalid", help="Write a design that is not valid all the same.")] = False,
     problem: Of = None,
-    backend: Backend = "ipopt",
+    backend: Searcher = Backend.ipopt,
     starts: Starts = None,
     seed: Seed = 0,
     changes: Set = None,
@@ -96,64 +82,54 @@ def export(
     as_json: Json = False,
 ) -> None:
     """A design for other programs: DXF, SVG, CSV or JSON."""
-    from optlink import cli
-
-    with cli._reported(as_json):
+    with console.reported(as_json):
         from optlink.report.export import FORMATS, Options, target
         from optlink.report.export import export as write
 
         target(output, tuple(FORMATS), "drawing.dxf")
-        angle = cli._quantity(at, "angle", "--at")
-        options = Options(angle, cli._quantity(hole, "length", "--hole"), cli._quantity(width, "length", "--width"), points)
-        with cli._working("Reading or solving the problem"):
+        angle = console.quantity(at, "angle", "--at")
+        options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
+        with console.working("Reading or solving the problem"):
             about = _subject(subject, output, problem, backend, starts, seed, changes, design)
+        from optlink.report.studied import Studied
+
+        if isinstance(about, Studied):
+            remedy = f"Export the problem, with the design that you want: optlink export {about.problem.name} --design NAME=VALUE"
+            raise InputError(Fault(f"a {about.kind} is no one design that could be drawn", remedy, subject))
         if not (about.valid or even_invalid):
             _refuse(about, as_json)
         write(about, output, options)
         _written(about, output, as_json)
-        if not about.valid:
-            raise typer.Exit(1)
 
 
 def _subject(
     text: str,
     output: Path,
     problem: str | None,
-    backend: str,
+    backend: Backend,
     starts: int | None,
     seed: int,
     changes: list[str] | None,
     design: list[str] | None,
-) -> Subject:
+) -> Subject | Studied:
     """What is asked for: a result as it is, or a problem with its answer."""
-    from optlink.report.recorded import is_result, read_subject
+    from optlink.report.results.opened import is_result, opened
     from optlink.report.subject import answered, subject_of
 
-    if output.exists() and Path(text).exists() and os.path.samefile(output, text):
+    if output.exists() and os.path.exists(text) and os.path.samefile(output, text):
         raise InputError(Fault("this would overwrite what it is made of", "Choose another name", key="-o", value=str(output)))
     if is_result(text):
-        for option, value in {"--design": design, "--starts": starts}.items():
-            if value is not None:
-                remedy = "Leave it out, or name the problem instead of its result"
-                raise InputError(Fault("a result has its design already", remedy, text, option, str(value)))
-        return read_subject(Path(text), problem, changes or ())
-    if problem is not None:
-        remedy = "Leave it out, or name a result.json first"
-        raise InputError(Fault("only a RESULT belongs to another problem", remedy, text, "--problem", problem))
-    from optlink.design.files import load, parse_assignment
-
-    file = load(text, dict(parse_assignment(change) for change in changes or []))
-    given = None
-    if design:
-        from optlink.workflow import read_design
-
-        given = read_design(file, design)
-    return subject_of(file, answered(file, backend, starts, seed, given))
+        remedy = "Leave it out, or name the problem instead of its result"
+        console.refuse({"--design": design, "--starts": starts}, "a result has its design already", remedy, text)
+        return opened(text, problem, changes or ())
+    remedy = "Leave it out, or name a result.json first"
+    console.refuse({"--problem": problem}, "only a RESULT belongs to another problem", remedy, text)
+    file = console.load(text, changes)
+    return subject_of(file, answered(file, str(backend), starts, seed, console.given(file, design)))
 
 
 def _refuse(about: Subject, as_json: bool) -> None:
     """Say why an invalid design is not written."""
-    from optlink import cli
     from optlink.documents import head
     from optlink.report.page import verdict
 
@@ -161,20 +137,22 @@ def _refuse(about: Subject, as_json: bool) -> None:
     print(f"Error: {message}", file=sys.stderr)
     if as_json:
         document = head(SCHEMA, about.problem, "not valid")
-        cli._print_json(document | {"valid": False, "file": None, "bytes": 0, "message": message})
+        console.print_json(document | {"valid": False, "file": None, "bytes": 0, "message": message})
     raise typer.Exit(1)
 
 
-def _written(about: Subject, output: Path, as_json: bool) -> None:
-    """Say what was written."""
-    from optlink import cli
+def _written(about: Subject | Studied, output: Path, as_json: bool) -> None:
+    """Say what was written, and end with exit code 1 where it is no valid design."""
     from optlink.report.page import verdict
+    from optlink.report.studied import Studied
 
-    size = output.stat().st_size
+    size, told = output.stat().st_size, about.verdict if isinstance(about, Studied) else verdict(about)
     if as_json:
         from optlink.documents import head
 
         document = head(SCHEMA, about.problem, "valid" if about.valid else "not valid")
-        cli._print_json(document | {"valid": about.valid, "file": str(output), "bytes": size})
-        return
-    print(f"{output}: {size:,} bytes. {verdict(about)}")
+        console.print_json(document | {"valid": about.valid, "file": str(output), "bytes": size})
+    else:
+        print(f"{output}: {size:,} bytes. {told}")
+    if not about.valid:
+        raise typer.Exit(1)

@@ -46,10 +46,11 @@ def whole(path: Path) -> Iterator[Path]:
         except OSError as error:
             raise InputError(Fault(f"cannot write there: {error.strerror}", "Choose another place", str(path))) from None
         return
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
+    temporary = None
     try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-", suffix=path.suffix)
+        os.close(handle)
+        temporary = Path(name)
         yield temporary
         temporary.chmod(0o644)
         temporary.replace(path)
@@ -58,7 +59,8 @@ def whole(path: Path) -> Iterator[Path]:
             Fault(f"cannot write the file: {error.strerror}", "Free some space or choose another folder", str(path))
         ) from None
     finally:
-        temporary.unlink(missing_ok=True)
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:

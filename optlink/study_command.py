@@ -9,17 +9,23 @@ from typing import Annotated, Any
 
 import typer
 
-Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help="A shipped problem (see `list`) or the path of a TOML file.")]
-Set = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help='Change a key: --set mechanism.frame="480 mm". Repeatable.'),
-]
-Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
+from optlink import console
+from optlink.options import Json, Problem, Set, whole_number
+
 Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="slsqp or ipopt.")]
 Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="local (processes) or dask.")]
-Workers = Annotated[int | None, typer.Option("--workers", metavar="N", help="Processes; as many as cores if left out.")]
+Workers = Annotated[
+    int | None,
+    typer.Option("--workers", parser=whole_number, metavar="N", help="Processes; as many as cores if left out."),
+]
 Scheduler = Annotated[
     str | None, typer.Option("--scheduler", metavar="ADDRESS", help="With --engine dask: of a cluster that runs.")
+]
+Kept = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", metavar="DIR", help="Keep chunks there as they are done; tables, result.json and a picture at the end."
+    ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --out DIR that ended early.")]
 
@@ -53,11 +59,9 @@ def sensitivity(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and the tornado.")] = None,
 ) -> None:
     """At the optimum: what each fixed size and each limit costs, how the design moves with it, and how far that holds."""
-    from optlink import cli
-
-    with cli._reported(as_json):
-        file = cli._load(problem, changes)
-        cli._places(None, out)
+    with console.reported(as_json):
+        file = console.load(problem, changes)
+        console.places(None, out)
         if output is not None:
             _output(problem, file, output, angles, design, as_json)
             return
@@ -68,9 +72,9 @@ def sensitivity(
             raise InputError(Fault("sensitivities are those of the optimum, which is searched", remedy, key="--design"))
         from optlink.studies.sensitivity import sensitivities
 
-        with cli._share("searching again" if check else "searching") as progress:
+        with console.share("searching again" if check else "searching") as progress:
             result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
-        cli._told(result, "whatif.sensitivities", "tornado", None, as_json, out)
+        console.told(result, "whatif.sensitivities", "tornado", None, as_json, out)
         from optlink.report.whatif import AGREES
 
         if result.gap is not None and result.gap > AGREES:
@@ -98,7 +102,6 @@ def _output(name: str, file: object, output: str, angles: str, design: list[str]
     """Derivatives of an output by every size."""
     import numpy as np
 
-    from optlink import cli
     from optlink.design.files import ProblemFile
     from optlink.documents import finite, head
     from optlink.studies.outputs import output_sensitivity
@@ -125,7 +128,7 @@ def _output(name: str, file: object, output: str, angles: str, design: list[str]
             "value": found.value,
             "per_size_SI": dict(found.by),
         }
-        cli._print_json(finite(document))
+        console.print_json(finite(document))
         return
     from optlink.report import terminal, whatif
 
@@ -144,7 +147,9 @@ def sweep(
         list[str] | None,
         typer.Option("--column", metavar="NAME", help="With --analyze: a column of the analysis. Repeatable."),
     ] = None,
-    points: Annotated[int, typer.Option(metavar="N", help="With --analyze: crank angles per revolution.")] = 360,
+    points: Annotated[
+        int, typer.Option(parser=whole_number, metavar="N", help="With --analyze: crank angles per revolution.")
+    ] = 360,
     design: Annotated[
         list[str] | None,
         typer.Option("--design", metavar="NAME=VALUE", help="With --analyze: what is free and not varied. Repeatable."),
@@ -156,18 +161,14 @@ def sweep(
     resume: Resume = False,
     changes: Set = None,
     as_json: Json = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Keep chunks there as they are done; sweep.csv at the end.")
-    ] = None,
+    out: Kept = None,
 ) -> None:
     """Solve the problem again at every point of a grid; each optimum proven, interruptible, on one machine or a cluster."""
-    from optlink import cli
-
-    with cli._reported(as_json):
+    with console.reported(as_json):
         from optlink.errors import Fault, InputError
         from optlink.studies.sweep import sweep as run
 
-        file = cli._load(problem, changes)
+        file = console.load(problem, changes)
         _resumable(resume, out)
         given = None
         if design:
@@ -192,7 +193,7 @@ def sweep(
                 scheduler=scheduler,
                 progress=progress,
             )
-        cli._told(result, "whatif.sweep", "sweeps", None, as_json, out)
+        console.told(result, "whatif.sweep", "sweeps", None, as_json, out)
         if not result.complete:
             raise typer.Exit(1)
 
@@ -205,7 +206,7 @@ def tolerance(
         typer.Option(
             "--tolerance",
             metavar="NAME=T",
-            help='coupler="0.1 mm", D.x="0.05 mm uniform", C.clearance="0.02 mm", rocker=parts.csv. Repeatable.',
+            help='coupler="0.1 mm", D.x="0.05 mm uniform", C.clearance="0.1 mm", rocker=parts.csv. Repeatable. Else [tolerances]',
         ),
     ] = None,
     output: Annotated[
@@ -241,15 +242,13 @@ def tolerance(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and pictures.")] = None,
 ) -> None:
     """How exact it must be built: worst case, scatter and yield for given tolerances, and the loosest that will do."""
-    from optlink import cli
-
-    with cli._reported(as_json):
+    with console.reported(as_json):
         from optlink.errors import Fault, InputError
         from optlink.studies.sampling import read_costs, read_sigmas, read_yield
         from optlink.studies.tolerance import tolerance as run
 
-        file = cli._load(problem, changes)
-        cli._places(None, out)
+        file = console.load(problem, changes)
+        console.places(None, out)
         given = None
         if design:
             from optlink.workflow import read_design
@@ -257,7 +256,7 @@ def tolerance(
             given = read_design(file, design)
         if cost and allocate is None:
             raise InputError(Fault("costs are those of an allocation", 'Add for example --allocate "99 %"', key="--cost"))
-        with cli._share("building") as progress:
+        with console.share("building") as progress:
             result = run(
                 file,
                 tolerances or [],
@@ -273,7 +272,7 @@ def tolerance(
                 robust=None if robust is None else read_sigmas(robust),
                 progress=progress,
             )
-        cli._told(result, "tolerances.tolerances", "scatter", None, as_json, out)
+        console.told(result, "tolerances.tolerances", "scatter", None, as_json, out)
         if (result.allocation is not None and not result.allocation.kept) or (
             result.robust is not None and not result.robust.valid
         ):
@@ -292,7 +291,8 @@ def pareto(
         ),
     ],
     points: Annotated[
-        int | None, typer.Option(metavar="N", help="Points; of three objectives along each of two. 15, of three 7.")
+        int | None,
+        typer.Option(parser=whole_number, metavar="N", help="Points; of three objectives along each of two. 15, of three 7."),
     ] = None,
     backend: Backend = "ipopt",
     engine: Engine = "local",
@@ -301,17 +301,13 @@ def pareto(
     resume: Resume = False,
     changes: Set = None,
     as_json: Json = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Keep chunks there as they are done; front.csv and a picture.")
-    ] = None,
+    out: Kept = None,
 ) -> None:
     """What one objective costs in another: the front of two or three, its ends and its knee, every point proven."""
-    from optlink import cli
-
-    with cli._reported(as_json):
+    with console.reported(as_json):
         from optlink.studies.pareto import pareto as run
 
-        file = cli._load(problem, changes)
+        file = console.load(problem, changes)
         _resumable(resume, out)
         with _points("walking along the front") as progress, _interruptible(out):
             result = run(
@@ -326,7 +322,7 @@ def pareto(
                 scheduler=scheduler,
                 progress=progress,
             )
-        cli._told(result, "traded.front", "fronts", None, as_json, out)
+        console.told(result, "traded.front", "fronts", None, as_json, out)
         if not result.complete:
             raise typer.Exit(1)
 

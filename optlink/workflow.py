@@ -21,11 +21,11 @@ from optlink.errors import Fault, InputError, Status
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.linkage.structure import EITHER
-from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
+from optlink.outcome import Optimum, heading, optimality, proof, proven
+from optlink.solvers.solution import Solution
 from optlink.units import show
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove
-from optlink.version import VERSION
 
 if TYPE_CHECKING:
     from optlink.design.nlp import NLP
@@ -38,7 +38,8 @@ SCHEMA = "optlink/result/1"
 MAX_STARTS = 100_000
 SAME_DESIGN = 1e-6  # of the frame
 ALONG = 2001  # positions along the span at which an error curve is followed
-EXCHANGES, LEVELLED = 8, 1e-8  # rounds, and the share by which an error may exceed those that the programme knows
+EXCHANGES, LEVELLED = 12, 1e-8  # rounds, and the share by which an error may exceed those that the programme knows
+APART = 1e-4  # rad; nearer than that two positions are one
 LEVEL = 0.99  # share of the largest error that counts as reaching it
 FLAT = 1e-7  # least curvature, for an objective scaled to 1, that singles out one design
 PEOPLE = {"length": (1e3, "mm"), "angle": (math.degrees(1.0), "deg")}
@@ -48,15 +49,6 @@ def people(name: str, value: float) -> tuple[float, str]:
     """A quantity of a design in the unit that people read: mm or deg."""
     factor, unit = PEOPLE["angle" if name in ("phi0", "psi0") else "length"]
     return value * factor, unit
-
-
-@dataclass(frozen=True)
-class Optimum:
-    """A distinct optimum of a search from many starts: design [SI], objective, number of starts that ended there."""
-
-    design: Mapping[str, float]
-    objective: float
-    count: int
 
 
 @dataclass(frozen=True)
@@ -95,7 +87,7 @@ class Result:
     @property
     def valid(self) -> bool:
         """Whether the design is proven (and found to be an optimum, if one was searched)."""
-        return self.status in (Status.OPTIMAL, Status.NOT_SEARCHED) and self.validation.valid
+        return proven(self.status, self.validation)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -123,90 +115,71 @@ class Result:
 
     @property
     def alternations(self) -> int:
-        """How many times in a row the error reaches its largest size with the other sign, along the span.
+        """How many times in a row the error (with what tolerances add to it) reaches its largest size with the other sign.
 
         A minimax optimum of k free quantities has k + 1 of them where no limit holds it.
         """
         begin, end = self.problem.spec.law.offsets[[0, -1]]
-        error = self.error(np.linspace(begin, end, ALONG))
+        error = _judged(self.problem.spec)(self.design, np.linspace(begin, end, ALONG))
         peaks = error[np.abs(error) >= LEVEL * np.max(np.abs(error))]
         return 1 + int(np.sum(np.diff(np.sign(peaks)) != 0.0)) if len(peaks) else 0
 
     @property
     def measure(self) -> str:
-        """Name of the objective's measure."""
-        return self.problem.spec.requirement.measure
+        """Name of the objective's measure, in words: with what tolerances add to it, if they count."""
+        task = self.problem.spec.requirement
+        return task.measure if task.robust is None else task.robust.named(task.measure)
 
     @property
     def unit(self) -> str:
         """Unit of the objective."""
-        return MEASURES[self.measure].unit
+        return MEASURES[self.problem.spec.requirement.measure].unit
 
     def to_dict(self) -> dict[str, Any]:
         """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
-        document: dict[str, Any] = {
-            "schema": SCHEMA,
-            "optlink": VERSION,
-            "problem": self.problem.name,
-            "title": self.problem.spec.title,
-            "problem_hash": self.problem.hash,
-            "status": self.status.value,
-            "message": self.status.text,
-            "valid": self.valid,
-            "notes": list(self.notes),
-            "backend": self.backend,
+        document = heading(SCHEMA, self) | {
             "design": _design(self.design),
             "objective": {
                 "value": self.objective,
                 "unit": self.unit,
-                "measure": self.measure,
+                "measure": self.problem.spec.requirement.measure,
                 "rms_deg": math.degrees(MEASURES["rms"].of(self.error())),
                 "largest_deg": math.degrees(MEASURES["max"].of(self.error())),
             },
-            "limits": [vars(limit) | {} for limit in self.solution.limits] if self.solution else [],
-            "validation": [vars(check) | {} for check in self.validation.checks],
-            "iterations": self.solution.iterations if self.solution else 0,
-            "seconds": self.seconds,
-            "seed": self.seed,
-            "starts": self.starts,
         }
-        if self.solution:
-            document |= {
-                "kkt": self.solution.kkt,
-                "violation": self.solution.violation,
-                "curvature": self.solution.curvature,
-            }
-        if self.backends:
-            document["backends"] = {name: self._solution(solution) for name, solution in self.backends.items()}
+        document |= proof(self, lambda design: _design(self.problem.spec.design(design)))
         if self.first is not None:
             document["first_step"] = vars(self.first) | {"gap": self.first.gap}
         if self.problem.spec.requirement.measure == "max":
             document["objective"]["alternations"] = self.alternations
-        if self.optima:
-            document["optima"] = [{"design": _design(o.design), "objective": o.objective, "count": o.count} for o in self.optima]
-        if self.conflict:
-            document["conflict"] = [vars(item) | {} for item in self.conflict]
-            document["relax_together"] = [vars(item) | {} for item in self.together]
+        robust = self.problem.spec.requirement.robust
+        if robust is not None:
+            counted = {d.name: d.tolerance for d in self.problem.spec.deviations}
+            document["objective"] |= {"robust": robust.text, "tolerances_SI": counted}
         return finite(document)  # type: ignore[no-any-return]
-
-    def _solution(self, solution: Solution) -> dict[str, Any]:
-        return {
-            "status": solution.status.value,
-            "design": _design(self.problem.spec.design(solution.design)),
-            "objective": solution.objective,
-            "iterations": solution.iterations,
-            "kkt": solution.kkt,
-            "violation": solution.violation,
-            "message": solution.message,
-        }
 
 
 def _error(problem: DesignProblem, design: Mapping[str, float], offsets: Start) -> Start:
     """Wanted minus generated rocker angle [rad], in (-pi, pi], at crank rotations [rad] from the start."""
     wanted = problem.law.curve(offsets, design["phi0"], design["psi0"])
-    motion = sweep(problem.linkage, {name: design[name] for name in LENGTHS}, design["phi0"] + offsets)
+    motion = sweep(problem.linkage, problem.sizes(design), design["phi0"] + offsets)
     angle = np.asarray(motion.body_angle("rocker").value, dtype=float)
     return np.asarray(np.remainder(wanted - angle + np.pi, 2.0 * np.pi) - np.pi, dtype=float)
+
+
+def _judged(problem: DesignProblem) -> Callable[[Mapping[str, float], Start], Start]:
+    """Function of a design and crank rotations: the error, larger by what tolerances add to its size if they count [rad]."""
+    if problem.requirement.robust is None or problem.requirement.measure != "max":
+        return lambda design, offsets: _error(problem, design, offsets)
+    from optlink.design.slopes import Judge
+
+    judge = Judge(problem)
+
+    def judged(design: Mapping[str, float], offsets: Start) -> Start:
+        lower, upper = judge.band(design, offsets)
+        return np.where(np.abs(upper) >= np.abs(lower), upper, lower)
+
+    return judged
 
 
 def _design(design: Mapping[str, float]) -> dict[str, float]:
@@ -221,6 +194,7 @@ def solve(
     progress: Callable[[int], None] | None = None,
     *,
     track: bool = False,
+    begin: Mapping[str, float] | None = None,
 ) -> Result:
     """Find the design and prove it.
 
@@ -238,6 +212,8 @@ def solve(
     progress : function of the number of starts done, optional
     track : bool
         Keep the iterates of the first search.
+    begin : mapping of free quantities [SI], optional
+        Search from this design alone.
 
     Raises
     ------
@@ -257,7 +233,7 @@ def solve(
         example = 'Free one: coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
         raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
     if problem.spec.mechanism.assembly == EITHER:
-        return _either(problem, backend, starts, seed, progress, track=track)
+        return _either(problem, backend, starts, seed, progress, track=track, begin=begin)
     names = search.BACKENDS if backend == "both" else (backend,)
     for name in names:
         search.backend(name)  # imports are nobody's solving time
@@ -265,8 +241,8 @@ def solve(
     nlp = build(problem.spec)
     for name in names:
         search.prepare(nlp, name)
-    first, begin = _begin(problem.spec, nlp, starts, seed)
-    starts = len(begin)
+    first, points = _begin(problem.spec, nlp, starts, seed) if begin is None else (None, [nlp.x_of(dict(begin))])
+    starts = len(points)
     clock.append(time.perf_counter())
     done = 0
 
@@ -278,9 +254,9 @@ def solve(
 
     runs: dict[str, list[Solution]] = {}
     for name in names:
-        runs[name] = search.multistart(nlp, name, begin, advance, track=track)
-        begin = begin[: len(runs[name])]  # fewer if interrupted; the other back end then searches from as many
-    starts = len(begin)
+        runs[name] = search.multistart(nlp, name, points, advance, track=track)
+        points = points[: len(runs[name])]  # fewer if interrupted; the other back end then searches from as many
+    starts = len(points)
     found = {name: search.best(run) for name, run in runs.items()}
     conflict: tuple[Relaxed, ...] = ()
     together: tuple[Relaxed, ...] = ()
@@ -304,7 +280,7 @@ def solve(
     clock.append(time.perf_counter())
     design = problem.spec.design(winner.design)
     proof = prove(problem.spec, design, winner.objective)
-    checks = (*proof.checks, *_optimality(winner))
+    checks = (*proof.checks, *optimality(winner))
     if len(found) > 1:
         checks += _agreement(search.compare(*found.values()))
     clock.append(time.perf_counter())
@@ -329,29 +305,43 @@ def solve(
 
 
 def _level(problem: DesignProblem, nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:
-    """Put the largest errors between the design positions into the programme until none exceeds those it knows (E. Remez)."""
-    from optlink.design.nlp import ROAMING
+    """Put the largest errors between the design positions into the programme until none exceeds those it knows (E. Remez).
+
+    Those of earlier rounds stay as long as there is room: where the error is flat, two designs would exceed each other's in turn.
+    """
     from optlink.linkage.refine import extremes
     from optlink.solvers import search
 
-    grid = np.sort(np.linspace(0.0, problem.span, ALONG))
+    grid, judged = np.sort(np.linspace(0.0, problem.span, ALONG)), _judged(problem)
+    known: list[float] = []
+    ends = [0.0, problem.span]  # are positions already
     for _ in range(EXCHANGES):
         winner = search.best(list(found.values()))
         if not winner.usable:
             break
         design = problem.design(winner.design)
 
-        size = np.abs(_error(problem, design, grid))
+        size = np.abs(judged(design, grid))
         peaks = np.flatnonzero((size >= np.append(size[1:], 0.0)) & (size >= np.insert(size[:-1], 0, 0.0)))
-        peaks = peaks[np.argsort(-size[peaks])][:ROAMING]
+        peaks = peaks[np.argsort(-size[peaks])][: nlp.roaming]
         near = [np.linspace(grid[max(int(k) - 1, 0)], grid[min(int(k) + 1, ALONG - 1)], 9) for k in peaks]
-        exact = [extremes(lambda at: np.abs(_error(problem, design, at))[None, :], brackets) for brackets in near]  # noqa: B023
+        exact = [extremes(lambda at: np.abs(judged(design, at))[None, :], brackets) for brackets in near]  # noqa: B023
         largest = max(float(values[0, 1]) for _, values in exact)
         if largest <= winner.objective * (1.0 + LEVELLED) + 1e-12:
             break
-        nlp.roam(np.array([float(angles[0, 1]) for angles, _ in exact]))
+        new = [at for at in (float(angles[0, 1]) for angles, _ in exact) if _apart(at, ends)]
+        if not new:
+            break
+        known = [at for at in sorted(known, key=lambda at: -(judged(design, np.array([at]))[0] ** 2)) if _apart(at, new)]
+        known = (new + known)[: nlp.roaming]
+        nlp.roam(np.array(known))
         found = {name: search.solve_from(nlp, solution.x, name) for name, solution in found.items()}
     return found
+
+
+def _apart(at: float, others: list[float]) -> bool:
+    """Whether a position [rad] says something that none of the others does."""
+    return min((abs(at - other) for other in others), default=math.inf) > APART
 
 
 def _begin(problem: DesignProblem, nlp: NLP, starts: int | None, seed: int) -> tuple[FirstStep | None, list[Start]]:
@@ -374,18 +364,12 @@ def _either(
     progress: Callable[[int], None] | None,
     *,
     track: bool,
+    begin: Mapping[str, float] | None,
 ) -> Result:
     """The better one of both assembly modes."""
     variants = [problem.override(change) for change in problem.model.mechanism.variants(problem.model.linkage)]
-    found = [solve(variant, backend, starts, seed, progress, track=track) for variant in variants]
+    found = [solve(variant, backend, starts, seed, progress, track=track, begin=begin) for variant in variants]
     return min(found, key=lambda result: (not result.valid, result.objective))
-
-
-def _optimality(solution: Solution) -> tuple[Check, ...]:
-    return (
-        Check("all limits met (scaled)", solution.violation <= FEASIBLE, solution.violation, f"<= {FEASIBLE:.0e}", ""),
-        Check("optimality (KKT residual)", solution.status is Status.OPTIMAL, solution.kkt, f"<= {STATIONARY:.0e}", ""),
-    )
 
 
 def _agreement(agreement: Agreement) -> tuple[Check, ...]:

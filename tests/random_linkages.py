@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 import optlink
-from optlink.generation import Design, generate
+from optlink.generated import Design
+from optlink.generation import generate
 from optlink.linkage.fourbar import LENGTHS
 from tests import synthesis_oracle as oracle
+from tests.stated import ANGLE, document, four_bar_section, free
 from tests.synthesis_oracle import TURN
-from tests.test_synthesis import ANGLE, document, four_bar_section, free
 
 Array = np.ndarray
 Raw = dict[str, Any]
@@ -38,6 +39,11 @@ def four_bar_of(design: Design) -> dict[str, float]:
     along, across = 1e3 * values["P.along"], 1e3 * values["P.across"]
     place = {"x": x, "y": y, "direction": values.get("direction", 0.0)}
     return oracle.four_bar(*lengths, **place, along=along, across=across, mode=design.task.side)
+
+
+def judged(design: Design, wanted: Array, *, closed: bool = False, timed: Array | None = None) -> oracle.Report:
+    """The oracle's report of a path design; `wanted` (points, 2) in mm."""
+    return oracle.judge_path(four_bar_of(design), wanted, design.crank_angles, closed=closed, timed=timed)
 
 
 # --- round trips: a linkage's own curve ------------------------------------------------------------------------------------
@@ -118,8 +124,7 @@ def recover(trip: RoundTrip, designs: int = 3) -> Recovery:
     miss = math.inf
     for rank, design in enumerate(found.designs):
         timed = None if trip.timing.startswith("free") else trip.crank
-        linkage = four_bar_of(design)
-        report = oracle.judge_path(linkage, trip.points, design.crank_angles, closed=timed is None, timed=timed)
+        report = judged(design, trip.points, closed=timed is None, timed=timed)
         faults += [f"design {rank}: {name}" for name in defects(report, turning=True)]
         if timed is not None and report.timing > 1e-9:
             faults.append(f"design {rank}: timing is off by {report.timing:.2e} rad")
@@ -244,7 +249,7 @@ def faults_of(design: Design, task: RandomTask) -> list[str]:
 
 def _report(design: Design, task: RandomTask, linkage: oracle.Design) -> oracle.Report:
     if task.wanted.shape[1] == 2:
-        return oracle.judge_path(linkage, task.wanted, design.crank_angles, closed=task.closed, timed=task.crank)
+        return judged(design, task.wanted, closed=task.closed, timed=task.crank)
     mark = design.values["mark"]
     return oracle.judge_motion(
         linkage, task.wanted, design.crank_angles, mark, weight=task.size, closed=task.closed, timed=task.crank

@@ -15,7 +15,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from optlink.cli import app
-from tests.test_synthesis import SLIDER_CRANK, SPOTS, document, four_bar_section, free
+from tests.stated import SLIDER_CRANK, SPOTS, document, four_bar_section, free
 
 Raw = dict[str, Any]
 

@@ -915,3 +915,59 @@ def test_expected_objectives_of_the_shipped_problems():
         expected = file.model.expected
         assert expected.objective is not None
         assert optlink.balance(file).objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
+
+
+# --- the lightest of many that are as good ---------------------------------------------------------------------------------
+
+
+def test_masses_along_a_trade_off_are_those_of_the_lightest_and_change_smoothly():
+    """Neither measure tells the mass of a disc on the pivot: among all that are as good the lightest is taken, at every point."""
+    result = optlink.balance(optlink.load("balance-six-bar"), trade="force,torque", points=25)
+    assert result.trade is not None
+    whole = np.array([sum(point.masses.values()) for point in result.trade.points])
+    assert np.all(np.abs(np.diff(whole, 2)) < 2.0)  # a single heavier one stands out by several kilograms
+    assert np.min(whole) < 21.0
+    crank = np.array([point.masses.get("crank", 0.0) for point in result.trade.points])
+    assert np.all(np.diff(crank) > 0.0)
+    assert max(point.gap for point in result.trade.points) < 1e-7
+
+
+# --- a given design --------------------------------------------------------------------------------------------------------
+
+
+def test_a_given_design_is_balanced_in_place_of_the_start():
+    free = four_bar().override({"mechanism.coupler": {"start": "140 mm", "bounds": ["100 mm", "200 mm"]}})
+    given = {"coupler": 0.1524}
+    one = optlink.balance(free, design=given)
+    other = optlink.balance(four_bar().override({"mechanism.coupler": "152.4 mm"}))
+    start = optlink.balance(free)
+    assert one.objective == pytest.approx(other.objective, rel=1e-9)
+    assert abs(start.objective / one.objective - 1.0) > 1e-3
+    assert any("start values" in note for note in start.notes)
+    assert not any("start values" in note for note in one.notes)
+    assert one.balanced is not None
+    assert one.balanced.model.free == ()
+
+
+def test_a_given_design_at_the_command_line(tmp_path):
+    import json
+    import subprocess
+    import sys
+
+    free = 'mechanism.coupler={ start = "140 mm", bounds = ["100 mm", "200 mm"] }'
+    command = [sys.executable, "-m", "optlink", "balance", "balance-four-bar", "--set", free, "--json"]
+
+    def run(*more: str) -> tuple[int, str, str]:
+        done = subprocess.run([*command, *more], capture_output=True, text=True, check=False, timeout=120)
+        return done.returncode, done.stdout, done.stderr
+
+    code, out, _ = run("--design", "coupler=152.4 mm")
+    assert code == 0
+    (tmp_path / "result.json").write_text(json.dumps({"design": {"coupler_mm": 152.4}}))
+    again, same, _ = run("--design", str(tmp_path / "result.json"))
+    assert again == 0
+    assert json.loads(out)["objective"] == json.loads(same)["objective"]
+    code, _, err = run("--design", "copler=152.4 mm")
+    assert code == 2
+    assert "coupler" in err
+    assert "Traceback" not in err

@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import optlink
 from optlink.cli import app
+from optlink.errors import Fault
 
 ROOT = Path(__file__).parent.parent
 
@@ -244,6 +246,52 @@ def test_show_as_toml_is_the_beginning_of_one_s_own_problem(tmp_path):
     assert json.loads(done.stdout)["problem"] == "mine"
 
 
+GAPPED = ("simulate", "crank-rocker-clearance")
+COMPARED = (*GAPPED, "--control", "compare", "--revolutions", "1", "--starts", "1")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option", "words"),
+    [
+        ((*COMPARED, "--csv", "a.csv"), "--csv", "has no use for it"),
+        ((*COMPARED, "--flywheel", "0.1 kg*m^2"), "--flywheel", "has no use for it"),
+        ((*COMPARED, "--resume", "--out", "a"), "--resume", "has no use for it"),
+        ((*GAPPED, "--starts", "3"), "--starts", "--control compare"),
+        ((*GAPPED, "--seed", "0"), "--seed", "--control compare"),
+        ((*GAPPED, "--ideal", "--tolerance", "1e-6"), "--tolerance", "joints count as ideal"),
+        ((*GAPPED, "--ideal", "--resume"), "--resume", "joints count as ideal"),
+        (("simulate", "six-bar", "--tolerance", "1e-6"), "--tolerance", "no joint has clearance"),
+        (("simulate", "six-bar", "--control", "compare"), "--control", "no joint has clearance"),
+        (("simulate", "six-bar", "--seed", "3"), "--seed", "Leave it out"),
+        (("report", "result.json", "-o", "a.html", "--starts", "3"), "--starts", "has its design already"),
+        (("solve", "crank-rocker", "--designs", "2"), "--designs", "several designs"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_refused(tmp_path, monkeypatch, arguments, option, words):
+    monkeypatch.chdir(tmp_path)
+    done = run(*arguments)
+    assert done.exit_code == 2
+    assert option in done.stderr
+    assert words in " ".join(done.stderr.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_comparison_takes_its_tolerance_and_its_points(monkeypatch):
+    """What is given reaches the library; what is not is left to it."""
+    taken = []
+
+    def compare(*arguments, **options):
+        taken.append((arguments[1:], {key: value for key, value in options.items() if key != "progress"}))
+        raise optlink.InputError(Fault("enough", "Stop"))
+
+    monkeypatch.setattr("optlink.compensation.compare", compare)
+    assert run(*COMPARED, "--tolerance", "1e-5", "--points", "60", "--seed", "4").exit_code == 2
+    assert run(*GAPPED, "--control", "compare").exit_code == 2
+    common = {"speed": None, "design": None}
+    assert taken[0] == ((1,), {**common, "starts": 1, "tolerance": 1e-5, "points": 60, "seed": 4})
+    assert taken[1] == ((20,), common)
+
+
 def test_json_is_repeatable():
     first, second = (json.loads(run("solve", "crank-rocker", "--starts", "6", "--seed", "5", "--json").stdout) for _ in "ab")
     del first["seconds"], second["seconds"]
@@ -261,5 +309,6 @@ def test_launcher_in_a_checkout():
 def test_help_and_version():
     assert "Commands" in run("--help").stdout
     assert run("--version").stdout.startswith("optlink ")
-    for command in ("list", "show", "solve", "validate"):
+    for command in ("list", "show", "solve", "validate", "analyze", "balance", "simulate", "report", "export", "study"):
         assert run(command, "--help").exit_code == 0
+        assert command in run("--help").stdout

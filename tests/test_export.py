@@ -6,6 +6,8 @@ import csv
 import errno
 import json
 import math
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,8 +17,12 @@ import pytest
 from ezdxf.document import Drawing
 
 import optlink
+from optlink.design.linkages import sizes_of
+from optlink.design.settled import settled
+from optlink.dynamics.record import slider_names
+from optlink.generation import variants_of
 from optlink.report import dxf
-from optlink.report.export import Options, export, geometry
+from optlink.report.export import FORMATS, Options, export, geometry
 from optlink.report.scene import scene
 from optlink.report.subject import Subject, answered, subject_of
 from tests.test_cli import run
@@ -68,6 +74,19 @@ def written(about: Subject, path: Path, **options) -> Drawing:
     return ezdxf.readfile(path)
 
 
+def machine_as_stated(name: str) -> Subject:
+    """The machine of a shipped problem with its values and starts; of modes that are open, the first that closes."""
+    file = optlink.load(name)
+    for variant in variants_of(file):
+        settled_ = settled(variant, sizes_of(variant.model.mechanism.quantities))
+        try:
+            cycle = optlink.analyze(settled_)
+        except optlink.InputError:
+            continue
+        return Subject(settled_, cycle, cycle)
+    pytest.skip("its start cannot be assembled: only a search finds its sizes")
+
+
 # --- DXF ---------------------------------------------------------------------------------------------------------------------
 
 
@@ -84,6 +103,47 @@ def test_links_of_a_dxf_have_their_lengths(machine, tmp_path):
             assert min(abs(distance - length) for distance in distances) <= 1e-9
             compared += 1
     assert compared >= (0 if machine.problem.name == "scotch-yoke" else 1)
+
+
+@pytest.mark.parametrize("name", optlink.shipped())
+def test_every_shipped_machine_is_read_back_from_its_dxf(name, tmp_path):
+    """Links, pivots and slots of all shipped problems, against the sizes that the problem states."""
+    about = machine_as_stated(name)
+    drawing = written(about, tmp_path / "a.dxf", at=math.radians(float(about.cycle["crank_angle_deg"][1])))
+    assert drawing.audit().errors == []
+    machine = about.cycle.machine
+    mechanism, sizes = machine.mechanism, {key: 1e3 * float(np.asarray(value)) for key, value in machine.sizes.items()}
+    tolerance = 1e-9 * max(1.0, max(scene(about.cycle).box[2:]) / 1000.0)
+    compared = 0
+    for link in mechanism.links:
+        if isinstance(link.length, str) and {link.start, link.end} <= mechanism.pins.keys():
+            centres = holes(drawing.blocks[f"LINK {link.body}"])
+            distances = [float(np.linalg.norm(a - b)) for a in centres for b in centres]
+            assert min(abs(distance - sizes[link.length]) for distance in distances) <= tolerance, link.body
+            compared += 1
+    pivots = [point for point in mechanism.ground if point in mechanism.pins and f"{point}.x" in sizes]
+    ground = holes(drawing.blocks["FRAME"])
+    for point in pivots:
+        place = np.array([sizes[f"{point}.x"], sizes[f"{point}.y"]])
+        assert min(float(np.linalg.norm(place - hole)) for hole in ground) <= tolerance, point
+        compared += 1
+    for guide in mechanism.guides:
+        slider = slider_names(machine)[guide.name]
+        stroke = np.ptp(about.cycle[f"{slider}.s_m"][np.isfinite(about.cycle[f"{slider}.s_m"])]) * 1e3
+        block = drawing.blocks["FRAME" if guide.on == "frame" else f"LINK {guide.on}"]
+        if guide.on == "frame":
+            lengths = [float(np.linalg.norm(np.array(one.dxf.end) - np.array(one.dxf.start))) for one in block.query("LINE")]
+        else:
+            corners = [np.array(line.get_points("xy")) for line in block.query("LWPOLYLINE")]
+            lengths = [float(np.linalg.norm(one[1] - one[2])) for one in corners if len(one) == 4]
+        # at the rows of the table the stroke is at most that between the exact dead centres
+        assert any(stroke - tolerance <= length <= stroke * (1 + 1e-3) + 1e-6 for length in lengths), (
+            guide.name,
+            stroke,
+            lengths,
+        )
+        compared += 1
+    assert compared >= 1
 
 
 def test_a_dxf_of_the_solved_crank_rocker(crank_rocker_subject, tmp_path):
@@ -254,7 +314,7 @@ def test_every_format_by_the_command(tmp_path, ending):
         (("-o", "a.dxf", "--hole", "0 mm"), "positive"),
         (("-o", "a.dxf", "--hole", "8 mm", "--width", "5 mm"), "narrower than its holes"),
         (("-o", "a.csv", "--points", "0"), "out of range"),
-        (("-o", "a.dxf", "--backend", "magic"), "unknown back end"),
+        (("-o", "a.dxf", "--backend", "magic"), "magic"),
         (("-o", "a.dxf", "--problem", "six-bar"), "only a RESULT"),
     ],
 )
@@ -320,6 +380,104 @@ def test_a_full_disk_leaves_nothing_behind(tmp_path, monkeypatch, crank_rocker_s
         export(crank_rocker_subject, path)
     assert left_behind(tmp_path) == ["a.dxf"]
     assert path.read_text() == "as it was"
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+from optlink.cli import app
+app(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize("ending", [*FORMATS, ".html"])
+def test_a_file_that_may_not_grow_leaves_the_former_one(tmp_path, ending):
+    """A limit of the system on the size of files, met in the middle of the writing, in a process of its own."""
+    pytest.importorskip("resource", reason="this system has no such limits")
+    path = tmp_path / f"a{ending}"
+    path.write_text("as it was")
+    command = ["report" if ending == ".html" else "export", "shaper", "-o", str(path)]
+    done = subprocess.run([sys.executable, "-c", LIMITED, *command], capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "cannot write the file: File too large" in done.stderr
+    assert left_behind(tmp_path) == [path.name]
+    assert path.read_text() == "as it was"
+
+
+@pytest.mark.parametrize("ending", [".svg", ".csv", ".json", ".html"])
+def test_a_full_disk_leaves_the_former_file(tmp_path, monkeypatch, ending):
+    """Every way of writing, with a disk that is full after the first letters."""
+    path = tmp_path / f"a{ending}"
+    path.write_text("as it was")
+    opened = Path.open
+
+    def full(self, *arguments, **keywords):
+        if self.name.startswith(".a-"):
+            with opened(self, "w") as file:
+                file.write("half")
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return opened(self, *arguments, **keywords)
+
+    monkeypatch.setattr(Path, "open", full)
+    done = run("report" if ending == ".html" else "export", "shaper", "-o", str(path))
+    monkeypatch.undo()
+    assert done.exit_code == 2
+    assert "No space left on device" in done.stderr
+    assert left_behind(tmp_path) == [path.name]
+    assert path.read_text() == "as it was"
+
+
+def test_a_disk_that_is_full_before_the_first_letter(tmp_path, monkeypatch):
+    """Not even the temporary file can be made; and long names leave room for it."""
+    import tempfile
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    path = tmp_path / f"{'a' * 245}.svg"
+    assert run("export", "shaper", "-o", str(path)).exit_code == 0
+    before = path.read_bytes()
+    monkeypatch.setattr(tempfile, "mkstemp", full)
+    done = run("export", "shaper", "-o", str(path), "--at", "40 deg")
+    assert done.exit_code == 2
+    assert "No space left on device" in done.stderr
+    assert path.read_bytes() == before
+    assert left_behind(tmp_path) == [path.name]
+
+
+def test_a_subject_with_a_name_that_no_system_takes(tmp_path):
+    for command, ending in {"export": "dxf", "report": "html"}.items():
+        done = run(command, "a" * 300, "-o", str(tmp_path / f"a.{ending}"))
+        assert done.exit_code == 2
+        assert "no such problem" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["export", "report"])
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_place_that_cannot_be_written_to_is_named_before_any_work(tmp_path, monkeypatch, command, as_json):
+    """A folder that is none, a file in place of one, a folder in place of a file, an ending that nobody knows."""
+    monkeypatch.chdir(tmp_path)
+    ending = ".html" if command == "report" else ".dxf"
+    (tmp_path / f"folder{ending}").mkdir()
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setattr("optlink.report.subject.answered", None)  # whatever is solved would break down
+    for name, words in {
+        f"nowhere/a{ending}": "there is no folder",
+        f"file/a{ending}": "there is no folder",
+        f"folder{ending}": "this is a folder",
+        "a.xyz": "no ending that can be written",
+        "a": "the name has no ending",
+        f"{'a' * 300}{ending}": "the name is too long",
+        f"/proc/a{ending}": "cannot write there",
+    }.items():
+        done = run(command, "crank-rocker", "-o", name, *(["--json"] if as_json else []))
+        assert done.exit_code == 2, name
+        assert words in " ".join(done.stderr.split()), (name, done.stderr)
+        assert "Traceback" not in done.stderr
+        if as_json:
+            assert [fault["key"] for fault in json.loads(done.stdout)["faults"]] == ["-o"]
+    assert left_behind(tmp_path) == ["file", f"folder{ending}"]
 
 
 def test_no_permission(tmp_path, monkeypatch):

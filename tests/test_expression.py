@@ -365,6 +365,18 @@ def test_message_for_an_unknown_name_lists_the_known_ones():
     with pytest.raises(LawError) as caught:
         parse("psi0 + ph0", NAMES)
     assert all(name in caught.value.remedy for name in (*NAMES, *CONSTANTS, *FUNCTIONS))
+    assert 'Did you mean "phi0"?' in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["psi0 + |x*2", "|x", "2*(phi +\t|x)", "phi |phi0", "1 + |$", "|sin", "|sin phi", "sin(|)", "1 + |(phi*2", "1 + |1e999"],
+)
+def test_message_says_the_column(text):
+    """The bar marks where the culprit begins; columns count from 1."""
+    column = text.index("|") + 1
+    with pytest.raises(LawError, match=rf"\(column {column}\)"):
+        parse(text.replace("|", ""), NAMES)
 
 
 def test_limits_of_length_and_depth_are_those_that_are_named():

@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.generation import Design, generate
+from optlink.generation import generate
+from optlink.linkage.fourbar import LENGTHS
 from optlink.report.paths import write_all
 from optlink.solvers.search import solve_from
 from tests import synthesis_oracle as oracle
+from tests.random_linkages import judged
+from tests.stated import SLIDER_CRANK, document, four_bar_section, free
 
 VLINE = [(20, 20), (20, 25), (20, 30), (20, 35), (20, 40), (20, 45)]
 ARC = [(3, 3), (2.759, 3.363), (2.372, 3.663), (1.89, 3.862), (1.355, 3.943)]
@@ -30,39 +33,21 @@ ELLIPSE = [
 ]
 
 
-def problem(points, crank=None, timing=None, lengths=(0.02, 50.0), far=50.0, *, fixed=False, **requirement):
-    """A four-bar path problem in mm and deg."""
-    length = {"bounds": [f"{lengths[0]} mm", f"{lengths[1]} mm"]}
-    place = {"bounds": [f"{-far} mm", f"{far} mm"]}
-    mechanism = {"type": "four-bar", **dict.fromkeys(("crank", "coupler", "rocker", "frame"), length), "assembly": "either"}
-    mechanism |= {"points": {"P": [place, place]}, "pivot": ["0 mm", "0 mm"] if fixed else [place, place]}
-    if not fixed:
-        mechanism["direction"] = {"bounds": ["-180 deg", "180 deg"]}
-    rows = [{"x": f"{x!r} mm", "y": f"{y!r} mm"} for x, y in points]
-    for row, angle in zip(rows, [] if crank is None else crank, strict=crank is not None):
-        row["crank"] = f"{angle!r} deg"
-    task = {"kind": "path", "points": rows, **requirement}
-    if timing:
-        task["timing"] = timing
-    return {"title": "a path", "mechanism": mechanism, "requirement": task, "limits": {"link_ratio": [0.05, 20.0]}}
-
-
-def judged(design: Design, closed=False):
-    """The oracle's report of a design."""
-    values = design.values
-    lengths = [values[name] for name in ("frame", "crank", "coupler", "rocker")]
-    place = {"x": values["A.x"], "y": values["A.y"], "direction": values["direction"]}
-    point = {"along": values["P.along"], "across": values["P.across"]}
-    plain = oracle.four_bar(*lengths, **place, **point, mode=design.task.side)
-    return oracle.judge_path(plain, design.task.data.columns[:, :2], design.crank_angles, closed=closed)
+def path(points, crank=None, lengths=(0.02, 50.0), far=50.0, *, fixed=False, **requirement):
+    """A four-bar path problem in mm and deg; `fixed`: its crank pivot in the origin, its frame along x."""
+    place = free(-far, far)
+    where = {"pivot": ["0 mm", "0 mm"], "direction": None} if fixed else {"pivot": [place, place]}
+    section = four_bar_section("either", **dict.fromkeys(LENGTHS, free(*lengths)), points={"P": [place, place]}, **where)
+    angles = None if crank is None else np.radians(crank)
+    return document(section, np.array(points), {"link_ratio": [0.05, 20.0]}, crank=angles, **requirement)
 
 
 CASES = {
-    "vline6": (problem(VLINE, lengths=(0.05, 60.0), far=60.0), 1e-20),
-    "arc5": (problem(ARC, [30, 45, 60, 75, 90], lengths=(0.1, 20.0), far=20.0, fixed=True), 7.41575131e-7),
-    "closed18": (problem(CLOSED, [20 * k for k in range(18)], "from start"), 0.0090288847),
-    "closed18, untimed": (problem(CLOSED, closed=True), 0.0030072),
-    "ellipse10": (problem(ELLIPSE, lengths=(5.0, 80.0), far=80.0), 4.0199206e-4),
+    "vline6": (path(VLINE, lengths=(0.05, 60.0), far=60.0), 1e-20),
+    "arc5": (path(ARC, [30, 45, 60, 75, 90], lengths=(0.1, 20.0), far=20.0, fixed=True), 7.41575131e-7),
+    "closed18": (path(CLOSED, [20 * k for k in range(18)], timing="from start"), 0.0090288847),
+    "closed18, untimed": (path(CLOSED, closed=True), 0.0030072),
+    "ellipse10": (path(ELLIPSE, lengths=(5.0, 80.0), far=80.0), 4.0199206e-4),
 }
 
 
@@ -73,10 +58,9 @@ def test_best_known_value_is_reached(name):
     assert result.valid
     assert result.objective * 1e6 <= best * (1.0 + 1e-6)
     for design in result.designs:
-        if "direction" in design.values:
-            report = judged(design)
-            assert report.free
-            np.testing.assert_allclose(report.sse, design.objective, rtol=1e-6, atol=1e-26)
+        report = judged(design, 1e3 * design.task.data.columns)
+        assert report.free
+        np.testing.assert_allclose(report.sse, 1e6 * design.objective, rtol=1e-6, atol=1e-20)
 
 
 @pytest.mark.parametrize("count", [5, 9, 18])
@@ -88,17 +72,16 @@ def test_round_trip(count, timed, size):
         rng = np.random.default_rng(seed)
         plain = oracle.random_crank_rocker(rng)
         crank = rng.uniform(0.0, 2.0 * math.pi) + np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
-        path = oracle.curve(plain, crank)[0] * size
-        points = list(zip(path.real.tolist(), path.imag.tolist(), strict=True))
-        angles = np.degrees(crank - crank[0]).tolist() if timed else None
-        extra = {} if timed else {"closed": True}
+        points = oracle.planted_path(plain, crank) * size
+        angles = np.degrees(crank - crank[0]) if timed else None
+        extra = {"timing": "from start"} if timed else {"closed": True}
         bounds = {"lengths": (0.1 * size, 5000.0 * size), "far": 5000.0 * size}
-        result = generate(optlink.read(problem(points, angles, "from start" if timed else None, **bounds, **extra)))
+        result = generate(optlink.read(path(points, angles, **bounds, **extra)))
         assert result.valid
         best = result.best
-        spread = np.ptp(np.array(points), axis=0).max() * 1e-3
+        spread = np.ptp(points, axis=0).max() * 1e-3
         assert np.max(best.measured.distances) <= 1e-8 * spread
-        assert judged(best, closed=not timed).free
+        assert judged(best, points, closed=not timed).free
 
 
 FUNCTIONS = {
@@ -163,12 +146,31 @@ def test_same_seed_same_answer_and_files(tmp_path):
 )
 def test_bad_input_is_named(points, changes, words):
     with pytest.raises(optlink.InputError) as caught:
-        optlink.read(problem(points)).override(changes)
+        optlink.read(path(points)).override(changes)
     assert words in str(caught.value)
 
 
+KEYS = {
+    ("path", "limits"): "crank transmission_angle transmission_cosine transmission_over swing_angle time_ratio frame_length "
+    "link_ratio pivots",
+    ("slider", "limits"): "crank transmission_angle transmission_over pivots",
+    ("path", "requirement"): "kind point points timing start rotation closed measure",
+    ("slider", "requirement"): "kind point points timing start rotation closed measure",
+}
+
+
+@pytest.mark.parametrize(("base", "section"), KEYS)
+def test_an_unknown_key_is_answered_with_those_that_belong_there(base, section):
+    raw = path(VLINE) if base == "path" else document(SLIDER_CRANK)
+    with pytest.raises(optlink.InputError) as caught:
+        optlink.read({**raw, section: {**raw[section], "swing": "20 deg"}})
+    (fault,) = caught.value.faults
+    assert fault.key == f"{section}.swing"
+    assert fault.remedy.partition("Known: ")[2].split(", ") == KEYS[base, section].split()
+
+
 def test_points_out_of_reach_are_a_nearest_miss():
-    raw = problem(VLINE, lengths=(1.0, 3.0), far=5.0)
+    raw = path(VLINE, lengths=(1.0, 3.0), far=5.0)
     result = generate(optlink.read(raw), starts=200)
     assert result.best is None or result.best.objective > 1e-6
 

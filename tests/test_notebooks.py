@@ -21,7 +21,9 @@ FOREIGN = {
     "warning": re.compile(r"\w*Warning\b"),
     "machine path": re.compile(r"(?<![\w.:/])/(?:home|root|work|tmp|usr|opt|var|mnt|Users)/|\b[A-Za-z]:\\\\?\w"),
     "memory address": re.compile(r"\bat 0x[0-9a-f]{6,}"),
+    "words in place of a widget": re.compile(r"\b(?:interactive|\w*Box|\w*Slider|Image|Output)\(\w+="),
 }
+SLIDERS = "application/vnd.jupyter.widget-view+json"
 
 
 def read(path: Path) -> NotebookNode:
@@ -49,6 +51,8 @@ def faults(notebook: NotebookNode) -> Iterator[str]:
             data = {kind: value for kind, value in output.get("data", {}).items() if not kind.startswith("image/")}
             text = "\n".join([output.get("text", ""), *map(str, data.values()), *output.get("traceback", [])])
             yield from (f"{cell.id}: {name}" for name, pattern in FOREIGN.items() if pattern.search(text))
+            if SLIDERS in data and "image/png" not in output.data:
+                yield f"{cell.id}: a widget without a picture for those who cannot show it"
 
 
 @pytest.fixture(autouse=True)
@@ -75,8 +79,24 @@ def test_stored_outputs_are_fit_to_read(path: Path) -> None:
     cells = code_cells(notebook)
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1)), "run it from top to bottom, then save"
     assert list(faults(notebook)) == []
+    live = [cell.id for cell in cells for output in cell.outputs if SLIDERS in output.get("data", {})]
+    assert live == [], "sliders do not outlive their kernel: run it without ipywidgets, then save"
+    assert "widgets" not in notebook.metadata
     words = [cell.source for cell in notebook.cells] + [json.dumps(notebook.metadata)]
     assert not [text for text in words if FOREIGN["machine path"].search(text)]
+
+
+@pytest.mark.parametrize("blocked", [False, True], ids=["with ipywidgets", "without"])
+def test_sliders_where_they_can_be_and_pictures_everywhere(blocked: bool) -> None:
+    if not blocked:
+        pytest.importorskip("ipywidgets")
+    notebook = read(FOLDER / "what_if.ipynb")
+    first = next(k for k, cell in enumerate(notebook.cells) if "= live(" in cell.source)
+    block = 'import sys\n\nsys.modules["ipywidgets"] = None  # as if it were not installed'
+    notebook.cells = [nbformat.v4.new_code_cell(block)] * blocked + notebook.cells[: first + 1]
+    assert list(faults(run(notebook))) == []
+    (shown,) = [output.data for output in notebook.cells[-1].outputs if "image/png" in output.get("data", {})]
+    assert (SLIDERS in shown) is not blocked
 
 
 @pytest.mark.parametrize(
@@ -87,6 +107,7 @@ def test_stored_outputs_are_fit_to_read(path: Path) -> None:
         ("File /home/someone/optlink/x.py", "machine path"),
         (r"C:\Users\someone", "machine path"),
         ("<Figure at 0x7f3a2b1c>", "memory address"),
+        ("interactive(children=(FloatSlider(value=1.0),))", "words in place of a widget"),
     ],
 )
 def test_a_planted_output_is_found(text: str, name: str) -> None:

@@ -6,7 +6,13 @@ import csv
 import itertools
 import json
 import math
+import random
+import signal
+import subprocess
+import sys
+import time
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +22,12 @@ import optlink
 from optlink.cli import app
 from optlink.design.files import ProblemFile, load
 from optlink.errors import InputError
+from optlink.front import ends, knee, undominated
 from optlink.report.fronts import picture
-from optlink.studies import aims
-from optlink.studies.front import ends, knee, undominated
+from optlink.studies import aims, machines, walks
 from optlink.studies.machines import restarted
-from optlink.studies.pareto import Pareto, pareto
+from optlink.studies.pareto import ENDS, Pareto, pareto
+from optlink.studies.sweep import sweep
 from optlink.validation import validate as prove
 
 ANGLE = "limits.transmission_angle.max"
@@ -64,6 +71,7 @@ of = "rod.length"
 stroke = { quantity = "stroke", of = "ram", exactly = "100 mm" }
 """
 LEAST = "least transmission angle at E"
+ROOT = Path(__file__).parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -275,6 +283,45 @@ def test_a_search_begins_where_it_is_told(press):
     assert begun.model.quantities["rod.length"].bounds == press.model.quantities["rod.length"].bounds
 
 
+def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
+    """Every row in people's units, and what peaks are judged by, as if the file had stated the bound."""
+    problem = optlink.load("shaper-design")
+    found = aims.read_aims(problem, "peak torque, guide force in F")
+    one, other = (aims.walked(problem, found, {0: 1.0}, {1: f"{bound} N"}) for bound in (1500.0, 1320.0))
+    made, wanted = machines.Programme(one, "slsqp").nlp, machines.Programme(other, "slsqp").nlp
+    moved = machines.held(made, {"limits.front_2.max": 1320.0})
+
+    def rows(nlp):
+        return [
+            (row.limit, row.label, *(row.scale.people(float(bound)) if math.isfinite(bound) else bound for bound in bounds))
+            for row, *bounds in zip(nlp.rows, nlp.low, nlp.high, strict=True)
+        ]
+
+    for one_row, other_row in zip(rows(moved), rows(wanted), strict=True):
+        assert one_row[:2] == other_row[:2]
+        assert one_row[2:] == pytest.approx(other_row[2:], rel=1e-12)
+    assert any(row[3] == pytest.approx(1320.0) for row in rows(moved))
+    assert any(row[3] == pytest.approx(1500.0) for row in rows(made))  # which stays as it was
+    for one_peak, other_peak in zip(moved.watched, wanted.watched, strict=True):
+        assert one_peak.bound * one_peak.size == pytest.approx(other_peak.bound * other_peak.size, rel=1e-12)
+
+
+def test_machines_are_swept_over_limits_and_sizes(press):
+    """A stroke is twice the crank; the shortest rod is that of its bound, or that of the least angle asked for."""
+    result = sweep(press, ["limits.stroke.exactly=80..120 mm:5"], workers=1)
+    assert result.complete
+    assert result.columns["crank.length_mm"] == pytest.approx(0.5 * result.columns["limits.stroke.exactly_mm"], rel=1e-8)
+    assert result.columns["rod.length_mm"] == pytest.approx(np.full(5, 120.0), rel=1e-8)
+    angled = press.override({"limits.angle": {"quantity": "transmission angle", "of": "E", "measure": "least", "min": "70 deg"}})
+    result = sweep(angled, ["limits.angle.min=66..78 deg:7"], workers=1)
+    assert result.complete
+    angle = np.radians(result.columns["limits.angle.min_deg"])
+    assert result.columns["rod.length_mm"] == pytest.approx(50.0 / np.cos(angle), rel=1e-8)
+    assert result.columns["objective_m"] == pytest.approx(0.05 / np.cos(angle), rel=1e-8)
+    low = sweep(press, ["mechanism.links.rod.length.min=120..160 mm:3"], workers=1)
+    assert low.columns["rod.length_mm"] == pytest.approx([120.0, 140.0, 160.0], rel=1e-8)
+
+
 def test_what_has_no_range_is_minimised_and_both_ways_give_one_front(press):
     one = pareto(press, f"rod.length, {LEAST}=66..80 deg", points=3, workers=1)
     other = pareto(press, f"rod.length=150..300 mm, {LEAST}", points=3, workers=1)
@@ -315,6 +362,95 @@ def test_same_front_whatever_the_workers_and_after_an_interruption(tmp_path):
     assert late.path.read_bytes() == whole.path.read_bytes()
     with pytest.raises(InputError, match="another study"):
         pareto(problem, words, tmp_path / "late", points=14, workers=1, resume=True)
+
+
+def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
+    words = f"rod.length, {LEAST}"
+    whole = pareto(press, words, tmp_path / "whole", points=5, workers=1)
+    real, calls, seen = walks.design_machine, [0], []
+
+    def fails_third(*arguments, **options):
+        calls[0] += 1
+        if calls[0] == 3:
+            raise KeyboardInterrupt
+        return real(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(walks, "design_machine", fails_third)
+        with pytest.raises(KeyboardInterrupt):
+            pareto(press, words, tmp_path / "run", points=5, workers=1)
+    kept = json.loads((tmp_path / "run" / ENDS).read_text(encoding="utf-8"))
+    assert list(kept) == ["least rod.length", "best least transmission angle at E"]
+    calls[0] = 3
+
+    def fails_never(*arguments, **options):
+        calls[0] += 1
+        return real(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(walks, "design_machine", fails_never)
+        late = pareto(press, words, tmp_path / "run", points=5, workers=1, resume=True, progress=lambda *at: seen.append(at))
+        assert calls[0] == 5  # two of four searches were left
+        again = pareto(press, words, tmp_path / "run", points=5, workers=1, resume=True)
+        assert calls[0] == 5
+    assert late.path.read_bytes() == whole.path.read_bytes()
+    assert late.points == again.points == whole.points
+    assert {total for _, total in seen} == {4 + 5}  # searches for the ends, and points
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+    assert seen[-1] == (9, 9)
+
+
+def test_ends_that_cannot_be_read_are_searched_again(press, tmp_path):
+    words = f"rod.length, {LEAST}"
+    first = pareto(press, words, tmp_path, points=3, workers=1)
+    (tmp_path / ENDS).write_bytes(b"\xff{")
+    assert pareto(press, words, tmp_path, points=3, workers=1, resume=True).points == first.points
+    assert len(json.loads((tmp_path / ENDS).read_text(encoding="utf-8"))) == 4
+
+
+def test_a_front_without_an_end_leaves_nothing_behind(press, tmp_path):
+    impossible = press.override({"limits.stroke": {"quantity": "stroke", "of": "ram", "exactly": "900 mm"}})
+    with pytest.raises(InputError, match="cannot be found"):
+        pareto(impossible, f"rod.length, {LEAST}", tmp_path / "new", points=3, workers=1)
+    assert not (tmp_path / "new").exists()
+
+
+def killed(arguments: list[str], out: Path, pattern: str, wait: float) -> None:
+    """Begin a study, and kill it a while after there are more files of a pattern than before."""
+    before = len(list(out.glob(pattern)))
+    run = subprocess.Popen([sys.executable, "-m", "optlink", "study", *arguments], cwd=ROOT, stdout=subprocess.DEVNULL)
+    begin = time.monotonic()
+    while len(list(out.glob(pattern))) <= before and time.monotonic() - begin < 120.0:
+        assert run.poll() is None
+        time.sleep(0.01)
+    time.sleep(wait)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
+def test_killed_three_times_and_resumed(press, tmp_path):
+    """SIGKILL while the ends are searched, and twice on the walk: the same front, byte for byte, and nothing is done twice."""
+    words, rng = f"rod.length, {LEAST}", random.Random(3)
+    whole = pareto(press, words, tmp_path / "whole", points=14, workers=1)
+    out = tmp_path / "run"
+    asked = ["pareto", press.file, "--objectives", words, "--points", "14", "--workers", "1", "--out", str(out)]
+    killed(asked, out, ENDS, 0.3 * rng.random())
+    searched = list(json.loads((out / ENDS).read_text(encoding="utf-8")))
+    assert 1 <= len(searched) <= 4
+    for _ in range(2):
+        killed([*asked, "--resume"], out, "chunks/*/0*.csv", 0.1 * rng.random())
+    kept = len(list(out.glob("chunks/*/0*.csv")))
+    assert 2 <= kept < 4
+    done = subprocess.run(
+        [sys.executable, "-m", "optlink", "study", *asked, "--resume", "--json"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert json.loads(done.stdout)["points_done_now"] == 14 - 4 * kept
+    assert (out / "sweep.csv").read_bytes() == whole.path.read_bytes()
+    assert json.loads((out / ENDS).read_text(encoding="utf-8")) == json.loads(
+        (tmp_path / "whole" / ENDS).read_text(encoding="utf-8")
+    )
 
 
 def test_a_cluster_gives_the_same_front(press):
@@ -361,7 +497,7 @@ def test_picture_marks_ends_knee_and_what_was_given():
     three = pareto(optlink.load("crank-rocker"), f"error, {ANGLE}=100..150 deg, coupler=330..400 mm", points=4, workers=1)
     panels = [panel for panel in picture(three).axes if panel.get_label() != "<colorbar>"]
     assert len(panels) == 3
-    assert [panel.get_xlabel() for panel in panels] == ["error [rad^2]", "error [rad^2]", "largest transmission angle [deg]"]
+    assert [panel.get_xlabel() for panel in panels] == ["error [rad²]", "error [rad²]", "largest transmission angle [deg]"]
 
 
 # --- what is refused -----------------------------------------------------------------------------------------------------
@@ -424,6 +560,14 @@ def test_other_problems_and_sizes_are_refused():
             pareto(optlink.load("crank-rocker"), f"error, {ANGLE}, coupler", points=points)
     with pytest.raises(InputError, match='Did you mean "ipopt"'):
         pareto(optlink.load("crank-rocker"), f"error, {ANGLE}", backend="ipop")
+    with pytest.raises(InputError, match="searches with one back end"):
+        pareto(optlink.load("crank-rocker"), f"error, {ANGLE}", backend="both")
+    with pytest.raises(InputError, match="200,000 points are more"):
+        pareto(optlink.load("crank-rocker"), f"error, {ANGLE}=100..140 deg:200000")
+    with pytest.raises(InputError, match="optlink balance balance-four-bar --trade force,torque"):
+        pareto(optlink.load("balance-four-bar"), "rms shaking force, rms torque")
+    with pytest.raises(InputError, match="optlink study sweep motion-3-poses --vary"):
+        pareto(optlink.load("motion-3-poses"), "error, coupler")
     run = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--resume"])
     assert run.exit_code == 2
     assert "which run is to go on" in run.output

@@ -20,7 +20,7 @@ from rich.console import Console
 
 import optlink
 from optlink.errors import Status
-from optlink.generation import Design, Generation
+from optlink.generated import Design, Generation
 from optlink.report import designs as tables
 from optlink.report import misses, outputs, paths
 from optlink.report.near import Close

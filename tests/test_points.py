@@ -275,7 +275,8 @@ def test_files_that_are_none(tmp_path, form):
 
 
 def test_too_many_rows(tmp_path, monkeypatch):
-    monkeypatch.setattr("optlink.design.points.MAX_ROWS", 5)
+    monkeypatch.setattr("optlink.design.listed.MAX_ROWS", 5)
+    monkeypatch.setattr("optlink.design.drawing.MAX_ELEMENTS", 5)
     (tmp_path / "c.csv").write_text("x_mm,y_mm\n" + "".join(f"{k},0\n" for k in range(6)))
     refused({"csv": "c.csv"}, tmp_path, "csv", "more than 5 rows")
     refused([[f"{k} mm", "0 mm"] for k in range(6)], tmp_path, "", "6 points, more than 5")

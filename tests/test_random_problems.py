@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.generation import Design, generate
+from optlink.generated import Design
+from optlink.generation import generate
 from tests.random_linkages import (
     RandomTask,
     faults_of,
@@ -23,7 +24,7 @@ from tests.random_linkages import (
     transmission_range,
 )
 
-FEW, ENOUGH = 25, 500
+FEW, ENOUGH = 16, 500
 STARTS = 240  # of the batch: enough for answers, not for the best of them
 
 

@@ -259,7 +259,8 @@ def test_a_result_is_shown_as_the_problem_would_be(results, tmp_path, name):
 def test_results_that_cannot_be_shown(results, tmp_path):
     good = json.loads((results / "crank-rocker" / "result.json").read_text())
     bad = {
-        "schema": ({**good, "schema": "optlink/simulation/1"}, "not a result that can be shown here"),
+        "schema": ({**good, "schema": "optlink/list/1"}, "not a result that can be shown here"),
+        "version": ({**good, "schema": "optlink/result/99"}, "of another version of its format"),
         "none": ({"a": 1}, "not a result of optlink"),
         "hash": ({**good, "problem_hash": "0" * 16}, "of another problem or version"),
         "name": ({**good, "problem": "nobodys"}, "is not found"),
@@ -307,14 +308,17 @@ def test_an_infeasible_result_names_the_conflict(tmp_path):
 
 def test_a_result_finds_its_problem_beside_it(tmp_path):
     raw = (Path(__file__).parent.parent / "problems" / "crank-rocker.toml").read_text()
-    mine = tmp_path / "mine.toml"
+    (tmp_path / "elsewhere").mkdir()
+    mine = tmp_path / "elsewhere" / "mine.toml"
     mine.write_text(raw.replace('frame = "500 mm"', 'frame = "490 mm"'))
     recorded(tmp_path / "out", "solve", str(mine))
     result, out = str(tmp_path / "out" / "result.json"), str(tmp_path / "a.html")
     assert run("report", result, "-o", out).exit_code == 2
     assert run("report", result, "-o", out, "--problem", str(mine)).exit_code == 0
-    (tmp_path / "out" / "mine.toml").write_bytes(mine.read_bytes())
-    assert run("report", result, "-o", out).exit_code == 0
+    for folder in (tmp_path / "out", tmp_path):
+        (folder / "mine.toml").write_bytes(mine.read_bytes())
+        assert run("report", result, "-o", out).exit_code == 0
+        (folder / "mine.toml").unlink()
 
 
 def test_the_hash_of_a_problem_is_the_same_in_every_process():

@@ -14,7 +14,6 @@ import optlink
 from optlink.cli import app
 from optlink.errors import InputError
 from optlink.linkage.motion import sweep
-from optlink.studies.keys import changed
 from optlink.studies.outputs import output_names, output_sensitivity
 from optlink.studies.sensitivity import sensitivities
 
@@ -209,12 +208,12 @@ def test_unknown_outputs_are_answered_with_the_nearest():
 
 def test_sides_of_ranges_can_be_changed():
     problem = optlink.load("crank-rocker")
-    other = changed(problem, {LIMIT: "140 deg", "limits.transmission_angle.min": "40 deg", "mechanism.coupler.min": "200 mm"})
+    other = problem.override({LIMIT: "140 deg", "limits.transmission_angle.min": "40 deg", "mechanism.coupler.min": "200 mm"})
     interval = other.spec.limits.transmission_angle
     assert (interval.low, interval.high) == pytest.approx((math.radians(40.0), math.radians(140.0)))
     assert other.spec.quantities["coupler"].bounds == pytest.approx((0.2, 0.9))
     one_sided = optlink.load("crank-rocker", {"limits.transmission_angle": {"max": "135 deg"}})
-    assert changed(one_sided, {LIMIT: "130 deg"}).spec.limits.transmission_angle.low is None
+    assert one_sided.override({LIMIT: "130 deg"}).spec.limits.transmission_angle.low is None
 
 
 def run(*arguments: str):

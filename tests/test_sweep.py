@@ -21,10 +21,10 @@ import optlink
 from optlink import storage
 from optlink.cli import app
 from optlink.errors import InputError, SolverError
+from optlink.report.sweeps import picture
 from optlink.studies import chunks, engine
 from optlink.studies.axes import read_axis, read_grid
 from optlink.studies.direct import Direct
-from optlink.studies.keys import changed
 from optlink.studies.sweep import CHANGED, sweep
 from optlink.validation import validate as prove
 
@@ -87,6 +87,14 @@ def test_ranges_lists_and_ratios(text, unit, values):
         ("limits.transmision_angle.max=120..130 deg:5", "Did you mean"),
         ("mechanism.frame=450..550 mm:1000000000000", "1,000,000,000,000 points are more than a sweep takes"),
         ("requirement.span=0..90 deg:3", "span must not be zero"),
+        ("mechanism.frame=nan..550 mm:3", "finite numbers"),
+        ("mechanism.frame=450..inf mm:3", "finite numbers"),
+        ("mechanism.frame=450 mm, -Infinity mm", "finite numbers"),
+        ("mechanism.frame=450..550 mm:2.5", "number of points"),
+        ("mechanism.frame=450..550 mm step 200", "longer than the range"),
+        ("mechanism.frame=450:550 mm", "no list"),
+        ("mechanism.frame.max=450..550 mm:3", "frame is fixed at 500 mm, it has no bounds"),
+        ("mechanism=450..550 mm:3", "--vary mechanism"),
     ],
 )
 def test_bad_axes_say_why(text, words):
@@ -157,8 +165,25 @@ def test_points_without_a_design_are_rows_too():
     assert not result.complete
     assert set(table["status"]) >= {"infeasible"}
     bad = table["status"] == "infeasible"
+    assert result.infeasible == np.count_nonzero(bad)
+    assert not np.any(table[CHANGED][bad])  # nothing holds a design that is not there
+    for point in np.flatnonzero(bad):  # limits alone, not what follows from them
+        told = {*table["failed"][point].split("; "), *table["active"][point].split("; ")} - {""}
+        angle = f"{float(table[f'{LIMIT}_deg'][point])!r} deg"
+        single = optlink.solve(problem(**{"limits.transmission_angle": ["45 deg", angle]}))
+        assert {item.name for item in single.conflict} <= told
     assert np.all(np.isnan(table["objective_rad2"][bad]))
     assert not np.any(table["valid"][bad])
+
+
+def test_a_size_that_varies_by_decades_hides_no_design():
+    """The programme is scaled by its first frame, of 1 mm; a single solve of the last one finds a design."""
+    table = sweep(problem(), ["mechanism.frame=1..1000 mm:4 log"], workers=1).columns
+    assert table["status"][0] == "infeasible"
+    single = optlink.solve(problem(**{"mechanism.frame": "1000 mm"}))
+    assert single.valid
+    assert table["valid"][3]
+    assert table["objective_rad2"][3] == pytest.approx(single.objective, rel=1e-9)
 
 
 def test_what_no_programme_holds_as_a_number_is_built_for_each_point():
@@ -196,12 +221,12 @@ def test_models_made_directly_are_those_of_the_file(vary):
     if "psi0" in vary[0]:
         file = file.override({"requirement.psi0": "90 deg", "requirement.from": "30 deg"})
     grid = read_grid(file, vary)
-    template = changed(file, grid.changes(0)).spec
+    template = file.override(grid.changes(0)).spec
     template.quantities, template.law  # noqa: B018 - what is derived must not be taken along
     direct = Direct(template, grid.axes)
     assert direct.possible
     for point in range(grid.count):
-        made, read = direct.model(grid.values(point)), changed(file, grid.changes(point)).spec
+        made, read = direct.model(grid.values(point)), file.override(grid.changes(point)).spec
         assert {k: (q.value, q.bounds) for k, q in made.quantities.items()} == {
             k: (q.value, q.bounds) for k, q in read.quantities.items()
         }
@@ -231,6 +256,18 @@ def test_only_sizes_can_be_analysed():
         sweep(problem(), [f"{LIMIT}=120..130 deg:3"], analyze=True)
     with pytest.raises(InputError, match="no such column"):
         sweep(problem(), [f"{FRAME}:3"], analyze=True, columns=["torque"])
+
+
+@pytest.mark.parametrize("points", [0, 1, -5, 10_001])
+def test_crank_angles_of_an_analysis_are_not_any_number(points):
+    with pytest.raises(InputError, match=r"--points = .*out of range.*2 to 10,000"):
+        sweep(problem(), [f"{FRAME}:3"], analyze=True, points=points)
+
+
+@pytest.mark.parametrize(("backend", "words"), [("both", "searches with one back end"), ("ipop", 'Did you mean "ipopt"')])
+def test_a_back_end_that_no_study_has_is_refused(backend, words):
+    with pytest.raises(InputError, match=words):
+        sweep(problem(), [f"{FRAME}:3"], backend=backend)
 
 
 def test_what_cannot_be_swept_says_so():
@@ -297,6 +334,88 @@ def test_a_finished_run_is_read_again(undisturbed, tmp_path):
     assert again.done == 0
     assert again.valid == 700
     assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
+
+
+def test_a_finished_run_tells_the_same_again(tmp_path):
+    vary = ["mechanism.coupler.max=405..420 mm:61"]
+    first = sweep(problem(), vary, tmp_path, workers=1)
+    again = sweep(problem(), vary, tmp_path, resume=True)
+    assert len(first.changes) == 1
+    assert again.changes == first.changes
+    assert (again.valid, again.searched, again.changed, again.best) == (61, first.searched, 1, first.best)
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[:-40], lambda b: b + b"1,2\n", lambda b: b.replace(b",", b";", 1), lambda b: b""])
+def test_a_finished_table_that_was_changed_is_not_believed(tmp_path, damage):
+    sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
+    table = tmp_path / "sweep.csv"
+    table.write_bytes(damage(table.read_bytes()))
+    with pytest.raises(InputError, match=r"changed or cut short.*begin again"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda chunk: chunk[:-30],
+        lambda chunk: chunk.replace(b"0.00", b"0.01", 1),
+        lambda chunk: b"\xff\xfe" + chunk[2:],
+        lambda chunk: bytes(len(chunk)),
+        lambda chunk: b"",
+    ],
+)
+def test_a_chunk_that_is_damaged_is_done_again(tmp_path, monkeypatch, damage):
+    vary = ["mechanism.frame=450..550 mm:250"]
+    sweep(problem(), vary, tmp_path / "whole", workers=1)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(problem(), vary, tmp_path, workers=1, progress=interrupted_after(monkeypatch, 2))
+    first = sorted(tmp_path.glob("chunks/*/0*.csv"))[0]
+    first.write_bytes(damage(first.read_bytes()))
+    resumed = sweep(problem(), vary, tmp_path, resume=True, workers=1)
+    assert resumed.done == 150
+    assert (tmp_path / "sweep.csv").read_bytes() == (tmp_path / "whole" / "sweep.csv").read_bytes()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has neither this signal nor this limit")
+def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
+    out = tmp_path / "run"
+    run = subprocess.Popen(command(out), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    begin = time.monotonic()
+    while not list(out.glob("chunks/*/0*.csv")) and time.monotonic() - begin < 60.0:
+        time.sleep(0.01)
+    run.send_signal(signal.SIGINT)
+    _, told = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert f"go on with --resume --out {out}" in told
+    assert "Traceback" not in told
+    sweep(problem(), [f"{FRAME}:700"], out, resume=True, workers=1)
+    assert (out / "sweep.csv").read_bytes() == undisturbed
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
+from optlink.cli import main
+vary = ["--vary", "mechanism.frame=450..550 mm:700", "--workers", "1"]
+sys.argv = ["optlink", "study", "sweep", "crank-rocker", *vary, *sys.argv[2:]]
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has neither this signal nor this limit")
+@pytest.mark.parametrize(("bytes_left", "kept"), [(4_000, 0), (60_000, 7)])
+def test_no_room_for_a_chunk_or_for_the_table_costs_nothing_that_is_done(undisturbed, tmp_path, bytes_left, kept):
+    out = tmp_path / "run"
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(bytes_left), "--out", str(out)], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2, done.stderr
+    assert "File too large" in done.stderr
+    assert "Free some space" in done.stderr
+    assert len(list(out.glob("chunks/*/0*.csv"))) == kept
+    assert out.exists() == bool(kept)  # of a study of which nothing was done nothing stays
+    sweep(problem(), [f"{FRAME}:700"], out, resume=bool(kept), workers=1)
+    assert (out / "sweep.csv").read_bytes() == undisturbed
 
 
 def test_a_chunk_that_is_cut_short_is_done_again(undisturbed, tmp_path, monkeypatch):
@@ -447,9 +566,10 @@ def test_no_process_outlives_a_run_that_is_given_up(tmp_path):
         ({"scheduler": "tcp://127.0.0.1:8786"}, "Add --engine dask"),
     ],
 )
-def test_bad_engines(options, words):
+def test_bad_engines(options, words, tmp_path):
     with pytest.raises(InputError, match=words):
-        sweep(problem(), [f"{FRAME}:3"], **options)
+        sweep(problem(), [f"{FRAME}:3"], tmp_path / "new", **options)
+    assert not (tmp_path / "new").exists()  # so that the same folder serves once the option is mended
 
 
 def test_without_dask_it_says_what_to_install(monkeypatch):
@@ -541,6 +661,42 @@ def test_the_command_prints_and_writes(tmp_path):
     text = run("crank-rocker", "--vary", f"{FRAME}:5", "--vary", f"{LIMIT}=130, 135 deg")
     assert text.exit_code == 0
     assert "every optimum proven" in text.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "panels", "legend"),
+    [
+        ("crank-rocker", [f"{FRAME}:5"], 2, ""),
+        ("crank-rocker", [f"{LIMIT}=60..100 deg:5"], 2, "no design"),
+        ("crank-rocker", ["mechanism.frame=550 mm, 450 mm, 500 mm", f"{LIMIT}=85..135 deg:4"], 1, "other limits begin to hold"),
+        (
+            "crank-rocker",
+            ["mechanism.crank=100..140 mm:3", "mechanism.frame=460 mm, 500 mm", f"{LIMIT}=85, 135 deg"],
+            3,
+            "no design",
+        ),
+        ("crank-rocker", ["mechanism.crank=100 mm", f"{FRAME}:5"], 2, ""),
+        ("slider-crank", ["mechanism.links.rod.length=50..300 mm:9 log"], 1, "cannot turn fully"),
+        ("slider-crank", ["mechanism.links.rod.length=150..300 mm:3 log", "mechanism.links.crank.length=0.05..0.1 m:3"], 3, ""),
+    ],
+)
+def test_pictures_over_one_two_and_three_parameters(name, arguments, panels, legend):
+    result = sweep(problem(name), arguments, analyze=name == "slider-crank", workers=1)
+    drawn = picture(result)
+    axes = [axes for axes in drawn.axes if axes.get_label() != "<colorbar>" and axes.axison]
+    assert len(axes) == panels
+    words = " ".join(text.get_text() for one in drawn.legends for text in one.get_texts())
+    assert legend in words
+    assert bool(words) == bool(legend)
+    for one in axes:
+        label = one.xaxis.get_label_text()
+        assert not label or label.endswith(("[mm]", "[deg]", "[m]"))
+    if len(axes) == 1 and name == "crank-rocker":  # rows in rising order, though they were asked for in another
+        low, high = axes[0].get_ylim()
+        assert (low, high) == pytest.approx((425.0, 575.0))
+        shown = axes[0].collections[0].get_array().reshape(3, 4)
+        table = result.columns["objective_rad2"].reshape(3, 4)
+        np.testing.assert_array_equal(np.ma.filled(shown, np.nan), table[[1, 2, 0]])
 
 
 @pytest.mark.parametrize(

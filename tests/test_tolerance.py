@@ -15,11 +15,15 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli import app
+from optlink.design.tolerances import SHAPES, Deviation
 from optlink.errors import InputError
 from optlink.studies.allocation import least_cost
+from optlink.studies.carlo import monte_carlo
+from optlink.studies.nominal import drawing
 from optlink.studies.robust import robust
-from optlink.studies.sampling import SHAPES, Deviation, drawn, read_costs, read_yield, wilson
-from optlink.studies.tolerance import analysed, drawing, monte_carlo, read_deviations, tolerance
+from optlink.studies.sampling import drawn, read_costs, read_yield, wilson
+from optlink.studies.stated import read_deviations
+from optlink.studies.tolerance import analysed, tolerance
 
 DESIGN = {"coupler": 0.412865417, "rocker": 0.23224617}
 LENGTHS = {"crank": 0.1, **DESIGN, "frame": 0.5}
@@ -391,11 +395,11 @@ def test_the_safest_design_keeps_the_limit_with_most_standard_deviations(name, l
     problem = optlink.load(name)
     best = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 10, robust="margin")
     assert best.robust.valid
-    assert best.robust.problem.model.mechanism.assembly == mode
+    assert best.robust.result.problem.model.mechanism.assembly == mode
     assert best.robust.value == pytest.approx(math.radians(limit), rel=1e-3)
 
     def margin(design):
-        nominal = drawing(best.robust.problem, None, None, design)
+        nominal = drawing(best.robust.result.problem, None, None, design)
         found = analysed(problem, nominal, best.deviations, best.limit)
         return np.min((found.limit - np.abs(nominal.base)) / found.sigma)
 

@@ -37,6 +37,8 @@ def stiffness(bearing: Value, journal: Value, first: Value, second: Value) -> Va
     first, second : Value [1/Pa]
         `compliance` of the two materials.
 
+    Notes
+    -----
     Source: Hertz's contact of spheres with the curvature of the bearing negative, as used for revolute joints by H. M. Lankarani
     and P. E. Nikravesh (1990).
     """

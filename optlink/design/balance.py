@@ -158,18 +158,28 @@ Place = Annotated[Any, BeforeValidator(_read_place)]
 
 
 class CounterweightSection(Section):
-    """A mass that may be added to a body: see `optlink.dynamics.balance.Counterweight`."""
+    """A mass that may be added to a body: a disc, or one of any shape."""
 
     body: str
+    """The body that it is fixed to."""
     kind: Literal["disc", "free"] = "disc"
+    """A disc, or any shape that is physically consistent."""
     mass: MassInterval | None = None
+    """Exactly, or in a range; left out: from zero on."""
     thickness: FixedLength | None = None
+    """Of a disc whose radius follows from its mass."""
     radius: LengthInterval | None = None
+    """In place of a thickness: one value. Beside it: bounds."""
     density: Density | None = None
+    """Of the disc's material; required with a thickness."""
     reach: FixedLength | None = None
+    """Largest distance of its centre from `origin`."""
     extent: FixedLength | None = None
+    """Largest distance of its edge from `origin`."""
     origin: str | None = None
+    """A point of the body; left out: its pivot on the frame, else its start."""
     at: Place = None
+    """Its place: a point of the body, or so far along and across it. One of `reach`, `extent`, `at` is required."""
 
     @field_validator("mass", mode="after")
     @classmethod
@@ -287,10 +297,15 @@ class SpringSection(Section):
     """A spring that may be added between two points: its stiffness is free, and its free length if that is a range."""
 
     name: Name
+    """Its name among the loads of the balanced machine."""
     between: tuple[str, str]
+    """The two points that it joins."""
     stiffness: StiffnessInterval | None = None
+    """Exactly, or in a range; left out: from zero on."""
     free_length: Annotated[Any, BeforeValidator(lambda raw: raw)] = None
+    """Fixed, or free within a range of two values; left out: 0."""
     force: FixedForce | None = None
+    """Its largest force; left out: none."""
 
     @field_validator("free_length", mode="before")
     @classmethod
@@ -336,12 +351,19 @@ class BalanceSection(Section):
     """What `optlink balance` is asked."""
 
     minimise: Annotated[Any, BeforeValidator(_read_goal)]
+    """A measure, or a table of measures and their weights."""
     counterweights: tuple[CounterweightSection, ...] = ()
+    """What may be added to bodies."""
     springs: tuple[SpringSection, ...] = ()
+    """What may be added between points."""
     limits: dict[str, Any] = Field(default_factory=dict)
+    """Measures with their limits: a quantity, or a share of the given machine's."""
     mass: MassInterval | None = None
+    """Of all counterweights together."""
     about: Place = None
+    """Point of the frame that shaking moments are about; left out: the crank pivot."""
     positions: int = Field(default=360, ge=8, le=MOST)
+    """Crank angles at which the machine is looked at, even over the revolution, 8 to 100000."""
 
     @field_validator("limits", mode="after")
     @classmethod

@@ -47,8 +47,11 @@ class BodySection(Section):
     """Mass properties of a body: mass, centroid in its own axes, moment of inertia about the centroid."""
 
     mass: Mass
+    """Mass of the body."""
     centroid: Annotated[Any, BeforeValidator(_read_centroid)] = None
+    """`middle`, a point of the body, or so far along and across it; left out: the middle, of a body with one joint that joint."""
     inertia: Annotated[Any, BeforeValidator(_read_moment)] = None
+    """Moment of inertia about the centroid, or `uniform bar`; required for a link that has a mass."""
 
     def inertia_of(self, body: str, mechanism: Mechanism, sizes: Mapping[str, Value]) -> Inertia:
         """Mass properties for given sizes [SI].
@@ -103,13 +106,21 @@ class DriveSection(Section):
     """What drives the machine: at a constant speed, or (for `simulate`) by a torque or motor curve."""
 
     body: str | None = None
+    """The driven body; left out: the one called `crank`."""
     start: FixedAngle = Quantity(0.0, "angle", "deg")
+    """Crank angle of the first row."""
     speed: Speed = Quantity(1.0, "angular velocity", "rad/s")
+    """Constant speed of the crank, negative clockwise."""
     torque: Any = None
+    """For `optlink simulate`, in place of the constant speed: a torque, or a table or expression over phi or omega."""
     servo: ServoSection | None = None
+    """For `optlink simulate` with clearance: the crank follows a command; not beside `torque`."""
     initial_speed: Speed | None = None
+    """For `optlink simulate` under a torque; left out: `speed`."""
     duration: Duration | None = None
+    """For `optlink simulate`: how long."""
     fluctuation: Number | None = None
+    """Share of the mean speed by which it may vary: `optlink analyze` gives the flywheel for it."""
 
     @field_validator("body", mode="before")
     @classmethod

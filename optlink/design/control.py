@@ -18,7 +18,9 @@ class ServoSection(Section):
     """A drive that follows a command of angle and speed: second order, with bandwidth and damping ratio."""
 
     bandwidth: Frequency
+    """Undamped natural frequency."""
     damping: Number = 0.7
+    """Damping ratio, above 0 and at most 10."""
 
     def check(self) -> None:
         """Refuse what is no servo.
@@ -53,21 +55,29 @@ def _read_either(raw: object) -> Quantity:
 class ControlSection(Section):
     """How the crank's command is corrected so that the output moves as it would without clearance.
 
-    `output`: slider (its slide) or body (its angle); `known`: joints whose clearance the inverse model knows; `regularisation`
-    of the inverse at the dead centres, in output per radian of the crank (a length for a slider, an angle for a body);
-    `bandwidth` of the inverse model's command, half of the servo's if left out. The PID acts on the output's error referred to
-    the crank: `proportional` [-], `integral` [1/s], `derivative` [s]; it turns the crank by `limit` at most.
+    By an inverse model of the joints that it knows, by a PID on the output's error, or by both.
     """
 
     output: str | None = None
+    """Slider (its slide) or body (its angle) that is watched; left out: the last slider on the frame, else the last body pinned
+    to it."""
     known: Annotated[Any, BeforeValidator(_read_joints)] | None = None
+    """Joints whose clearance the inverse model knows; left out: all."""
     regularisation: Annotated[Quantity, BeforeValidator(_read_either)] | None = None
+    """Of the inverse at dead centres, per radian of the crank: a length for a slider, an angle for a body; left out: a tenth of
+    the largest travel."""
     bandwidth: Frequency | None = None
+    """Up to which the inverse model corrects; left out: half of the servo's."""
     sample_time: Duration = Quantity(2.5e-4, "time", "s")
+    """Of the PID; the nearest that divides the revolution is taken."""
     proportional: Number = 0.0
+    """Gain of the PID on the output's error, referred to the crank [-]."""
     integral: Number = 0.0
+    """The same for its integral [1/s]."""
     derivative: Number = 0.0
+    """The same for its rate [s]."""
     limit: FixedAngle = Quantity(0.08726646259971647, "angle", "deg")
+    """The PID turns the crank by so much at most."""
 
     def check(self, machine: Machine, gaps: Sequence[Gap]) -> None:
         """Refuse what does not fit the machine.

@@ -35,7 +35,9 @@ class CycleProblem(Problem):
     """A problem file with an objective over the cycle: what `solve` takes. Immutable."""
 
     objective: Objective
+    """What is minimised over the cycle."""
     limits: dict[Name, Limit] = Field(default_factory=dict)
+    """Terms of the cycle that must stay within bounds, each under a name of your choice."""
 
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
@@ -114,8 +116,7 @@ def cross_check_cycle(problem: CycleProblem) -> None:
             f"mechanism.guides.{guide}.friction",
             problem.mechanism.friction[guide],
         )
-    masses = problem.bodies or any(_forced(term) and not problem.loads for term in problem.goals)
-    if not masses and not problem.loads and any(_forced(goal) for goal in problem.goals):
+    if not problem.bodies and not problem.loads and any(_forced(goal) for goal in problem.goals):
         raise Unusable("no masses and no loads are given, so there are no forces", "Add [bodies] or [loads]", "objective")
 
 

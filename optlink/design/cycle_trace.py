@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from optlink.design.cycle import CycleProblem
 from optlink.design.linkages import sizes_of
 from optlink.design.magnitudes import Curve
-from optlink.design.terms import Term, guide_of, output_of
+from optlink.design.terms import STATIC, Term, guide_of, output_of
 from optlink.dynamics.loads import Force, Load
 from optlink.dynamics.machine import Machine, Moving, parts
 from optlink.dynamics.reactions import Reactions, reactions, reported_on, required, shaking
@@ -155,16 +155,19 @@ class Trace:
 
     def _signals(self, moving: Moving) -> list[tuple[Value, ...]]:
         """Components of every cyclic term, and last the driving torque where work is asked for."""
+        forced = [term for term in self.cyclic if term.quantity in STATIC]
+        if not forced and not self.works:  # friction, which reactions cannot be traced with, does not matter to motion alone
+            return [self._signal(term, moving, None) for term in self.cyclic]
         whole = reactions(moving)
-        still = reactions(moving, required(moving, inertia=False)) if any(t.static for t in self.cyclic) else whole
+        still = reactions(moving, required(moving, inertia=False)) if any(t.static for t in forced) else whole
         found = [self._signal(term, moving, still if term.static else whole) for term in self.cyclic]
         return [*found, (whole.torque,)] if self.works else found
 
-    def _signal(self, term: Term, moving: Moving, found: Reactions) -> tuple[Value, ...]:
+    def _signal(self, term: Term, moving: Moving, found: Reactions | None) -> tuple[Value, ...]:
         what, name = term.quantity, str(term.of)
-        if what == "torque":
+        if found is not None and what == "torque":
             return (found.torque,)
-        if what == "reaction":
+        if found is not None and what == "reaction":
             return found.pins[name][term.on or reported_on(moving.machine)[name]]
         if what in ("shaking force", "shaking moment"):
             shaken = shaking(moving)
@@ -176,9 +179,9 @@ class Trace:
         if what == "transmission angle":
             return (self._transmission(name, moving),)
         guide = str(guide_of(name, self.mechanism))
-        if what == "guide force":
+        if found is not None and what == "guide force":
             return (found.guides[guide].normal,)
-        if what == "guide moment":
+        if found is not None and what == "guide moment":
             return (found.guides[guide].moment,)
         s, v, _ = moving.slides[guide]
         return (s,) if what == "slide" else (v / self.speed,)

@@ -10,10 +10,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
+from optlink.design.quantity import nearest
 from optlink.linkage.elementwise import Value
 
 MAX_CHARACTERS = 2_000
@@ -142,46 +143,56 @@ def parse(text: str, names: Iterable[str]) -> Expression:
     parser = _Parser(text, frozenset(names))
     parser.expression(0, 0)
     if parser.here is not None:
-        parser.fail(f'"{parser.here[1]}" is not expected here', "Check brackets and operators; write 2*pi, not 2 pi")
+        parser.fail(f'"{parser.here.text}" is not expected here', "Check brackets and operators; write 2*pi, not 2 pi")
     return Expression(text, frozenset(parser.used), tuple(parser.program))
 
 
+class _Token(NamedTuple):
+    """A number, a name or a sign, and the column where it begins, from 1."""
+
+    kind: str
+    text: str
+    column: int
+
+
 class _Parser:
-    """Precedence climbing (Pratt); emits postfix as it goes."""
+    """Precedence climbing (Pratt); emits postfix as it goes. `here` is the token that is read next, None at the end."""
 
     def __init__(self, text: str, names: frozenset[str]) -> None:
         self.text, self.names = text, names
         self.used: set[str] = set()
         self.program: list[Step] = []
         self.end = 0
-        self.here: tuple[str, str] | None = None
+        self.here: _Token | None = None
         self.advance()
 
-    def fail(self, message: str, remedy: str) -> None:
-        raise LawError(f"{message} (character {max(self.end, 1)})", remedy)
+    def fail(self, message: str, remedy: str, column: int | None = None) -> NoReturn:
+        """Refuse the law, at the token that is read next if no column is given."""
+        at = column or (self.here.column if self.here is not None else len(self.text.rstrip(SPACE)) + 1)
+        raise LawError(f"{message} (column {at})", remedy)
 
     def advance(self) -> None:
         rest = self.text[self.end :]
+        column = self.end + len(rest) - len(rest.lstrip(SPACE)) + 1
         if not rest.strip(SPACE):
             self.here = None
             return
         match = _TOKEN.match(rest)
         if match is None:
-            self.end += len(rest) - len(rest.lstrip(SPACE)) + 1
             self.fail(
-                f'"{self.text[self.end - 1]}" does not belong in a law',
+                f'"{self.text[column - 1]}" does not belong in a law',
                 f"A law has numbers, {', '.join(sorted(self.names))}, pi, + - * / ^, brackets and the usual functions",
+                column,
             )
-            return
         self.end += match.end()
-        self.here = (str(match.lastgroup), match.group().strip().replace("**", "^"))
+        self.here = _Token(str(match.lastgroup), match.group().strip().replace("**", "^"), column)
 
     def expression(self, power: int, depth: int) -> None:
         if depth > MAX_DEPTH:
             self.fail(f"the law is nested more than {MAX_DEPTH} deep", "Simplify it, or give it as a table")
         self.operand(depth)
-        while self.here is not None and self.here[1] in _POWER:
-            sign = self.here[1]
+        while self.here is not None and self.here.text in _POWER:
+            sign = self.here.text
             left, right = _POWER[sign]
             if left < power:
                 return
@@ -192,17 +203,16 @@ class _Parser:
     def operand(self, depth: int) -> None:
         if self.here is None:
             self.fail("the law ends too early", "Complete it, for example: psi0 + 0.5*(phi - phi0)")
-            return
-        kind, token = self.here
+        kind, token, column = self.here
         if kind == "number":
             self.advance()
             number = float(token)
             if not np.isfinite(number):
-                self.fail(f"{token} is too large a number", "Use a smaller one")
+                self.fail(f"{token} is too large a number", "Use a smaller one", column)
             self.program.append(("number", number))
         elif kind == "name":
             self.advance()
-            self.name(token, depth)
+            self.name(token, column, depth)
         elif token in "+-":
             self.advance()
             self.expression(_NEGATE, depth + 1)
@@ -214,16 +224,20 @@ class _Parser:
             self.fail(f'"{token}" is not expected here', "An operand is missing before it")
 
     def bracket(self, depth: int) -> None:
+        assert self.here is not None
+        opened = self.here.column
         self.advance()
         self.expression(0, depth + 1)
-        if self.here is None or self.here[1] != ")":
-            self.fail("a bracket is not closed", 'Add the missing ")"')
+        if self.here is None:
+            self.fail("a bracket is not closed", 'Add the missing ")"', opened)
+        if self.here.text != ")":
+            self.fail(f'"{self.here.text}" is not expected here', 'Check operators, or add the missing ")"')
         self.advance()
 
-    def name(self, token: str, depth: int) -> None:
+    def name(self, token: str, column: int, depth: int) -> None:
         if token in FUNCTIONS:
-            if self.here is None or self.here[1] != "(":
-                self.fail(f"the function {token} needs its argument in brackets", f"Write {token}(...)")
+            if self.here is None or self.here.text != "(":
+                self.fail(f"the function {token} needs its argument in brackets", f"Write {token}(...)", column)
             self.bracket(depth)
             self.program.append(("function", token))
         elif token in CONSTANTS:
@@ -232,5 +246,4 @@ class _Parser:
             self.used.add(token)
             self.program.append(("name", token))
         else:
-            known = ", ".join([*sorted(self.names), *CONSTANTS, *FUNCTIONS])
-            self.fail(f'"{token[:40]}" is unknown', f"A law may use {known}")
+            self.fail(f'"{token[:40]}" is unknown', nearest(token, [*sorted(self.names), *CONSTANTS, *FUNCTIONS]), column)

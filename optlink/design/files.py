@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,14 +15,17 @@ from typing import Any
 import pydantic
 
 from optlink.design.cycle import CycleProblem, cross_check_cycle
-from optlink.design.generation import GenerationProblem, cross_check_generation
+from optlink.design.generation import GenerationProblem
+from optlink.design.generation_checks import cross_check_generation, foreign
 from optlink.design.machines import Problem, cross_check
 from optlink.design.problem import DesignProblem, cross_check_design
 from optlink.design.quantity import Unusable, nearest
+from optlink.design.tolerances import assigned
 from optlink.errors import Fault, InputError, shown
 
 MAX_BYTES = 1_000_000
 GENERATED = ("path", "motion", "transmission")
+SIDES = ("min", "max")
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,7 @@ class ProblemFile:
         task = getattr(self.model, "requirement", None)
         law = getattr(task, "law", getattr(task, "points", None))
         read = [repr(part) for part in (self.model.loads, self.model.drive)] if self._tabled else []  # from files beside this
+        read += [repr(deviation.values) for deviation in self.model.deviations if deviation.values]
         stated = {key: value for key, value in self.raw.items() if key not in _WORDS}
         text = json.dumps([stated, repr(law), *read], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -88,6 +93,8 @@ class ProblemFile:
 
     def override(self, changes: Mapping[str, object]) -> ProblemFile:
         """The same problem with other values: {"mechanism.frame": "480 mm"}; None takes a key away.
+
+        One side of a range has a key too: "limits.transmission_angle.max", "mechanism.coupler.min".
 
         `[expected]` is dropped when something that it depends on changes.
         """
@@ -135,7 +142,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
     else:
         path = Path(text)
         name = path.stem
-        if not text.endswith(".toml") and not path.exists():
+        if not text.endswith(".toml") and not os.path.exists(text):  # false, no error, for a name that is too long
             raise InputError(
                 Fault("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
             )
@@ -159,7 +166,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     where = folder or Path()
     raw = _typed(raw)
     task = raw.get("requirement")
-    dyads = isinstance(raw.get("mechanism"), dict) and raw["mechanism"].get("type") == "dyads"
+    dyads = _dyads(raw)
     output = dyads and isinstance(task, dict) and isinstance(task.get("law"), dict) and "function" in task["law"]
     kinds = ("function", *GENERATED)
     if isinstance(task, dict) and task.get("kind", "function") not in kinds:
@@ -173,10 +180,14 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
         model = GenerationProblem
     if "objective" in raw and "requirement" not in raw:
         model = CycleProblem
+    if generation and isinstance(task, dict) and "robust" in task:
+        remedy = "Leave it out; `optlink study tolerance` judges any design"
+        fault = Fault("a robust design is found for motion laws of a four-bar only", remedy, file, "requirement.robust")
+        raise InputError(fault)
     try:
         problem = model.model_validate(raw, context={"folder": where})
     except pydantic.ValidationError as error:
-        raise InputError(list(_faults(error, raw, file))) from None
+        raise InputError(list(_faults(error, model, raw, file))) from None
     try:
         if isinstance(problem, DesignProblem):
             cross_check_design(problem)
@@ -188,6 +199,11 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     except Unusable as error:
         raise InputError(Fault(error.message, error.remedy, file, error.key, error.value)) from None
     return ProblemFile(name, file, where, raw, problem)
+
+
+def _dyads(raw: Mapping[str, Any]) -> bool:
+    """Whether the linkage is stated as links and guides."""
+    return isinstance(raw.get("mechanism"), dict) and raw["mechanism"].get("type") == "dyads"
 
 
 def _typed(raw: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -254,6 +270,11 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
+    key, value = _whole(raw, key, value, file)
+    section, _, name = key.partition(".")
+    if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):
+        assigned(raw[section], name, value)
+        return
     *path, last = key.split(".")
     table: Any = raw
     for depth, step in enumerate(path):
@@ -275,9 +296,32 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
         table[last] = value
 
 
-def _known(path: tuple[str | int, ...]) -> list[str]:
-    """Keys that the model knows at a path of sections."""
-    models: list[Any] = [DesignProblem, GenerationProblem, CycleProblem, Problem]
+def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[str, object]:
+    """A side of a range, `limits.transmission_angle.max`, or of a free quantity, `mechanism.coupler.min`, as the whole of it."""
+    above, _, side = key.rpartition(".")
+    known: Any = raw
+    for step in above.split("."):
+        known = known.get(step) if isinstance(known, Mapping) else None
+    if side not in SIDES or value is None or known is None:
+        return key, value
+    if isinstance(known, Mapping):
+        bounds = known.get("bounds")
+        return (above, {**known, "bounds": _side(bounds, side, value)}) if isinstance(bounds, list) else (key, value)
+    if not isinstance(known, list):
+        if above.startswith("mechanism."):
+            message = f"{above.removeprefix('mechanism.')} is fixed at {known}, it has no bounds"
+            raise InputError(Fault(message, f"Name {above} itself, or free it", file, key, value))
+        known = [known, known]  # a value that had to be met
+    return above, _side(known, side, value)
+
+
+def _side(pair: list[Any], side: str, value: object) -> list[Any]:
+    return [value, *pair[1:]] if side == SIDES[0] else [*pair[:1], value]
+
+
+def _known(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
+    """Keys that a model of these kinds (of any kind if none is given) knows at a path of sections."""
+    models: list[Any] = list(kinds) or [DesignProblem, GenerationProblem, CycleProblem, Problem]
     for step in path:
         fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
         if fields:  # else the step is the name of a body, a point ...: what it names has the fields of the models
@@ -308,7 +352,16 @@ def _models(annotation: Any) -> Iterator[Any]:
         yield from _models(inner)
 
 
-def _faults(error: pydantic.ValidationError, raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
+def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
+    """Keys that go with what a file asks for, at a path of sections."""
+    known = _known(path, model)
+    if model is GenerationProblem and len(path) == 1:
+        others = foreign(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not _dyads(raw))
+        known = [key for key in known if key not in others]
+    return known
+
+
+def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
     for item in error.errors(include_url=False):
         path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
         path = [step for step in path if step != "[key]"]
@@ -321,7 +374,7 @@ def _faults(error: pydantic.ValidationError, raw: Mapping[str, Any], file: str) 
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
             yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
         elif kind == "extra_forbidden":
-            yield Fault("unknown key", nearest(str(path[-1]), _known(tuple(path[:-1]))), file, key)
+            yield Fault("unknown key", nearest(str(path[-1]), _fitting(tuple(path[:-1]), model, raw)), file, key)
         elif kind == "union_tag_invalid":
             given = raw["mechanism"].get("type")
             yield Fault("not a type of linkage", nearest(str(given), ("four-bar", "dyads")), file, f"{key}.type", _plain(given))

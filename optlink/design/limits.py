@@ -16,13 +16,22 @@ class Limits(Section):
     """What must hold beside the requirement."""
 
     crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
+    """Whether the crank turns fully (a four-bar is then a crank-rocker, or a double-crank), or need only be assembled over the
+    span."""
     transmission_angle: AngleInterval | None = None
+    """Between coupler and rocker; of dyads at every joint of two links."""
     transmission_cosine: NumberInterval | None = None
+    """The same in cosines; of a four-bar."""
     transmission_over: Literal["revolution", "span"] | None = None
+    """Where the transmission angle is limited; left out: wherever the crank must turn."""
     swing_angle: AngleInterval | None = None
+    """Of the rocker, between its dead centres; of a crank-rocker."""
     time_ratio: NumberInterval | None = None
+    """Slow over quick stroke of the rocker; of a crank-rocker."""
     frame_length: LengthInterval | None = None
+    """Of a four-bar."""
     link_ratio: NumberInterval | None = None
+    """Each moving link over the frame; of a four-bar."""
 
 
 def check_ranges(limits: Limits) -> None:

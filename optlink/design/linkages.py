@@ -37,14 +37,23 @@ class FourBarSection(Section):
     """
 
     type: Literal["four-bar"] = "four-bar"
+    """A mechanism without links is a four-bar."""
     crank: Length
+    """Length A-B."""
     coupler: Length
+    """Length B-C."""
     rocker: Length
+    """Length D-C."""
     frame: Length
+    """Length A-D."""
     points: dict[Name, Place] = Field(default_factory=dict)
+    """Further points of the coupler: so far from B towards C, and so far to the left of that line."""
     pivot: Place | None = None
+    """Place of the crank pivot A; left out: the origin."""
     direction: Angle | None = None
+    """Angle of the frame A -> D, from +x; left out: 0."""
     assembly: Literal["left", "right", "either"] = "left"
+    """On which side of B -> D the joint C lies; `either`: both are searched."""
 
     @property
     def side(self) -> int:
@@ -108,31 +117,48 @@ class LinkSection(Section):
     """A moving body: one or two joints, their distance, and further points (along and across the line of the two)."""
 
     joints: Annotated[tuple[Name, ...], BeforeValidator(_read_joints)]
+    """Names of its two joints; of one for a body that a guide carries."""
     length: Length | None = None
+    """Between its two joints; of a body with one joint none."""
     points: dict[Name, Place] = Field(default_factory=dict)
+    """Further points: so far along the line from the first to the second joint, and so far to the left of it."""
 
 
 class GuideSection(Section):
-    """A prismatic joint: see `optlink.linkage.mechanism.Guide`."""
+    """A sliding joint: a line on one body, along which another slides without turning against it."""
 
     slider: str
+    """The body that slides."""
     on: str = FRAME
+    """The body that carries the line."""
     through: Annotated[Any, BeforeValidator(_read_through)] = None
+    """A point of that body, or its coordinates there; left out: the body's first joint. Required on the frame."""
     direction: Angle | None = None
+    """Angle of the line to the body's own x axis; left out: 0."""
     offset: Coordinate | None = None
+    """The line passes so far to the left of `through`; left out: 0."""
     at: str = ""
+    """The point of the slider that runs on the line; left out: its first joint."""
     tilt: Angle | None = None
+    """Angle of the slider's x axis to the line; left out: 0."""
     friction: Number = 0.0
+    """Coulomb's coefficient, below 10."""
 
 
 class DyadsSection(Section):
-    """Any linkage that is a driving crank and dyads: what is fixed on the ground, the links, the guides, the assembly modes."""
+    """Any linkage that is a driving crank and dyads: points on the ground, links, guides, assembly modes."""
 
-    type: Literal["dyads"]
+    type: Literal["dyads"] = "dyads"
+    """A mechanism with links is one of dyads."""
     ground: dict[Name, Place]
+    """Points on the frame."""
     links: dict[Name, LinkSection]
+    """Every moving body."""
     guides: dict[Name, GuideSection] = Field(default_factory=dict)
+    """Sliding joints."""
     assembly: dict[str, str] = Field(default_factory=dict)
+    """Which way each group closes: at an RRR joint `left of B-D` or `right of B-D`, at an RRP pin or an RPR guide `forward` or
+    `backward`; in a design problem also `either`."""
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:

@@ -44,20 +44,35 @@ class LoadSection(Section):
     """A load; which keys it has says what it is."""
 
     on: str | None = None
+    """The body that it acts on."""
     at: str | None = None
+    """Of a force: the point of that body; left out: the point of a slider on its guide."""
     force: Any = None
+    """Size of the force: a quantity, a table over phi, omega or s, or an expression."""
     torque: Any = None
+    """Size of the torque: a quantity, a table over phi or omega, or an expression."""
     direction: FixedAngle | None = None
+    """Of the force, from +x; left out: along the guide of a slider."""
     acts: Literal["constant", "opposing"] = "constant"
+    """As it is, or against the motion."""
     stroke: Literal["both", "forward", "backward", "slow", "fast"] = "both"
+    """In which stroke it acts; forward is along the guide, or counter-clockwise."""
     between: tuple[str, str] | None = None
+    """Of a spring or damper: the two points that it joins."""
     against: str | None = None
+    """The body that feels the opposite; left out: the frame."""
     stiffness: Stiffness | None = None
+    """Of a spring between two points."""
     free_length: FixedLength | None = None
+    """Length of that spring without a force; left out: 0."""
     damping: Damping | None = None
+    """Of a damper between two points, or of the guide of a slider."""
     torsional_stiffness: TorsionalStiffness | None = None
+    """Of a spring that turns `on` back towards `against`."""
     free_angle: FixedAngle | None = None
+    """Angle of that spring without a torque; left out: 0."""
     torsional_damping: TorsionalDamping | None = None
+    """Of the rotation of `on` against `against`."""
 
     @field_validator("force", "torque", mode="before")
     @classmethod

@@ -18,6 +18,7 @@ from optlink.design.linkages import DyadsSection, FourBarSection, sizes_of
 from optlink.design.loads import LoadSection
 from optlink.design.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
 from optlink.design.section import RESERVED, Name, Section
+from optlink.design.tolerances import Deviation, Tolerances, deviations, loosened
 from optlink.dynamics.loads import Force, Load, Stroke
 from optlink.dynamics.machine import Machine, Moving
 from optlink.linkage.elementwise import Value, cross, dot, unit
@@ -32,34 +33,61 @@ class Expected(Section):
     """What a trusted source says that the answer is, and how closely it must be met."""
 
     source: str
+    """Where the figures come from."""
     crank: FixedLength | None = None
+    """Length of the crank."""
     coupler: FixedLength | None = None
+    """Length of the coupler."""
     rocker: FixedLength | None = None
+    """Length of the rocker."""
     frame: FixedLength | None = None
+    """Length of the frame."""
     phi0: FixedAngle | None = None
+    """Crank angle at the start of the law."""
     psi0: FixedAngle | None = None
+    """Rocker angle at the start of the law."""
     length_tolerance: FixedLength | None = None
+    """By how much a length may differ."""
     objective: Number | None = None
+    """The objective of the best design, a plain number in SI units."""
     objective_tolerance: Number | None = None
-    figures: dict[str, Number] = Field(default_factory=dict)  # of an analysis, by name
-    figure_tolerance: Number = 1e-6  # relative
+    """By how much the objective may differ."""
+    figures: dict[str, Number] = Field(default_factory=dict)
+    """Figures of the analysis by their names, plain numbers in SI units, of the machine without clearance."""
+    figure_tolerance: Number = 1e-6
+    """By which share a figure may differ."""
 
 
 class Problem(Section):
     """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
 
     title: str = Field(min_length=1, max_length=200)
+    """One line for people, at most 200 characters."""
     source: str = ""
+    """Where the problem comes from."""
     about: str = ""
+    """What is given and what is wanted, in a few sentences."""
     gravity: Gravity = (0.0, 0.0)
+    """Acceleration of gravity along -y, or its two components."""
     mechanism: FourBarSection | DyadsSection = Field(discriminator="type")
+    """The linkage: a four-bar by its lengths, or any chain of dyads."""
     bodies: dict[Name, BodySection] = Field(default_factory=dict)
+    """Mass properties by the name of the body; a body that is not named has no mass."""
     joints: dict[Name, JointSection] = Field(default_factory=dict)
+    """By the name of the pin: on which body its reaction is told, and its clearance."""
     loads: dict[Name, LoadSection] = Field(default_factory=dict)
+    """Forces, torques, springs and dampers, each under a name of your choice."""
     drive: DriveSection = DriveSection()
+    """What drives the machine, and how fast."""
     control: ControlSection | None = None
+    """How the crank is corrected so that the output moves as it would without clearance."""
     balance: BalanceSection | None = None
+    """Which counterweights and springs may be added, what they shall make small, what is limited."""
+    tolerances: Tolerances = Field(default_factory=dict)
+    """How exactly sizes, pivots and clearances are built, by their names: `"0.1 mm"`, `"0.1 mm uniform"`, a CSV file with
+    deviations, or `{ tolerance, distribution, cost }`."""
     expected: Expected | None = None
+    """What a trusted source says that the answer is; checked by the tests for every shipped problem."""
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
@@ -75,6 +103,20 @@ class Problem(Section):
     def linkage(self) -> Mechanism:
         """The mechanism as data."""
         return self.mechanism.linkage(self.title, self.drive.body)
+
+    @cached_property
+    def deviations(self) -> tuple[Deviation, ...]:
+        """How sizes may differ when the linkage is built.
+
+        Raises
+        ------
+        Unusable
+            whose key is the name of the size.
+        """
+        quantities = self.mechanism.quantities
+        mechanism, pivots = loosened(self.mechanism, self.linkage)
+        largest = {name: quantity.bounds[1] for name, quantity in quantities.items()}
+        return deviations(self.tolerances, mechanism, quantities, largest | pivots)
 
     def machine(self, design: Mapping[str, Value] | None = None) -> Machine:
         """The machine for given quantities [SI] (the values and starts of the file where none are given).
@@ -251,6 +293,8 @@ def cross_check(problem: Problem) -> None:
     """
     machine = problem.machine()
     gaps = problem.gaps(machine)
+    with _below("tolerances"):
+        _ = problem.deviations
     if problem.control is not None:
         with _below("control"):
             problem.control.check(machine, gaps)

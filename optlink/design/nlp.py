@@ -6,7 +6,7 @@ The formulas are those of `linkage`, `objectives` and `constraints`, traced once
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -19,6 +19,9 @@ from optlink.design.constraints import rows as limit_rows
 from optlink.design.limits import Reach
 from optlink.design.objectives import MEASURES, Measure, output_error
 from optlink.design.problem import EPIGRAPH, DesignProblem, StartPosition
+from optlink.design.robust import EXPECTED, residuals
+from optlink.design.slopes import ErrorSlopes
+from optlink.linkage.elementwise import turn, unit
 from optlink.linkage.fourbar import LENGTHS
 from optlink.symbolic import Compiled, tracing
 
@@ -55,8 +58,8 @@ class NLP:
     """minimise f(x, p) subject to low <= g(x, p) <= high, x_low <= x <= x_high.
 
     `x` (n,) are the scaled free quantities (and, last, the largest error of a minimax problem); `p` is the scale of the
-    objective followed by the fixed quantities (and crank rotations of roaming positions), so that they can be varied without
-    tracing anew.
+    objective followed by the fixed quantities, the tolerances that count and crank rotations of roaming positions, so that they
+    can be varied without tracing anew.
     """
 
     variables: tuple[Variable, ...]
@@ -76,7 +79,7 @@ class NLP:
     helpers: frozenset[str] = frozenset({EPIGRAPH})  # variables and rows that state the objective rather than a limit
     factor: float = 1.0  # from f * p[0] to what the measure makes of the residuals (of rms: their mean square)
     states: frozenset[str] = frozenset()  # variables and rows that never give way, such as those that equations define
-    constants: tuple[Variable, ...] = ()  # the fixed quantities as `p` holds them, from its second component on
+    constants: tuple[Variable, ...] = ()  # the fixed quantities and tolerances as `p` holds them, from its second component on
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # what a back end compiles for this programme
 
     @cached_property
@@ -146,8 +149,13 @@ class NLP:
         x = np.array([(values.get(v.name, 0.0) - v.origin) / v.size for v in self.variables])
         return self.lifted(np.clip(x, self.x_low, self.x_high))
 
+    @property
+    def roaming(self) -> int:
+        """How many positions roam."""
+        return len(self.p) - 1 - len(self.constants)
+
     def roam(self, offsets: Array) -> None:
-        """Move the roaming positions to these crank rotations [rad], `ROAMING` at most."""
+        """Move the roaming positions to these crank rotations [rad], `roaming` at most."""
         self.p[len(self.p) - len(offsets) :] = offsets
 
     def limit(self, entry: int, bound: float, *, upper: bool) -> None:
@@ -173,14 +181,23 @@ SMALLEST_SCALE = 1e-6  # of the objective: where the law can be met exactly, rou
 ROAMING = 12  # positions of a function's programme that are moved to where its error is largest
 
 
-def _residuals(problem: DesignProblem, values: dict[str, Any], start: StartPosition, roaming: list[Any]) -> list[Any]:
-    """Trace the output error once, at a symbolic position, then put the design positions in (numpy's dispatch is paid once)."""
-    names = list(values)
+def _residuals(
+    problem: DesignProblem, values: dict[str, Any], counted: dict[str, Any], start: StartPosition, roaming: list[Any]
+) -> list[Any]:
+    """Residuals at each position, a column each: of `optlink.design.robust.residuals`.
+
+    Traced once, at a symbolic position, then the design positions are put in (numpy's dispatch is paid once).
+    """
+    names = [*values, *counted]
     inputs = casadi.SX.sym("inputs", len(names) + 6)
+    given = {name: inputs[i] for i, name in enumerate(names)}
     at = StartPosition((inputs[-6], inputs[-5]), inputs[-4], inputs[-3])
-    error = output_error(problem, {name: inputs[i] for i, name in enumerate(names)}, at, inputs[-2], inputs[-1])
-    one = casadi.Function("error", [inputs], [error])
-    known = [*values.values(), *start.crank, start.phi0, start.psi0]
+    error, slopes, robust = output_error(problem, given, at, inputs[-2], inputs[-1]), [], problem.requirement.robust
+    if robust is not None:
+        slopes = ErrorSlopes(problem).symbolic(given, turn(at.crank, unit(inputs[-2])))
+    deviations = [replace(d, tolerance=given.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
+    one = casadi.Function("error", [inputs], [casadi.vertcat(*residuals(robust, deviations, error, slopes))])
+    known = [*values.values(), *counted.values(), *start.crank, start.phi0, start.psi0]
     law = problem.law
     fixed = [
         one(casadi.vertcat(*known, float(offset), float(tabulated)))
@@ -200,25 +217,30 @@ def build(problem: DesignProblem) -> NLP:
     fixed = tuple(name for name in problem.quantities if name not in free)
     measure = MEASURES[problem.requirement.measure]
     minimax = measure.name == "max"
+    robust, counted = problem.requirement.robust, problem.counted
+    if robust is not None and robust.text == EXPECTED:
+        measure = replace(measure, width=1 + len(problem.deviations))
 
     x = casadi.SX.sym("x", len(free) + minimax)
-    many = ROAMING if problem.everywhere else 0
-    p = casadi.SX.sym("p", 1 + len(fixed) + many)
+    many = 0 if not problem.everywhere else ROAMING if robust is None else 2 * ROAMING  # with its scatter an error is flatter
+    constant = len(fixed) + len(counted)
+    p = casadi.SX.sym("p", 1 + constant + many)
     values = {name: x[i] * sizes[name] for i, name in enumerate(free)}
     values |= {name: p[1 + i] * sizes[name] for i, name in enumerate(fixed)}
+    tolerances = {name: p[1 + len(fixed) + i] * size for i, name in enumerate(counted)}
     with tracing():
         start = problem.start_position(values)
-        residuals = _residuals(problem, values, start, [p[1 + len(fixed) + i] for i in range(many)])
+        columns = _residuals(problem, values, tolerances, start, [p[1 + constant + i] for i in range(many)])
         rows = limit_rows(problem, values, Reach(start.phi0, problem.span), size)
         if minimax:
             labels = [f"error {math.degrees(offset):.4g} deg from the start" for offset in problem.law.offsets]
             labels += [f"error at its peak {i + 1}" for i in range(many)]
             # as shares of the objective's scale: else all rows of a small error would count as active
-            for label, residual in zip(labels, residuals, strict=True):
-                rows.append(Row(EPIGRAPH, f"{label}, above", (x[-1] - residual) / p[0], 0.0, math.inf, DEGREES))
-                rows.append(Row(EPIGRAPH, f"{label}, below", (x[-1] + residual) / p[0], 0.0, math.inf, DEGREES))
-        vector = casadi.vertcat(*residuals)
-        f = x[-1] if minimax else casadi.sumsqr(vector) / (len(residuals) if measure.name == "rms" else 1)
+            for label, column in zip(labels, columns, strict=True):
+                rows.append(Row(EPIGRAPH, f"{label}, above", (x[-1] - column[0]) / p[0], 0.0, math.inf, DEGREES))
+                rows.append(Row(EPIGRAPH, f"{label}, below", (x[-1] + column[-1]) / p[0], 0.0, math.inf, DEGREES))
+        vector = casadi.vertcat(*columns)
+        f = x[-1] if minimax else casadi.sumsqr(vector) / (len(columns) if measure.name == "rms" else 1)
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
 
     quantities = [problem.quantities[name] for name in free]
@@ -226,6 +248,7 @@ def build(problem: DesignProblem) -> NLP:
     def scaled(name: str) -> Variable:
         return Variable(name, sizes[name], Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES)
 
+    others = [Variable(name, size, Scale("mm", 1e3 * size)) for name in counted]
     variables = [scaled(name) for name in free]
     low = [q.bounds[0] / sizes[name] for q, name in zip(quantities, free, strict=True)]
     high = [q.bounds[1] / sizes[name] for q, name in zip(quantities, free, strict=True)]
@@ -241,12 +264,19 @@ def build(problem: DesignProblem) -> NLP:
         x_start=np.array(at),
         x_low=np.array(low),
         x_high=np.array(high),
-        p=np.array([1.0, *(problem.quantities[name].value / sizes[name] for name in fixed), *np.zeros(many)]),
+        p=np.array(
+            [
+                1.0,
+                *(problem.quantities[name].value / sizes[name] for name in fixed),
+                *(tolerance / size for tolerance in counted.values()),
+                *np.zeros(many),
+            ]
+        ),
         x_symbol=x,
         p_symbol=p,
         f_expression=f / p[0],
         g_expression=g,
         residual_expression=vector,
-        constants=tuple(scaled(name) for name in fixed),
+        constants=(*(scaled(name) for name in fixed), *others),
     )
     return nlp

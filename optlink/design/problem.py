@@ -25,6 +25,7 @@ from optlink.design.quantity import (
     nearest,
     read_quantity,
 )
+from optlink.design.robust import Robustness, check_robust
 from optlink.design.section import Section
 from optlink.linkage.elementwise import Value, Vector, angle, unit
 from optlink.linkage.fourbar import dead_centre, lengths_of
@@ -50,12 +51,22 @@ class Requirement(Section):
     """What the linkage must do: the rocker follows a law while the crank turns through the span."""
 
     kind: Literal["function"] = "function"
+    """What is asked for."""
     law: Any
+    """Rocker angle over crank angle: an expression in phi, phi0, psi0; a table of angles, or its CSV file; or a function y(x)."""
     start: Annotated[Any, BeforeValidator(_read_start), Field(alias="from")] = DEAD_CENTRES[0]
+    """Where the span begins: a dead centre of the rocker, or the crank angle phi0, fixed or free."""
     psi0: Angle | None = None
+    """Rocker angle at the start, fixed or free; left out: the rocker's own angle there (of a function: free)."""
     span: FixedAngle | None = None
+    """Crank rotation over which the law holds, negative clockwise; a table or a function brings its own."""
     points: Annotated[int, Field(strict=True, ge=1, le=MAX_POINTS)] | None = None
+    """Positions after the start, evenly spaced; left out: the rows of a table, 60 of a function."""
     measure: Literal["sum of squares", "rms", "max"] = "sum of squares"
+    """What makes one figure of all errors; `max` is the largest."""
+    robust: Robustness = None
+    """How the scatter by `[tolerances]` counts: `"3 sigma"` or `"worst case"` beside the largest error, or the `"expected value"`
+    of squares; left out: not at all."""
 
     @field_validator("law", mode="before")
     @classmethod
@@ -76,9 +87,13 @@ class DesignProblem(Problem):
     """A problem file that states a requirement: what `solve` takes. Immutable; change it with `optlink.load(..., overrides)`."""
 
     mechanism: FourBarSection
+    """The four-bar, with at least one free quantity."""
     requirement: Requirement
+    """The law that the rocker shall follow."""
     limits: Limits = Limits()
+    """What must hold beside the law."""
     expected: Expected | None = None
+    """What a trusted source says that the answer is; checked by the tests for every shipped problem."""
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
@@ -117,11 +132,24 @@ class DesignProblem(Problem):
         """Whether psi0 is the rocker's own angle at the start."""
         return "psi0" not in self.quantities
 
+    @property
+    def _itself(self) -> bool:
+        """Whether the error at the start is nothing by definition."""
+        return self.tied and self.requirement.robust is None
+
+    @property
+    def counted(self) -> dict[str, float]:
+        """Tolerances [SI] that the objective counts with, by their keys; those of measured deviations are no numbers."""
+        if self.requirement.robust is None:
+            return {}
+        return {f"tolerances.{d.name}": d.tolerance for d in self.deviations if not d.values}
+
     @cached_property
     def law(self) -> Law:
         """The law at its design positions.
 
-        Where psi0 is the rocker's own start, the start position would compare the rocker with itself and is left out.
+        Where psi0 is the rocker's own start, the start position would compare the rocker with itself and is left out; of a robust
+        design it is that of the drawing, from which what is built differs there too.
         """
         source, points = self.requirement.law, self.requirement.points
         first = 0.0
@@ -129,10 +157,10 @@ class DesignProblem(Problem):
             first = source.phi[0] if source.from_start else 0.0
             if points is None:
                 offsets = np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0])
-                own = self.tied and source.from_start and offsets[0] == 0.0 and source.psi[0] == 0.0
+                own = self._itself and source.from_start and offsets[0] == 0.0 and source.psi[0] == 0.0
                 return Law(source, offsets[1:] if own else offsets)
         count = points or POSITIONS
-        steps = np.arange(1 if self.tied and first == 0.0 else 0, count + 1) / count
+        steps = np.arange(1 if self._itself and first == 0.0 else 0, count + 1) / count
         return Law(source, first + (self.span - first) * steps)
 
     @property
@@ -160,6 +188,10 @@ class DesignProblem(Problem):
     def reach(self, values: Mapping[str, Value]) -> Reach:
         """Crank angles that the law asks for, for given quantities."""
         return Reach(self.start_position(values).phi0, self.span)
+
+    def sizes(self, design: Mapping[str, float]) -> dict[str, float]:
+        """Every size of the linkage [SI], as a design has it or else the file: places of further points need not be given."""
+        return {name: float(design.get(name, quantity.value)) for name, quantity in self.mechanism.quantities.items()}
 
     def design(self, values: Mapping[str, float]) -> dict[str, float]:
         """Complete free quantities [SI] to a design: every length, phi0 and psi0."""
@@ -233,6 +265,7 @@ def cross_check_design(problem: DesignProblem) -> None:
             "limits.transmission_cosine",
         )
     check_ranges(limits)
+    check_robust(requirement.robust, requirement.measure, len(problem.tolerances))
     if limits.crank != "full rotation":
         for key in ("swing_angle", "time_ratio"):
             if getattr(limits, key) is not None:

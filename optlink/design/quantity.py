@@ -6,6 +6,7 @@ A quantity is fixed when it is one value ("500 mm") and free when it is a table 
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -184,7 +185,7 @@ def read_positive(raw: object, kind: str) -> Quantity:
 
 
 def _reader(function: Any, kind: str | None) -> BeforeValidator:
-    return BeforeValidator(lambda raw: function(raw, kind))
+    return BeforeValidator(functools.partial(function, kind=kind))  # the reference of problem files reads both back
 
 
 Length = Annotated[Quantity, _reader(read_quantity, "length")]

@@ -78,12 +78,19 @@ class Term(Section):
     """A figure of the cycle: a quantity, where it is taken, and how its course becomes one figure."""
 
     quantity: What
+    """What is meant."""
     of: str | None = None
+    """Where it is taken: the name of a pin, guide, slider, body, point or size, whichever the quantity asks for."""
     on: str | None = None
+    """Of a reaction: the body on which it acts."""
     measure: Measure | None = None
+    """How the course over the cycle becomes one figure; left out: the first that the quantity has."""
     static: bool = False
+    """Leave the inertia of the bodies out; weights and loads stay."""
     direction: FixedAngle | None = None
+    """Of the stroke of a point: along what, from +x."""
     stroke: Literal["forward", "backward"] | None = None
+    """Of an end, and of the work of a slider: in which stroke."""
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -174,8 +181,11 @@ class Goal(Term):
     """A term of the objective: weight * value / scale."""
 
     weight: Number = 1.0
+    """How much the term counts, positive."""
     scale: Any = None
+    """What counts as one, a quantity of the term's own kind; required where several terms are added."""
     sense: Literal["minimise", "maximise"] = "minimise"
+    """Whether it shall be small or large."""
 
     @model_validator(mode="after")
     def _one_sided(self) -> Self:
@@ -189,14 +199,23 @@ class Objective(Section):
     """What is minimised: one term, or a weighted sum of several under `terms`."""
 
     quantity: What | None = None
+    """What is minimised."""
     of: str | None = None
+    """Where it is taken: the name of a pin, guide, slider, body, point or size, whichever the quantity asks for."""
     on: str | None = None
+    """Of a reaction: the body on which it acts."""
     measure: Measure | None = None
+    """How the course over the cycle becomes one figure; left out: the first that the quantity has."""
     static: bool = False
+    """Leave the inertia of the bodies out; weights and loads stay."""
     direction: FixedAngle | None = None
+    """Of the stroke of a point: along what, from +x."""
     stroke: Literal["forward", "backward"] | None = None
+    """Of an end, and of the work of a slider: in which stroke."""
     sense: Literal["minimise", "maximise"] = "minimise"
+    """Whether it shall be small or large."""
     terms: tuple[Goal, ...] = ()
+    """In place of all the keys above: the terms of a weighted sum."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -247,8 +266,11 @@ class Limit(Term):
     """A term that must stay within bounds: `min`, `max` or both, or `exactly` a value."""
 
     min: Any = None
+    """At least this, a quantity of the term's own kind."""
     max: Any = None
+    """At most this."""
     exactly: Any = None
+    """In place of both: this."""
 
     @model_validator(mode="after")
     def _bounded(self) -> Self:

@@ -91,7 +91,10 @@ class CouplerLinkage:
     side : int
         Assembly mode: +1 C to the left of B -> D, -1 to the right.
 
-    InputError if a length is not positive, a number not finite, or the mode neither +1 nor -1.
+    Raises
+    ------
+    InputError
+        a length is not positive, a number not finite, or the mode neither +1 nor -1.
     """
 
     crank: float
@@ -294,7 +297,10 @@ def cognates(linkage: CouplerLinkage, at: float | None = None) -> Cognates:
     centres whichever end is driven (`Cognate.turning_back`). A coupler point on the line B-C is nothing special: then the three
     pivots lie on a line too. Nothing is promised at a change point itself.
 
-    InputError if `linkage` cannot be assembled at all or only lies flat, or not at `at`.
+    Raises
+    ------
+    InputError
+        when `linkage` cannot be assembled at all or only lies flat, or not at `at`.
     """
     ranges = reachable(*linkage.lengths)
     if not ranges:

@@ -32,6 +32,8 @@ def rrr(p: Vector, q: Vector, a: Value, b: Value, side: int) -> tuple[Vector, Va
     margin : Value [-]
         (height / distance)^2 of the joint above p -> q; negative where it cannot be assembled, NaN where p = q.
 
+    Notes
+    -----
     Source: intersection of two circles (law of cosines in the triangle of p, q and the joint).
     """
     dx, dy = q[0] - p[0], q[1] - p[1]
@@ -66,6 +68,8 @@ def rrp(p: Vector, g: Vector, w: Vector, a: Value, offset: Value, side: int) -> 
     margin : Value [-]
         1 - (h / a)^2, h the distance of p from the path of the joint; negative where that exceeds the link.
 
+    Notes
+    -----
     Source: intersection of a circle and a line.
     """
     to_p = (p[0] - g[0], p[1] - g[1])
@@ -95,6 +99,8 @@ def rpr(p: Vector, q: Vector, offset: Value, side: int) -> tuple[Vector, Value]:
     margin : Value [-]
         1 - (offset / distance)^2; negative where the pins are nearer than the offset, NaN where p = q.
 
+    Notes
+    -----
     Source: p -> q is the sum of the slide along the line and the offset across it (right triangle).
     """
     dx, dy = q[0] - p[0], q[1] - p[1]
@@ -127,6 +133,8 @@ def rpp(p: Vector, y: Vector, w: Vector, u: Vector, offset: Value) -> tuple[Valu
     margin : Value [-]
         Squared sine of the angle between the two lines: zero where they are parallel.
 
+    Notes
+    -----
     Source: intersection of two lines.
     """
     sine = cross(u, w)
@@ -150,6 +158,8 @@ def prp(g: Vector, w: Vector, h: Vector, u: Vector, first: Value, second: Value)
     margin : Value [-]
         Squared sine of the angle between the two lines: zero where they are parallel.
 
+    Notes
+    -----
     Source: intersection of two lines.
     """
     sine = cross(w, u)

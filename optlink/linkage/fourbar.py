@@ -110,6 +110,8 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
     tolerance : float [-]
         Share of the longest link below which a slack counts as zero (change-point linkage).
 
+    Notes
+    -----
     Source: Grashof's condition s + l <= p + q; inversions as in Norton, Design of Machinery, chapter 2.
     """
     lengths = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
@@ -229,6 +231,8 @@ def dead_centre(crank: Value, coupler: Value, rocker: Value, frame: Value, side:
     outer : bool
         True: crank and coupler extended (A-C = coupler + crank); False: overlapping (A-C = |coupler - crank|).
 
+    Notes
+    -----
     Source: triangle A-C-D, law of cosines.
     """
     reach = coupler + crank if outer else coupler - crank

@@ -17,12 +17,12 @@ from optlink.linkage.elementwise import Value
 class Jet(NDArrayOperatorsMixin):
     """Truncated Taylor series in time.
 
+    A quantity that is not a Jet is constant in time. Functions without a rule raise TypeError (numpy's own message).
+
     Parameters
     ----------
     value, rate, acceleration : Value, broadcastable
         The quantity and its first and second derivative with respect to time.
-
-    A quantity that is not a Jet is constant in time. Functions without a rule raise TypeError (numpy's own message).
     """
 
     __slots__ = ("acceleration", "rate", "value")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from optlink.generation import Generation
+from optlink.generated import Generation
 from optlink.report.designs import kin
 from optlink.report.labels import Label, settle
 from optlink.report.standing import BESIDE, standing, trim

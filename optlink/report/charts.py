@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -12,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.analysis import Analysis
+from optlink.designed import MachineDesign
 from optlink.documents import finite
 from optlink.dynamics.record import Record, slider_names
-from optlink.generation import Generation
-from optlink.machine_design import MachineDesign
+from optlink.generated import Generation
 from optlink.report.curves import NOTHING, Course
 from optlink.report.cycle import outputs
 from optlink.report.designs import exact
 from optlink.report.figures import Chart, Panel, Trace, axis, filled, level, line, sheet, short, stacked
+from optlink.report.moving import Readout
 from optlink.report.outputs import output
 from optlink.report.plot import transmission_limits
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, Scale, scale
@@ -283,15 +283,6 @@ def tornado(found: Sensitivities) -> Chart:
 
 
 # --- figures beside the moving drawing ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Readout:
-    """A figure that follows the crank: its name, its unit, its values in that unit over the positions of the scene."""
-
-    name: str
-    unit: str
-    values: list[float | None]
 
 
 def readouts(cycle: Analysis, angles: Array, *, forces: bool) -> list[Readout]:

@@ -299,7 +299,9 @@ def trade(result: Balance) -> Figure | None:
     given = np.array(found.before) * [u.factor for u in units]
     axes.plot(*given, "s", color=WANTED, markersize=6.5, zorder=5, label="given machine", gid="given")
     labels = [Label(axes, (float(given[0]), float(given[1])), "given machine", WANTED, 9.0, 4.0)]
-    marks = {0: f"least {first.quantity}", len(found.points) - 1: f"least {second.quantity}", found.knee: "knee"}
+    marks = {0: f"least {first.quantity}", len(found.points) - 1: f"least {second.quantity}"}
+    if found.knee is not None:
+        marks[found.knee] = "knee"
     for k, name in marks.items():
         shares = [percent(v / b - 1.0) for v, b in zip(found.points[k].made, found.before, strict=True)]
         axes.plot(*real[k], "o", color=LIMIT, markersize=7.0, zorder=5, gid=name)

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from optlink.design.generation import TURN, GenerationProblem
-from optlink.generation import LEVEL, OUTPUT, Design, Generation, people_unit
+from optlink.generated import LEVEL, OUTPUT, Design, Generation, people_unit
 from optlink.linkage.cognates import Cognate, CouplerLinkage
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, active, checks, fixed, grid, number
 from optlink.validation import Check
@@ -264,7 +264,8 @@ def _times(outcome: Generation) -> Text:
     times = ", ".join(f"{name} {1e3 * seconds:.0f} ms" for name, seconds in outcome.seconds.items() if seconds > 0.0)
     if not outcome.starts:
         return Text(times, style=QUIET)
-    reached = f"{outcome.hits} of {outcome.starts} starts reached the best value; " if outcome.best is not None else ""
+    searched = "sum of squares" if outcome.best is not None and outcome.best.task.measure == "max" else "value"
+    reached = f"{outcome.hits} of {outcome.starts} starts reached the best {searched}; " if outcome.best is not None else ""
     return Text(f"{reached}batch of least squares, then {outcome.backend}; {times}", style=QUIET)
 
 

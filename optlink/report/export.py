@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from optlink.report.subject import Subject
 from optlink.report.svg import svg
 
 SCHEMA = "optlink/geometry/1"
+LONGEST = 255  # bytes of a file's name that every system takes
 FORCES = ("_N", "_Nm", "_J", "_W")
 """Endings of columns that say nothing of a linkage without masses and loads."""
 
@@ -48,6 +50,8 @@ def target(path: Path, endings: tuple[str, ...], example: str) -> Path:
         unknown ending, a folder that does not exist or cannot be written to.
     """
     key = "-o"
+    if len(os.fsencode(path.name)) > LONGEST:
+        raise InputError(Fault("the name is too long", f"Give a shorter one, for example {example}", key=key, value=str(path)))
     if path.is_dir():
         raise InputError(Fault("this is a folder", f"Give the name of a file, for example {example}", key=key, value=str(path)))
     if path.suffix.lower() not in endings:

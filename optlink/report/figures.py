@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.documents import finite
-from optlink.report.style import LIMIT
+from optlink.report.style import LIMIT, WANTED
 
 Array = NDArray[np.float64]
 Trace = dict[str, Any]
@@ -22,12 +23,32 @@ CRANK_ANGLE = "crank angle φ [deg]"
 
 
 @dataclass(frozen=True)
+class Picks:
+    """Points of a chart that can be picked: the figures of each as texts under common names, and where it is marked.
+
+    `what`: what one is called; `first`: the one that is shown at the beginning.
+    """
+
+    what: str
+    names: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    x: list[float | None]
+    y: list[float | None]
+    first: int = 0
+
+
+@dataclass(frozen=True, eq=False)
 class Chart:
-    """A chart: its title, its figure, and whether its x axis is the crank angle [deg], so that a cursor can follow."""
+    """A chart: its title, its figure, and whether its x axis is that of the slider, so that a cursor can follow.
+
+    `picks`: what can be picked in it; `remark`: what a reader should know of it.
+    """
 
     title: str
     figure: dict[str, Any]
     cranked: bool = True
+    picks: Picks | None = None
+    remark: str = ""
 
 
 @dataclass(frozen=True)
@@ -116,3 +137,32 @@ def level(x: Array, value: float, words: str) -> Trace:
 def filled(colour: str) -> Trace:
     """What fills bars with a colour."""
     return {"marker": {"color": colour}}
+
+
+# --- what is picked ----------------------------------------------------------------------------------------------------------
+
+
+def mark(picks: Picks) -> Trace:
+    """The mark of the picked point: always the last curve of a chart, where the script looks for it."""
+    look = {"color": "rgba(0,0,0,0)", "size": 13.0, "line": {"color": WANTED, "width": 2.2}}
+    at = {"x": [picks.x[picks.first]], "y": [picks.y[picks.first]]}
+    return {"type": "scatter", "mode": "markers", "name": "", "showlegend": False, "hoverinfo": "skip", "marker": look} | at
+
+
+# --- long curves -------------------------------------------------------------------------------------------------------------
+
+
+def thinned(x: Array, y: Array, most: int = 2000) -> tuple[Array, Array]:
+    """A long curve as at most about so many points: of each of its portions the least and the largest value, in their order."""
+    if len(x) <= most:
+        return x, y
+    edges = np.linspace(0, len(x), most // 2 + 1).astype(int)
+    kept: set[int] = {0, len(x) - 1}
+    for first, last in itertools.pairwise(edges.tolist()):
+        portion = y[first:last]
+        if np.all(np.isnan(portion)):
+            kept.add(first)
+            continue
+        kept |= {first + int(np.nanargmin(portion)), first + int(np.nanargmax(portion))}
+    rows = np.array(sorted(kept))
+    return x[rows], y[rows]

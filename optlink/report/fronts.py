@@ -90,4 +90,4 @@ def _outward(result: Pareto, x: int, y: int) -> tuple[float, float]:
 def _named(result: Pareto, k: int) -> str:
     aim = result.aims[k]
     arrow = "" if aim.sense > 0 else " (more is better)"
-    return f"{aim.name} [{aim.unit.replace('*', ' ')}]{arrow}" if aim.unit else f"{aim.name}{arrow}"
+    return f"{aim.name} [{aim.unit.replace('*', ' ').replace('^2', '²')}]{arrow}" if aim.unit else f"{aim.name}{arrow}"

@@ -9,8 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from optlink.design.cycle import CycleProblem
+from optlink.designed import MachineDesign, people_unit
 from optlink.errors import Status
-from optlink.machine_design import MachineDesign, people_unit
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, active, checks, fixed, grid, number
 from optlink.solvers.conflict import Relaxation
 

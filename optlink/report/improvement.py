@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from optlink.analysis import Analysis
 from optlink.design.files import dump
 from optlink.design.terms import Term
+from optlink.designed import MachineDesign
 from optlink.dynamics.record import Record
 from optlink.linkage.cycle import TURN
 from optlink.linkage.elementwise import Value
 from optlink.linkage.motion import sweep
-from optlink.machine_design import MachineDesign
 from optlink.report.curves import zero
 from optlink.report.draw import Sketch
 from optlink.report.store import whole, write_csv, write_json

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from optlink.design.constraints import rows as limit_rows
-from optlink.design.objectives import output_error
+from optlink.design.slopes import Judge
 from optlink.linkage.fourbar import LENGTHS
 from optlink.report.style import LIMIT, WANTED, heading, styled
 from optlink.report.style import figure as new_figure
@@ -36,17 +36,9 @@ def objective_map(result: Result) -> Figure | None:
     (x_low, x_high), (y_low, y_high) = (problem.quantities[name].bounds for name in problem.free)
     x, y = np.meshgrid(np.linspace(x_low, x_high, 241), np.linspace(y_low, y_high, 241))
     fixed = {name: quantity.value for name, quantity in problem.quantities.items()}
-    values: dict[str, Any] = {**fixed, x_name: x[..., None], y_name: y[..., None]}
     flat: dict[str, Any] = {**fixed, x_name: x, y_name: y}
-    law = problem.law
     with np.errstate(all="ignore"):
-        error = output_error(problem, values, problem.start_position(values), law.offsets, law.tabulated)
-        if problem.requirement.measure == "max":
-            objective = np.max(np.abs(error), axis=-1)
-        else:
-            objective = np.sum(error * error, axis=-1)
-            if problem.requirement.measure == "rms":
-                objective = np.sqrt(objective / error.shape[-1])
+        objective = Judge(problem).objective({**fixed, x_name: x[..., None], y_name: y[..., None]})
         inside = np.ones_like(x, dtype=bool)
         size = fixed["frame"]
         edges: list[tuple[str, Array]] = []
@@ -59,6 +51,8 @@ def objective_map(result: Result) -> Figure | None:
     axes = figure.subplots()
     scale_x, scale_y = (1e3 if name in LENGTHS else math.degrees(1.0) for name in problem.free)
     shown = np.where(np.isfinite(objective) & (objective > 0.0), objective, np.nan)
+    furthest = math.pi if result.unit == "rad" else len(problem.law.offsets) * math.pi**2
+    shown = np.minimum(shown, furthest)  # no angle is further off: beside dead centres tolerances alone would move it further
     if not np.any(np.isfinite(shown)):
         return None
     low, high = max(float(np.nanmin(shown)), 1e-12), float(np.nanmax(shown))

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from optlink.generation import LEVEL, Generation
+from optlink.generated import LEVEL, Generation
 from optlink.report.designs import exact_angles
 from optlink.report.near import ALLOWED, NUMBERED
 from optlink.report.style import FOUND, HALO, LIMIT, QUIET, WANTED, figure, styled

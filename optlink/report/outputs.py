@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.design.generation import TURN, ZERO, GenerationProblem
-from optlink.generation import Generation
+from optlink.generated import Generation
 from optlink.linkage.groups import RRR
 from optlink.report.film import film, there_and_back
 from optlink.report.labels import settle

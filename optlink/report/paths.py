@@ -18,7 +18,7 @@ from PIL import Image
 
 from optlink.design.files import dump
 from optlink.design.generation import TURN, ZERO
-from optlink.generation import Design, Generation
+from optlink.generated import Design, Generation
 from optlink.linkage.groups import RRR
 from optlink.linkage.motion import Motion
 from optlink.report.alternatives import designs

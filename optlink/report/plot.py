@@ -13,6 +13,7 @@ from matplotlib.patches import Arc
 from numpy.typing import NDArray
 from PIL import Image
 
+from optlink.design.slopes import Judge
 from optlink.linkage.fourbar import dead_centre, lengths_of, reachable
 from optlink.linkage.motion import Motion, sweep
 from optlink.report.draw import Sketch
@@ -76,7 +77,7 @@ def write_all(result: Result, folder: Path) -> list[Path]:
 
 
 def _moved(result: Result, angles: Array) -> Motion:
-    return sweep(result.problem.spec.linkage, result.sizes, angles)
+    return sweep(result.problem.spec.linkage, result.problem.spec.sizes(result.design), angles)
 
 
 def _range(result: Result) -> Array:
@@ -179,14 +180,22 @@ def law(result: Result) -> Figure | None:
     top.legend(frameon=False, loc="best")
     worst = int(np.nanargmax(np.abs(error)))
     bottom.axhline(0.0, color=WANTED, linewidth=0.8)
-    bottom.plot(crank, error, color=LIMIT, linewidth=1.5)
+    low, high, beside = float(np.nanmin(error)), float(np.nanmax(error)), float(error[worst])
+    robust = problem.requirement.robust
+    if robust is not None:
+        built = np.degrees(Judge(problem).band(design, offsets))
+        bottom.fill_between(crank, *built, color=LIMIT, alpha=0.15, linewidth=0, label=f"built, {robust.band}")
+        low, high, beside = float(np.nanmin(built)), float(np.nanmax(built)), float(built[int(error[worst] > 0.0), worst])
+    bottom.plot(crank, error, color=LIMIT, linewidth=1.5, label="as drawn")
     bottom.plot(math.degrees(design["phi0"]) + np.degrees(at), at_marks, ".", color=LIMIT, markersize=4)
-    room = 0.35 * float(np.nanmax(np.abs(error)))
-    bottom.set_ylim(float(np.nanmin(error)) - room, float(np.nanmax(error)) + room)
+    room = (0.35 if robust is None else 0.45) * max(abs(low), abs(high))
+    bottom.set_ylim(low - room, high + room)
+    if robust is not None:
+        bottom.legend(frameon=False, loc="best", fontsize=8.5, ncols=2)
     left = crank[worst] > 0.5 * (crank[0] + crank[-1])
     bottom.annotate(
-        f"largest {error[worst]:+.3f}°",
-        (crank[worst], error[worst]),
+        f"largest {error[worst]:+.3f}°{'' if robust is None else ' as drawn'}",
+        (crank[worst], beside),
         xytext=(-8 if left else 8, 6 if error[worst] > 0 else -6),
         textcoords="offset points",
         ha="right" if left else "left",

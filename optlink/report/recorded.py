@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,15 +16,22 @@ import numpy as np
 
 from optlink.analysis import SCHEMA as ANALYSIS
 from optlink.analysis import Analysis, analyze
-from optlink.design.files import ProblemFile, load, parse_assignment, shipped
+from optlink.design.files import ProblemFile
+from optlink.designed import SCHEMA as MACHINE
+from optlink.designed import MachineDesign
 from optlink.errors import Fault, InputError, Status
-from optlink.generation import SCHEMA as GENERATION
-from optlink.generation import Design, Generation, variants_of
-from optlink.machine_design import SCHEMA as MACHINE
-from optlink.machine_design import MachineDesign, check_machine
+from optlink.generated import SCHEMA as GENERATION
+from optlink.generated import Design, Generation
+from optlink.generation import variants_of
+from optlink.machine_design import check_machine
+from optlink.report.resolved import generated_optimum, law_optimum
+from optlink.report.results.found import problem_of
+from optlink.report.results.record import AGAIN, Record, read
 from optlink.report.subject import Outcome, Subject, subject_of
 from optlink.solvers.conflict import Relaxation
 from optlink.solvers.solution import LimitState
+from optlink.studies.sensitivity import SCHEMA as SENSITIVITY
+from optlink.studies.sensitivity import Resolved
 from optlink.units import factor
 from optlink.validation import Check
 from optlink.validation.check import Validation
@@ -33,13 +40,8 @@ from optlink.version import VERSION
 from optlink.workflow import SCHEMA as RESULT
 from optlink.workflow import Relaxed, Result, read_design, validate
 
-KNOWN = {RESULT: "solve", GENERATION: "solve", MACHINE: "solve", ANALYSIS: "analyze"}
+KNOWN = {RESULT: "solve", GENERATION: "solve", MACHINE: "solve", ANALYSIS: "analyze", SENSITIVITY: "study sensitivity"}
 """Schemas that can be shown, and the command that writes them."""
-
-
-def is_result(text: str) -> bool:
-    """Whether an argument names a result file rather than a problem."""
-    return text.endswith(".json")
 
 
 def read_subject(path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> Subject:
@@ -59,64 +61,79 @@ def read_subject(path: Path, problem: str | None = None, changes: Sequence[str] 
     InputError
         when the file is none that can be shown, or its problem is not found or another one.
     """
-    document = _document(path)
-    schema = document.get("schema")
+    record = read(path)
+    document, schema = record.document, record.document.get("schema")
     if schema not in KNOWN:
         known = " or ".join(f"{name} ({command})" for name, command in KNOWN.items())
         message = "not a result that can be shown here" if isinstance(schema, str) else "not a result of optlink"
         raise InputError(Fault(message, f"Give one of {known}, or the problem itself", str(path), "schema", schema))
-    file = _problem(document, path, problem, changes)
+    file = problem_of(record, problem, changes)
     notes = [f"read from {path.name}; kinematics and checks are computed anew from the design in it"]
     if document.get("optlink") != VERSION:
         notes.append(f"that file was written by optlink {document.get('optlink')}, this page by {VERSION}")
+    if schema == SENSITIVITY:
+        return _sensitive(record, file, tuple(notes))
     try:
-        outcome = _outcome(str(schema), document, path, file)
+        outcome = _solved(_outcome(str(schema), document, path, file))
         limits = tuple(_limit(item) for item in _listed(document)) if _optimal(outcome) else ()
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
-        raise InputError(
-            Fault(f"the result is damaged ({type(error).__name__}: {error})", "Write it again with --out", str(path))
-        ) from None
+        told = f"the key {error} is missing" if isinstance(error, KeyError) else f"a value is none that belongs there ({error})"
+        raise InputError(Fault(f"the result is damaged: {told}", AGAIN, str(path))) from None
     return subject_of(file, outcome, limits, tuple(notes))
 
 
-def _document(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        reason = getattr(error, "strerror", None) or "it holds no JSON"
-        remedy = "Give a result.json that `solve --out` or `analyze --out` wrote, or a problem"
-        raise InputError(Fault(f"cannot read a result: {reason}", remedy, str(path))) from None
-    if not isinstance(found, dict):
-        raise InputError(Fault("not a result of optlink", "Give a result.json that `solve --out` wrote", str(path)))
-    return found
+def _solved(outcome: Outcome) -> Outcome:
+    """An outcome whose optimum is a solution of its programme again."""
+    if isinstance(outcome, Result) and outcome.status is Status.OPTIMAL:
+        return replace(outcome, solution=law_optimum(outcome.problem, outcome.design))
+    if isinstance(outcome, Generation) and outcome.designs and outcome.designs[0].status is Status.OPTIMAL:
+        return replace(outcome, designs=(generated_optimum(outcome.designs[0]), *outcome.designs[1:]))
+    return outcome
 
 
-def _problem(document: Mapping[str, Any], path: Path, problem: str | None, changes: Sequence[str]) -> ProblemFile:
-    """The problem that a result belongs to, by its hash."""
-    name, wanted = str(document.get("problem")), document.get("problem_hash")
-    places = [problem] if problem is not None else list(_places(name, path))
-    overrides = dict(parse_assignment(text) for text in changes)
-    for place in places:
-        file = load(place, overrides)
-        for variant in (file, *variants_of(file)):
-            if variant.hash == wanted:
-                return variant
-    if not places:
-        remedy = f"Name its problem file: --problem {name}.toml"
-        raise InputError(Fault(f"the problem {name} of this result is not found", remedy, str(path), "problem", name))
-    told = f"its problem has the hash {wanted}, {places[0]} has {load(places[0], overrides).hash}"
-    remedy = "Name the problem file: --problem FILE, and repeat the --set of the search; or solve again"
-    raise InputError(Fault(f"the result is that of another problem or version: {told}", remedy, str(path), "problem_hash"))
+def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Subject:
+    """The optimum of `study sensitivity`, its derivatives computed anew; what it searched again is as it was recorded."""
+    units = record.record("design_units")
+    values = {name: value * _size(file, name, units.text(name)) for name, value in record.figures("design").items()}
+    if missing := [name for name in file.model.free if name not in values]:
+        raise record.fault(f"design.{missing[0]}", "this is missing")
+    if file.generated:
+        from optlink.generation import validate as check
+
+        outcome = _solved(_optimum(check(file, values)))
+        best = outcome.best if isinstance(outcome, Generation) else None
+        problem, solution = (file, None) if best is None else (best.problem, best.solution)
+    else:
+        given = replace(validate(file, {name: values[name] for name in file.model.free}), status=Status.OPTIMAL)
+        outcome = _solved(given)
+        problem, solution = file, outcome.solution if isinstance(outcome, Result) else None
+    if solution is None:
+        raise record.fault("design", "this is not the optimum of its problem")
+    from optlink.studies.sensitivity import of_solution
+
+    told = {row.text("key"): row for row in record.records("parameters")}
+    found = of_solution(problem, solution)
+    rows = tuple(replace(row, check=_checked(told[key])) if (key := row.parameter.key) in told else row for row in found.rows)
+    return replace(subject_of(file, outcome, (), notes), answers=replace(found, rows=rows))
 
 
-def _places(name: str, path: Path) -> Iterator[str]:
-    """Where the problem of a result may be."""
-    if name in shipped():
-        yield name
-    for folder in (path.parent, Path()):
-        beside = folder / f"{name}.toml"
-        if "/" not in name and "\\" not in name and beside.is_file():
-            yield str(beside)
+def _size(file: ProblemFile, name: str, unit: str) -> float:
+    """One of a unit of a quantity [SI]; 1 of what is no quantity of the problem."""
+    quantity = file.model.quantities.get(name)
+    return factor(unit, quantity.kind) if quantity is not None and unit else 1.0
+
+
+def _optimum(found: Generation) -> Generation:
+    """Designs that were checked, as those that a search found."""
+    return replace(found, designs=tuple(replace(design, status=Status.OPTIMAL) for design in found.designs))
+
+
+def _checked(record: Record) -> Resolved | None:
+    """Derivatives that were found by searching again, if they were asked for."""
+    if not record.has("searched_again"):
+        return None
+    found = record.record("searched_again")
+    return Resolved(found.number("step"), found.number("objective"), found.figures("design"), found.number("gap"))
 
 
 def _outcome(schema: str, document: Mapping[str, Any], path: Path, file: ProblemFile) -> Outcome:

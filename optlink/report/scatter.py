@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from optlink.report.store import write_csv, write_json
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, SHADE, WANTED, figure, heading, save, styled
-from optlink.studies.tolerance import Carlo, Tolerance, people
+from optlink.report.tolerances import percent
+from optlink.studies.carlo import Carlo
+from optlink.studies.nominal import people
+from optlink.studies.tolerance import Tolerance
 
 COLOURS = (CRANK, *BODIES)
-NEAR = 2.5  # bands that the room which a limit leaves may be away and still be drawn
+NEAR = 2.5  # times what is drawn, that a limit may be away and still be drawn
 
 
 def write_all(result: Tolerance, folder: Path) -> list[Path]:
@@ -47,53 +49,64 @@ def contributions(result: Tolerance) -> Figure:
         axes.set_xlabel("crank angle [deg]")
         axes.set_ylabel("share of the variance [%]")
         axes.set_ylim(0.0, 100.0)
-        drawn.legend(*axes.get_legend_handles_labels(), loc="outside right upper", frameon=False)
+        handles, names = axes.get_legend_handles_labels()
+        drawn.legend(handles[::-1], names[::-1], loc="outside right center", frameon=False)  # in the order of the stack
     else:
         axes.barh(labels[::-1], [float(share[0]) for share in shares][::-1], color=colours[::-1])
         axes.set_xlabel(f"share of the variance at {degrees[0]:.4g} deg [%]")
-    title = f"{result.problem.model.title}: who is to blame for the scatter of {result.nominal.name}"
+    title = f"{result.problem.model.title}: who is to blame for its scatter"
     drawn.suptitle(heading(title, 8.0), x=0.01, ha="left", fontsize=11)
     return drawn
 
 
 @styled
 def band(result: Tolerance) -> Figure:
-    """Change of what is judged over the crank angle: worst case, three sigma, what the samples reached, and room left."""
+    """The error, or the change of another output, over the crank angle: worst case, three sigma, ends of the samples, limit."""
     scale, unit = people(result.nominal)
     drawn = figure(8.0, 4.6)
     axes = drawn.add_subplot()
-    degrees, worst = np.degrees(result.nominal.crank_angles), result.worst
+    degrees, worst, base = np.degrees(result.nominal.crank_angles), result.worst, result.nominal.base
     marker = "." if len(degrees) < 3 else ""
-    low, high = scale * worst[0], scale * worst[1]
-    axes.fill_between(degrees, low, high, color=SHADE, label="worst case")
+    axes.fill_between(degrees, scale * (base + worst[0]), scale * (base + worst[1]), color=SHADE, label="worst case")
+    if np.any(base):
+        axes.plot(degrees, scale * base, color=FOUND, linewidth=2.0, marker=marker, label="as drawn")
     for side in (1.0, -1.0):
-        three = scale * (result.shift + side * 3.0 * result.sigma)
-        axes.plot(degrees, three, color=FOUND, marker=marker, label="three standard deviations" if side > 0.0 else None)
+        three = scale * (base + result.shift + side * 3.0 * result.sigma)
+        label = "three standard deviations" if side > 0.0 else None
+        axes.plot(degrees, three, color=FOUND, linewidth=1.2, linestyle="--", marker=marker, label=label)
     if result.carlo is not None:
         ends = f"ends of {result.carlo.samples:,} samples"
-        for column, label in ((result.carlo.most, ends), (result.carlo.least, None)):
-            axes.plot(degrees, scale * column, color=WANTED, linestyle=":", linewidth=1.1, marker=marker, label=label)
-    if result.limit is not None:
-        _room(axes, degrees, scale * (np.array([[1.0], [-1.0]]) * result.limit - result.nominal.base), marker)
+        for column, name in ((result.carlo.most, ends), (result.carlo.least, None)):
+            axes.plot(degrees, scale * (base + column), color=WANTED, linestyle=":", linewidth=1.1, marker=marker, label=name)
     axes.axhline(0.0, color=QUIET, linewidth=1.0)
+    if result.limit is not None:
+        _limits(axes, scale * result.limit, unit)
+    if len(degrees) > 1:
+        axes.set_xlim(degrees.min(), degrees.max())
     axes.set_xlabel("crank angle [deg]")
-    axes.set_ylabel(f"change of {result.nominal.name} [{unit}]")
-    drawn.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
-    drawn.suptitle(
-        heading(f"{result.problem.model.title}: scatter of {result.nominal.name}", 8.0), x=0.01, ha="left", fontsize=11
-    )
+    what = result.nominal.name if np.any(base) else f"change of {result.nominal.name}"
+    axes.set_ylabel(f"{what} [{unit}]")
+    drawn.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    title = f"{result.problem.model.title}: {_output(result)} as built"
+    drawn.suptitle(heading(title, 8.0), x=0.01, ha="left", fontsize=11)
     return drawn
 
 
-def _room(axes: Any, degrees: NDArray[np.float64], rooms: NDArray[np.float64], marker: str) -> None:
-    """What the limit leaves above and below, as far as that is near."""
-    bottom, top = axes.get_ylim()
-    reach = max(abs(bottom), abs(top))
-    for room in rooms:
-        axes.plot(degrees, room, color=LIMIT, marker=marker)
-    near = float(np.min(np.abs(rooms))) < NEAR * reach
-    axes.plot([], [], color=LIMIT, label="what the limit leaves" if near else "what the limit leaves (far outside)")
-    reach *= min(NEAR, max(1.2, 1.1 * float(np.min(np.abs(rooms))) / reach)) if near else 1.0
+def _output(result: Tolerance) -> str:
+    """What people call the output in a sentence."""
+    return f"the {result.nominal.name}" if np.any(result.nominal.base) else result.nominal.name
+
+
+def _limits(axes: Any, limit: float, unit: str) -> None:
+    """The limit to both sides, if it is near enough to be drawn."""
+    reach = max(abs(end) for end in axes.get_ylim())
+    label = f"limit ±{limit:.5g} {unit}"
+    if limit > NEAR * reach:
+        axes.plot([], [], color=LIMIT, label=f"{label} (far outside)")
+        return
+    for side in (1.0, -1.0):
+        axes.axhline(side * limit, color=LIMIT, linewidth=1.6, label=label if side > 0.0 else None)
+    reach = max(reach, 1.1 * limit)
     axes.set_ylim(-reach, reach)
 
 
@@ -115,8 +128,10 @@ def histogram(result: Tolerance, carlo: Carlo) -> Figure:
     axes.bar(left, 100.0 * counts / carlo.samples, right - left, align="edge", color=colours)
     if result.limit is not None:
         axes.axvline(limit, color=LIMIT, linewidth=1.6)
-        text = f" limit {limit:.5g} {unit}\n yield {100.0 * carlo.share:.2f} %"
-        axes.annotate(text, (limit, 0.98), xycoords=("data", "axes fraction"), va="top", color=LIMIT)
+        text = f" limit {limit:.5g} {unit} \n yield {percent(carlo.share)} "
+        inside = limit > 0.5 * sum(axes.get_xlim())
+        side = "right" if inside else "left"
+        axes.annotate(text, (limit, 0.98), xycoords=("data", "axes fraction"), ha=side, va="top", color=LIMIT)
     what = "error" if np.any(result.nominal.base) else f"change of {result.nominal.name}"
     axes.set_xlabel(f"largest {what} at any of the crank angles [{unit}]")
     axes.set_ylabel("share of the samples [%]")

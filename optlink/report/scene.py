@@ -106,6 +106,13 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene
     return _scene(sketch, shown, closed=cycle.full and at is None)
 
 
+def through(cycle: Analysis, angles: Array) -> Scene:
+    """An analysed machine at crank angles (positions,) [rad] in any order, drawn as large as its whole motion."""
+    machine = cycle.machine
+    whole = sweep(machine.mechanism, machine.sizes, np.radians(cycle["crank_angle_deg"]), cycle.speed)
+    return _scene(Sketch(whole, machine), sweep(machine.mechanism, machine.sizes, angles, cycle.speed), closed=False)
+
+
 def _scene(sketch: Sketch, motion: Motion, *, closed: bool) -> Scene:
     mechanism, k = sketch.mechanism, 1e3 / sketch.scale.factor
     flip = k * FLIP

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from optlink.analysis import Analysis, analyze
 from optlink.design.cycle import CycleProblem
@@ -12,12 +13,15 @@ from optlink.design.files import ProblemFile
 from optlink.design.generation import GenerationProblem
 from optlink.design.problem import DesignProblem
 from optlink.design.settled import settled
+from optlink.designed import MachineDesign
 from optlink.errors import InputError
-from optlink.generation import Generation
+from optlink.generated import Generation
 from optlink.linkage.cycle import TURN
-from optlink.machine_design import MachineDesign
 from optlink.solvers.solution import LimitState
 from optlink.workflow import Result
+
+if TYPE_CHECKING:
+    from optlink.studies.sensitivity import Sensitivities
 
 Outcome = Result | Generation | MachineDesign | Analysis
 
@@ -28,7 +32,8 @@ class Subject:
 
     `cycle`: the machine found (or given) over its whole motion, from where its task begins; None where it cannot be assembled
     there, and `unmoved` says why. `limits`: those with their prices that a result file recorded, which only the
-    search can compute. `notes`: what a reader should know of where the answer comes from.
+    search can compute. `notes`: what a reader should know of where the answer comes from. `answers`: how the optimum answers to
+    what is given, where that is what was asked.
     """
 
     problem: ProblemFile
@@ -37,6 +42,7 @@ class Subject:
     unmoved: str = ""
     limits: tuple[LimitState, ...] = ()
     notes: tuple[str, ...] = ()
+    answers: Sensitivities | None = None
 
     @property
     def valid(self) -> bool:

@@ -111,8 +111,12 @@ def _design(outcome: Result) -> Table:
 def _objective(outcome: Result) -> Table:
     table = grid("Objective", [("", "left"), ("", "right"), ("", "left"), ("", "left")])
     rms, largest = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
-    remark = f"error: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
+    robust = outcome.problem.spec.requirement.robust
+    remark = f"error{'' if robust is None else ' as drawn'}: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
     table.add_row(outcome.measure, Text(number(outcome.objective), style=HEAD), outcome.unit, Text(remark, style=QUIET))
+    if robust is not None and outcome.unit == "rad":
+        remark = "what counts of a linkage with its tolerances"
+        table.add_row("", Text(number(math.degrees(outcome.objective)), style=HEAD), "deg", Text(remark, style=QUIET))
     if outcome.problem.spec.everywhere:
         remark = f"the largest error is reached {outcome.alternations} times in turn, anywhere in the range"
         table.add_row("", Text(number(math.degrees(outcome.objective)), style=HEAD), "deg", Text(remark, style=QUIET))
@@ -242,6 +246,12 @@ def problem(file: ProblemFile) -> RenderableType:
         from optlink.report.machine import machine
 
         parts += machine(file)
+    if model.tolerances:
+        table = grid("\n[tolerances]", [("", "left"), ("", "left"), ("", "left")])
+        for deviation, said in zip(model.deviations, model.tolerances.values(), strict=True):
+            own = "" if said.shape or said.measured else f"default: {deviation.shape}"
+            table.add_row(deviation.name, str(said), Text(own, style=QUIET))
+        parts.append(table)
     if model.expected is not None:
         parts.append(_section("expected", model.expected, only_stated=True))
     return Group(*parts)
@@ -259,9 +269,12 @@ def _section(name: str, section: Section, instead: Mapping[str, str] | None = No
 
 def _plain(name: str, value: object) -> str:
     if value is None:
-        return {"psi0": "the rocker's own angle at the start", "span": "that of the table", "points": "its rows"}.get(
-            name, "no limit"
-        )
+        return {
+            "psi0": "the rocker's own angle at the start",
+            "span": "that of the table",
+            "points": "its rows",
+            "robust": "no",
+        }.get(name, "no limit")
     if isinstance(value, Quantity | Interval | str | int | float):
         return str(value)
     if isinstance(value, dict):

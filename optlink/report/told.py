@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from optlink.design.generation import MARK
-from optlink.generation import Design
+from optlink.generated import Design
 from optlink.report.designs import exact, measure, words
 from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
 from optlink.report.track import Track

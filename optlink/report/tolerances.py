@@ -10,14 +10,19 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from optlink.design.tolerances import CONTACT, Deviation
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
 from optlink.studies.allocation import Allocation
-from optlink.studies.sampling import CONFIDENCE, CONTACT, Deviation
-from optlink.studies.tolerance import Carlo, Tolerance, people
+from optlink.studies.carlo import Carlo
+from optlink.studies.nominal import people
+from optlink.studies.sampling import CONFIDENCE
+from optlink.studies.tolerance import Tolerance
 from optlink.workflow import people as inhabited
 
 if TYPE_CHECKING:
     from optlink.studies.robust import Robust
+
+SURE = f"{100.0 * CONFIDENCE:g} % sure"
 
 
 def tolerances(result: Tolerance) -> RenderableType:
@@ -35,9 +40,11 @@ def tolerances(result: Tolerance) -> RenderableType:
     return Group(*parts)
 
 
-def size(deviation: Deviation, value: float) -> str:
+def size(deviation: Deviation, value: float, digits: int = 6) -> str:
     """A deviation [SI] in the unit that people read."""
-    return f"{number(math.degrees(value))} deg" if deviation.kind == "angle" else f"{number(1e3 * value)} mm"
+    if deviation.kind == "angle":
+        return f"{number(math.degrees(value), digits)} deg"
+    return f"{number(1e3 * value, digits)} mm"
 
 
 def _shape(deviation: Deviation) -> str:
@@ -55,9 +62,17 @@ def _redesigned(result: Tolerance, found: Robust) -> Table:
         table.add_row(name, fixed(before), Text(fixed(inhabited(name, value)[0]), style=HEAD), unit)
     table.add_row("largest", fixed(math.degrees(found.before), 4), fixed(math.degrees(found.value), 4), "deg")
     if result.carlo is not None and result.unrobust is not None and result.limit is not None:
-        table.add_row("yield", percent(result.unrobust.share), Text(percent(result.carlo.share), style=HEAD), "")
-    word = "proven" if found.valid else "not proven: " + found.solution.status.text
-    table.caption = Text(word, style=GOOD if found.valid else BAD)
+        best, own = result.unrobust, result.carlo
+        limit = f"within {number(math.degrees(result.limit))} deg"
+        table.add_row("yield", percent(best.share), Text(percent(own.share), style=HEAD), Text(limit, style=QUIET))
+        for end, name in enumerate(("at least", "at most")):
+            ends = (percent(carlo.interval[end]) for carlo in (best, own))
+            table.add_row(Text(name, style=QUIET), *(Text(text, style=QUIET) for text in ends), Text(SURE, style=QUIET))
+    failed = ", ".join(check.name for check in found.result.validation.checks if not check.passed)
+    word = Text("proven" if found.valid else f"not proven: {failed}", style=GOOD if found.valid else BAD)
+    if result.beaten:
+        word.append("\nThe best as drawn yields more within this limit: build that one.", style=BAD)
+    table.caption = word
     table.caption_justify = "left"
     return table
 
@@ -128,7 +143,7 @@ def percent(share: float) -> str:
 
 def _between(carlo: Carlo) -> str:
     low, high = carlo.interval
-    return f"{100.0 * low:.3f} ... {percent(high)} ({100.0 * CONFIDENCE:g} % sure)"
+    return f"{100.0 * low:.3f} ... {percent(high)} ({SURE})"
 
 
 def _allocated(result: Tolerance, found: Allocation) -> Table:
@@ -139,7 +154,7 @@ def _allocated(result: Tolerance, found: Allocation) -> Table:
     table = grid(title, columns, header=True)
     for d, value, cost in zip(result.deviations, found.tolerances, found.costs, strict=True):
         remark = "has no effect" if d.name in found.free else ""
-        table.add_row(d.name, f"±{size(d, d.tolerance)}", Text(f"±{size(d, value)}", style=HEAD), number(cost), remark)
+        table.add_row(d.name, f"±{size(d, d.tolerance)}", Text(f"±{size(d, value, 4)}", style=HEAD), number(cost), remark)
     checked = f"checked by {found.carlo.samples:,} others: {percent(found.carlo.share)}, {_between(found.carlo)}"
     table.caption = Text(checked, style=GOOD if found.kept else BAD)
     table.caption_justify = "left"

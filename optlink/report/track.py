@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.design.generation import MARK, TURN
-from optlink.generation import Design, Generation
+from optlink.generated import Design, Generation
 from optlink.linkage.motion import Motion, sweep
 from optlink.report.designs import exact_places
 from optlink.report.draw import Sketch

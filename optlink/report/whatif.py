@@ -124,8 +124,12 @@ def sweep(result: Sweep) -> RenderableType:
     title.append(f"\n{result.grid.count:,} points" + (f" ({every})" if len(result.grid.axes) > 1 else ""))
     if not result.analysed:
         title.append(", ")
-        word = "every optimum proven" if result.complete else f"{result.valid:,} proven, {result.grid.count - result.valid:,} not"
-        title.append(word, style=GOOD if result.complete else BAD)
+        missed = result.grid.count - result.valid - result.infeasible
+        counts = {"proven": result.valid, "hold no design": result.infeasible, "not proven": missed}
+        counted = [f"{count:,} {words}" for words, count in counts.items() if count]
+        title.append("every optimum proven" if result.complete else ", ".join(counted), style=GOOD if result.complete else BAD)
+        if result.infeasible:
+            title.append("\nWhich limits conflict where there is no design: `optlink solve` with --set at such a point")
     parts: list[RenderableType] = [title, Text()]
     axes = grid("Varied", [("", "left"), ("", "left"), ("", "right")])
     for axis in result.grid.axes:

@@ -22,8 +22,11 @@ NEGLIGIBLE = 1e-10
 CRUMB = 1e-4
 """Scaled mass below which a counterweight is tried without."""
 
-LIKE = 1e-8
-"""By how much a scaled measure may be larger for the sake of less mass."""
+LIKE = (1e-8, 2e-8, 4e-8)
+"""By how much a scaled measure may be larger for the sake of less mass: the first that leaves the solver room."""
+
+LIGHTER = 5e-3
+"""Share of the mass that must be saved before a measure may be larger at all."""
 
 END = 5e-8
 """By how much the first scaled measure may be above its optimum at the end of a trade-off where the second is then made least."""
@@ -83,7 +86,7 @@ def optimum(programme: Programme, goal: Goal) -> Optimum:
             # no parameters at all, within limits or not, are below the residual of least squares
             proof = Certificate("optimal", least, least, 0.0, found.iterations)
             return Optimum(exact, least, proof, _prices(programme, duals, exact), True)
-    x = _without_crumbs(programme, goal, _lightest(programme, [measure for measure, _ in goal], x))
+    x = _without_crumbs(programme, goal, _Lightest(programme, [measure for measure, _ in goal]).like(x))
     return Optimum(x, evaluate(programme, goal, x), found, _prices(programme, duals, x))
 
 
@@ -125,40 +128,30 @@ def _least_squares(programme: Programme, measure: Measure, value: float) -> Arra
     x = -matters @ np.linalg.lstsq(rows @ matters, offset, rcond=None)[0]
     if value - float(np.linalg.norm(rows @ x + offset)) > NEAR:
         return None
-    return _Lightest(programme, [measure], programme.bounds)(x)
-
-
-def _lightest(programme: Programme, measures: Sequence[Measure], x: Array) -> Array:
-    """The same effects on some measures and on all limited ones with the least mass; `x` itself where that cannot be had."""
-    return _measured(programme, measures).like(x)
-
-
-def _measured(programme: Programme, measures: Sequence[Measure]) -> _Lightest:
-    limited = [measure for measure, _ in programme.limits.measures]
-    return _Lightest(programme, [*measures, *limited], [bound for bound in programme.bounds if bound.kind != "measure"])
+    return _Lightest(programme, [measure]).same(x)
 
 
 class _Lightest:
-    """Parameters with the least mass (and stiffness) among all with the same effect on some measures, within some limits.
+    """Parameters with the least mass (and stiffness) among all that are as good in some measures, within all limits.
 
-    Where the cones leave no room for exactly the same effect the measures may be `LIKE` larger.
+    As good: with the very same effect on them; or, where that is lighter, with values at most `LIKE` larger.
     """
 
-    def __init__(self, programme: Programme, measures: Sequence[Measure], bounds: Sequence[Bound]) -> None:
+    def __init__(self, programme: Programme, measures: Sequence[Measure]) -> None:
         cp, self.programme, self.measures = programme.cp, programme, measures
         rows = np.concatenate([programme.rows(measure)[0].reshape(-1, programme.effects.count) for measure in measures])
         self.idle = _span(np.asarray(np.linalg.qr(rows, mode="r")))[1]
-        self.limits = [*programme.relaxed, *(programme.row(bound) for bound in bounds)]
+        self.limits = [*programme.relaxed, *(programme.row(bound) for bound in programme.bounds)]
         every = [*programme.cones, *self.limits]
         if self.idle.shape[1]:
             self.free, self.given = cp.Variable(self.idle.shape[1]), cp.Parameter(programme.effects.count)
             same = programme.x == self.given + self.idle @ self.free
             self.exact = cp.Problem(cp.Minimize(programme.size), [*every, same])
-            self.values = cp.Parameter(len(measures))
-            alike = [programme.expression(measure) <= self.values[k] for k, measure in enumerate(measures)]
-            self.near = cp.Problem(cp.Minimize(programme.size), [*every, *alike])
+        self.values = cp.Parameter(len(measures))
+        alike = [programme.expression(measure) <= self.values[k] for k, measure in enumerate(measures)]
+        self.near = cp.Problem(cp.Minimize(programme.size), [*every, *alike])
 
-    def __call__(self, x: Array) -> Array | None:
+    def same(self, x: Array) -> Array | None:
         """The lightest with the effects of `x`; None where the limits allow none."""
         if not self.idle.shape[1]:
             return x if self.programme.holds(x, self.limits) else None
@@ -170,18 +163,23 @@ class _Lightest:
         return lighter
 
     def like(self, x: Array) -> Array:
-        """The lightest with the effects of `x` as near as can be; `x` where none is lighter."""
-        lighter = self(x)
-        if lighter is not None or not self.idle.shape[1]:
-            return x if lighter is None else lighter
-        self.values.value = np.array([self.programme.evaluate(measure, x) + LIKE for measure in self.measures])
-        if solved(self.programme.cp, self.near).status != "optimal":
-            return x
-        near = np.array(self.programme.x.value, dtype=float)
-        alike = all(
-            self.programme.evaluate(m, near) <= v + 2.0 * FITS for m, v in zip(self.measures, self.values.value, strict=True)
-        )
-        return near if alike and self.programme.excess(near) <= GAP else x
+        """The lightest that is as good as `x`; `x` itself where none is lighter."""
+        same = self.same(x)
+        best = x if same is None else same
+        values = np.array([self.programme.evaluate(measure, x) for measure in self.measures])
+        for room in LIKE:
+            self.values.value = values + room
+            if solved(self.programme.cp, self.near).status != "optimal":
+                continue
+            near = np.array(self.programme.x.value, dtype=float)
+            found = [self.programme.evaluate(measure, near) for measure in self.measures]
+            if np.all(found <= values + room + FITS) and self.programme.excess(near) <= GAP:
+                return near if self._size(near) < self._size(best) * (1.0 - LIGHTER) else best
+        return best
+
+    def _size(self, x: Array) -> float:
+        self.programme.put(x)
+        return float(self.programme.size.value)
 
 
 # --- discs -----------------------------------------------------------------------------------------------------------------
@@ -303,7 +301,7 @@ def curve(programme: Programme, first: Measure, second: Measure, count: int) -> 
     ]
     problem = cp.Problem(cp.Minimize(depth), [*programme.held(), *rows])
     assert problem.is_dcp(dpp=True)
-    inner, seconds, lightest = [], [], _measured(programme, [first, second])
+    inner, seconds, lightest = [], [], _Lightest(programme, [first, second])
     for share in np.linspace(0.0, 1.0, count)[1:-1]:
         at.value = np.array([a0 + share * (a1 - a0), b0 - share * (b0 - b1)])
         begin = time.perf_counter()
@@ -332,5 +330,5 @@ def _end(programme: Programme, first: Measure, second: Measure) -> Optimum:
     then = solved(cp, cp.Problem(cp.Minimize(programme.expression(second)), [*programme.held(), held]))
     if then.status != "optimal":
         return best
-    x = _lightest(programme, [first, second], np.array(programme.x.value, dtype=float))
+    x = _Lightest(programme, [first, second]).like(np.array(programme.x.value, dtype=float))
     return Optimum(x, best.value, best.certificate, best.prices)

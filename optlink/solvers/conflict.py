@@ -1,7 +1,11 @@
 """Why no design is feasible: which limits conflict, and the least relaxation of each that would make the problem feasible.
 
-An elastic programme gives every limit a slack of its own; a deletion filter finds an irreducible conflicting set; then each of
-its members is relaxed alone, in its own unit, while all other limits hold.
+An elastic programme gives every limit a slack of its own. Limits that give way are held one after the other until those that are
+held conflict (elastic filter); what can be taken out of them is (deletion filter); each of the rest is relaxed alone, in its own
+unit, while all other limits hold.
+
+Source: J. W. Chinneck and E. W. Dravnieks, Locating minimal infeasible constraint sets in linear programs, ORSA J. Computing 3
+(1991) 157-168.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.constraints import PLAIN, Row, Scale
+from optlink.design.constraints import DEGREES, PLAIN, Row, Scale
 from optlink.design.nlp import NLP, Variable
 from optlink.design.problem import EPIGRAPH
 from optlink.linkage.fourbar import LENGTHS
@@ -23,8 +27,10 @@ from optlink.solvers.solution import key_of
 Array = NDArray[np.float64]
 
 MET = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible
-STARTS = 6
+STARTS, LOOKED_AT = 6, 256  # points that are searched from: the first of so many where every limit has a value
 FREE = 1e3  # upper bound of a slack, in scaled units
+ENOUGH = 3  # searches that end at the same least slack: it is taken for the least of all
+SAME = 1e-4  # relative, slacks that count as the same
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,10 @@ class Explanation:
 
 
 def sides(nlp: NLP) -> list[Side]:
-    """Every side of every limit that can conflict: rows of one limit and one side go together."""
+    """Every side of every limit that can conflict: rows of one limit and one side go together.
+
+    The bounds of what no limit depends on cannot, nor can those that leave an angle all directions.
+    """
     found: dict[tuple[str, str, bool], list[int]] = {}
     for j, row in enumerate(nlp.rows):
         if row.limit == EPIGRAPH or row.limit in nlp.states:
@@ -81,8 +90,11 @@ def sides(nlp: NLP) -> list[Side]:
     for (key, name, upper), rows in found.items():
         row = nlp.rows[rows[0]]
         result.append(Side(key, name, upper, tuple(rows), (), row.high if upper else row.low, row.scale))
+    asked = [j for j, row in enumerate(nlp.rows) if row.limit != EPIGRAPH]
+    used = casadi.which_depends(nlp.g_expression[asked], nlp.x_symbol, 1, False) if asked else [False] * len(nlp.variables)
     for i, variable in enumerate(nlp.variables):
-        if variable.name in nlp.helpers or variable.name in nlp.states:
+        around = variable.scale is DEGREES and nlp.x_high[i] - nlp.x_low[i] >= 2.0 * math.pi
+        if variable.name in nlp.helpers or variable.name in nlp.states or around or not used[i]:
             continue
         for upper, bound in ((False, nlp.x_low[i]), (True, nlp.x_high[i])):
             result.append(Side(key_of(variable.name), variable.name, upper, (), (i,), float(bound), variable.scale))
@@ -109,12 +121,13 @@ def elastic(nlp: NLP, limits: list[Side]) -> NLP:
         rows += [Row(side.key, side.name, x[j] + give, low, high, side.scale) for j in side.variables]
     rows += [replace(row, value=g[j]) for j, row in enumerate(nlp.rows) if row.limit in nlp.states]
     bounded = np.array([v.name not in nlp.helpers for v in nlp.variables])
-    state = np.array([v.name in nlp.states for v in nlp.variables])
+    giving = {i for side in limits for i in side.variables}
+    held = np.array([v.name in nlp.states or (bounded[i] and i not in giving) for i, v in enumerate(nlp.variables)])
     length = np.array([v.name in LENGTHS or v.name.endswith(".length") for v in nlp.variables])
     room = np.where(bounded, np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
     lowest = np.where(length, 1e-3 * nlp.x_low, nlp.x_low - room)  # a length gives way towards zero, never beyond
-    lowest = np.where(state, nlp.x_low, np.where(bounded, lowest, 0.0))
-    highest = np.where(state, nlp.x_high, np.where(bounded, nlp.x_high + room, 1.0))
+    lowest = np.where(held, nlp.x_low, np.where(bounded, lowest, 0.0))
+    highest = np.where(held, nlp.x_high, np.where(bounded, nlp.x_high + room, 1.0))
     return NLP(
         variables=(*nlp.variables, *(Variable(f"slack {i}", 1.0, PLAIN) for i in range(k))),
         fixed=(),
@@ -141,6 +154,7 @@ class _Search:
     def __init__(self, nlp: NLP, limits: list[Side], points: list[Array]) -> None:
         self.programme, self.n, self.k = elastic(nlp, limits), len(nlp.variables), len(limits)
         self.points = points
+        self.last: list[Array] = []  # where the search before ended
         self.solvers = [backend(name) for name in reversed(BACKENDS)]
 
     def least(self, weights: Array, loose: Array) -> tuple[float, Array]:
@@ -148,21 +162,34 @@ class _Search:
         nlp = self.programme
         nlp.x_high[self.n :] = loose  # in place: what is compiled for the programme is kept
         best, found = math.inf, np.full(self.n + self.k, math.inf)
-        for point in self.points:
-            x = np.concatenate([point, np.zeros(self.k)])
-            here = nlp.at(x, weights)
-            need = np.nan_to_num(np.maximum(0.0, nlp.low - here.g) - np.maximum(0.0, here.g - nlp.high))
-            x[self.n :] = np.minimum(np.max(here.jacobian[:, self.n :] * need[:, None], axis=0, initial=0.0), loose)
-            for solver in (None, *self.solvers):  # the point itself may do already
-                end = x if solver is None else solver(nlp, x, weights).x
+        ends: list[float] = []
+        points = [*self.last, *self.points]
+        most = len(points)  # as many searches without an end that counts mean that there is none
+        for point, solver in [(point, self.solvers[(i + turn) % 2]) for turn in (0, 1) for i, point in enumerate(points)]:
+            x = self._slackened(point, weights, loose)
+            for run in (None, solver):  # the point itself may do already
+                end = x if run is None else run(nlp, x, weights).x
                 g = nlp.at(end, weights).g
                 missed = float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
-                total = float(weights @ end[self.n :])
-                if missed <= MET and total < best:
-                    best, found = total, end
+                total = float(weights @ end[self.n :]) if missed <= MET else math.inf
+                if total < best:
+                    best, found, self.last = total, end, [end[: self.n]]
                 if best <= 1e-9:
                     return best, found
+            ends.append(total)
+            settled = sum(total <= best * (1.0 + SAME) for total in ends) >= ENOUGH
+            if settled if math.isfinite(best) else len(ends) >= most:
+                break
         return best, found
+
+    def _slackened(self, point: Array, weights: Array, loose: Array) -> Array:
+        """A point with the slacks that it needs, as far as they may go."""
+        nlp = self.programme
+        x = np.concatenate([point, np.zeros(self.k)])
+        here = nlp.at(x, weights)
+        need = np.nan_to_num(np.maximum(0.0, nlp.low - here.g) - np.maximum(0.0, here.g - nlp.high))
+        x[self.n :] = np.minimum(np.max(here.jacobian[:, self.n :] * need[:, None], axis=0, initial=0.0), loose)
+        return x
 
 
 def explain(nlp: NLP, seed: int = 0, points: list[Array] | None = None) -> Explanation | Array:
@@ -173,32 +200,52 @@ def explain(nlp: NLP, seed: int = 0, points: list[Array] | None = None) -> Expla
     """
     limits = sides(nlp)
     k = len(limits)
-    search = _Search(nlp, limits, starts(nlp, STARTS, seed) if points is None else points)
+    search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points)
     free = np.full(k, FREE)
     total, x = search.least(np.ones(k), free)
     if total <= MET:
         return np.clip(x[: search.n], nlp.x_low, nlp.x_high)
+    if not math.isfinite(total):
+        return Explanation(search.points[0], (), ())
     slacks = x[search.n :]
     together = [_relaxation(side, float(slack)) for side, slack in zip(limits, slacks, strict=True) if slack > MET]
     conflict = []
-    for i in _irreducible(search, k, free):
+    for i in _irreducible(search, free, slacks > MET):
         alone = np.eye(k)[i]
         slack, _ = search.least(alone, FREE * alone)
         conflict.append(_relaxation(limits[i], slack))
     return Explanation(x[: search.n], tuple(conflict), tuple(together))
 
 
-def _irreducible(search: _Search, k: int, free: Array) -> list[int]:
-    """Indices of limits that cannot hold together while every part of them can (deletion filter)."""
+def _begin(nlp: NLP, seed: int) -> list[Array]:
+    points = starts(nlp, LOOKED_AT, seed)
+    return sorted(points, key=lambda point: not np.all(np.isfinite(nlp.values(point, nlp.p)[1])))[:STARTS]
+
+
+def _irreducible(search: _Search, free: Array, giving: NDArray[np.bool_]) -> list[int]:
+    """Indices of limits that cannot hold together while every part of them can; `giving` (k,): those that gave way at first."""
+    k = len(free)
     for i in range(k):  # a limit that nothing can meet is the clearest of all conflicts
-        if search.least(np.eye(k)[i], free)[0] > MET:
+        if MET < search.least(np.eye(k)[i], free)[0] < math.inf:
             return [i]
-    kept = np.ones(k)
-    for i in range(k):
+    kept = _conflicting(search, free, giving)
+    for i in map(int, np.flatnonzero(kept)):
         kept[i] = 0.0
-        if search.least(kept, free)[0] <= MET:
+        if not MET < search.least(kept, free)[0] < math.inf:
             kept[i] = 1.0
     return [int(i) for i in np.flatnonzero(kept)]
+
+
+def _conflicting(search: _Search, free: Array, giving: NDArray[np.bool_]) -> Array:
+    """1 for limits that cannot hold together, 0 for the others (elastic filter); all of them where a search fails."""
+    held = np.where(giving, 1.0, 0.0)
+    while search.least(held, free)[0] <= MET:
+        _, x = search.least(1.0 - held, np.where(held > 0.0, 0.0, free))
+        giving = (x[search.n :] > MET) & (held == 0.0)
+        if not np.all(np.isfinite(x)) or not np.any(giving):
+            return np.ones(len(free))
+        held[giving] = 1.0
+    return held
 
 
 def _relaxation(side: Side, slack: float) -> Relaxation:

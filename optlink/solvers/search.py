@@ -18,6 +18,7 @@ from optlink.solvers.solution import FEASIBLE, Attempt, Backend, Solution, exami
 Array = NDArray[np.float64]
 
 BACKENDS = ("slsqp", "ipopt")
+MINIMAX = "minimax"  # knows programmes of the largest of many deviations only
 SAME_OBJECTIVE = 1e-6  # relative
 SAME_ERROR = 1e-8  # rad; half a millionth of a degree is no difference
 SAME_DESIGN = 1e-5  # in scaled units
@@ -32,6 +33,10 @@ def backend(name: str) -> Backend:
         from optlink.solvers.slsqp import slsqp
 
         return slsqp
+    if name == MINIMAX:
+        from optlink.solvers.minimax import minimax
+
+        return minimax
     from optlink.solvers.ipopt import ipopt
 
     return ipopt

@@ -114,7 +114,9 @@ class Solution:
 
 
 def key_of(variable: str) -> str:
-    """Key of a free quantity in the problem file."""
+    """Key of a quantity, or of a tolerance, in the problem file."""
+    if variable.startswith("tolerances."):
+        return variable
     return {"phi0": "requirement.from", "psi0": "requirement.psi0", "start": "requirement.start", "mark": "requirement.mark"}.get(
         variable, f"mechanism.{variable}"
     )

@@ -16,13 +16,14 @@ from typing import Any, get_args
 
 from optlink.design.constraints import rows as limit_rows
 from optlink.design.cycle import CycleProblem
-from optlink.design.files import ProblemFile, read
+from optlink.design.files import SIDES, ProblemFile, read
 from optlink.design.objectives import MEASURES
 from optlink.design.problem import DesignProblem
 from optlink.design.quantity import Interval, nearest
 from optlink.design.terms import Limit, Measure, Term, What
 from optlink.errors import Fault, InputError
-from optlink.studies.keys import SIDES, Raw, raw_at, text
+from optlink.studies.axes import column
+from optlink.studies.keys import Raw, raw_at, text
 from optlink.units import KINDS, factor
 from optlink.validation.cycle import Cycle
 
@@ -31,7 +32,9 @@ ERROR, OWN = "error", "objective"
 MOVABLE = ("transmission_angle", "transmission_cosine", "swing_angle", "time_ratio", "frame_length", "link_ratio")
 SEVERAL = ("transmission_angle", "transmission_cosine", "link_ratio")  # what has a largest and a smallest value
 ROOM = 1e-3  # of a limit, between its sides where one is made as tight as it can be
-EXAMPLES = 'For example --objectives "peak torque, guide force in F"'
+EXAMPLES = (
+    'For example --objectives "peak torque, guide force in F" of a machine, "error, limits.transmission_angle.max" of a law'
+)
 
 _NAME = r"[A-Za-z][\w.\-]*"
 _TERM = re.compile(
@@ -62,8 +65,7 @@ class Aim:
     @property
     def column(self) -> str:
         """Name of its column in the table."""
-        unit = self.unit.replace("/", "_per_").replace("*", "").replace("^", "")
-        return f"{self.name}_{unit}".rstrip("_").replace(" ", "_")
+        return column(self.name, self.unit).replace(" ", "_")
 
     @property
     def best(self) -> str:
@@ -102,9 +104,7 @@ def read_aims(problem: ProblemFile, objectives: str) -> tuple[Aim, ...]:
         what = "one objective has no trade-off" if len(parts) == 1 else f"{len(parts)} objectives are more than a front shows"
         raise InputError(Fault(what, f"Give two or three. {EXAMPLES}", problem.file, OPTION, objectives))
     if problem.generated or not (problem.machined or isinstance(problem.model, DesignProblem)):
-        what = "points and poses are wanted" if problem.generated else "nothing is to be designed"
-        remedy = "Fronts are those of machines with an [objective] over their cycle, and of four-bars for a law"
-        raise InputError(Fault(f"{what} here", remedy, problem.file))
+        raise _no_front(problem)
     if not problem.model.free:
         raise InputError(Fault("nothing is free, there is nothing to find", "Free a size", problem.file, "mechanism"))
     reader = _of_machine if problem.machined else _of_law
@@ -116,6 +116,18 @@ def read_aims(problem: ProblemFile, objectives: str) -> tuple[Aim, ...]:
         remedy = f'One of them is what is minimised: write "{ERROR}, {aims[0].said}"'
         raise InputError(Fault("limits alone are no trade-off", remedy, problem.file, OPTION, objectives))
     return aims
+
+
+def _no_front(problem: ProblemFile) -> InputError:
+    """Why a problem has no front, and what it has instead."""
+    whose = "Fronts are those of machines with an [objective] over their cycle, and of four-bars for a law"
+    if problem.generated:
+        instead = f"what a limit costs here: optlink study sweep {problem.name} --vary KEY=LOW..HIGH:N"
+        return InputError(Fault("points and poses are wanted here", f"{whose}; {instead}", problem.file))
+    if getattr(problem.model, "balance", None) is not None:
+        instead = f"that of two measures of balancing: optlink balance {problem.name} --trade force,torque"
+        return InputError(Fault("nothing is to be designed here", f"{whose}; {instead}", problem.file))
+    return InputError(Fault("nothing is to be designed here", f"{whose}; add an [objective] and free sizes", problem.file))
 
 
 def _ranged(problem: ProblemFile, reader: Any, part: str, number: int) -> Aim:

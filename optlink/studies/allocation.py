@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, SolverError
+from optlink.studies.carlo import Carlo, monte_carlo, sampled_document
 
 if TYPE_CHECKING:
-    from optlink.studies.tolerance import Carlo, Tolerance
+    from optlink.studies.tolerance import Tolerance
 
 Array = NDArray[np.float64]
 PROVEN = 1e-6  # share of the cost between it and the dual value
@@ -54,8 +55,6 @@ class Allocation:
 
     def to_dict(self) -> dict[str, Any]:
         """As part of a JSON document."""
-        from optlink.studies.tolerance import sampled_document
-
         return {
             "wanted_yield": self.wanted,
             "tolerances_SI": dict(zip(self.names, self.tolerances.tolist(), strict=True)),
@@ -102,9 +101,9 @@ def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:
     prices = np.maximum(np.asarray(rule.dual_value, dtype=float), 0.0)
     best = np.power(cost / (2.0 * (scaled.T @ prices)), 2.0 / 3.0)  # least of cost + prices over all tolerances
     dual = float(np.sum(cost / np.sqrt(best)) + prices @ (scaled @ best - 1.0))
-    found = best / np.max(scaled @ best)  # exactly on the limit; sharper than the programme's own point
-    own = float(np.sum(cost / np.sqrt(found)))
-    return rough * np.sqrt(found), (own - dual) / own
+    exact = [point / np.max(scaled @ point) for point in (best, np.asarray(square.value, dtype=float))]  # on the limit
+    own, found = min((float(np.sum(cost / np.sqrt(point))), i) for i, point in enumerate(exact))  # the first, of one limit
+    return rough * np.sqrt(exact[found]), (own - dual) / own
 
 
 def allocate(study: Tolerance, wanted: float, costs: Mapping[str, float], samples: int, seed: int) -> Allocation:
@@ -115,8 +114,6 @@ def allocate(study: Tolerance, wanted: float, costs: Mapping[str, float], sample
     InputError
         measured deviations (they are as they are); a design that breaks the limit as drawn.
     """
-    from optlink.studies.tolerance import monte_carlo
-
     measured = [d.name for d in study.deviations if d.values]
     if measured:
         remedy = "Give it a tolerance and a distribution, or leave --allocate out"
@@ -133,7 +130,7 @@ def allocate(study: Tolerance, wanted: float, costs: Mapping[str, float], sample
                 key="--limit",
             )
         )
-    coefficients = np.array([costs.get(d.name, 1.0) for d in study.deviations], dtype=float)
+    coefficients = np.array([costs.get(d.name, d.cost) for d in study.deviations], dtype=float)
     if not np.all(np.isfinite(coefficients)) or np.any(coefficients <= 0.0):
         raise InputError(Fault("a cost coefficient is above zero", "Give for example --cost coupler=2", key="--cost"))
     tolerances = np.array([d.tolerance for d in study.deviations])

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from optlink.design.files import ProblemFile
 from optlink.errors import Fault, InputError
-from optlink.studies.keys import Raw, changed, text
+from optlink.studies.keys import Raw, text
 
 MAX_POINTS = 10_000_000
 ROW_BYTES, POINTS_PER_SECOND = 160, 200  # for the message that refuses more
@@ -20,7 +21,13 @@ _RANGE = re.compile(
     rf"\s*({_NUMBER})\s*([^\s\d.:,][^.:,]*?)?\s*\.\.\s*({_NUMBER})\s*([^\s\d.:,][^:,]*?)?\s*"
     rf"(?::\s*([-+]?\d+)\s*(log)?|step\s+({_NUMBER}))\s*"
 )
-_ONE = re.compile(rf"\s*({_NUMBER})\s*([^\s\d,][^,]*?)?\s*")
+_ONE = re.compile(rf"\s*({_NUMBER})\s*([^\s\d,:][^,:]*?)?\s*")
+_ENDLESS = re.compile(r"(?<![\w/*^])[-+]?(?:nan|inf|infinity)(?![\w/*^])", re.IGNORECASE)
+
+
+def column(name: str, unit: str) -> str:
+    """Name of a table's column, its unit at the end."""
+    return f"{name}_{unit.replace('/', '_per_').replace('*', '').replace('^', '')}" if unit else name
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,7 @@ class Axis:
     @property
     def column(self) -> str:
         """Name of its column in the table."""
-        return f"{self.key}_{self.unit.replace('/', '_per_').replace('*', '').replace('^', '')}" if self.unit else self.key
+        return column(self.key, self.unit)
 
     def raw(self, index: int) -> Raw:
         """A value as the problem file would state it."""
@@ -56,6 +63,8 @@ def read_axis(assignment: str) -> Axis:
 
     if not equals or not key or not values:
         raise fault("expected KEY=VALUES")
+    if _ENDLESS.search(values):
+        raise fault("the values must be finite numbers")
     match = _RANGE.fullmatch(values)
     if match is None:
         if ".." in values:
@@ -75,6 +84,8 @@ def read_axis(assignment: str) -> Axis:
         if not size > 0.0:
             raise fault("the step is zero or negative: the range would never end", "Give a step above zero")
         steps = math.floor((b - a) / size * (1.0 + 1e-12))
+        if not steps:
+            raise fault("the step is longer than the range", "Give a shorter step, or one value with --set")
         _most(steps + 1, fault)
         return Axis(key, unit, tuple(a + size * i for i in range(steps + 1)))
     number = int(count)
@@ -151,6 +162,16 @@ class Grid:
             yield self.count - 1
 
 
+@contextlib.contextmanager
+def _of_axis(axis: Axis) -> Iterator[None]:
+    """Say of whatever is wrong with a value that it is one of --vary, and nothing that the file states."""
+    try:
+        yield
+    except InputError as error:
+        first = error.faults[0]
+        raise InputError(replace(first, key=f"--vary {first.key or axis.key}")) from None
+
+
 def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
     """Read what is to be varied, and make sure that the problem has it.
 
@@ -180,7 +201,8 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
         )
     for axis in grid.axes:  # one by one, so that the fault is that of the axis
         for at in {axis.values.index(end) for end in (min(axis.values), max(axis.values))}:
-            changed(problem, {axis.key: axis.raw(at)})
+            with _of_axis(axis):
+                problem.override({axis.key: axis.raw(at)})
     for corner in grid.corners():
-        changed(problem, grid.changes(corner))
+        problem.override(grid.changes(corner))
     return grid

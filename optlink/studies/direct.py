@@ -1,6 +1,6 @@
 """The model of a problem with other numbers, without reading the file again: ten times faster, for thousands of points.
 
-Only for numbers between values that were read and checked; `optlink.studies.keys.changed` is what a result must equal.
+Only for numbers between values that were read and checked; `ProblemFile.override` is what a result must equal.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
+from optlink.design.files import SIDES
 from optlink.design.problem import DesignProblem
 from optlink.design.quantity import Interval, Quantity
 from optlink.studies.axes import Axis
-from optlink.studies.keys import SIDES
 from optlink.units import factor
 
 M = TypeVar("M", bound=BaseModel)

@@ -1,4 +1,4 @@
-"""Keys of a problem file that a study changes: those of the file, and `.min` and `.max` of a range or of a free quantity."""
+"""Values at keys of a problem file, as a study writes them there."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 from optlink.design.files import ProblemFile
 
-SIDES = ("min", "max")
 Raw = str | float | int
 
 
@@ -26,35 +25,6 @@ def raw_at(problem: ProblemFile, key: str) -> Any:
             return None
         found = found[step]
     return found
-
-
-def changed(problem: ProblemFile, values: Mapping[str, Raw]) -> ProblemFile:
-    """The problem with other values at keys, `limits.transmission_angle.max` and `mechanism.coupler.min` among them.
-
-    Raises
-    ------
-    InputError
-        as for `--set`.
-    """
-    changes: dict[str, Any] = {}
-    for key, value in values.items():
-        above, _, side = key.rpartition(".")
-        whole = changes.get(above, raw_at(problem, above)) if side in SIDES else None
-        if isinstance(whole, list) and len(whole) == 2:
-            changes[above] = _side(whole, side, value)
-        elif isinstance(whole, Mapping) and "bounds" in whole:
-            changes[above] = {**whole, "bounds": _side(whole["bounds"], side, value)}
-        elif isinstance(whole, Mapping):
-            changes[above] = {**whole, side: value}
-        elif whole is not None:
-            changes[above] = _side([whole, whole], side, value)
-        else:
-            changes[key] = value
-    return problem.override(changes)
-
-
-def _side(pair: list[Any], side: str, value: Raw) -> list[Any]:
-    return [value, pair[1]] if side == "min" else [pair[0], value]
 
 
 def begun(problem: ProblemFile, design: Mapping[str, float]) -> ProblemFile:

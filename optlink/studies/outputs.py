@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.design.quantity import nearest
+from optlink.design.slopes import output_slopes
 from optlink.errors import Fault, InputError
 from optlink.linkage.elementwise import unit
 from optlink.linkage.mechanism import FRAME, Mechanism
@@ -71,16 +71,7 @@ def output_sensitivity(
     symbols = {name: casadi.SX.sym(name) for name in names}
     crank = casadi.SX.sym("crank angle")
     with tracing():
-        pose = mechanism.pose(symbols, unit(crank))
-        value: Any
-        if output in mechanism.bodies:
-            x, y = pose.direction(output)
-            value = casadi.atan2(y, x)
-            slopes = [x * casadi.jacobian(y, symbols[n]) - y * casadi.jacobian(x, symbols[n]) for n in chosen]  # u x du
-        else:
-            point, _, axis = output.rpartition(".")
-            value = casadi.SX(pose.point(point)["xy".index(axis)])
-            slopes = [casadi.jacobian(value, symbols[n]) for n in chosen]
+        value, slopes = output_slopes(mechanism, symbols, unit(crank), output, chosen)
     angles = np.atleast_1d(np.asarray(crank_angles, dtype=float))
     tape = Tape([*symbols.values(), crank], [value, *slopes])
     found = np.asarray(tape(*[np.full(angles.shape, sizes[name]) for name in names], angles), dtype=float)

@@ -8,9 +8,9 @@ either way. Grid, chunks, resuming and engines are those of a sweep.
 
 from __future__ import annotations
 
-import csv
+import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,28 +20,28 @@ from numpy.typing import NDArray
 
 from optlink.design.files import ProblemFile
 from optlink.design.linkages import sizes_of
-from optlink.design.quantity import Quantity, nearest
+from optlink.design.quantity import Quantity
 from optlink.documents import finite, head
 from optlink.errors import Fault, InputError, Status
-from optlink.solvers.search import BACKENDS
+from optlink.front import ends, knee, undominated
 from optlink.studies.aims import OPTION, Aim, asked, cycle_figures, law_figure, read_aims, tightest
 from optlink.studies.axes import Grid
-from optlink.studies.chunks import Store
+from optlink.studies.chunks import Progress, Store
 from optlink.studies.engine import run
-from optlink.studies.front import ends, knee, undominated
-from optlink.studies.keys import changed
 from optlink.studies.machines import Designing
-from optlink.studies.reoptimise import CHUNK, SLOW_CHUNK, Reoptimising, buildable
-from optlink.studies.sweep import Folder, Progress
+from optlink.studies.reoptimise import CHUNK, SLOW_CHUNK, Reoptimising, buildable, check_backend
+from optlink.studies.sweep import Folder
 from optlink.studies.tasks import Sweeping
-from optlink.studies.walks import walks
+from optlink.studies.walks import NoEnd, searches, stated, walks
 from optlink.units import KINDS, factor
+from optlink.version import VERSION
 from optlink.workflow import solve
 
 Array = NDArray[np.float64]
 
 SCHEMA = "optlink/pareto/1"
 POINTS = {1: 15, 2: 7}  # per objective that is held, by how many are held
+ENDS = "ends.json"  # what was searched before the walk, kept in the folder
 MOST = 100_000  # points of a grid
 
 
@@ -183,36 +183,42 @@ def pareto(
         message, remedy = "all objectives have ranges", "One of them is minimised: leave its range out"
         raise InputError(Fault(message, remedy, problem.file, OPTION, objectives))
     count = _points(points, len(aims) - 1)
-    if backend not in BACKENDS:
-        raise InputError(Fault("unknown back end of a study", nearest(backend, BACKENDS), key="--backend", value=backend))
-    base, grid = walks(problem, aims, first, count, backend)
-    task = _task(base, grid, backend)
+    check_backend(backend)
+    fixed = stated(problem, aims, first, count)
+    shape = [len(fixed[k].values) if k in fixed else count for k in range(len(aims)) if k != first]
+    _most(shape)
+    run(Sweeping(**Sweeping.stated(problem), grid=Grid(()), chunk=1), (), engine, workers, scheduler)  # raises if it cannot
     keep = Folder() if out is None else None
     place = keep.path if keep is not None else Path(str(out))
-    store = Store(place, _about(problem, task, objectives, backend), task.size, task.chunks, resume=resume)
-    todo = store.missing()
-    before = grid.count - sum(task.size(index) for index in todo)
-    mine, cpu = 0, 0.0
-    if progress is not None:
-        progress(before, grid.count)
-    for index, answer in run(task, todo, engine, workers, scheduler) if todo else ():
-        store.write(index, answer.value)
-        mine, cpu = mine + task.size(index), cpu + answer.cpu
-        if progress is not None:
-            progress(before + mine, grid.count)
-    if store.finished:
-        store.drop()
-    else:
+    store = Store(place, _about(problem, aims, count, backend), resume=resume)
+    ahead = searches(aims, first, fixed, machined=problem.machined)
+    once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(shape)))
+    try:
+        base, grid, anchors = walks(problem, aims, first, fixed, count, backend, once)
+    except NoEnd:
+        store.withdraw()
+        raise
+    once.progress = None
+    task = _task(base, grid, backend, anchors)
+    store.divide(task.size, task.chunks)
+    mine, cpu = store.fill(
+        task,
+        engine,
+        workers,
+        scheduler,
+        None if progress is None else lambda done, total: progress(ahead + done, ahead + total),
+    )
+    if not store.finished:
         store.finish(task.columns, store.rows())
-    with store.table.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    store.drop()
+    rows = [dict(zip(task.columns, row, strict=True)) for row in store.finished_rows(task.columns)]
     found = [point for row in rows if row["valid"] == "true" for point in [_point(base, task, aims, row)] if point is not None]
     costs = np.array([p.values for p in found]).reshape(-1, len(aims)) * [aim.sense for aim in aims]
     kept = np.flatnonzero(undominated(costs))
     kept = kept[np.lexsort(costs[kept].T[::-1])]
     corner, bend = (ends(costs[kept]), knee(costs[kept])) if len(kept) else ((), None)
     front = tuple(_marked(found[i], j, aims, corner, bend) for j, i in enumerate(kept))
-    words, given = _given(problem, base, aims, backend)
+    words, given = _given(problem, base, aims, backend, once)
     return Pareto(
         problem=problem,
         aims=aims,
@@ -241,36 +247,56 @@ def _points(points: int | None, held: int) -> int:
     count = POINTS[held] if points is None else points
     if count < 2:
         raise InputError(Fault("out of range", "Give 2 points or more", key="--points", value=points))
-    if count**held > MOST:
-        size = f"{count:,}" + (f" x {count:,} = {count**held:,}" if held > 1 else "")
-        raise InputError(Fault(f"{size} points are more than a front takes, {MOST:,}", "Give fewer", key="--points"))
     return count
 
 
-def _task(base: ProblemFile, grid: Grid, backend: str) -> Sweeping:
+def _most(shape: Sequence[int]) -> None:
+    if math.prod(shape) > MOST:
+        size = " x ".join(f"{count:,}" for count in shape) + (f" = {math.prod(shape):,}" if len(shape) > 1 else "")
+        raise InputError(Fault(f"{size} points are more than a front takes, {MOST:,}", "Give fewer", key="--points"))
+
+
+def _task(base: ProblemFile, grid: Grid, backend: str, anchors: Sequence[Mapping[str, float]]) -> Sweeping:
     stated = Sweeping.stated(base)
     if base.machined:
-        return Designing(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
+        known = tuple(tuple(sizes.items()) for sizes in anchors)
+        return Designing(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend, anchors=known)
     task = Reoptimising(**stated, grid=grid, chunk=CHUNK, backend=backend)
     if buildable(task.template, tuple(axis.key for axis in grid.axes)):
         return task
     return Reoptimising(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
 
 
-def _about(problem: ProblemFile, task: Sweeping, objectives: str, backend: str) -> dict[str, Any]:
-    """What makes a front this one and no other."""
+def _about(problem: ProblemFile, aims: tuple[Aim, ...], count: int, backend: str) -> dict[str, Any]:
+    """What makes a front this one and no other; where its limits walk follows from that."""
     return {
         "schema": "optlink/study/1",
-        "optlink": task.version,
+        "optlink": VERSION,
         "problem": problem.name,
         "problem_hash": problem.hash,
         "mode": "pareto",
-        "objectives": objectives,
-        "axes": [[axis.key, axis.unit, list(axis.values)] for axis in task.grid.axes],
-        "points_per_chunk": task.chunk,
-        "columns": task.columns,
+        "objectives": [f"{aim.said}={aim.span}" if aim.span else aim.said for aim in aims],
+        "points": count,
         "backend": backend,
     }
+
+
+class _Once:
+    """Searches that are done once in the life of a study: what they find is kept in its folder."""
+
+    def __init__(self, store: Store, progress: Callable[[int], None] | None) -> None:
+        self.store, self.progress, self.done = store, progress, 0
+        self.known: dict[str, Any] = store.kept(ENDS)
+
+    def __call__(self, name: str, search: Callable[[], Mapping[str, Any]]) -> Mapping[str, Any]:
+        """What a search finds, which need not be done if it was before."""
+        if self.progress is not None:
+            self.progress(self.done)
+        if name not in self.known:
+            self.known[name] = search()
+            self.store.keep(ENDS, self.known)
+        self.done += 1
+        return self.known[name]  # type: ignore[no-any-return]
 
 
 # --- from rows to the front ----------------------------------------------------------------------------------------------
@@ -302,7 +328,9 @@ def _marked(point: Point, number: int, aims: Sequence[Aim], corner: Sequence[int
     return Point(point.values, point.design, point.active, ", ".join(marks))
 
 
-def _given(problem: ProblemFile, base: ProblemFile, aims: tuple[Aim, ...], backend: str) -> tuple[str, tuple[float, ...] | None]:
+def _given(
+    problem: ProblemFile, base: ProblemFile, aims: tuple[Aim, ...], backend: str, once: _Once
+) -> tuple[str, tuple[float, ...] | None]:
     """What the front is compared with: the given machine; of a law the optimum for the limits that the file states."""
     if problem.machined:
         found = cycle_figures(problem, aims, {})
@@ -310,8 +338,13 @@ def _given(problem: ProblemFile, base: ProblemFile, aims: tuple[Aim, ...], backe
     words, held = "as the file asks", [aim for aim in aims if aim.key]
     if any(asked(problem, aim.key) is None for aim in held):
         return words, None
-    result = solve(problem, backend)
-    if not result.valid:
+
+    def searched() -> dict[str, Any]:
+        result = solve(problem, backend)
+        return {"design": dict(result.design), "error": result.objective} if result.valid else {}
+
+    best = once(words, searched)
+    if not best:
         return words, None
-    stated = changed(base, {aim.key: tightest(base, aim) for aim in held})
-    return words, tuple(law_figure(stated.spec, aim, result.design) if aim.key else result.objective for aim in aims)
+    stated = base.override({aim.key: tightest(base, aim) for aim in held})
+    return words, tuple(law_figure(stated.spec, aim, best["design"]) if aim.key else best["error"] for aim in aims)

@@ -19,15 +19,14 @@ from optlink.design.files import ProblemFile
 from optlink.design.limits import Reach
 from optlink.design.nlp import NLP, build
 from optlink.design.problem import DesignProblem
-from optlink.design.quantity import Quantity
-from optlink.errors import Status
+from optlink.design.quantity import Quantity, nearest
+from optlink.errors import Fault, InputError, Status
 from optlink.generation import generate
 from optlink.linkage.structure import EITHER
 from optlink.solvers import search
-from optlink.solvers.solution import Solution
+from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
 from optlink.studies.direct import Direct
 from optlink.studies.follow import FOLLOWED, follow
-from optlink.studies.keys import changed
 from optlink.studies.tasks import Sweeping, figure
 from optlink.units import KINDS, factor
 from optlink.validation import validate
@@ -36,8 +35,25 @@ from optlink.workflow import solve
 Array = NDArray[np.float64]
 CHUNK, SLOW_CHUNK = 100, 4  # points; the second where every point is a search of its own
 TAIL = ("status", "valid", "failed", "active", "found")
-NUMBERS = ("mechanism.", "limits.", "requirement.from", "requirement.psi0")  # keys that a programme holds as numbers
+NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")  # that a programme holds as such
 SEARCHED = "searched"
+OTHER = 3.0  # times as large or as small: a machine of another size, for which the programme is not scaled well
+
+
+def check_backend(name: str) -> None:
+    """Make sure that a study knows the back end.
+
+    Raises
+    ------
+    InputError
+    """
+    if name == "both":
+        remedy = (
+            "Give ipopt or slsqp, each in a folder of its own to compare them; `optlink solve --backend both` does for a design"
+        )
+        raise InputError(Fault("a study searches with one back end", remedy, key="--backend", value=name))
+    if name not in search.BACKENDS:
+        raise InputError(Fault("unknown back end of a study", nearest(name, search.BACKENDS), key="--backend", value=name))
 
 
 def buildable(problem: ProblemFile, keys: tuple[str, ...]) -> bool:
@@ -70,7 +86,7 @@ class Reoptimising(Sweeping):
     @cached_property
     def template(self) -> ProblemFile:
         """The problem at the first point: what is free there is free everywhere."""
-        return changed(self.problem, self.grid.changes(0))
+        return self.problem.override(self.grid.changes(0))
 
     @cached_property
     def free(self) -> dict[str, Quantity]:
@@ -104,7 +120,7 @@ class Reoptimising(Sweeping):
         rows = []
         for point in self.span(index):
             if self.programme is None:
-                found = _alone(changed(self.problem, self.grid.changes(point)), self.backend)
+                found = _alone(self.problem.override(self.grid.changes(point)), self.backend)
             else:
                 found = self._again(self.programme, point, done)
             rows.append(self._row(point, found))
@@ -114,7 +130,7 @@ class Reoptimising(Sweeping):
         """The problem at a point of the grid."""
         if self.direct is not None:
             return self.direct.model(self.grid.values(point))
-        return changed(self.problem, self.grid.changes(point)).spec
+        return self.problem.override(self.grid.changes(point)).spec
 
     def _again(self, programme: Programme, point: int, done: dict[int, Solution]) -> _Optimum:
         """The optimum at a point, from that of a neighbour of this chunk if there is one."""
@@ -124,11 +140,17 @@ class Reoptimising(Sweeping):
         solution, found = programme.solve(done.get(before), self.backend)
         if solution.usable:
             done[point] = solution
+        elif not 1.0 / OTHER <= task.quantities["frame"].value / programme.size <= OTHER:
+            own = build(task)
+            solution = search.best([solution, search.solve_from(own, own.x_start, self.backend)])
         design = task.design(solution.design)
         proof = validate(task, design, solution.objective)
         optimal = solution.status is Status.OPTIMAL
         failed = tuple(check.name for check in proof.checks if not check.passed)
         valid = optimal and not failed
+        if solution.status is Status.INFEASIBLE:
+            missed, against = conflicting(solution)
+            return _Optimum(solution.design, solution.objective, solution.status, valid, missed or failed, against, found)
         return _Optimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), found)
 
     def _row(self, point: int, found: _Optimum) -> list[str]:
@@ -152,7 +174,8 @@ class Programme:
         """Take fixed quantities, bounds and limits from a problem of the same structure."""
         nlp, quantities = self.nlp, task.quantities
         for i, constant in enumerate(nlp.constants):
-            nlp.p[1 + i] = (quantities[constant.name].value - constant.origin) / constant.size
+            value = quantities[constant.name].value if constant.name in quantities else task.counted[constant.name]
+            nlp.p[1 + i] = (value - constant.origin) / constant.size
         n = len(nlp.variables)
         for i, v in enumerate(nlp.variables):
             if v.name not in nlp.helpers:
@@ -194,8 +217,21 @@ def _alone(task: ProblemFile, backend: str) -> _Optimum:
         return _Optimum(best.values, best.objective, best.status, best.valid, failed, held, SEARCHED)
     result = solve(task, backend)
     failed = tuple(check.name for check in result.validation.checks if not check.passed)
+    failed = tuple(item.name for item in result.conflict) or failed
     held = () if result.solution is None else active(result.solution)
     return _Optimum(result.design, result.objective, result.status, result.valid, failed, held, SEARCHED)
+
+
+def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the limits that a design misses, and of those at whose bound it stands, each once."""
+    nlp, g = solution.nlp, solution.g
+    with np.errstate(invalid="ignore"):
+        beyond = np.maximum(nlp.low - g, g - nlp.high)
+        off, near = (beyond > FEASIBLE) | ~np.isfinite(g), np.abs(beyond) <= ACTIVE
+    named = [
+        [nlp.rows[j].label for j in np.flatnonzero(mask) if nlp.rows[j].limit not in nlp.helpers] for mask in (off, near & ~off)
+    ]
+    return tuple(dict.fromkeys(named[0])), tuple(label for label in dict.fromkeys(named[1]) if label not in named[0])
 
 
 def active(solution: Solution) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """A design that stays good when it is built: the largest of error plus k standard deviations, or plus the worst case, made least.
 
-The derivatives of the error by every size are traced with the programme, so the scatter is a formula of the design like any
-other, and the search has its exact derivatives. Limits are those of the problem, for the linkage as drawn.
+That is what `optlink solve` does with a problem file that is robust; here the tolerances may come from the command line, and the
+best design as drawn is found beside it.
 """
 
 from __future__ import annotations
@@ -11,50 +11,44 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi
-import numpy as np
-
-from optlink.design.constraints import DEGREES, Row
 from optlink.design.files import ProblemFile
-from optlink.design.law import Table
-from optlink.design.nlp import NLP, build
-from optlink.design.objectives import output_error
-from optlink.design.problem import EPIGRAPH, DesignProblem
-from optlink.errors import Fault, InputError, Status
-from optlink.linkage.elementwise import cross, turn, unit
-from optlink.linkage.mechanism import Mechanism
-from optlink.solvers.search import solve_from
-from optlink.solvers.solution import Solution
-from optlink.studies.sampling import NORMAL, Deviation
-from optlink.studies.tolerance import ALONG, drawing, read_deviations
-from optlink.symbolic import tracing
-from optlink.validation import Validation
-from optlink.workflow import solve, validate
+from optlink.design.problem import DesignProblem
+from optlink.design.robust import MOST, WORST
+from optlink.design.tolerances import NORMAL
+from optlink.errors import Fault, InputError
+from optlink.studies.stated import stated
+from optlink.workflow import Result, solve, validate
 
-MOST = 100.0  # standard deviations
-STEPS, CLOSE = 30, 1e-4  # of the search for most of them
+STEPS, CLOSE = 12, 1e-5  # of the search for most standard deviations, and the share to which the limit is met
+LEVEL = 1e-12  # rad per standard deviation; where they change nothing, any number keeps the limit
 
 
 @dataclass(frozen=True)
 class Robust:
-    """A robust design [SI] and the best as drawn, `nominal`; `value` [rad]: what was made least, and what it is `before`.
+    """A robust design, `result`, and the best as drawn, `nominal` [SI]; `before` [rad]: what was made least, of the latter.
 
     `sigmas`: how many standard deviations count, None: the worst case.
     """
 
-    problem: ProblemFile
-    design: Mapping[str, float]
+    result: Result
     nominal: Mapping[str, float]
     sigmas: float | None
-    value: float
     before: float
-    solution: Solution
-    validation: Validation
+
+    @property
+    def design(self) -> Mapping[str, float]:
+        """The design [SI]."""
+        return self.result.design
+
+    @property
+    def value(self) -> float:
+        """What was made least [rad]."""
+        return self.result.objective
 
     @property
     def valid(self) -> bool:
         """Whether it is an optimum, and its limits are proven by the validator."""
-        return self.solution.status is Status.OPTIMAL and self.validation.valid
+        return self.result.valid
 
     @property
     def counted(self) -> str:
@@ -64,15 +58,15 @@ class Robust:
     @property
     def free(self) -> dict[str, float]:
         """The free quantities of the design [SI]."""
-        return {name: self.design[name] for name in self.problem.model.free}
+        return {name: self.design[name] for name in self.result.problem.model.free}
 
     def to_dict(self) -> dict[str, Any]:
         """As part of a JSON document."""
         return {
             "counted": self.counted,
-            "status": self.solution.status.value,
+            "status": self.result.status.value,
             "valid": self.valid,
-            "kkt": self.solution.kkt,
+            "kkt": None if self.result.solution is None else self.result.solution.kkt,
             "design_SI": dict(self.design),
             "nominal_design_SI": dict(self.nominal),
             "largest_rad": self.value,
@@ -113,105 +107,48 @@ def safest(
         as `robust`; where no design keeps the limit even as drawn.
     """
     redesign = _Redesign(problem, tolerances, shape, backend)
-    low, high = redesign.least(0.0), None
-    if low.value > limit:
-        least = f"{math.degrees(low.value):.4g} deg"
+    before = redesign.least(0.0)
+    if before.value > limit:
+        least = f"{math.degrees(before.value):.4g} deg"
         message = f"no design keeps the limit, not even as drawn: the least largest error that was found is {least}"
         raise InputError(Fault(message, f"Give more than {least}", problem.file, "--limit", f"{math.degrees(limit):.4g} deg"))
-    step = 1.0
-    while high is None and step <= MOST:
-        found = redesign.least(step, low.free)
-        low, high, step = (found, None, 2.0 * step) if found.value <= limit else (low, found, step)
-    for _ in range(STEPS):
-        if high is None or low.sigmas is None or high.sigmas is None or high.sigmas - low.sigmas <= CLOSE:
+    here, sigmas = redesign.least(1.0, before.free), 1.0
+    for _ in range(STEPS):  # by secants: the least value is nearly linear in them
+        rise = (here.value - before.value) / (sigmas - (before.sigmas or 0.0))
+        wanted = min(max(sigmas + (limit - here.value) / max(rise, LEVEL), 0.0), MOST)
+        if abs(here.value - limit) <= CLOSE * limit or wanted == sigmas:
             break
-        share = (limit - low.value) / (high.value - low.value)  # nearly linear in between; kept off the ends
-        found = redesign.least(low.sigmas + min(max(share, 0.05), 0.95) * (high.sigmas - low.sigmas), low.free)
-        low, high = (found, high) if found.value <= limit else (low, found)
-    return low
+        before, here, sigmas = here, redesign.least(wanted, here.free), wanted
+    return here
 
 
 class _Redesign:
     """Searches robust designs of one problem, from its best design as drawn."""
 
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str, backend: str) -> None:
-        model = problem.model
-        if not isinstance(model, DesignProblem):
+        if not isinstance(problem.model, DesignProblem):
             message = "a robust design is found for motion laws of a four-bar only"
             raise InputError(Fault(message, "Judge designs of it without --robust", problem.file, "--robust"))
-        first = solve(problem, backend)
+        said = {name: each.raw for name, each in stated(problem, tolerances, shape).items()}
+        first = solve(problem.override({"requirement.robust": None}), backend)
         if not first.valid:
             raise InputError(Fault("no design was proven, so there is none to begin with", "See `optlink solve`", problem.file))
-        self.problem, self.backend, self.nominal = first.problem, backend, first.design
-        self.names = model.free
-        drawn = drawing(self.problem, "rocker", np.array([first.design["phi0"]]), self._free(first.design))
-        self.mechanism, self.deviations = drawn.mechanism, read_deviations(self.problem, drawn, tolerances, shape)
-
-    def _free(self, design: Mapping[str, float]) -> dict[str, float]:
-        return {name: design[name] for name in self.names}
+        self.nominal, self.backend = first.design, backend
+        try:
+            self.problem = first.problem.override({"requirement.measure": "max", "tolerances": said})
+        except InputError as error:
+            faults = [_told(fault, tolerances) for fault in error.faults]
+            raise InputError(faults) from None
 
     def least(self, sigmas: float | None, start: Mapping[str, float] | None = None) -> Robust:
         """The design with the least largest error and scatter, searched from a start [SI]."""
-        nlp = _programme(self.problem, self.mechanism, self.deviations, sigmas)
-        nominal = nlp.x_of(self._free(self.nominal))
-        solution = solve_from(nlp, nominal if start is None else nlp.x_of(dict(start)), self.backend)
-        found = self.problem.spec.design(solution.design)
-        proof = validate(self.problem, self._free(found)).validation
-        before = nlp.measure.of(nlp.residuals(nominal))
-        return Robust(self.problem, found, dict(self.nominal), sigmas, solution.objective, before, solution, proof)
+        problem = self.problem.override({"requirement.robust": WORST if sigmas is None else f"{sigmas!r} sigma"})
+        found = solve(problem, self.backend, begin=self.nominal if start is None else start)
+        return Robust(found, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)
 
 
-def _programme(problem: ProblemFile, mechanism: Mechanism, deviations: Sequence[Deviation], sigmas: float | None) -> NLP:
-    """The minimax programme of the problem with the scatter in its errors, at positions along the span, both ends included."""
-    model = problem.override({"requirement.measure": "max"}).model
-    assert isinstance(model, DesignProblem)
-    nlp = build(model)
-    x, p = nlp.x_symbol, nlp.p_symbol
-    values: dict[str, Any] = {v.name: v.origin + x[i] * v.size for i, v in enumerate(nlp.variables) if v.name != EPIGRAPH}
-    values |= {c.name: p[1 + i] * c.size for i, c in enumerate(nlp.constants)}
-    offsets = np.linspace(0.0, model.span, ALONG)
-    law = model.law
-    tabulated = law.source.at(offsets) if isinstance(law.source, Table) else np.zeros(ALONG)
-    slopes = _slopes(mechanism, deviations)
-    rows = [row for row in nlp.rows if row.limit != EPIGRAPH]
-    residuals = []
-    with tracing():
-        start = model.start_position(values)
-        for offset, wanted in zip(offsets, tabulated, strict=True):
-            error = output_error(model, values, start, float(offset), float(wanted))
-            by = slopes(values, turn(start.crank, unit(float(offset))))
-            middle, spread = _scatter(deviations, by, sigmas)
-            label = f"error {math.degrees(offset):.4g} deg from the start"
-            for side in (1.0, -1.0):
-                residual = error - middle + side * spread
-                residuals.append(residual)
-                for sign in (1.0, -1.0):
-                    rows.append(Row(EPIGRAPH, label, (x[-1] - sign * residual) / p[0], 0.0, math.inf, DEGREES))
-        g = casadi.vertcat(*[row.value for row in rows])
-        vector = casadi.vertcat(*residuals)
-    return replace(nlp, rows=tuple(rows), g_expression=g, residual_expression=vector, cache={})
-
-
-def _scatter(deviations: Sequence[Deviation], by: Any, sigmas: float | None) -> tuple[Any, Any]:
-    """Middle of the change of the output, and how far it counts to either side."""
-    if sigmas is None:
-        ends = [d.ends for d in deviations]
-        middle = sum(0.5 * (low + high) * by[i] for i, (low, high) in enumerate(ends))
-        return middle, sum(0.5 * (high - low) * casadi.fabs(by[i]) for i, (low, high) in enumerate(ends))
-    middle = sum(d.mean * by[i] for i, d in enumerate(deviations))
-    return middle, sigmas * casadi.sqrt(sum((d.sigma * by[i]) ** 2 for i, d in enumerate(deviations)))
-
-
-def _slopes(mechanism: Mechanism, deviations: Sequence[Deviation]) -> Any:
-    """Function of sizes and the crank's direction: derivatives of the rocker's angle by the size of every deviation."""
-    names = ["crank", "coupler", "rocker", "frame", "A.x", "A.y", "D.y"]
-    symbols = {name: casadi.SX.sym(name) for name in names}
-    crank = casadi.SX.sym("crank direction", 2)
-    with tracing():
-        axis = mechanism.pose(symbols, (crank[0], crank[1])).direction("rocker")
-        by = [
-            cross(axis, (casadi.jacobian(axis[0], symbols[d.size]), casadi.jacobian(axis[1], symbols[d.size])))
-            for d in deviations
-        ]
-    traced = casadi.Function("slopes", [casadi.vertcat(*symbols.values()), crank], [casadi.vertcat(*by)])
-    return lambda sizes, direction: traced(casadi.vertcat(*[sizes.get(name, 0.0) for name in names]), casadi.vertcat(*direction))
+def _told(fault: Fault, tolerances: Sequence[str]) -> Fault:
+    """A fault of a tolerance, by the key under which it was given."""
+    if not tolerances:
+        return fault
+    return replace(fault, key=(fault.key or "").replace("tolerances.", "--tolerance ", 1))

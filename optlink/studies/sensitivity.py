@@ -23,7 +23,7 @@ from optlink.design.problem import DesignProblem
 from optlink.documents import finite, head
 from optlink.errors import Fault, InputError, Status
 from optlink.solvers.solution import STATIONARY, Solution, stationarity
-from optlink.studies.keys import begun, changed, text
+from optlink.studies.keys import begun, text
 from optlink.studies.parameters import Parameter, parameters
 from optlink.symbolic import Compiled
 
@@ -395,7 +395,7 @@ def _rebuilt(
     """Objective and design of the problem file with another value: built, scaled and searched anew."""
     from optlink.workflow import solve
 
-    other = changed(problem, {parameter.key: text(value, parameter.unit)})
+    other = problem.override({parameter.key: text(value, parameter.unit)})
     found = solve(other, backend) if other.spec.everywhere else solve(begun(other, solution.design), backend, 1)
     assert found.solution is not None
     nlp = found.solution.nlp

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import time
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,25 +19,26 @@ from numpy.typing import NDArray
 from optlink.design.files import ProblemFile
 from optlink.design.objectives import MEASURES
 from optlink.documents import finite, head
-from optlink.errors import Fault, InputError
+from optlink.errors import Fault, InputError, Status
 from optlink.studies.axes import Grid, read_grid
-from optlink.studies.chunks import Store
+from optlink.studies.chunks import Progress, Store
 from optlink.studies.engine import run
-from optlink.studies.reoptimise import CHUNK, SEARCHED, SLOW_CHUNK, Reoptimising, buildable
+from optlink.studies.machines import Designing
+from optlink.studies.reoptimise import CHUNK, SEARCHED, SLOW_CHUNK, Reoptimising, buildable, check_backend
 from optlink.studies.tasks import MANY, Analysing, Sweeping, quantity_of
 
 SCHEMA = "optlink/sweep/1"
 CHANGED = "active_set_changed"
+MOST_ANGLES = 10_000  # of an analysis
 KEPT = 200  # changes of the active set that a result names; the table marks all
 TEXT = ("status", "failed", "active", "found")
-Progress = Callable[[int, int], None]
 
 
 def objective_column(problem: ProblemFile) -> str:
     """Name of the objective's column, with its SI unit."""
     if problem.generated:
         from optlink.design.generation import GenerationProblem
-        from optlink.generation import objective_unit
+        from optlink.generated import objective_unit
 
         assert isinstance(problem.model, GenerationProblem)
         unit = objective_unit(problem.model)
@@ -61,6 +62,7 @@ class _Summary:
 
     objective: str | None
     valid: int = 0
+    infeasible: int = 0
     searched: int = 0
     changed: int = 0
     best: dict[str, str] | None = None
@@ -71,8 +73,9 @@ class _Summary:
 class Sweep:
     """A finished sweep. Its table is a file; nothing of it is held in memory until it is asked for.
 
-    `valid`, `searched`, `changed`: how many points have a proven optimum, needed more than steps from a neighbour, have another
-    active set than the point before; `cpu` [s] of all processes for the `done` points that this run did itself.
+    `valid`, `infeasible`, `searched`, `changed`: how many points have a proven optimum, hold no design, needed more than steps
+    from a neighbour, have another active set than the point before; `cpu` [s] of all processes for the `done` points that this
+    run did itself.
     """
 
     problem: ProblemFile
@@ -81,6 +84,7 @@ class Sweep:
     path: Path
     names: tuple[str, ...]
     valid: int
+    infeasible: int
     searched: int
     changed: int
     best: Mapping[str, str] | None
@@ -128,6 +132,7 @@ class Sweep:
         if not self.analysed:
             document |= {
                 "valid_points": self.valid,
+                "infeasible_points": self.infeasible,
                 "searched_points": self.searched,
                 "active_set_changes": self.changed,
                 "changes": [vars(change) | {"at": dict(change.at)} for change in self.changes],
@@ -195,28 +200,18 @@ def sweep(
     begin = time.perf_counter()
     grid = read_grid(problem, vary)
     task = _task(problem, grid, analyze, columns, points, design, backend)
+    run(task, (), engine, workers, scheduler)  # raises if it cannot
     holder = Folder() if out is None else None
-    store = Store(holder.path if holder is not None else Path(str(out)), _about(task), task.size, task.chunks, resume=resume)
-    todo = store.missing()
-    done = (task.chunks - len(todo)) * task.chunk if todo else grid.count
-    mine, cpu = 0, 0.0
-    if progress is not None:
-        progress(done, grid.count)
-    for index, answer in run(task, todo, engine, workers, scheduler) if todo else ():
-        store.write(index, answer.value)
-        cpu += answer.cpu
-        mine += task.size(index)
-        if progress is not None:
-            progress(min(done + mine, grid.count), grid.count)
+    store = Store(holder.path if holder is not None else Path(str(out)), _about(task), resume=resume)
+    store.divide(task.size, task.chunks)
+    mine, cpu = store.fill(task, engine, workers, scheduler, progress)
     names = [*task.columns, *(() if analyze else (CHANGED,))]
-    summary = _Summary(None if analyze else objective_column(problem))
+    summary = _Summary(None if analyze else next(name for name in names if name.startswith("objective")))
     if store.finished:
         store.drop()
-        with store.table.open(encoding="utf-8", newline="") as file:
-            rows = csv.reader(file)
-            next(rows)
-            for number, row in enumerate(rows):
-                _count(summary, grid, names, number, row)
+        rows = store.finished_rows(names)
+        for _ in _marked(rows if analyze else (row[:-1] for row in rows), grid, names, summary):
+            pass  # for the sake of the summary
     else:
         store.finish(names, _marked(store.rows(), grid, names, summary))
     return Sweep(
@@ -226,6 +221,7 @@ def sweep(
         path=store.table,
         names=tuple(names),
         valid=summary.valid,
+        infeasible=summary.infeasible,
         searched=summary.searched,
         changed=summary.changed,
         best=summary.best,
@@ -250,6 +246,8 @@ def _task(
 ) -> Sweeping:
     stated = Sweeping.stated(problem)
     if analyze:
+        if not 2 <= points <= MOST_ANGLES:
+            raise InputError(Fault("out of range", f"Give 2 to {MOST_ANGLES:,} crank angles", key="--points", value=points))
         quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
         given = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
         whole = Analysing(
@@ -260,17 +258,24 @@ def _task(
         return whole
     if design is not None:
         raise InputError(Fault("a given design is not optimised", "Leave --design out, or add --analyze", key="--design"))
+    check_backend(backend)
     if problem.machined:
-        remedy = "Solve it for each value with --set, or analyse designs with --analyze"
-        raise InputError(Fault("a machine that is designed by its cycle cannot be swept yet", remedy, problem.file))
+        designing = Designing(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
+        return _with_something_free(designing, problem)
     if not problem.generated:
         problem.spec  # noqa: B018 - raises if there is nothing to solve
     task = Reoptimising(**stated, grid=grid, chunk=CHUNK, backend=backend)
-    if not task.free:
-        raise InputError(Fault("nothing is free, there is nothing to find", "Add --analyze, or free a size", problem.file))
+    _with_something_free(task, problem)
     if buildable(task.template, tuple(axis.key for axis in grid.axes)):
         return task
     return replace(task, chunk=SLOW_CHUNK)
+
+
+def _with_something_free(task: Designing | Reoptimising, problem: ProblemFile) -> Sweeping:
+    """The task, if there is something to find."""
+    if not task.free:
+        raise InputError(Fault("nothing is free, there is nothing to find", "Add --analyze, or free a size", problem.file))
+    return task
 
 
 def _about(task: Sweeping) -> dict[str, Any]:
@@ -287,7 +292,7 @@ def _about(task: Sweeping) -> dict[str, Any]:
     }
     if isinstance(task, Analysing):
         about |= {"crank_angles": task.points, "design": dict(task.design)}
-    if isinstance(task, Reoptimising):
+    if isinstance(task, Designing | Reoptimising):
         about["backend"] = task.backend
     return about
 
@@ -295,13 +300,17 @@ def _about(task: Sweeping) -> dict[str, Any]:
 def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _Summary) -> Iterator[list[str]]:
     """Rows with the mark of a new active set, if they have one; the summary is gathered on the way."""
     before: str | None = None
-    held = names.index("active") if summary.objective is not None else -1
+    held, status = (names.index(name) if summary.objective is not None else -1 for name in ("active", "status"))
+
+    def designed(row: list[str]) -> bool:
+        return row[status] != Status.INFEASIBLE.value
+
     for number, row in enumerate(rows):
         if summary.objective is not None:
-            first = number % grid.row == 0
-            row = [*row, "true" if not first and before != row[held] else "false"]
+            before = before if number % grid.row else None
+            row = [*row, "true" if designed(row) and before is not None and before != row[held] else "false"]
         _count(summary, grid, names, number, row, before)
-        before = row[held]
+        before = row[held] if designed(row) else None
         yield row
 
 
@@ -310,6 +319,7 @@ def _count(summary: _Summary, grid: Grid, names: list[str], number: int, row: li
         return
     found = dict(zip(names, row, strict=True))
     summary.searched += found["found"] == SEARCHED
+    summary.infeasible += found["status"] == Status.INFEASIBLE.value
     if found[CHANGED] == "true":
         summary.changed += 1
         if len(summary.changes) < KEPT and before is not None:

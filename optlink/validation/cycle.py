@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 AGREE = 1e-6  # relative, of a figure that was measured by two routes
 MEET = 1e-6  # relative, by which a limit may be missed
+ROUNDING = 1e-6  # of the size of its course, below which a mean or a work is taken for zero
+NOTHING = 1e-3  # of the same, by which the room of a limit of zero is measured
 BALANCE = 1e-9  # relative, to which the work of the drive is that of the loads
 
 
@@ -241,20 +243,51 @@ class Cycle:
             found.append(value if self.problem.single else goal.weight * value / (scale or 1.0))
         return math.fsum(found)
 
+    def size(self, term: Term) -> float:
+        """The size of what a term is made of [SI], where the term itself may vanish; zero where it does so by nature alone."""
+        if term.quantity in ("end", "slide", "length"):
+            return max(abs(value) for name, value in self.design.items() if self.problem.quantities[name].kind != "angle")
+        if not self.full or (term.how != "mean" and term.quantity != "work"):
+            return 0.0
+        course = term if term.how == "mean" else Term(quantity="torque")
+        machine, read = self.course(course)
+        values = read(Record(machine.moving(np.linspace(0.0, TURN, POSITIONS + 1), self.speed)))
+        return float(np.max(np.abs(values))) * (1.0 if term.how == "mean" else TURN)
+
+    def natural(self) -> float:
+        """Below what the objective is zero but for rounding [its unit]."""
+        sizes = [ROUNDING * self.size(goal) for goal in self.problem.goals]
+        if self.problem.single:
+            return sizes[0]
+        shares = zip(self.problem.goals, self.problem.scales, sizes, strict=True)
+        return math.fsum(goal.weight * size / (scale or 1.0) for goal, scale, size in shares)
+
     def imbalance(self) -> float:
-        """Work per revolution of the drive and all loads, over the sum of their sizes: zero in a cycle."""
+        """Work per revolution that drive and loads leave over, as a share of the energy that goes to and fro: zero in a cycle.
+
+        That energy is the sum of the sizes of their powers over the revolution, and the kinetic energy: of a machine without
+        loads the works themselves all vanish, of one that is balanced on its crank the powers too.
+        """
         a, b = self.work.knots[:-1], self.work.knots[1:]
         half = 0.5 * (b - a)
         points = ((0.5 * (a + b))[:, None] + half[:, None] * NODES).ravel()
         moving = self.machine.moving(points, self.speed)
-        power = Record(moving, ["input.power_W"])["input.power_W"]
-        fed = [
-            np.broadcast_to(one.power(moving.state(one.body)), points.shape)
+        record = Record(moving)
+        powers = [record["input.power_W"]]
+        names = slider_names(self.machine)
+        powers += [record[f"{guide}.friction_N"] * record[f"{names[guide]}.v_m_s"] for guide in self.machine.friction]
+        powers += [
+            np.broadcast_to(np.asarray(one.power(moving.state(one.body))), points.shape)
             for load in self.machine.loads
             for one in load.act(moving)
         ]
-        works = [float(np.sum(half * (p.reshape(-1, len(NODES)) @ WEIGHTS))) for p in (power, *fed)]
-        return abs(math.fsum(works)) / max(math.fsum(abs(w) for w in works), 1e-300)
+
+        def whole(power: Array) -> float:
+            return float(np.sum(half * (power.reshape(-1, len(NODES)) @ WEIGHTS))) / self.speed
+
+        fed = math.fsum(abs(whole(np.abs(power))) for power in powers)
+        stored = float(np.max(np.abs(moving.kinetic), initial=0.0))
+        return abs(math.fsum(whole(power) for power in powers)) / max(fed + stored, 1e-300)
 
 
 def validate_cycle(problem: CycleProblem, design: Mapping[str, float], objective: float | None = None) -> Validation:
@@ -276,7 +309,7 @@ def validate_cycle(problem: CycleProblem, design: Mapping[str, float], objective
     if tested.full:
         checks += [check for bound_ in problem.bounds for check in _limit(tested, bound_)]
     if objective is not None:
-        gap = abs(found - objective) / max(abs(found), 1e-300)
+        gap = abs(found - objective) / max(abs(found), tested.natural(), 1e-300)
         checks.append(Check("objective measured in motion", bool(gap <= AGREE), gap, f"<= {AGREE:.0e}", ""))
     return Validation(tuple(checks), found)
 
@@ -331,6 +364,6 @@ def _limit(tested: Cycle, item: Bound) -> Iterator[Check]:
     value = tested.figure(item.term)
     for wanted, words, sense in ((item.interval.low, ">=", 1.0), (item.interval.high, "<=", -1.0)):
         if wanted is not None:
-            room = MEET * max(abs(wanted), abs(value) if math.isfinite(value) else 0.0)
+            room = MEET * max(abs(wanted), abs(value) if math.isfinite(value) else 0.0, NOTHING * tested.size(item.term))
             passed = bool(sense * (value - wanted) >= -room)
             yield Check(f"{item.name}: {item.term.words}", passed, value * size, f"{words} {wanted * size:.6g}", unit)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from optlink.design.problem import DEAD_CENTRES, DesignProblem
 from optlink.design.quantity import Interval
+from optlink.design.robust import EXPECTED, WORST
 from optlink.linkage.elementwise import Vector, cross, dot, minus, unit
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.mechanism import Mechanism
@@ -37,6 +38,7 @@ Array = NDArray[np.float64]
 
 CLOSING = 4  # rounds of closing in on an extreme: to 6e-6 of a step of the sweep, where it is flat to rounding
 ROUNDING = 1e-12  # rad; two routes to an error that is all but zero need not agree more closely
+STEP = 1e-5  # of the frame, by which a size is made larger and smaller to see what that does
 
 
 def validate(
@@ -64,7 +66,8 @@ def validate(
         gap = abs(found - objective) / max(abs(found), 1e-12)
         error, claimed = (math.sqrt(f) if tested.squared else f for f in (max(found, 0.0), max(objective, 0.0)))
         agrees = bool(gap <= 1e-6 or abs(error - claimed) <= ROUNDING)
-        checks.append(Check("objective measured in motion", agrees, gap, "<= 1e-06", ""))
+        what = "objective" if problem.requirement.robust is None else "error with tolerances"
+        checks.append(Check(f"{what} measured in motion", agrees, gap, "<= 1e-06", ""))
     return Validation(tuple(checks), found)
 
 
@@ -73,7 +76,7 @@ class _Tested:
 
     def __init__(self, problem: DesignProblem, design: Mapping[str, float], mechanism: Mechanism) -> None:
         self.problem, self.design, self.mechanism = problem, design, mechanism
-        self.sizes = {name: design[name] for name in LENGTHS}
+        self.sizes = problem.sizes(design)
         self.phi0, self.psi0 = design["phi0"], design["psi0"]
         self.revolution = self._sweep(np.linspace(0.0, 2.0 * np.pi, POSITIONS, endpoint=False))
 
@@ -177,17 +180,55 @@ class _Tested:
         error: Array = np.remainder(wanted - actual + np.pi, 2.0 * np.pi) - np.pi
         return error
 
+    def _rocker(self, at: Array, name: str, by: float) -> Array:
+        """Rocker angle [rad] at crank rotations from the start, with one size or coordinate of a pivot larger by that [m].
+
+        The crank angle is that of the drawing. Pivots that move make another frame, in which the crank has turned otherwise.
+        """
+        sizes = {**self.sizes, **({name: self.sizes[name] + by} if name in self.sizes else {})}
+        along = sizes["frame"] - (by if name == "A.x" else 0.0)
+        across = {"D.y": by, "A.y": -by}.get(name, 0.0)
+        sizes["frame"], tilt = math.hypot(along, across), math.atan2(across, along)
+        with np.errstate(all="ignore"):
+            pose = self.mechanism.pose(sizes, unit(self.phi0 + at - tilt))
+        c, d = pose.point("C"), pose.point("D")
+        return np.asarray(np.arctan2(c[1] - d[1], c[0] - d[0]) + tilt, dtype=float)
+
+    def scattered(self, offsets: Array | None = None) -> tuple[Array, Array]:
+        """Middle of the error [rad] as it is built, and how far it counts to either side; by central differences of the motion.
+
+        Standard deviations as many as the requirement asks for (one where the expected square is wanted), or the worst case.
+        """
+        at, robust = self.problem.law.offsets if offsets is None else offsets, self.problem.requirement.robust
+        middle, spread = self.wanted_minus_actual(offsets), np.zeros(len(at))
+        step = STEP * self.design["frame"]
+        for deviation in self.problem.deviations if robust is not None else ():
+            there, back = (self._rocker(at, deviation.size, way) for way in (step, -step))
+            slope = -(np.remainder(there - back + np.pi, 2.0 * np.pi) - np.pi) / (2.0 * step)
+            if robust is not None and robust.text == WORST:
+                ends = slope * np.array(deviation.ends)[:, None]
+                middle, spread = middle + np.mean(ends, axis=0), spread + 0.5 * np.abs(ends[1] - ends[0])
+            else:
+                middle, spread = middle + slope * deviation.mean, spread + np.square(slope * deviation.sigma)
+        if robust is not None and robust.text != WORST:
+            spread = (1.0 if robust.text == EXPECTED else robust.sigmas) * np.sqrt(spread)
+        return middle, spread
+
     def objective(self) -> float:
         """The figure that the requirement minimises; the largest error of a function is that of its whole range."""
+
+        def sides(at: Array) -> Array:
+            middle, spread = self.scattered(at)
+            return np.stack([spread + middle, spread - middle])
+
         if self.problem.everywhere:
             grid = np.sort(np.linspace(0.0, self.problem.span, POSITIONS + 1))
-            ends = extremes(lambda at: self.wanted_minus_actual(at)[None, :], grid)[1][0]
-            return float(np.max(np.abs(ends)))
-        error = self.wanted_minus_actual()
+            return float(np.max(extremes(sides, grid)[1][:, 1]))
+        middle, spread = self.scattered()
         if self.problem.requirement.measure == "max":
-            return float(np.max(np.abs(error)))
-        total = math.fsum(float(e) ** 2 for e in error)
-        return math.sqrt(total / len(error)) if self.problem.requirement.measure == "rms" else total
+            return float(np.max(np.abs(middle) + spread))
+        total = math.fsum(float(e) ** 2 for e in (*middle, *spread))
+        return math.sqrt(total / len(middle)) if self.problem.requirement.measure == "rms" else total
 
 
 def _sizes(tested: _Tested) -> Iterator[Check]:
@@ -296,6 +337,11 @@ def _requirement(tested: _Tested) -> Iterator[Check]:
     error = tested.wanted_minus_actual()
     largest = math.degrees(float(np.max(np.abs(error))))
     yield Check("output error has a value everywhere", bool(np.all(np.isfinite(error))), largest, "finite", "deg")
+    if problem.requirement.robust is not None:
+        middle, spread = tested.scattered()
+        most = math.degrees(float(np.max(np.abs(middle) + spread)))
+        counted = problem.requirement.robust.band
+        yield Check(f"error with tolerances, {counted}, has a value", bool(math.isfinite(most)), most, "finite", "deg")
 
 
 def _extra(tested: _Tested) -> Iterator[Check]:

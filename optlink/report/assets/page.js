@@ -5,13 +5,60 @@
   const charts = read("chart-data");
   const cursors = [];
 
+  // --- points of a chart that can be picked: under the pointer, with a click, with a slider ------------------------------------
+  function pick(place, picks, number) {
+    const slider = document.getElementById("pick-" + number);
+    const panel = slider.closest(".picked");
+    const told = panel.querySelector("output");
+    const cells = [...panel.querySelectorAll("[data-pick]")];
+    const mark = place.data.length - 1; // the last curve of such a chart is the mark of the picked point
+    let drawn = false;
+    let wanted = picks.first;
+    const put = () => {
+      if (drawn) {
+        return; // one drawing at a time, of the latest wish
+      }
+      drawn = true;
+      const index = wanted;
+      Plotly.restyle(place, { x: [[picks.x[index]]], y: [[picks.y[index]]] }, [mark]).then(() => {
+        drawn = false;
+        if (wanted !== index) {
+          put();
+        }
+      });
+    };
+    const show = (index) => {
+      wanted = index;
+      cells.forEach((cell, k) => {
+        cell.textContent = picks.rows[index][k];
+      });
+      told.textContent = `${index + 1} of ${picks.rows.length}`;
+      slider.value = String(index);
+      slider.setAttribute("aria-valuetext", told.textContent);
+      put();
+    };
+    const found = (event) => {
+      const point = event.points.find((one) => Number.isInteger(one.customdata));
+      if (point && point.customdata !== wanted) {
+        show(point.customdata);
+      }
+    };
+    place.on("plotly_hover", found);
+    place.on("plotly_click", found);
+    slider.addEventListener("input", () => show(Number(slider.value)));
+  }
+
   // --- charts ---------------------------------------------------------------------------------------------------------------
   // these buttons and no others: the library has some that send a chart to its makers
   const buttons = [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]];
-  const config = { displaylogo: false, responsive: true, modeBarButtons: buttons };
+  const narrow = matchMedia("(max-width: 600px)").matches; // no room for buttons beside the names of the curves
+  const config = { displaylogo: false, responsive: true, modeBarButtons: buttons, displayModeBar: narrow ? false : "hover" };
   const places = charts.map((chart, index) => {
     const place = document.getElementById("chart-" + (index + 1));
     Plotly.newPlot(place, chart.figure.data, chart.figure.layout, config);
+    if (chart.picks) {
+      pick(place, chart.picks, index + 1);
+    }
     if (chart.cranked) {
       const cursor = document.createElement("div");
       cursor.className = "cursor";
@@ -45,11 +92,12 @@
   const angle = document.getElementById("crank-angle");
   const play = document.getElementById("play");
   const figures = [...document.querySelectorAll("[data-readout]")];
-  const last = motion.angles_deg.length - 1;
+  const stops = motion.slider;
+  const last = stops.values.length - 1;
   let at = 0;
 
   function follow() {
-    const crank = motion.angles_deg[at];
+    const here = stops.values[at];
     for (const { place, cursor } of cursors) {
       const layout = place._fullLayout;
       const axis = layout && layout.xaxis;
@@ -57,8 +105,8 @@
         continue;
       }
       const [low, high] = axis.range[0] < axis.range[1] ? axis.range : [axis.range[1], axis.range[0]];
-      const shown = crank - 360 * Math.floor((crank - low) / 360);
-      const inside = shown <= high + 1e-9;
+      const shown = stops.turn ? here - stops.turn * Math.floor((here - low) / stops.turn) : here;
+      const inside = shown >= low && shown <= high + 1e-9;
       cursor.style.display = inside ? "block" : "none";
       if (inside) {
         cursor.style.left = axis._offset + axis.d2p(shown) + "px";
@@ -94,7 +142,7 @@
       const value = motion.readouts[k].values[at];
       node.textContent = value === null ? "–" : value.toFixed(motion.readouts[k].decimals).replace("-", "−");
     });
-    angle.textContent = motion.angles_deg[at].toFixed(1).replace("-", "−") + "°";
+    angle.textContent = stops.values[at].toFixed(stops.decimals).replace("-", "−") + stops.unit;
     slider.value = String(at);
     slider.setAttribute("aria-valuetext", angle.textContent);
     follow();

@@ -1,0 +1,422 @@
+"""The reference of problem files, made from the models that read them: every table, key, unit, default and allowed value.
+
+Descriptions are the strings below the fields in the source; examples are taken from the shipped problems and from the pages of
+the documentation, which the tests load. MkDocs calls `on_page_markdown`; the tests call `reference`.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import inspect
+import itertools
+import re
+import sys
+import textwrap
+import tomllib
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic.fields import FieldInfo
+
+import optlink
+from optlink.clearance.contact import NORMAL
+from optlink.design.cycle import CycleProblem
+from optlink.design.generation import GenerationProblem
+from optlink.design.linkages import DyadsSection, FourBarSection
+from optlink.design.machines import Problem
+from optlink.design.problem import DEAD_CENTRES, DesignProblem
+from optlink.design.section import Section
+from optlink.design.terms import NATURES
+from optlink.errors import InputError
+from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor
+
+DOCS = Path(__file__).resolve().parent.parent
+MARKER = "<!-- keys -->"
+LONGEST = 90  # characters of an example
+
+ROOTS: dict[type[Problem], tuple[str, str]] = {
+    Problem: ("", "every problem"),
+    DesignProblem: ("law", "a four-bar for a motion law or function"),
+    GenerationProblem: ("points", "path, motion, function of dyads, transmission"),
+    CycleProblem: ("cycle", "a machine designed by its cycle"),
+}
+"""Models of a whole file: how their anchors end, and what they are for."""
+
+NARRATED = {
+    "": "problem-files.md#a-whole-file",
+    "mechanism": "problem-files.md#mechanism",
+    "bodies": "problem-files.md#bodies-and-joints",
+    "joints": "problem-files.md#joints-with-clearance-and-control",
+    "loads": "problem-files.md#loads",
+    "drive": "problem-files.md#drive",
+    "control": "problem-files.md#joints-with-clearance-and-control",
+    "balance": "balancing.md#the-section-balance",
+    "expected": "problem-files.md#expected",
+    "requirement": "problem-files.md#kinds-of-requirement",
+    "limits": "problem-files.md#limits",
+    "tolerances": "problem-files.md#tolerances-and-a-robust-design",
+    "objective": "machine-design.md#terms",
+}
+"""Where the narrated pages tell more of a table, by the first part of its name."""
+
+READERS = {
+    "read_quantity": "{kind}, fixed or free",
+    "read_fixed": "{kind}",
+    "read_positive": "{kind}, not negative",
+    "_read_interval": "range of {kind}",
+}
+"""Functions of `optlink.design.quantity` that read a field, and what they take."""
+
+FORMS = {
+    "Problem.gravity": "acceleration, or `[x, y]`",
+    "BodySection.centroid": "text, or `[along, across]`",
+    "BodySection.inertia": "moment of inertia, or `uniform bar`",
+    "DriveSection.torque": "torque, table or expression",
+    "JointSection.clearance": "length",
+    "JointSection.law": ", ".join(f"`{law}`" for law in NORMAL),
+    "JointSection.modulus": "pressure, or `[journal, bearing]`",
+    "JointSection.poisson": "number, or `[journal, bearing]`",
+    "LoadSection.force": "force, table or expression",
+    "LoadSection.torque": "torque, table or expression",
+    "ControlSection.known": "list of names",
+    "ControlSection.regularisation": "length or angle",
+    "FourBarSection.points": "names with `[along, across]`, each fixed or free",
+    "FourBarSection.pivot": "`[x, y]`, each fixed or free",
+    "LinkSection.joints": "list of one or two names",
+    "LinkSection.points": "names with `[along, across]`, each fixed or free",
+    "GuideSection.through": "text, or `[x, y]`, each fixed or free",
+    "DyadsSection.ground": "names with `[x, y]`, each fixed or free",
+    "Problem.tolerances": "names with text or tables",
+    "Term.quantity": "one of the [quantities](#quantities)",
+    "Objective.quantity": "one of the [quantities](#quantities)",
+    "Requirement.law": "text or table",
+    "Requirement.robust": "text",
+    "Requirement.start": " or ".join(f"`{start}`" for start in DEAD_CENTRES) + ", or angle, fixed or free",
+    "Task.points": "list or table; of a function a whole number",
+    "Task.law": "table",
+    "Goal.scale": "quantity",
+    "Limit.min": "quantity",
+    "Limit.max": "quantity",
+    "Limit.exactly": "quantity",
+    "CounterweightSection.at": "text, or `[along, across]`",
+    "SpringSection.free_length": "length, or `[low, high]`",
+    "BalanceSection.minimise": "text, or measures with weights",
+    "BalanceSection.limits": "measures with quantities or shares",
+    "BalanceSection.about": "text, or `[x, y]`",
+}
+"""What a field takes whose own reader decides on it, by model and name."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One table of the file: `path` in it ("joints.NAME"), the model that reads it, and the kind of problem that has it."""
+
+    path: str
+    model: type[Section]
+    root: type[Problem]
+    many: bool = False
+
+    @property
+    def heading(self) -> str:
+        """The table as a file begins it."""
+        if not self.path:
+            return "At the top of the file" if self.root is Problem else f"At the top: {ROOTS[self.root][1]}"
+        name = f"[[{self.path}]]" if self.many else f"[{self.path}]"
+        kind = {FourBarSection: 'type = "four-bar"', DyadsSection: 'type = "dyads"'}.get(self.model)
+        return name + (f", {kind}" if kind else f": {ROOTS[self.root][1]}" if self.root is not Problem else "")
+
+    @property
+    def anchor(self) -> str:
+        """Identifier of the heading, for links."""
+        kind = {FourBarSection: "four-bar", DyadsSection: "dyads"}.get(self.model, "")
+        words = [self.path.replace(".NAME", "").replace(".", "-") or "file", kind, ROOTS[self.root][0]]
+        return "-".join(word for word in words if word).lower()
+
+
+def sections() -> list[Part]:
+    """Every table that a problem file can have: those of every problem first, each above the tables inside it."""
+    found: dict[tuple[str, type[Section]], Part] = {}
+    for root in ROOTS:
+        own = root.model_fields if root is Problem else {k: v for k, v in root.model_fields.items() if _differs(root, k)}
+        found["", root] = Part("", root, root)
+        for part in _within("", own, root):
+            found.setdefault((part.path, part.model), part)
+    return list(found.values())
+
+
+def _differs(root: type[Problem], name: str) -> bool:
+    """Whether a kind of problem has a field of its own: not that of every problem, nor a narrower one."""
+    return name not in Problem.model_fields
+
+
+def _within(path: str, fields: Mapping[str, FieldInfo], root: type[Problem]) -> Iterator[Part]:
+    for name, field in fields.items():
+        for suffix, model, many in _models(field.annotation):
+            below = f"{path}.{name}".strip(".") + suffix
+            yield Part(below, model, root, many)
+            yield from _within(below, model.model_fields, root)
+
+
+def _models(annotation: Any) -> Iterator[tuple[str, type[Section], bool]]:
+    """Models inside an annotation, with what the name of their table ends in, and whether there may be many."""
+    origin, inside = typing.get_origin(annotation), typing.get_args(annotation)
+    if inspect.isclass(annotation) and issubclass(annotation, Section):
+        yield "", annotation, False
+    elif origin is dict:
+        yield from ((f".NAME{suffix}", model, many) for suffix, model, many in _models(inside[1]))
+    elif origin is tuple:
+        yield from ((suffix, model, True) for suffix, model, _ in _models(inside[0]))
+    elif origin in (typing.Union, types.UnionType, typing.Annotated):
+        for one in inside if origin is not typing.Annotated else inside[:1]:
+            yield from _models(one)
+
+
+# --- what is said of a field -------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def _strings(model: type[Section]) -> dict[str, str]:
+    """Strings below the fields that a class states itself, by field."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
+    assert isinstance(tree, ast.ClassDef)
+    found = {}
+    for field, below in itertools.pairwise(tree.body):
+        text = below.value.value if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant) else None
+        if isinstance(text, str) and isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+            found[field.target.id] = " ".join(text.split())
+    return found
+
+
+def owner(model: type[Section], name: str) -> type[Section]:
+    """The class that states a field: the model itself or the nearest one that it builds on."""
+    return next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
+
+
+def description(model: type[Section], name: str) -> str:
+    """What the source says of a field; empty where it says nothing."""
+    return _strings(owner(model, name)).get(name, "")
+
+
+def value(model: type[Section], name: str) -> str:
+    """What a field takes."""
+    field = model.model_fields[name]
+    stated = FORMS.get(f"{owner(model, name).__name__}.{name}")
+    return stated or _words(field.annotation, field.metadata)
+
+
+def reader(annotation: Any, metadata: typing.Iterable[Any]) -> tuple[str, str | None] | None:
+    """Name of the function that reads a quantity, and its kind; None for what is no quantity."""
+    for part in metadata:
+        call = getattr(part, "func", None)
+        if isinstance(call, functools.partial) and call.func.__name__ in READERS:
+            return call.func.__name__, call.keywords["kind"]
+    if typing.get_origin(annotation) is typing.Annotated:
+        inner, *more = typing.get_args(annotation)
+        return reader(inner, more)
+    for inner in typing.get_args(annotation):
+        found = reader(inner, ())
+        if found:
+            return found
+    return None
+
+
+def _words(annotation: Any, metadata: typing.Iterable[Any] = ()) -> str:
+    known = reader(annotation, metadata)
+    origin, inside = typing.get_origin(annotation), [a for a in typing.get_args(annotation) if a is not type(None)]
+    if origin is dict and not known:
+        return "table of names" if any(True for _ in _models(inside[1])) else f"names with {_words(inside[1])}"
+    if known:
+        return READERS[known[0]].format(kind=known[1] or "numbers")
+    if origin is typing.Literal:
+        return ", ".join(f"`{text}`" for text in inside)
+    if origin is typing.Annotated or (origin in (typing.Union, types.UnionType) and len(inside) == 1):
+        return _words(inside[0])
+    if any(True for _ in _models(annotation)):
+        return "list of tables" if origin is tuple else "table"
+    if origin is tuple:
+        return "list of two names" if len(inside) == 2 and inside[1] is not Ellipsis else "list of names"
+    plain = {str: "text", bool: "`true`, `false`", float: "number", int: "whole number"}
+    if annotation not in plain:
+        raise LookupError(f"what a field of {annotation} takes is to be said in FORMS")
+    return plain[annotation]
+
+
+def left_out(field: FieldInfo) -> str:
+    """What counts where a field is left out; empty where its description says it."""
+    if field.is_required():
+        return "required"
+    default = field.get_default(call_default_factory=True, validated_data={})
+    if default is None or default == "" or isinstance(default, dict | Section) or default in ((), (0.0, 0.0)):
+        return ""
+    if isinstance(default, bool):
+        return f"`{str(default).lower()}`"
+    if isinstance(default, tuple):
+        return f"`{default[0]:g}`"
+    return f"`{default:g}`" if isinstance(default, float) else f"`{default}`"
+
+
+# --- examples ------------------------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def examples() -> dict[tuple[type[Section], str], str]:
+    """The shortest of what shipped problems and the documentation write for a key, by the class that states it."""
+    found: dict[tuple[type[Section], str], str] = {}
+    for raw, model in _files():
+        for owning, name, written in _stated(type(model), raw):
+            text = toml(written)
+            if len(text) <= LONGEST and len(text) < len(found.get((owning, name), " " * (LONGEST + 1))):
+                found[owning, name] = text
+    return found
+
+
+def _files() -> Iterator[tuple[Mapping[str, Any], Problem]]:
+    for name in optlink.shipped():
+        file = optlink.load(name)
+        yield file.raw, file.model
+    for page in sorted(DOCS.glob("*.md")):
+        for block in re.findall(r"```toml(?: design)?\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
+            raw = tomllib.loads(block)
+            if "title" in raw and "mechanism" in raw:
+                try:
+                    file = optlink.read(raw)
+                except InputError as error:  # for a reader who edits the page
+                    raise ValueError(f"an example of {page.name} cannot be read: {error}") from None
+                yield file.raw, file.model
+
+
+def _stated(model: type[Section], raw: Mapping[str, Any]) -> Iterator[tuple[type[Section], str, Any]]:
+    for name, field in model.model_fields.items():
+        key = field.alias or name
+        if key not in raw:
+            continue
+        below = list(_models(field.annotation))
+        if not below:
+            yield owner(model, name), name, raw[key]
+        for suffix, inner, many in below:
+            tables = raw[key] if many else raw[key].values() if suffix else [raw[key]]
+            for table in tables:
+                if len(below) == 1 or table["type"] in typing.get_args(inner.model_fields["type"].annotation):
+                    yield from _stated(inner, table)
+
+
+def toml(written: Any) -> str:
+    """A value as TOML writes it on one line."""
+    if isinstance(written, dict):
+        return "{ " + ", ".join(f"{_bare(key)} = {toml(item)}" for key, item in written.items()) + " }"
+    if isinstance(written, list):
+        return "[" + ", ".join(toml(item) for item in written) + "]"
+    if isinstance(written, bool):
+        return str(written).lower()
+    return f'"{written}"' if isinstance(written, str) else repr(written)
+
+
+def _bare(key: str) -> str:
+    return key if re.fullmatch(r"[\w-]+", key) else f'"{key}"'
+
+
+def example(model: type[Section], name: str) -> str:
+    """How a file may state a key; empty for a table, whose keys have their own."""
+    field = model.model_fields[name]
+    known = examples().get((owner(model, name), name))
+    if known is None:
+        found = reader(field.annotation, field.metadata)
+        if found is None or found[1] is None:
+            return ""
+        text = KINDS[found[1]].example
+        known = f'{{ max = "{text}" }}' if found[0] == "_read_interval" else f'"{text}"'
+    return f"{field.alias or name} = {known}"
+
+
+# --- the page --------------------------------------------------------------------------------------------------------------
+
+
+def reference() -> str:
+    """The whole reference as Markdown."""
+    return "\n\n".join([*(_table(part) for part in sections()), _terms(), _units()])
+
+
+def _table(part: Part) -> str:
+    first = inspect.cleandoc(part.model.__doc__ or "").split("\n\n")[0].replace("\n", " ")
+    lines = [f"## {part.heading} {{ #{part.anchor} }}", ""]
+    told = NARRATED["objective" if part.root is CycleProblem and part.path else part.path.split(".")[0]]
+    if part.path:
+        lines += [f"{first} [More](../{told})", ""]
+    lines += ["| key | takes | what it is |", "|---|---|---|"]
+    for name, field in part.model.model_fields.items():
+        if not part.path and part.root is not Problem and not _differs(part.root, name):
+            continue
+        default = left_out(field)
+        said = description(part.model, name) + ("" if default in ("", "required") else f" Left out: {default}.")
+        shown = example(part.model, name)
+        says = said + (f"<br>`{shown}`" if shown else "")
+        key = f"`{field.alias or name}`" + (" *required*" if default == "required" else "")
+        lines.append(f"| {key} | {_cell(value(part.model, name))} | {_cell(says)} |")
+    return "\n".join(lines)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def _terms() -> str:
+    lines = ["## Quantities of the cycle { #quantities }", "", "What `quantity` may be in `[objective]` and `[limits.NAME]`.", ""]
+    lines += ["| quantity | kind | `of` | measures |", "|---|---|---|---|"]
+    for name, nature in NATURES.items():
+        measures = ", ".join(f"`{measure}`" for measure in nature.measures) or "one figure"
+        lines.append(f"| `{name}` | {nature.kind or 'number'} | {nature.of or '-'} | {measures} |")
+    return "\n".join(lines)
+
+
+def _units() -> str:
+    lines = [
+        "## Units { #units }",
+        "",
+        "A quantity is text: a number and a unit of its kind, or a product of units that is one.",
+        "",
+    ]
+    lines += ["| kind | SI | written as | single units |", "|---|---|---|---|"]
+    for kind in KINDS.values():
+        fit = ", ".join(f"`{unit}`" for unit in single_units() if _fits(unit, kind.name))
+        lines.append(f"| {kind.name} | {kind.si.replace('**', '^')} | `{kind.example}` | {fit or '-'} |")
+    return "\n".join(lines)
+
+
+def single_units() -> list[str]:
+    """Short names of all units that are known."""
+    return [
+        definition.split("=")[2].strip() if definition.count("=") > 1 else definition.split(" ")[0] for definition in DEFINITIONS
+    ]
+
+
+def _fits(unit: str, kind: str) -> bool:
+    try:
+        factor(unit, kind)
+    except UnitProblem:
+        return False
+    return True
+
+
+def every_model() -> set[type[Section]]:
+    """All models of problem files that there are, whether a file can have them or not."""
+    found: set[type[Section]] = set()
+    todo = [Section]
+    while todo:
+        model = todo.pop()
+        todo += model.__subclasses__()
+        found.add(model)
+    return found - {Section}
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """MkDocs: put the reference where a page asks for it."""
+    return markdown.replace(MARKER, reference()) if MARKER in markdown else markdown
+
+
+if __name__ == "__main__":
+    sys.stdout.write(reference() + "\n")

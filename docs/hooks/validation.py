@@ -1,0 +1,525 @@
+"""Reference numbers beside those that optlink computes while the documentation is built; the build fails where they part.
+
+Run as a script it prints the page. Numbers that need minutes are quoted on the page itself, with the test that checks them.
+"""
+
+from __future__ import annotations
+
+import ast
+import csv
+import functools
+import math
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import optlink
+from optlink.studies.outputs import output_sensitivity
+
+ROOT = Path(__file__).resolve().parents[2]
+MARKER = "<!-- figures -->"
+RPM = math.pi / 30.0
+SIX_BAR, SHAPER = "tests/validation/test_six_bar.py", "tests/validation/test_shaper.py"
+CRANK_ROCKER, CLEARANCE = "tests/validation/test_crank_rocker.py", "tests/validation/test_clearance.py"
+BALANCE, PROBLEMS = "tests/validation/test_balance.py", "tests/test_problems.py"
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A figure: its reference value, ours, how far they may be apart, and the test (file::function) that holds them together."""
+
+    what: str
+    unit: str
+    wanted: float
+    found: float
+    near: float
+    test: str
+
+    @property
+    def off(self) -> float:
+        """Difference to the reference, relative where that is not zero."""
+        return self.found - self.wanted if self.wanted == 0.0 else self.found / self.wanted - 1.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether both agree."""
+        return abs(self.found - self.wanted) <= self.near
+
+
+@dataclass(frozen=True)
+class Group:
+    """The figures of one system: its heading and anchor, the source of the reference values, the rows."""
+
+    title: str
+    anchor: str
+    source: str
+    rows: Callable[[], Iterator[Row]]
+
+
+def literal(file: str, name: str) -> Any:
+    """A constant of a test module, so that a table of reference values stands in one place."""
+    for node in ast.parse((ROOT / file).read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and node.targets[0].id == name:
+            return ast.literal_eval(node.value)
+    raise KeyError(f"{file} has no {name}")
+
+
+def columns(file: str) -> dict[str, Array]:
+    """The columns of a table of reference values."""
+    with (ROOT / "tests" / "data" / file).open(encoding="utf-8", newline="") as stream:
+        head, *rows = csv.reader(stream)
+    return dict(zip(head, np.array(rows, dtype=float).T, strict=True))
+
+
+# --- the crank-rocker --------------------------------------------------------------------------------------------------
+
+
+def crank_rocker() -> Iterator[Row]:
+    """Optima, the printed design, more points, and how the output answers to the sizes."""
+    problem = optlink.load("crank-rocker")
+    test = f"{CRANK_ROCKER}::test_both_back_ends_reach_the_reference_and_agree"
+    solved = optlink.solve(problem, "both")
+    yield Row("coupler", "mm", 412.86542, solved.design["coupler"] * 1e3, 1e-3, test)
+    yield Row("rocker", "mm", 232.24617, solved.design["rocker"] * 1e3, 1e-3, test)
+    yield Row("sum of squares", "rad^2", 0.00759237, solved.objective, 1e-8, test)
+    test = f"{CRANK_ROCKER}::test_source_s_rounding_of_the_square_root_of_two"
+    changes = {"limits.transmission_angle": None, "limits.transmission_cosine": [-0.707, 0.707]}
+    rounded = optlink.solve(problem.override(changes), "both")
+    yield Row("coupler, 1.414 for the root of 2", "mm", 412.88606, rounded.design["coupler"] * 1e3, 1e-3, test)
+    yield Row("rocker, 1.414 for the root of 2", "mm", 232.24298, rounded.design["rocker"] * 1e3, 1e-3, test)
+    yield Row("sum of squares, 1.414 for the root of 2", "rad^2", 0.00759364, rounded.objective, 1e-8, test)
+    test = f"{CRANK_ROCKER}::test_printed_optimum_violates_its_own_limit"
+    printed = optlink.validate(problem, {"coupler": 0.41226, "rocker": 0.2322417})
+    angle = next(check.value for check in printed.validation.checks if check.name == "largest transmission angle")
+    yield Row("largest transmission angle of the printed design", "deg", 135.298, angle, 5e-4, test)
+    yield Row("sum of squares of the printed design", "rad^2", 0.0075491, printed.objective, 5e-8, test)
+    test = f"{CRANK_ROCKER}::test_more_points"
+    for points, objective, coupler in ((50, 0.01202913, 412.31429), (60, 0.01424872, 412.17469), (90, 0.02090930, 411.94041)):
+        more = optlink.solve(problem.override({"requirement.points": points}), "both")
+        yield Row(f"sum of squares of {points} points", "rad^2", objective, more.objective, 1e-8, test)
+        yield Row(f"coupler for {points} points", "mm", coupler, more.design["coupler"] * 1e3, 1e-3, test)
+    fewer = optlink.solve(problem.override({"requirement.span": "87 deg", "requirement.points": 29}), "both")
+    test = "tests/test_docs.py::test_figures_agree"
+    yield Row("sum of squares without the last of the 30 points", "rad^2", 0.00577, fewer.objective, 5e-6, test)
+    yield from output_angles(problem)
+
+
+def output_angles(problem: optlink.ProblemFile) -> Iterator[Row]:
+    """Angle of the rocker, and its derivatives by the four lengths, at four crank angles."""
+    sizes = {"crank": 1.0, "coupler": 4.12865417, "rocker": 2.3224617, "frame": 5.0}
+    table = np.array(literal(CRANK_ROCKER, "SENSITIVITIES"))
+    found = output_sensitivity(problem.model.linkage, sizes, np.radians(table[:, 0]), "rocker")
+    test = f"{CRANK_ROCKER}::test_output_angle_and_its_sensitivities"
+    for k, (phi, psi, *slopes) in enumerate(table):
+        yield Row(f"psi at {phi:.0f} deg", "deg", psi, math.degrees(found.value[k]), 1e-6, test)
+        for name, slope in zip(sizes, slopes, strict=True):
+            yield Row(f"d psi / d {name} at {phi:.0f} deg", "rad per length", slope, found.by[name][k], 1.5e-6, test)
+
+
+# --- six-bar and shaper ----------------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def cycle(name: str, speed: float | None = None) -> optlink.Analysis:
+    """The analysis of a machine each 15 degrees."""
+    return optlink.analyze(optlink.load(name), step=math.radians(15.0), speed=speed)
+
+
+def table_rows(found: optlink.Analysis, file: str, names: dict[str, tuple[int, str]], test: str) -> Iterator[Row]:
+    """Of each column of a table the largest value, and there our own; the whole column decides."""
+    for name, wanted in columns(file).items():
+        sign, ours = names[name]
+        values = sign * found[ours]
+        scale = float(np.max(np.abs(wanted))) or 1.0
+        worst = int(np.argmax(np.abs(values - wanted)))
+        row = Row(
+            f"{name}: `{ours}`, {len(wanted)} rows, where it parts most",
+            _unit(ours),
+            wanted[worst],
+            values[worst],
+            1e-9 * scale,
+            test,
+        )
+        yield row
+
+
+def _unit(column: str) -> str:
+    for ending, unit in (("_rad_s2", "rad/s^2"), ("_rad_s", "rad/s"), ("_m_s2", "m/s^2"), ("_m_s", "m/s"), ("_rad", "rad")):
+        if column.endswith(ending):
+            return unit
+    return {"Nm": "N m", "deg": "deg", "m": "m", "N": "N", "J": "J", "s": "s"}[column.rpartition("_")[2]]
+
+
+AT_62 = {
+    "link2.angle_rad": 0.361152415429,
+    "link3.angle_rad": 1.8101027425,
+    "link5.angle_rad": -0.70452029398,
+    "link2.omega_rad_s": -2.2344896487,
+    "link3.omega_rad_s": 3.32515223805,
+    "link5.omega_rad_s": 0.68962152575,
+    "link2.alpha_rad_s2": 18.2547014994,
+    "link3.alpha_rad_s2": 44.0308788324,
+    "link5.alpha_rad_s2": 18.1261836966,
+    "slider.s_m": 0.724683704184,
+    "slider.v_m_s": -2.04833996839,
+    "slider.a_m_s2": -18.4714133984,
+    "A.fx_N": -991.838432025,
+    "A.fy_N": -393.951498381,
+    "B.fx_N": -980.571114518,
+    "B.fy_N": -384.520756153,
+    "C.link2.fx_N": 904.216375061,
+    "C.link2.fy_N": 335.530131033,
+    "C.link5.fx_N": -1201.90075934,
+    "C.link5.fy_N": 976.432636377,
+    "D.fx_N": -333.021111115,
+    "D.fy_N": 1314.88600307,
+    "E.fx_N": 1110.82848039,
+    "E.fy_N": -971.649159835,
+    "F.normal_N": -912.849159835,
+    "input.torque_Nm": 275.212735066,
+}
+SIX_BAR_FIGURES = {
+    "input.torque_Nm.max": 278.8344391,
+    "input.torque_Nm.min": -320.0521365,
+    "F.normal_N.max": -126.62251,
+    "F.normal_N.min": -1159.270712,
+    "slider.s_m.min": 0.417261753,
+    "slider.s_m.max": 0.791165911,
+    "slider.stroke_m": 0.3739041584796,
+    "input.work_J.max": 259.773891,
+}
+
+
+def six_bar() -> Iterator[Row]:
+    """Everything at 62 degrees, extremes, works, and every column of the table."""
+    found = cycle("six-bar")
+    for name, wanted in AT_62.items():
+        near = 1e-9 * max(1.0, float(np.max(np.abs(found[name]))))
+        yield Row(f"`{name}` at 62 deg", _unit(name), wanted, float(found[name][0]), near, f"{SIX_BAR}::test_every_column_agrees")
+    for name, wanted in SIX_BAR_FIGURES.items():
+        unit = _unit(name.removesuffix(".min").removesuffix(".max"))
+        yield Row(f"`{name}`", unit, wanted, found.figures[name], 1e-6 * abs(wanted), f"{SIX_BAR}::test_extremes_and_stroke")
+    test = f"{SIX_BAR}::test_where_the_extremes_are_met"
+    torque, work = found.extremes["input.torque_Nm"], found.extremes["input.work_J"]
+    for what, wanted, at in (
+        ("largest torque, where", 67.0206, torque.largest_at),
+        ("least torque, where", 356.3080, torque.least_at),
+        ("largest work, where", 156.2980, work.largest_at),
+        ("least work, where", 28.849, work.least_at),
+    ):
+        yield Row(what, "deg", wanted, math.degrees(at) % 360.0, 1e-3, test)
+    test = f"{SIX_BAR}::test_least_work_against_the_sampled_one"
+    yield Row("least work since the start; the reference is the least of samples", "J", -101.926927, work.least, 2.6e-4, test)
+    yield Row(
+        "work per revolution", "J", 0.0, found.work, 1e-10, f"{SIX_BAR}::test_a_constant_force_does_no_work_in_a_revolution"
+    )
+    second = optlink.analyze(optlink.load("six-bar"), step=10.0 - 2.0 * math.pi)
+    yield Row("work after 1 s", "J", 225.033, float(second["input.work_J"][1]), 1e-3, f"{SIX_BAR}::test_work_after_one_second")
+    opposing = optlink.analyze(optlink.load("six-bar", {"loads.process.acts": "opposing"}))
+    test = f"{SIX_BAR}::test_an_opposing_force_does"
+    yield Row("work per revolution against an opposing load", "J", 747.808316959, opposing.work, 1e-6, test)
+    names = {name: (1, ours) for name, ours in literal(SIX_BAR, "COLUMNS").items()}
+    yield from table_rows(found, "six_bar_15deg.csv", names, f"{SIX_BAR}::test_every_column_agrees")
+
+
+AT_0 = {
+    "rocker.angle_rad": math.radians(65.55604522),
+    "coupler.angle_rad": math.radians(168.938215),
+    "block.s_m": 0.3020761493,
+    "rocker.omega_rad_s": 0.1712328767,
+    "coupler.omega_rad_s": 0.2887921865,
+    "rocker.alpha_rad_s2": 0.2477012572,
+    "coupler.alpha_rad_s2": 0.2926632277,
+    "ram.s_m": 0.1010686385,
+    "ram.v_m_s": -0.1018422740,
+    "ram.a_m_s2": -0.1387243160,
+    "input.torque_Nm": 604.62396412,
+}
+
+
+def shaper() -> Iterator[Row]:
+    """Limits, stroke, everything at 0 degrees, extremes, work, and every column of both tables."""
+    speeds = {"1 rad/s": (1.0, "shaper_1rad_15deg.csv"), "64 rpm": (64.0 * RPM, "shaper_64rpm_15deg.csv")}
+    found = {name: cycle("shaper", speed) for name, (speed, _) in speeds.items()}
+    slow = found["1 rad/s"]
+    ram, rocker = slow.strokes["ram"], slow.swings["rocker"]
+    test = f"{SHAPER}::test_limits_by_hand"
+    yield Row("limit of the ram", "mm", 128.316712718, ram.high * 1e3, 1e-8, test)
+    yield Row("limit of the ram", "mm", -417.137832736, ram.low * 1e3, 1e-8, test)
+    yield Row("stroke", "mm", 545.454545454545, ram.span * 1e3, 1e-9, test)
+    yield Row("limit of the rocker", "deg", 62.96430821, math.degrees(rocker.low), 1e-7, test)
+    yield Row("limit of the rocker", "deg", 117.0356918, math.degrees(rocker.high), 1e-6, test)
+    yield Row("time ratio", "", 1.85876244996, float(ram.time_ratio or math.nan), 1e-10, f"{SHAPER}::test_time_ratio_by_hand")
+    test = f"{SHAPER}::test_source_limits_and_stroke"
+    yield Row("stroke, printed (ADAMS)", "mm", 545.4, ram.span * 1e3, 0.1, test)
+    yield Row("limit of the ram, printed (ADAMS)", "mm", 128.1, ram.high * 1e3, 0.25, test)
+    yield Row("limit of the ram, printed (ADAMS)", "mm", -417.3, ram.low * 1e3, 0.25, test)
+    for name, wanted in AT_0.items():
+        near = 1e-8 * max(1.0, abs(wanted))
+        yield Row(
+            f"`{name}` at 0 deg, 1 rad/s", _unit(name), wanted, float(slow[name][0]), near, f"{SHAPER}::test_every_column_agrees"
+        )
+    for case, figures in literal(SHAPER, "EXTREMES").items():
+        for name, wanted in figures.items():
+            unit = _unit(name.removesuffix(".min").removesuffix(".max"))
+            ours = found[case].figures[name]
+            yield Row(f"`{name}`, {case}", unit, wanted, ours, 1e-6 * abs(wanted), f"{SHAPER}::test_extremes")
+    torque = slow.extremes["input.torque_Nm"]
+    test = f"{SHAPER}::test_where_the_torque_is_extreme"
+    yield Row("largest torque, where, 1 rad/s", "deg", 96.8944, math.degrees(torque.largest_at), 1e-3, test)
+    yield Row("least torque, where, 1 rad/s", "deg", 288.463, math.degrees(torque.least_at), 1e-3, test)
+    for case, analysis in found.items():
+        test = f"{SHAPER}::test_work_per_revolution_is_that_of_the_cut"
+        yield Row(f"work per revolution, {case}", "J", 3207.27272727, analysis.work, 1e-7, test)
+    for case, (_, file) in speeds.items():
+        for row in table_rows(found[case], file, literal(SHAPER, "COLUMNS"), f"{SHAPER}::test_every_column_agrees"):
+            yield Row(f"{row.what}, {case}", row.unit, row.wanted, row.found, row.near, row.test)
+
+
+# --- slider-cranks -----------------------------------------------------------------------------------------------------
+
+
+def under_a_torque() -> Iterator[Row]:
+    """The slider-crank that a constant torque drives from rest."""
+    found = optlink.simulate(optlink.load("slider-crank"), rows=2)
+    test = "tests/test_drive.py::test_slider_crank_under_a_torque_reaches_the_reference"
+    yield Row("crank angle after 2 s", "rad", 55.0724438, found.figures["end.crank_angle_rad"], 1e-7, test)
+    yield Row("crank speed after 2 s", "rad/s", 39.79557704, found.figures["end.speed_rad_s"], 1e-7, test)
+
+
+def first_impacts() -> Iterator[Row]:
+    """First contact after a start with the journal centred, without friction, at four speeds."""
+    test = f"{CLEARANCE}::test_first_impact_to_the_digits_that_were_noted"
+    problem = optlink.load("slider-crank-clearance", {"joints.C.friction": 0.0})
+    for rpm, wanted in literal(CLEARANCE, "IMPACTS").items():
+        run = optlink.simulate_clearance(problem, 1, 72, rpm * RPM, tolerance=1e-12, twin=False)
+        one = run.impacts[0]
+        found = (one.begin, math.degrees(one.crank_angle), one.approach, one.penetration, one.end, one.departure)
+        names = ("begins", "crank angle", "approach", "penetration", "ends", "departure")
+        units = ("s", "deg", "m/s", "m", "s", "m/s")
+        for what, unit, number, ours in zip(names, units, wanted, found, strict=True):
+            yield Row(f"first contact at {rpm} rpm: {what}", unit, number, ours, 3e-9 * number, test)
+
+
+def deviations() -> Iterator[Row]:
+    """Root mean square of the slider's deviation with friction, over revolutions 6 to 25, and a revolution in full."""
+    problem = optlink.load("slider-crank-clearance", {"joints.C.friction": 0.1})
+    names = literal(CLEARANCE, "COLUMNS")
+    for rpm, wanted in literal(CLEARANCE, "RMS").items():
+        run = optlink.simulate_clearance(problem, 25, 72, rpm * RPM, tolerance=1e-11, twin=False)
+        test = f"{CLEARANCE}::test_deviation_over_twenty_revolutions"
+        yield Row(f"rms deviation at {rpm} rpm", "mm", wanted * 1e3, run.figures["rms_m"] * 1e3, wanted, test)
+        table = columns(f"clearance_mu01_{rpm}rpm.csv")
+        rows = 719 + np.arange(73)
+        for name, (ours, near) in names.items():
+            values = run[ours][rows]
+            worst = int(np.argmax(np.abs(values - table[name])))
+            yield Row(
+                f"revolution 11 at {rpm} rpm: `{ours}`, 73 rows, where it parts most",
+                _unit(ours),
+                table[name][worst],
+                values[worst],
+                near,
+                f"{CLEARANCE}::test_revolution_eleven",
+            )
+
+
+# --- balancing -----------------------------------------------------------------------------------------------------------
+
+
+def balance() -> Iterator[Row]:
+    """Berkof and Lowen's four-bar: as it is, with one counterweight, with two."""
+    problem = optlink.load("balance-four-bar")
+    both = optlink.balance(problem)
+    given = {str(row.measure): row.before for row in both.rows}
+    test = f"{BALANCE}::test_the_given_machine"
+    yield Row("rms shaking force, unbalanced", "N", 0.01102811, given["rms shaking force"], 1.2e-8, test)
+    force = optlink.analyze(problem, 3600)
+    largest = float(np.max(np.hypot(force["frame.shaking_fx_N"], force["frame.shaking_fy_N"])))
+    yield Row("largest shaking force, unbalanced", "N", 0.02513242, largest, 2.6e-8, test)
+    one = {"body": "crank", "thickness": "10 mm", "density": "7850 kg/m^3", "reach": "60 mm"}
+    alone = optlink.balance(optlink.load("balance-four-bar", {"balance.counterweights": [one]}))
+    (disc,) = alone.added
+    test = f"{BALANCE}::test_one_counterweight_on_the_crank"
+    yield Row("rms shaking force, one counterweight", "N", 0.007391318, alone.objective, 7.4e-9, test)
+    yield Row("share of the unbalanced force", "", 0.670225, alone.objective / alone.before, 7e-7, test)
+    yield Row("added m r along the crank", "kg m", -0.0080645, disc.parameters.along, 8.1e-9, test)
+    yield Row("added m r across the crank", "kg m", 0.00139695, disc.parameters.across, 5e-9, test)
+    test = f"{BALANCE}::test_complete_balance"
+    added = {part.body: part.parameters for part in both.added}
+    yield Row("rms shaking force, two counterweights", "N", 0.0, both.objective, 1e-10 * both.before, test)
+    yield Row("added m r along the crank", "kg m", -0.00516128, added["crank"].along, 5.2e-12, test)
+    yield Row("added m r along the rocker", "kg m", -0.00870966, added["rocker"].along, 8.8e-12, test)
+
+
+# --- synthesis, and what every shipped machine states --------------------------------------------------------------------
+
+
+def synthesis() -> Iterator[Row]:
+    """What the shipped cases that take a moment find, beside the best known."""
+    test = f"{PROBLEMS}::test_best_known_objective_is_reached_or_beaten"
+    arc = optlink.generate(optlink.load("path-arc5"))
+    yield Row("`path-arc5`, sum of squares", "mm^2", 7.4158e-7, arc.objective * 1e6, 1e-11, test)
+    closed = optlink.generate(optlink.load("path-closed18"))
+    yield Row("`path-closed18`, sum of squares", "mm^2", 0.0090288846, closed.objective * 1e6, 1e-8, test)
+    best = optlink.generate(optlink.load("transmission-optimal")).best
+    assert best is not None
+    for name, length in (("crank", 46.67), ("coupler", 116.16), ("rocker", 73.88)):
+        yield Row(f"`transmission-optimal`, {name}", "mm", length, best.values[name] * 1e3, 5e-3, test)
+    angle = 90.0 - math.degrees(math.asin(best.objective))
+    yield Row("`transmission-optimal`, worst angle", "deg", 37.733, angle, 5e-4, test)
+    test = f"{PROBLEMS}::test_expected_design_is_reached"
+    for name, known in (("log10", 0.003676), ("sin", 0.190337), ("exp", 0.025865)):
+        found = math.degrees(optlink.solve(optlink.load(f"function-{name}"), "ipopt").objective)
+        yield Row(f"`function-{name}`, largest error", "deg", known, found, 2e-3 * known, test)
+
+
+def machines() -> Iterator[Row]:
+    """Figures that the shipped machines state in `[expected]`, from closed forms and independent equations."""
+    test = f"{PROBLEMS}::test_expected_figures_are_reached"
+    for name in optlink.shipped():
+        problem = optlink.load(name)
+        expected = problem.model.expected
+        if expected is None or not expected.figures or name in ("six-bar", "shaper"):
+            continue
+        figures = cycle(name).figures
+        for figure, wanted in expected.figures.items():
+            near = max(expected.figure_tolerance * abs(wanted), 1e-9)
+            yield Row(f"`{name}`: `{figure}`", "SI", wanted, figures[figure], near, test)
+
+
+GROUPS = (
+    Group(
+        "Crank-rocker for a motion law",
+        "crank-rocker",
+        "A textbook case; values from SciPy's SLSQP with exact derivatives, IPOPT, Octave's `sqp` and a grid; angles and "
+        "derivatives "
+        "from the closed form. [The system](crank-rocker.md)",
+        crank_rocker,
+    ),
+    Group(
+        "Six-bar",
+        "six-bar",
+        "A Simulink tutorial; values from Newton's and Euler's equations in 40 digits, virtual power (apart by 5e-41) and an "
+        "independent multibody code (2.4e-6). [The system](six-bar.md)",
+        six_bar,
+    ),
+    Group(
+        "Shaper",
+        "shaper",
+        "A journal paper with an ADAMS model; limits, stroke and time ratio by hand, the rest from Newton's and Euler's "
+        "equations "
+        "in 40 digits. [The system](shaper.md)",
+        shaper,
+    ),
+    Group(
+        "Slider-crank under a torque",
+        "torque",
+        "Crank 0.1 m, rod 0.3 m, uniform bars of 0.2 kg, slider 0.4 kg, 0.1 N m from rest; an independent integration.",
+        under_a_torque,
+    ),
+    Group(
+        "Slider-crank with clearance: first contacts",
+        "impacts",
+        "Two integrators (apart by 1e-13 in time, 1.5e-11 in penetration) and an independent multibody code (5e-7, 2.6e-5); no "
+        "friction. [The system](slider-crank.md)",
+        first_impacts,
+    ),
+    Group(
+        "Slider-crank with clearance: periodic motion",
+        "deviations",
+        "The same integrators, coefficient of friction 0.1. [The system](slider-crank.md)",
+        deviations,
+    ),
+    Group(
+        "Balancing",
+        "balancing",
+        "R. S. Berkof, G. G. Lowen, J. Eng. Ind. 91(1), 1969, 21-26; values computed in complex numbers. "
+        "[Balancing](balancing.md)",
+        balance,
+    ),
+    Group(
+        "Path, function and transmission",
+        "synthesis",
+        "Large multi-starts from outside optlink; an independent design tool for the transmission. The least of an error "
+        "is not a "
+        "matter of digits here: of functions optlink finds a little less than was known. [Synthesis](synthesis.md)",
+        synthesis,
+    ),
+    Group(
+        "Other machines that are shipped",
+        "machines",
+        "Closed-form loops, virtual power, the law of cosines, Newton's and Euler's equations; each problem file says "
+        "which. All in "
+        "SI units.",
+        machines,
+    ),
+)
+
+
+# --- the page ------------------------------------------------------------------------------------------------------------
+
+
+def page() -> str:
+    """All tables as Markdown.
+
+    Raises
+    ------
+    ValueError
+        where a figure is further from its reference than its test allows.
+    """
+    parts, count = [], 0
+    for group in GROUPS:
+        rows = list(group.rows())
+        wrong = [row for row in rows if not row.holds]
+        if wrong:
+            raise ValueError(f"{group.title}: {wrong[0].what} is {wrong[0].found!r}, the reference says {wrong[0].wanted!r}")
+        count += len(rows)
+        parts.append(_section(group, rows))
+    return f"{count} figures were compared while this page was made.\n\n" + "\n\n".join(parts)
+
+
+def _section(group: Group, rows: list[Row]) -> str:
+    lines = [f"## {group.title} {{ #{group.anchor} }}", "", group.source, ""]
+    lines += ["| figure | reference | optlink | off by | test |", "|---|---|---|---|---|"]
+    for row in rows:
+        wanted, found = _number(row.wanted), _number(row.found, _digits(row.wanted))
+        unit = f" {row.unit}" if row.unit and row.unit != "SI" else ""
+        lines.append(f"| {row.what} | {wanted}{unit} | {found}{unit} | {_off(row)} | {_link(row.test)} |")
+    return "\n".join(lines)
+
+
+def _number(value: float, digits: int = 15) -> str:
+    return f"{value:.{digits}g}"
+
+
+def _digits(value: float) -> int:
+    """Significant digits that a number was written with."""
+    return max(4, len(repr(float(f"{value:.15g}")).partition("e")[0].lstrip("-0.").replace(".", "")))
+
+
+def _off(row: Row) -> str:
+    """How far it is off, to one digit, in one piece."""
+    share, _, power = f"{abs(row.off):.0e}".partition("e")
+    return f'<span style="white-space: nowrap">{share}e{int(power)}</span>' if row.off else "0"
+
+
+def _link(test: str) -> str:
+    file, _, name = test.partition("::")
+    return f"[{name.removeprefix('test_').replace('_', ' ')}](../{file})"
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """MkDocs: put the tables where a page asks for them."""
+    return markdown.replace(MARKER, page()) if MARKER in markdown else markdown
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page() + "\n")

@@ -1,0 +1,78 @@
+"""Arguments and options that several commands share: each is worded once."""
+
+from __future__ import annotations
+
+import enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class Backend(enum.StrEnum):
+    """Which solver searches."""
+
+    slsqp = "slsqp"
+    ipopt = "ipopt"
+    both = "both"
+
+
+def whole_number(text: object) -> int:
+    """Read a whole number.
+
+    Raises
+    ------
+    typer.BadParameter
+        when it is none; the command line then ends with exit code 2.
+    """
+    try:
+        return int(str(text))
+    except ValueError:
+        raise typer.BadParameter(f'"{str(text)[:40]}" is not a whole number. Give for example 20') from None
+
+
+Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help="A shipped problem (see `list`) or the path of a TOML file.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help='Change a key: --set mechanism.frame="480 mm". Repeatable.'),
+]
+Design = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--design",
+        metavar="NAME=VALUE",
+        help='A given design: --design coupler="412 mm", or a result.json. Repeatable.',
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, pictures and tables there.")]
+Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the whole table there.")]
+Speed = Annotated[
+    str | None, typer.Option("--speed", metavar="SPEED", help='Of the crank: --speed "64 rpm"; negative: clockwise.')
+]
+
+# --- of a search -------------------------------------------------------------------------------------------------------------
+
+Searcher = Annotated[Backend, typer.Option("--backend", help="Both: each searches for itself, and they must agree.")]
+Starts = Annotated[
+    int | None,
+    typer.Option(
+        "--starts",
+        parser=whole_number,
+        metavar="N",
+        help="Number of starts. Of a law: the given one (the default) and Sobol points; of points: as many as it takes.",
+    ),
+]
+Seed = Annotated[int, typer.Option("--seed", parser=whole_number, metavar="S", help="Seed of the starts.")]
+
+# --- of a page or a drawing --------------------------------------------------------------------------------------------------
+
+Subjected = Annotated[
+    str,
+    typer.Argument(
+        metavar="PROBLEM|RESULT", help="A shipped problem, a TOML file, or a result.json that --out wrote, or its folder."
+    ),
+]
+Of = Annotated[
+    str | None, typer.Option("--problem", metavar="FILE", help="The problem of a RESULT, if it is neither shipped nor beside it.")
+]

@@ -1,0 +1,64 @@
+"""The optimum of a result file as a solution of its programme again, so that its prices and sensitivities can be told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.files import ProblemFile
+from optlink.design.nlp import NLP
+from optlink.errors import Status
+from optlink.generated import Design
+from optlink.linkage.cycle import TURN
+from optlink.solvers.solution import Solution
+
+Array = NDArray[np.float64]
+SAME = 1e-5  # scaled units: a search that moves a recorded optimum further than this has found another one
+
+
+def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | None:
+    """The optimum of a motion law at a design [SI]; None where the design is none."""
+    from optlink.design.nlp import build
+    from optlink.solvers import search
+    from optlink.studies.keys import begun
+    from optlink.workflow import solve
+
+    if not file.spec.everywhere:
+        return _at(build(file.spec), dict(design))
+    # the positions of its largest errors belong to the programme: it is searched from the optimum, and must stay there
+    found = solve(begun(file, {name: design[name] for name in file.spec.free}), search.BACKENDS[-1], 1).solution
+    return None if found is None else _same(found, found.nlp.x_of(dict(design)))
+
+
+def generated_optimum(design: Design) -> Design:
+    """A design for points, poses or a function with the solution that it is, if it is one."""
+    from optlink.design.generation_nlp import angle_name, build_generation
+
+    angles = design.crank_angles
+    nlp = build_generation(design.task, 1 if angles[-1] >= angles[0] else -1)
+    own = {angle_name(k): float(angle) for k, angle in enumerate(angles)}
+    return replace(design, solution=_at(nlp, {**design.values, **own}))
+
+
+def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
+    """The optimum at given values: as they are, else after a search that does not move them."""
+    from optlink.solvers import search
+
+    x = nlp.x_of(values)
+    found = search.given(nlp, x, "read from a result file")
+    if found.status is not Status.OPTIMAL:
+        found = search.solve_from(nlp, x, search.BACKENDS[-1])
+    return _same(found, x)
+
+
+def _same(found: Solution, x: Array) -> Solution | None:
+    """A solution, if it is an optimum and none other than the recorded one at x."""
+    away = found.x - x
+    angular = np.array([variable.scale.unit == "deg" for variable in found.nlp.variables])
+    turns = TURN / np.array([variable.size for variable in found.nlp.variables])
+    away -= np.where(angular, turns * np.round(away / turns), 0.0)  # an angle is the same after a turn
+    near = float(np.max(np.abs(away), initial=0.0)) <= SAME
+    return found if found.status is Status.OPTIMAL and near else None

@@ -1,0 +1,1 @@
+"""Result files of simulations, balancing and studies, read strictly, as pages."""

@@ -1,0 +1,141 @@
+"""A JSON document that may be damaged: every value is asked for by name and kind, or refused in a sentence."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Fault, InputError
+
+Array = NDArray[np.float64]
+AGAIN = "Write it again with --out"
+
+
+class Record:
+    """An object of a document: `path` of the file and `where` in it, for messages.
+
+    Raises
+    ------
+    InputError
+        by every method, where the key is missing or holds something else.
+    """
+
+    def __init__(self, document: Mapping[str, Any], path: Path, where: str = "") -> None:
+        self.document, self.path, self.where = document, path, where
+
+    def fault(self, key: str, message: str, value: object = None) -> InputError:
+        """What is wrong with a key."""
+        return InputError(Fault(f"the result is damaged: {message}", AGAIN, str(self.path), self._key(key), value))
+
+    def _key(self, key: str) -> str:
+        return f"{self.where}.{key}" if self.where else key
+
+    def has(self, key: str) -> bool:
+        """Whether something is there, null apart."""
+        return self.document.get(key) is not None
+
+    def any(self, key: str) -> Any:
+        """Whatever is there; null too."""
+        if key not in self.document:
+            raise self.fault(key, "this is missing")
+        return self.document[key]
+
+    def _of(self, key: str, kind: type | tuple[type, ...], words: str) -> Any:
+        found = self.any(key)
+        if not isinstance(found, kind) or (isinstance(found, bool) and kind is not bool):
+            raise self.fault(key, f"this is not {words}", None if isinstance(found, dict | list) else found)
+        return found
+
+    def text(self, key: str) -> str:
+        """A text."""
+        return str(self._of(key, str, "a text"))
+
+    def flag(self, key: str) -> bool:
+        """True or false."""
+        return bool(self._of(key, bool, "true or false"))
+
+    def whole(self, key: str) -> int:
+        """A whole number."""
+        return int(self._of(key, int, "a whole number"))
+
+    def number(self, key: str) -> float:
+        """A finite number."""
+        found = self._of(key, (int, float), "a number")
+        if not math.isfinite(found):
+            raise self.fault(key, "this is not finite", found)
+        return float(found)
+
+    def maybe(self, key: str) -> float:
+        """A number; NaN for null."""
+        return math.nan if self.any(key) is None else self.number(key)
+
+    def numbers(self, key: str, count: int | None = None) -> Array:
+        """A list of numbers, NaN for null; `count` of them if it is said."""
+        found = self._of(key, list, "a list")
+        if not all(one is None or (isinstance(one, int | float) and not isinstance(one, bool)) for one in found):
+            raise self.fault(key, "this is not a list of numbers")
+        if count is not None and len(found) != count:
+            raise self.fault(key, f"there are {len(found)} numbers where {count} belong")
+        return np.array([math.nan if one is None else float(one) for one in found])
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """A list of texts."""
+        found = self._of(key, list, "a list")
+        if not all(isinstance(one, str) for one in found):
+            raise self.fault(key, "this is not a list of texts")
+        return tuple(found)
+
+    def record(self, key: str) -> Record:
+        """An object below this one."""
+        return Record(self._of(key, dict, "an object"), self.path, self._key(key))
+
+    def records(self, key: str) -> list[Record]:
+        """A list of objects."""
+        found = self._of(key, list, "a list")
+        if not all(isinstance(one, dict) for one in found):
+            raise self.fault(key, "this is not a list of objects")
+        return [Record(one, self.path, f"{self._key(key)}[{k}]") for k, one in enumerate(found)]
+
+    def figures(self, key: str) -> dict[str, float]:
+        """An object of numbers by name; NaN for null."""
+        below = self.record(key)
+        return {name: below.maybe(name) for name in below.document}
+
+    def columns(self, key: str) -> dict[str, Array]:
+        """A table: lists of numbers by name, all of one length."""
+        below = self.record(key)
+        found = {name: below.numbers(name) for name in below.document}
+        if len({len(values) for values in found.values()}) > 1:
+            raise self.fault(key, "its columns differ in length")
+        return found
+
+    def column(self, columns: Mapping[str, Array], name: str) -> Array:
+        """A column that must be there."""
+        if name not in columns:
+            raise self.fault(f"columns.{name}", "this is missing")
+        return columns[name]
+
+
+def read(path: Path) -> Record:
+    """The document of a result file.
+
+    Raises
+    ------
+    InputError
+        when it cannot be read, or is no JSON object.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        reason = getattr(error, "strerror", None) or "it holds no JSON"
+        remedy = "Give a result.json that --out wrote, the folder it is in, or a problem"
+        raise InputError(Fault(f"cannot read a result: {reason}", remedy, str(path))) from None
+    if not isinstance(found, dict):
+        raise InputError(Fault("not a result of optlink", "Give a result.json that --out wrote", str(path)))
+    return Record(found, path)

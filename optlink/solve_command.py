@@ -1,0 +1,153 @@
+"""The commands `solve` and `validate`: parse, call one library function, print, exit code. They are made known by `cli`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from optlink import console
+from optlink.errors import Status
+from optlink.options import Backend, Design, Json, Out, Problem, Searcher, Seed, Set, Starts, whole_number
+
+if TYPE_CHECKING:
+    from optlink.design.files import ProblemFile
+    from optlink.designed import MachineDesign
+    from optlink.generated import Generation
+    from optlink.workflow import Result
+
+
+def register(app: typer.Typer) -> None:
+    """Make the commands known."""
+    app.command()(solve)
+    app.command()(validate)
+
+
+def solve(
+    problem: Problem,
+    backend: Searcher = Backend.ipopt,
+    starts: Starts = None,
+    seed: Seed = 0,
+    designs: Annotated[
+        int | None, typer.Option(parser=whole_number, metavar="N", help="Of points or poses: distinct designs; 3 if not said.")
+    ] = None,
+    changes: Set = None,
+    design: Design = None,
+    as_json: Json = False,
+    out: Out = None,
+) -> None:
+    """Find the design, prove it, and say what each active limit costs."""
+    with console.reported(as_json), console.made(out):
+        if design:
+            _validate(problem, design, changes, as_json, out)
+            return
+        file = console.load(problem, changes)
+        if file.generated:
+            _generate(file, backend, starts, seed, 3 if designs is None else designs, as_json, out)
+            return
+        if file.machined and designs is None:
+            _design(file, backend, starts, seed, as_json, out)
+            return
+        remedy = "Leave it out; --starts N lists the distinct optima of a law"
+        console.refuse({"--designs": designs}, "only points and poses have several designs", remedy, file.file)
+        from optlink.workflow import solve as search
+
+        with console.counted((1 if starts is None else starts) * _searches(backend)) as progress:
+            result = search(file, str(backend), starts, seed, progress, track=out is not None)
+        if starts is not None and result.starts < starts:
+            _interrupted(result.starts, starts)
+        _law(result, as_json, out)
+
+
+def validate(problem: Problem, design: Design = None, changes: Set = None, as_json: Json = False, out: Out = None) -> None:
+    """Prove a given design, or show where it fails."""
+    with console.reported(as_json), console.made(out):
+        _validate(problem, design or [], changes, as_json, out)
+
+
+def _validate(problem: str, design: list[str], changes: list[str] | None, as_json: bool, out: Path | None) -> None:
+    from optlink.workflow import read_design
+    from optlink.workflow import validate as prove
+
+    file = console.load(problem, changes)
+    given = read_design(file, design)
+    if file.generated:
+        from optlink.generation import validate as check
+
+        _generated(check(file, given), as_json, out)
+        return
+    if file.machined:
+        from optlink.machine_design import check_machine
+
+        _machine(check_machine(file, given), as_json, out)
+        return
+    _law(prove(file, given), as_json, out)
+
+
+# --- searches ----------------------------------------------------------------------------------------------------------------
+
+
+def _searches(backend: Backend) -> int:
+    """How many solvers search from every start."""
+    return 2 if backend is Backend.both else 1
+
+
+def _interrupted(done: int, wanted: int | None = None) -> None:
+    of = "" if wanted is None else f"of {wanted} "
+    print(f"Interrupted: the result is that of the first {done} {of}starts.", file=sys.stderr)
+
+
+def _generate(
+    file: ProblemFile, backend: Backend, starts: int | None, seed: int, designs: int, as_json: bool, out: Path | None
+) -> None:
+    """Find linkages for points or poses."""
+    from optlink.generation import generate
+
+    with console.share("searching") as progress:
+        result = generate(file, str(backend), starts, seed, designs, progress)
+    if result.interrupted:
+        _interrupted(result.starts)
+    _generated(result, as_json, out)
+
+
+def _design(file: ProblemFile, backend: Backend, starts: int | None, seed: int, as_json: bool, out: Path | None) -> None:
+    """Design a machine by its cycle."""
+    from optlink.machine_design import STARTS, design_machine
+
+    with console.counted((STARTS if starts is None else starts) * _searches(backend)) as progress:
+        result = design_machine(file, str(backend), starts, seed, progress)
+    if starts is not None and result.starts < starts and not result.notes:
+        _interrupted(result.starts, starts)
+    _machine(result, as_json, out)
+
+
+# --- results -----------------------------------------------------------------------------------------------------------------
+
+
+def _law(result: Result, as_json: bool, out: Path | None) -> None:
+    """Show a linkage for a motion law that was found, or checked."""
+    console.told(result, "terminal.result", "plot", None, as_json, out)
+    _end(result.status, result.valid)
+
+
+def _generated(result: Generation, as_json: bool, out: Path | None) -> None:
+    """Show linkages that were found, or checked."""
+    console.told(result, "designs.generation", "paths", None, as_json, out)
+    if not result.valid:
+        raise typer.Exit(1)
+
+
+def _machine(result: MachineDesign, as_json: bool, out: Path | None) -> None:
+    """Show a machine that was designed by its cycle, or checked."""
+    console.told(result, "improved.machine_design", "improvement", None, as_json, out)
+    _end(result.status, result.valid)
+
+
+def _end(status: Status, valid: bool) -> None:
+    """The exit code of a search."""
+    if status in (Status.STALLED, Status.NON_FINITE):
+        raise typer.Exit(3)
+    if not valid:
+        raise typer.Exit(1)

@@ -1,0 +1,210 @@
+"""The smallest largest deviation: a trust-region method whose every step is a second-order cone programme.
+
+The largest of many distances |e_i(x)| has corners, where several points are equally far off. With the deviations linearised and
+their distances left as they are, |e_i + J_i d| <= t is a cone for each point: a step sees every corner at once. The curvature of
+the deviations enters with the multipliers of the step before. Limits are linearised; what a step cannot meet of them has a price.
+A step that brings less than it promised is corrected by what the deviations really are at its end, then shortened.
+
+Sources: K. Madsen and H. Schjaer-Jacobsen, Linearly constrained minimax optimization, Math. Programming 14 (1978) 208-223;
+R. Fletcher, Second order corrections for non-differentiable optimization, Lecture Notes in Mathematics 912 (1982) 85-114.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.nlp import NLP
+from optlink.design.problem import EPIGRAPH
+from optlink.solvers.solution import Attempt
+from optlink.symbolic import Compiled
+
+Array = NDArray[np.float64]
+
+MOST_STEPS = 100
+FIRST_REACH, LEAST_REACH, MOST_REACH = 0.1, 1e-9, 1.0  # of a step, in scaled units
+GOOD, POOR = 0.75, 0.25  # share of the promised decrease from which the next step may be longer, and below which it is shorter
+TAKEN = 1e-3  # share of it from which a step is taken
+PRICE, DEAREST = 10.0, 1e6  # of a missed limit, in scaled units, against the largest deviation, which is 1 at the start
+SPARE = 4.0  # times its multipliers: a price that is high enough
+TOLERANCE = 1e-11  # of the cone programme
+MET = 1e-8  # scaled units: a limit that is missed by no more is met
+SETTLED = 1e-10  # promised decrease, as a share of the deviation, that ends the search
+
+
+@dataclass(frozen=True)
+class _Here:
+    """Deviations e (points, k) over the first largest one and limits g (m,) at an x, with their slopes by all but the last."""
+
+    e: Array
+    by_e: Array
+    g: Array
+    by_g: Array
+    missed: float
+
+    @property
+    def largest(self) -> float:
+        """Largest distance."""
+        return float(np.max(np.linalg.norm(self.e, axis=1)))
+
+    def merit(self, price: float) -> float:
+        """What is minimised."""
+        return self.largest + price * self.missed
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step, what it promises, and its multipliers: of the deviations (points * k) and of the limits (m,)."""
+
+    d: Array
+    merit: float
+    missed: float
+    by_e: Array
+    by_g: Array
+
+
+class _View:
+    """A minimax programme as deviations and limits."""
+
+    def __init__(self, nlp: NLP, p: Array) -> None:
+        self.nlp, self.p, self.width = nlp, p, nlp.measure.width
+        keep = [j for j, row in enumerate(nlp.rows) if row.limit != EPIGRAPH]
+        self.low, self.high = nlp.low[keep], nlp.high[keep]
+        if "minimax" not in nlp.cache:
+            x, e = nlp.x_symbol[:-1], nlp.residual_expression
+            g = nlp.g_expression[keep] if keep else casadi.SX(0, 1)
+            first = Compiled([nlp.x_symbol, nlp.p_symbol], [e, casadi.jacobian(e, x), g, casadi.jacobian(g, x)])
+            one, other = casadi.SX.sym("one", e.numel()), casadi.SX.sym("other", g.numel())
+            bend = casadi.hessian(casadi.dot(one, e) + casadi.dot(other, g), x)[0]
+            nlp.cache["minimax"] = first, Compiled([nlp.x_symbol, nlp.p_symbol, one, other], [bend])
+        self.first, self.second = nlp.cache["minimax"]
+        self.size = 1.0
+
+    def at(self, y: Array) -> _Here:
+        """Everything at y: x without its last component."""
+        e, by_e, g, by_g = self.first(np.append(y, 0.0), self.p)
+        by_e, by_g = (slopes.reshape(len(y), -1).T for slopes in (by_e, by_g))
+        finite = all(np.all(np.isfinite(a)) for a in (e, by_e, g, by_g))
+        points = e.reshape(-1, self.width) / self.size
+        return _Here(points, by_e / self.size, g, by_g, self.missed(g) if finite else math.inf)
+
+    def missed(self, g: Array) -> float:
+        """By how much the worst limit is missed."""
+        return float(np.max([self.low - g, g - self.high], initial=0.0)) if len(g) else 0.0
+
+    def bend(self, y: Array, step: _Step) -> Array:
+        """Curvature (n, n) of the deviations and limits, weighted with multipliers, as far as it is positive."""
+        n = len(y)
+        found = self.second(np.append(y, 0.0), self.p, step.by_e / self.size, step.by_g)[0].reshape(n, n)
+        if not np.all(np.isfinite(found)):
+            return np.zeros((n, n))
+        values, vectors = np.linalg.eigh(0.5 * (found + found.T))
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
+    """Minimise the largest deviation from x, whose last component is that deviation; always as tightly as it can."""
+    view, y = _View(nlp, p), x[:-1]
+    here = view.at(y)
+    if not math.isfinite(here.missed):
+        return Attempt(x, 0, "undefined at the start")
+    view.size = max(here.largest, nlp.exact)
+    here = view.at(y)
+    low, high = nlp.x_low[:-1], nlp.x_high[:-1]
+    price, reach, message = PRICE, FIRST_REACH, "too many steps"
+    bend = np.zeros((len(y), len(y)))
+    count = 0
+    while count < MOST_STEPS:
+        count += 1
+        box = np.maximum(low - y, -reach), np.minimum(high - y, reach)
+        step = _step(view, here, bend, box, price)
+        if step is None:
+            message = "no step found"
+            break
+        price, step = _priced(view, here, bend, box, price, step)
+        decrease = here.merit(price) - step.merit
+        if decrease <= SETTLED * here.largest:
+            message = "settled"
+            break
+        there = view.at(np.clip(y + step.d, low, high))
+        gained = _gained(here, there, price, decrease)
+        if gained < POOR and math.isfinite(there.missed):
+            e, g = there.e - (here.by_e @ step.d).reshape(there.e.shape), there.g - here.by_g @ step.d
+            corrected = _step(view, replace(here, e=e, g=g), bend, box, price)
+            if corrected is not None:
+                other = view.at(np.clip(y + corrected.d, low, high))
+                if _gained(here, other, price, decrease) > gained:
+                    there, step, gained = other, corrected, _gained(here, other, price, decrease)
+        length = float(np.max(np.abs(step.d)))
+        if gained > TAKEN:
+            y, here = np.clip(y + step.d, low, high), there
+            bend = view.bend(y, step)
+        if gained < POOR:
+            reach = (0.5 if gained > 0.0 else 0.25) * length
+        elif gained > GOOD and length > 0.9 * reach:
+            reach = min(2.5 * reach, MOST_REACH)
+        if reach < LEAST_REACH or here.largest * view.size <= nlp.exact:
+            message = "the steps became too short" if reach < LEAST_REACH else "nothing left to improve"
+            break
+    return Attempt(nlp.lifted(np.append(y, 0.0)), count, message)
+
+
+def _priced(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price: float, step: _Step) -> tuple[float, _Step]:
+    """A price at which a step does half of what it could do for missed limits, or a sufficient one; and the step."""
+    if here.missed <= MET:
+        return min(price, max(PRICE, SPARE * float(np.sum(np.abs(step.by_g))))), step
+    if step.missed > 0.5 * here.missed:
+        most = _step(view, here, bend, box, DEAREST)
+        enough = here.missed if most is None else 0.5 * (here.missed + most.missed)
+        while step.missed > enough and price < DEAREST:
+            price *= 10.0
+            step = _step(view, here, bend, box, price) or step
+    return price, step
+
+
+def _gained(here: _Here, there: _Here, price: float, promised: float) -> float:
+    """Share of the promised decrease."""
+    return (here.merit(price) - there.merit(price)) / promised if math.isfinite(there.missed) else -1.0
+
+
+def _step(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price: float) -> _Step | None:
+    """The best step within a box; None where the solver finds none."""
+    import clarabel
+    from scipy.sparse import csc_matrix, triu
+
+    (points, width), n = here.e.shape, len(box[0])
+    cones = np.zeros((points, width + 1, n + 2))
+    cones[:, 0, n] = -1.0
+    cones[:, 1:, :n] = -here.by_e.reshape(points, width, n)
+    above, below = np.isfinite(view.high), np.isfinite(view.low)
+    limits = np.concatenate([here.by_g[above], -here.by_g[below], np.zeros((1, n))])
+    room = np.concatenate([(view.high - here.g)[above], (here.g - view.low)[below], [0.0]])
+    linear = np.hstack([limits, np.zeros((len(limits), 1)), -np.ones((len(limits), 1))])
+    sides = np.hstack([np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, 2))])
+    matrix = csc_matrix(np.vstack([cones.reshape(-1, n + 2), linear, sides]))
+    right = np.concatenate([np.column_stack([np.zeros(points), here.e]).ravel(), room, box[1], -box[0]])
+    kinds = [clarabel.SecondOrderConeT(width + 1)] * points + [clarabel.NonnegativeConeT(len(room) + 2 * n)]
+    square, cost = np.zeros((n + 2, n + 2)), np.zeros(n + 2)
+    square[:n, :n] = bend
+    cost[n:] = 1.0, price
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
+    found = clarabel.DefaultSolver(csc_matrix(triu(square)), cost, matrix, right, kinds, settings).solve()
+    z, dual = np.asarray(found.x, dtype=float), np.asarray(found.z, dtype=float)
+    if not (np.all(np.isfinite(z)) and np.all(np.isfinite(dual))):
+        return None
+    d = np.clip(z[:n], *box)
+    e, g = here.e + (here.by_e @ d).reshape(points, width), here.g + here.by_g @ d
+    missed = view.missed(g)
+    merit = float(np.max(np.linalg.norm(e, axis=1))) + price * missed + 0.5 * float(d @ bend @ d)
+    tips = -dual[: points * (width + 1)].reshape(points, width + 1)[:, 1:].ravel()
+    held = dual[points * (width + 1) :]
+    by_g = np.zeros(len(view.low))
+    by_g[above] += held[: above.sum()]
+    by_g[below] -= held[above.sum() : above.sum() + below.sum()]
+    return _Step(d, merit, missed, tips, by_g)

@@ -1,0 +1,169 @@
+"""A linkage as drawn, found first if something of it is free, and the output of it that tolerances are judged by."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.files import ProblemFile
+from optlink.design.generation import GenerationProblem
+from optlink.design.linkages import sizes_of
+from optlink.design.problem import DesignProblem
+from optlink.design.quantity import nearest
+from optlink.design.tolerances import loosened
+from optlink.errors import Fault, InputError
+from optlink.linkage.elementwise import Value, cross, dot, unit
+from optlink.linkage.mechanism import Mechanism
+from optlink.studies.outputs import output_names, output_sensitivity
+
+Array = NDArray[np.float64]
+ERROR = "error"
+ALONG = 31  # positions along the span of a motion law
+AROUND = 36  # crank angles of a revolution
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """A linkage as drawn and one output of it over crank angles (angles,) [rad].
+
+    `value`: the output [rad or m]; `base`: what a limit judges where nothing deviates: the error of the design itself, or zeros;
+    `sign`: change of what is judged per change of the output.
+    """
+
+    mechanism: Mechanism
+    sizes: Mapping[str, float]
+    crank_angles: Array
+    output: str
+    name: str
+    value: Array
+    base: Array
+    sign: float = 1.0
+
+    @property
+    def angular(self) -> bool:
+        """Whether the output is an angle."""
+        return self.output in self.mechanism.bodies
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the output."""
+        return "rad" if self.angular else "m"
+
+    @cached_property
+    def _drawn(self) -> Any:
+        return self._where(self.sizes)
+
+    def _where(self, sizes: Mapping[str, Value]) -> Any:
+        with np.errstate(all="ignore"):
+            pose = self.mechanism.pose(sizes, unit(self.crank_angles))
+            if self.angular:
+                return pose.direction(self.output)
+            point, _, axis = self.output.rpartition(".")
+            return pose.point(point)["xy".index(axis)]
+
+    def change(self, deviations: Mapping[str, Value]) -> Array:
+        """Change of what is judged, exactly, where sizes deviate by (samples, 1) arrays: (samples, angles)."""
+        found = self._where({**self.sizes, **{name: self.sizes[name] + by for name, by in deviations.items()}})
+        with np.errstate(all="ignore"):
+            by = np.arctan2(cross(self._drawn, found), dot(self._drawn, found)) if self.angular else found - self._drawn
+        samples = max((np.shape(column)[0] for column in deviations.values()), default=1)
+        whole = np.broadcast_to(self.sign * by, (samples, len(self.crank_angles)))  # an output that none of them moves
+        return np.array(whole, dtype=float)
+
+
+def people(nominal: Nominal) -> tuple[float, str]:
+    """Units of an output as people read them: how many are one SI unit, and its name."""
+    return (math.degrees(1.0), "deg") if nominal.angular else (1e3, "mm")
+
+
+def drawing(
+    problem: ProblemFile, output: str | None, crank_angles: Array | None = None, design: Mapping[str, float] | None = None
+) -> Nominal:
+    """The linkage as drawn, found first if something of it is free, and the output that is judged.
+
+    Raises
+    ------
+    InputError
+        unknown output, no design, a linkage that cannot be assembled at a crank angle.
+    """
+    file, values, angles = _design(problem, design)
+    mechanism, pivots = loosened(file.model.mechanism, file.model.linkage)
+    sizes = {name: values[name] for name in file.model.mechanism.quantities} | pivots
+    law = isinstance(file.model, DesignProblem)
+    known = [*([ERROR] if law else []), *output_names(mechanism)]
+    chosen = ERROR if output is None and law else output
+    if chosen is None:
+        raise InputError(Fault("which output is judged is not said", f"One of: {', '.join(known)}", problem.file, "--output"))
+    if chosen not in known:
+        raise InputError(Fault("unknown output", nearest(chosen, known), problem.file, "--output", chosen))
+    if isinstance(file.model, DesignProblem) and chosen == ERROR:
+        if crank_angles is not None:
+            remedy = "Leave --angles out, or give --output rocker"
+            raise InputError(Fault("the error is that over the span of the law", remedy, problem.file, "--angles"))
+        span = np.linspace(0.0, file.model.span, ALONG)
+        at = values["phi0"] + span
+        drawn_ = _placed(problem, mechanism, sizes, at, "rocker", ERROR, -1.0)
+        wanted = file.model.law.curve(span, values["phi0"], values["psi0"])
+        error = np.remainder(wanted - drawn_.value + math.pi, 2.0 * math.pi) - math.pi
+        return replace(drawn_, base=error)
+    if crank_angles is None:
+        crank_angles = 2.0 * math.pi * np.arange(AROUND) / AROUND if angles is None else angles
+    return _placed(problem, mechanism, sizes, np.asarray(crank_angles, dtype=float), chosen, chosen, 1.0)
+
+
+def _placed(
+    problem: ProblemFile, mechanism: Mechanism, sizes: Mapping[str, float], at: Array, output: str, name: str, sign: float
+) -> Nominal:
+    value = output_sensitivity(mechanism, sizes, at, output, list(sizes)[:1]).value
+    if not np.all(np.isfinite(value)):
+        angle = math.degrees(float(at[int(np.argmin(np.isfinite(value)))]))
+        remedy = 'Give crank angles that it reaches: --angles "60..120 deg:13"'
+        raise InputError(Fault(f"the linkage cannot be assembled at {angle:.4g} deg", remedy, problem.file, "--angles"))
+    return Nominal(mechanism, dict(sizes), at, output, name, value, np.zeros(len(at)), sign)
+
+
+def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[ProblemFile, dict[str, float], Array | None]:
+    """The problem with definite assembly modes, every quantity of the design [SI], and crank angles that it is about, if any."""
+    model = problem.model
+    if isinstance(model, GenerationProblem):
+        from optlink.generation import generate, validate
+
+        made = generate(problem) if given is None and model.free else validate(problem, given or {})
+        best = made.best
+        if best is None or (given is None and not made.valid):
+            raise _nothing(problem)
+        return (
+            best.problem,
+            dict(best.values),
+            np.asarray(best.crank_angles) if model.requirement.kind != "transmission" else None,
+        )
+    if problem.machined and given is None:
+        from optlink.machine_design import design_machine
+
+        machine = design_machine(problem)
+        if not machine.valid:
+            raise _nothing(problem)
+        return problem, {**sizes_of(model.quantities), **machine.values}, None
+    if isinstance(model, DesignProblem) and (given is not None or not model.free):
+        return problem, model.design(given or {}), None
+    if isinstance(model, DesignProblem):
+        from optlink.workflow import solve
+
+        result = solve(problem)
+        if not result.valid:
+            raise _nothing(problem)
+        return result.problem, dict(result.design), None
+    if model.free and given is None:
+        raise InputError(Fault("sizes are free and nothing is asked of them", "Add --design", problem.file, "mechanism"))
+    return problem, {**sizes_of(model.quantities), **(given or {})}, None
+
+
+def _nothing(problem: ProblemFile) -> InputError:
+    remedy = "See `optlink solve`, or give a design: --design NAME=VALUE"
+    return InputError(Fault("no design was proven, so there is none to build", remedy, problem.file))

@@ -1,0 +1,449 @@
+"""The documentation: pages, links and pictures exist, commands are real, the reference knows every key, the site builds."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+import itertools
+import os
+import re
+import shlex
+import subprocess
+import sys
+import urllib.parse
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli import app
+from optlink.design.expression import FUNCTIONS
+from optlink.design.section import Section
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+READ = [*PAGES, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
+NAV = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2].partition("\n\n")[0]
+
+
+@cache
+def hook(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", DOCS / "hooks" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+# --- pages, links, pictures --------------------------------------------------------------------------------------------
+
+FENCES = re.compile(r"^(?P<mark>```+|~~~+)(?P<info>[^\n]*)\n(?P<text>.*?)^(?P=mark)[ ]*$", re.DOTALL | re.MULTILINE)
+LINKS = re.compile(r"!?\[[^\]\n]*\]\((?P<target>[^)\s]+)\)")
+
+
+@cache
+def text_of(path: Path) -> str:
+    """A page with the parts that are made when the site is built, except figures, which take a while."""
+    text = path.read_text(encoding="utf-8")
+    for name in ("keys", "commands"):
+        if hook(name).MARKER in text:
+            text = text.replace(hook(name).MARKER, hook(name).reference())
+    return text
+
+
+def prose(path: Path) -> str:
+    return re.sub(r"`[^`\n]+`", "code", FENCES.sub("", text_of(path)))
+
+
+def slug(heading: str) -> str:
+    """As GitHub and the site make it of a heading."""
+    plain = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).replace("`", "").strip().lower()
+    return re.sub(r"[^\w\- ]", "", plain).replace(" ", "-")
+
+
+@cache
+def anchors(path: Path) -> set[str]:
+    text = FENCES.sub("", text_of(path))
+    found = set(re.findall(r"\{ #([\w-]+) \}", text))
+    for heading in re.findall(r"^#+ (.+)$", text, re.MULTILINE):
+        found.add(slug(re.sub(r"\{ #[\w-]+ \}", "", heading)))
+    if path.name == "validation.md":
+        found |= {group.anchor for group in hook("validation").GROUPS}
+    return found
+
+
+def test_every_page_is_in_the_navigation():
+    listed = re.findall(r"[:-] (\S+\.md)$", NAV, re.MULTILINE)
+    assert len(listed) == len(set(listed))
+    made = {"contributing.md", "changelog.md", *(f"notebooks/{book.stem}.md" for book in (ROOT / "notebooks").glob("*.ipynb"))}
+    assert {page.relative_to(DOCS).as_posix() for page in PAGES} | made == set(listed)
+
+
+@pytest.mark.parametrize("page", READ, ids=named)
+def test_every_link_and_picture_exists(page):
+    targets = [match["target"] for match in LINKS.finditer(prose(page))]
+    for target in targets:
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = urllib.parse.unquote(target).partition("#")
+        place = (page.parent / path).resolve() if path else page
+        assert place.exists(), f"{named(page)} links to {target}"
+        assert place.is_relative_to(ROOT), f"{named(page)} links out of the repository: {target}"
+        if anchor:
+            assert place.suffix == ".md", target
+            assert anchor in anchors(place), f"{named(page)} links to {target}: no such heading"
+
+
+def test_a_broken_link_would_be_seen():
+    assert "no-such-heading" not in anchors(DOCS / "studies.md")
+    assert "how-the-output-answers-to-the-sizes" in anchors(DOCS / "studies.md")
+    assert "joints-with-clearance-and-control" in anchors(DOCS / "problem-files.md")
+    assert slug("Path, motion, function: what a linkage shall do") == "path-motion-function-what-a-linkage-shall-do"
+
+
+@pytest.mark.parametrize("page", READ, ids=named)
+def test_headings_are_in_order(page):
+    """One title, and no level left out: the site makes its tables of contents of them."""
+    levels = [len(mark) for mark in re.findall(r"^(#+) ", FENCES.sub("", text_of(page)), re.MULTILINE)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
+
+
+@pytest.mark.parametrize("page", READ, ids=named)
+def test_tables_have_as_many_cells_in_every_row(page):
+    """A stray | splits a cell, and what is left over is not shown."""
+    for table in re.findall(r"(?:^\|.*\|\n)+", FENCES.sub("", text_of(page)), re.MULTILINE):
+        cells = [len(re.findall(r"(?<!\\)\|", row)) for row in table.strip().split("\n")]
+        assert len(set(cells)) == 1, f"{named(page)}: {table.strip().splitlines()[cells.index(max(cells))]}"
+
+
+# --- commands ----------------------------------------------------------------------------------------------------------
+
+
+def calls(line: str) -> list[tuple[list[str], str]]:
+    """Calls of optlink in a shell line, as words, each with the file that takes its output."""
+    words = shlex.shlex(line, posix=True, punctuation_chars=True)
+    words.whitespace_split = True
+    found: list[tuple[list[str], str]] = []
+    call, target, into = [], "", False
+    for word in [*words, ";"]:
+        if set(word) <= set(";&|<>"):
+            into = word == ">"
+            if not into:
+                if call and Path(call[0]).name == "optlink":
+                    found.append((call[1:], target))
+                call, target = [], ""
+        elif into:
+            target, into = word, False
+        else:
+            call.append(word)
+    return found
+
+
+def commands(page: Path) -> list[list[str]]:
+    """Every call of optlink that a page shows, as words."""
+    text = text_of(page)
+    lines = [block["text"] for block in FENCES.finditer(text) if block["info"].strip() in ("sh", "bash")]
+    lines += re.findall(r"^    (optlink .*)$", FENCES.sub("", text), re.MULTILINE)
+    whole = "\n".join(lines).replace("\\\n", " ")
+    return [arguments for line in whole.split("\n") for arguments, _ in calls(line)]
+
+
+def parse(arguments: list[str]) -> Any:
+    """The context of a call as the command line makes it, which knows all options and checks their values; nothing runs."""
+    import typer.main
+
+    command: Any = typer.main.get_command(app)
+    context = command.make_context("optlink", list(arguments))
+    while hasattr(command, "commands"):
+        rest = [*getattr(context, "_protected_args", ()), *context.args]
+        name, command, rest = command.resolve_command(context, rest)
+        context = command.make_context(name, rest, parent=context)
+    return context
+
+
+@pytest.mark.parametrize("page", READ, ids=named)
+def test_commands_are_real(page):
+    known = {*optlink.shipped(), "out"}
+    for arguments in commands(page):
+        context = parse(arguments)
+        known.add(str(context.params.get("out")))  # a folder with results may be reported on
+        subject = context.params.get("problem") or context.params.get("subject")
+        if subject is not None and not re.search(r"\.(toml|json)$", subject):
+            assert subject in known, f"{named(page)}: {shlex.join(arguments)}"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [["slove", "crank-rocker"], ["solve", "crank-rocker", "--start", "5x"], ["solve"], ["study", "sweep", "six-bar", "--vray"]],
+)
+def test_commands_that_are_not_real_would_be_seen(wrong):
+    with pytest.raises(Exception, match=r"(?i)no such|invalid|missing|whole number"):
+        parse(wrong)
+
+
+def test_commands_within_lines_are_known():
+    known = {name.split()[1] for name, _ in hook("commands").commands() if " " in name}
+    for page in READ:
+        for word in re.findall(r"`optlink ([a-z]+)[ `]", FENCES.sub("", text_of(page))):
+            assert word in known, f"{named(page)}: optlink {word}"
+
+
+@pytest.mark.slow
+def test_the_tutorial_is_true(tmp_path, monkeypatch):
+    """Every block of the page in its order: files are saved, commands run, and what is printed below them is what they print."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    page = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    output, compared = "", 0
+    for block in FENCES.finditer(page):
+        kind, text = block["info"].strip(), block["text"]
+        if kind == "toml":
+            name = re.findall(r"`([\w.]+)`", page[: block.start()].rstrip().rsplit("\n", 1)[-1])[-1]
+            (tmp_path / name).write_text(text, encoding="utf-8")
+        elif kind == "sh":
+            output = ""
+            for arguments, target in (call for line in text.replace("\\\n", " ").split("\n") for call in calls(line)):
+                done = CliRunner().invoke(app, arguments)
+                assert done.exit_code in (0, 1, 2), done.output
+                output += done.output
+                if target:
+                    (tmp_path / target).write_text(done.stdout, encoding="utf-8")
+        elif kind == "python":
+            with contextlib.redirect_stdout(io.StringIO()) as stream:
+                exec(text, {})
+            output = stream.getvalue()
+        else:
+            assert kind == "text"
+            shown = [" ".join(line.split()) for line in output.split("\n")]
+            for line in text.split("\n"):
+                wanted = " ".join(line.split())
+                if wanted not in ("", "..."):
+                    assert any(wanted in one for one in shown), f"{wanted}\n--- but ---\n{output}"
+                    compared += 1
+    assert compared > 40
+    assert {"arm.toml", "final.toml", "arm.html", "arm.dxf", "frames", "out"} <= {place.name for place in tmp_path.iterdir()}
+
+
+# --- the reference -------------------------------------------------------------------------------------------------------
+
+
+def test_the_reference_has_every_key_of_every_model():
+    keys = hook("keys")
+    stated = {(keys.owner(part.model, name), name) for part in keys.sections() for name in part.model.model_fields}
+    for model in keys.every_model():
+        for name in model.model_fields:
+            assert (keys.owner(model, name), name) in stated, f"{model.__name__}.{name}"
+
+
+def test_the_reference_tells_something_of_every_key():
+    keys = hook("keys")
+    for part in keys.sections():
+        table = keys._table(part)
+        for name, field in part.model.model_fields.items():
+            assert len(keys.description(part.model, name)) > 5, f"{part.model.__name__}.{name} has no text below it"
+            assert keys.value(part.model, name)
+            if part.path:
+                assert f"| `{field.alias or name}`" in table
+    assert "required" in keys.reference()
+
+
+def test_a_key_without_a_text_would_be_seen():
+    keys = hook("keys")
+
+    class Bare(Section):
+        """A table that somebody has just added."""
+
+        key: str = ""
+        other: float = 1.0
+        """With a text."""
+
+    assert keys.description(Bare, "key") == ""
+    assert keys.description(Bare, "other") == "With a text."
+    assert Bare not in {part.model for part in keys.sections()}
+
+
+def test_units_and_ways_of_reading_are_those_of_the_models():
+    """Against the models themselves: what the reference says a key takes is taken, what it says is refused is refused."""
+    keys = hook("keys")
+    from optlink.design.bodies import DriveSection
+    from optlink.design.joints import JointSection
+    from optlink.design.limits import Limits
+    from optlink.design.linkages import FourBarSection
+
+    assert keys.value(FourBarSection, "crank") == "length, fixed or free"
+    assert keys.value(DriveSection, "speed") == "angular velocity"
+    assert keys.value(DriveSection, "duration") == "time, not negative"
+    assert keys.value(Limits, "time_ratio") == "range of numbers"
+    assert keys.value(Limits, "transmission_angle") == "range of angle"
+    assert keys.left_out(JointSection.model_fields["restitution"]) == "`0.9`"
+    assert keys.left_out(FourBarSection.model_fields["crank"]) == "required"
+    page = keys.reference()
+    assert re.search(r"\| length \| m \| `100 mm` \| .*`mm`.*`in`", page)
+    assert "`deg`" not in re.search(r"^\| length \|.*$", page, re.MULTILINE)[0]
+
+
+def test_examples_of_the_reference_are_toml():
+    import tomllib
+
+    keys = hook("keys")
+    count = 0
+    for part in keys.sections():
+        for name in part.model.model_fields:
+            shown = keys.example(part.model, name)
+            if shown:
+                assert list(tomllib.loads(shown)) == [part.model.model_fields[name].alias or name]
+                count += 1
+    assert count > 100
+
+
+def test_laws_of_the_reference_are_read(tmp_path):
+    import tomllib
+
+    page = (DOCS / "reference" / "keys.md").read_text(encoding="utf-8")
+    (tmp_path / "law.csv").write_text("phi_deg,psi_deg\n0,0\n45,10\n90,25\n", encoding="utf-8")
+    lines = re.search(r"```toml laws\n(.*?)```", page, re.DOTALL)[1].strip().split("\n")
+    assert len(lines) == 5
+    raw = dict(optlink.load("crank-rocker").raw)
+    asked = {key: value for key, value in raw["requirement"].items() if key not in ("law", "from", "span", "points")}
+    for line in lines:
+        law = tomllib.loads(line)
+        span = {"span": "90 deg", "points": 30} if isinstance(law["law"], str) else {}
+        assert optlink.read({**raw, "requirement": {**asked, **law, **span}}, folder=tmp_path).model.law.offsets.size > 0
+    told = re.search(r"the functions `([a-z0-9 ]+)`", page)[1].split()
+    assert set(told) == set(FUNCTIONS)
+
+
+def test_the_command_reference_has_every_option():
+    text = hook("commands").reference()
+    for name, command in hook("commands").commands():
+        section = text.partition(f"## {name} {{")[2].partition("\n## ")[0]
+        assert command.help
+        for param in command.params:
+            for spelling in param.opts if param.param_type_name == "option" else [param.metavar]:
+                told = re.escape(spelling.replace("|", "\\|"))
+                assert re.search(rf"^\| `(?:\S+, )*{told}(?:, \S+)*(?: .*)?` \|", section, re.MULTILINE), f"{name} {spelling}"
+            assert param.help, f"{name} {param.name} has no help"
+
+
+def test_public_names_have_a_page():
+    shown = re.findall(
+        r"^::: (\S+)$", "\n".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md")), re.MULTILINE
+    )
+    assert len(shown) == len(set(shown))
+    for name in set(optlink.__all__) - {"__version__"}:
+        assert f"optlink.{name}" in shown, name
+    for path in shown:
+        room, _, name = path.rpartition(".")
+        try:
+            assert hasattr(importlib.import_module(room), name), path
+        except ModuleNotFoundError:
+            pytest.fail(f"{path} does not exist")
+
+
+def test_words_of_docstrings_are_no_types():
+    pytest.importorskip("griffe")
+    given = (
+        "Sum.\n\nParameters\n----------\na, b : float [m], positive\n    Lengths.\nc : int\n\nReturns\n-------\nx : float [m]\n"
+    )
+    wanted = (
+        "Sum.\n\nParameters\n----------\na\n    [m], positive.\n    Lengths.\nb\n    [m], positive.\n    Lengths.\nc\n    int\n\n"
+        "Returns\n-------\nx : float [m]\n"
+    )
+    assert hook("docstrings").spelled(given) == wanted
+
+
+# --- figures -------------------------------------------------------------------------------------------------------------
+
+
+def test_figures_name_tests_that_exist():
+    module, source = hook("validation"), (DOCS / "hooks" / "validation.py").read_text(encoding="utf-8")
+    named_tests = {(getattr(module, file), name) for file, name in re.findall(r"\{([A-Z_]+)\}::(test_\w+)", source)}
+    named_tests |= set(re.findall(r'"(tests/\S+\.py)::(test_\w+)"', source))
+    assert len(named_tests) > 15
+    for file, name in named_tests:
+        assert f"\ndef {name}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{name}"
+
+
+@pytest.mark.parametrize("group", ["crank_rocker", "six_bar", "shaper", "under_a_torque", "machines"])
+def test_figures_agree(group):
+    rows = list(getattr(hook("validation"), group)())
+    assert len(rows) > 1
+    assert [row.what for row in rows if not row.holds] == []
+    assert max(row.near / abs(row.wanted) for row in rows if abs(row.wanted) > 1e-3) < 0.01
+
+
+def test_a_figure_that_is_wrong_stops_the_site(monkeypatch):
+    module = hook("validation")
+    row = module.Row("a figure", "mm", 100.0, 100.2, 0.1, "tests/test_docs.py::test_x")
+    assert not row.holds
+    monkeypatch.setattr(module, "GROUPS", (module.Group("A", "a", "by hand", lambda: iter([row])),))
+    with pytest.raises(ValueError, match=r"a figure is 100\.2"):
+        module.page()
+
+
+# --- the site --------------------------------------------------------------------------------------------------------------
+
+
+def test_links_out_of_the_documentation_lead_to_pages_of_the_site():
+    links = hook("links")
+    text = "[a](../notebooks/six_bar.ipynb), [b](../tests/test_gaps.py#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
+    wanted = (
+        "[a](notebooks/six_bar.md), [b](source/tests/test_gaps.py.md#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
+    )
+    assert links.rewritten(text, "docs", "page.md") == wanted
+    assert set(links.outward(text, "docs")) == {"notebooks/six_bar.ipynb", "tests/test_gaps.py"}
+    assert links.rewritten("[a](docs/images/x.png)", "", "contributing.md") == "[a](images/x.png)"
+    assert links.rewritten("[a](../validation.md)", "docs/api", "api/solve.md") == "[a](../validation.md)"
+
+
+def test_what_a_page_would_load_from_the_network_is_seen():
+    fetched = hook("links").fetched
+    assert fetched('<script defer src="https://unpkg.com/x.js"></script>') == ["https://unpkg.com/x.js"]
+    assert fetched('<link rel="stylesheet" href="//fonts.example/css">') == ["//fonts.example/css"]
+    assert fetched('<link rel=canonical href=https://example.org/><a href="https://example.org">x</a><img src="a.png">') == []
+
+
+def test_a_notebook_becomes_a_page():
+    text, pictures = hook("links").notebook("notebooks/crank_rocker.ipynb")
+    assert text.startswith("# ")
+    assert "six_bar.ipynb){" not in text
+    assert "````python\n" in text
+    assert pictures
+    assert all(data[:4] in (b"\x89PNG", b"GIF8") for data in pictures.values())
+    assert all(f"({name})" in text for name in pictures)
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_asks_no_network(tmp_path):
+    pytest.importorskip("mkdocs")
+    pytest.importorskip("material")
+    pytest.importorskip("mkdocstrings")
+    site = tmp_path / "site"
+    build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(site)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}  # a word of the theme's makers about the future, on every build
+    done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "WARNING" not in done.stderr
+    pages = list(site.rglob("*.html"))
+    assert len(pages) > 40
+    for page in pages:
+        html = page.read_text(encoding="utf-8")
+        assert hook("links").fetched(html) == []
+        if "source" not in page.relative_to(site).parts:
+            assert not re.search(r"<!-- (?:keys|commands|figures) -->|toml (?:design|laws)", html), page.name
+    for style in site.rglob("*.css"):
+        assert not re.search(r"url\(['\"]?(?:https?:)?//", style.read_text(encoding="utf-8")), style.name
