@@ -174,7 +174,8 @@ def sweep(
         if design:
             from optlink.workflow import read_design
 
-            given = read_design(file, design)
+            varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
+            given = read_design(file, design, varied)
         if column and not analyze:
             raise InputError(Fault("columns are those of the analysis", "Add --analyze", key="--column", value=column[0]))
         with _points() as progress, _interruptible(out):

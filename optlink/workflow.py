@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -412,8 +412,8 @@ def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, obj
         ) from None
 
 
-def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float]:
-    """Read a design given as texts such as "coupler=412.26 mm", or as the name of a result.json.
+def read_design(problem: ProblemFile, assignments: list[str], varied: Collection[str] = ()) -> dict[str, float]:
+    """Read a design given as texts such as "coupler=412.26 mm", or as the name of a result.json; `varied` need not be given.
 
     Raises
     ------
@@ -434,7 +434,7 @@ def read_design(problem: ProblemFile, assignments: list[str]) -> dict[str, float
         except Unusable as error:
             raise InputError(Fault(error.message, error.remedy, problem.file, f"--design {name}", value)) from None
         given[name] = quantity.value
-    missing = [name for name in problem.model.free if name not in given]
+    missing = [name for name in problem.model.free if name not in given and name not in varied]
     if missing:
         starts = ((name, show(quantities[name].value, quantities[name].kind)) for name in missing)
         example = " ".join(f'--design {name}="{value}"' for name, value in starts)

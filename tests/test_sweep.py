@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import random
 import signal
@@ -715,6 +716,17 @@ def test_bad_input_of_the_command(arguments, words):
     assert done.exit_code == 2
     assert words in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_given_design_need_not_say_what_is_varied(tmp_path):
+    arguments = ["--analyze", "--vary", "mechanism.coupler=400..420 mm:2", "--column", "rocker.angle_rad"]
+    assert run("crank-rocker", *arguments, "--design", "rocker=232 mm", "--out", str(tmp_path)).exit_code == 0
+    rows = (tmp_path / "sweep.csv").read_text().splitlines()[1:]
+    for row, coupler in zip(rows, (400.0, 420.0), strict=True):  # crank and coupler in line: law of cosines
+        dead = math.pi - math.acos((232.0**2 + 500.0**2 - (coupler + 100.0) ** 2) / (2.0 * 232.0 * 500.0))
+        assert float(row.split(",")[1]) == pytest.approx(dead, abs=1e-4)
+    assert run("crank-rocker", *arguments).exit_code == 0
+    assert run("crank-rocker", *arguments, "--design", "coupler=400 mm").exit_code == 2  # the rocker is missing
 
 
 def test_some_points_not_valid_is_exit_code_1():

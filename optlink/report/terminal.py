@@ -68,7 +68,7 @@ def result(outcome: Result) -> RenderableType:
         if outcome.solution:
             parts += [Text(), active(outcome.solution.limits, outcome.objective, outcome.unit)]
         parts += [Text(), checks(outcome.validation.checks)]
-    if len(outcome.optima) > 1 or outcome.starts > 1:
+    if outcome.optima and (len(outcome.optima) > 1 or outcome.starts > 1):
         parts += [Text(), _optima(outcome)]
     if outcome.backends:
         parts += [Text(), _backends(outcome)]
