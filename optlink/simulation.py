@@ -81,6 +81,7 @@ class Simulation:
                 "finished": self.finished,
                 "driven": self.driven,
                 "notes": list(self.notes),
+                "sizes_SI": {name: self.machine.sizes[name] for name in self.problem.model.mechanism.quantities},
                 "figures": self.figures,
                 "stopped_s": self.run.stopped,
                 "steps": self.run.steps,

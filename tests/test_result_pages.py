@@ -15,6 +15,7 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 
+import optlink
 from optlink.errors import InputError
 from optlink.report.recorded import KNOWN
 from optlink.report.results.opened import STUDIES, opened
@@ -154,13 +155,21 @@ def test_a_simulation_at_constant_speed_is_the_analysis(results):
     assert np.diff(crank) == pytest.approx(360.0 / (len(crank) - 1), abs=2e-3)
 
 
-def test_a_simulation_of_another_design_is_not_drawn(results, tmp_path):
-    """The file does not say with which --design it ran; what would be drawn is another machine."""
-    told = document(results, "course")
-    told["columns"]["C.x_m"] = [value * 1.01 for value in told["columns"]["C.x_m"]]
+def test_a_simulation_is_drawn_with_the_sizes_that_ran(tmp_path):
+    problem = optlink.load("crank-rocker")
+    run = optlink.simulate(problem, speed=5.0, rows=90, design={"coupler": 0.43, "rocker": 0.22})
+    told = json.loads(json.dumps(run.to_dict()))
     (tmp_path / "result.json").write_text(json.dumps(told))
-    assert _sheet(opened(str(tmp_path)), 90).moving is None
-    assert sheet(results, "course").moving is not None
+    moving = _sheet(opened(str(tmp_path)), 90).moving
+    places = moving.scene.points["C"] - moving.scene.points["B"]
+    assert np.hypot(*places.T) == pytest.approx(430.0, abs=1e-3)
+    del told["sizes_SI"]["coupler"]
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match=r"sizes_SI\.coupler"):
+        _sheet(opened(str(tmp_path)), 90)
+    del told["sizes_SI"]
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    assert _sheet(opened(str(tmp_path)), 90).moving is None  # the sizes of the file are those of another linkage
 
 
 def test_an_orbit_stays_in_its_gap(results):

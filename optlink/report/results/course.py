@@ -72,7 +72,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
         valid=record.flag("finished"),
         status=[f"{ending.value}, driven by {record.text('driven')}; {record.text('message')}", *record.texts("notes")],
         sections=[*figures_of(tables), *([Section("Over time", curves)] if len(time) > 1 else [])],
-        moving=_moving(file, columns, mechanism.crank.body) if len(time) > 1 else still,
+        moving=_moving(file, columns, mechanism.crank.body, _sizes(record, file)) if len(time) > 1 else still,
         by=f"integration in time; driven by {record.text('driven')}",
         drawn="As the crank turned in time: the slider goes from row to row of the simulation.",
     )
@@ -201,10 +201,19 @@ def _work(columns: Columns) -> list[Chart]:
 # --- the linkage in time -----------------------------------------------------------------------------------------------------
 
 
-def _moving(file: ProblemFile, columns: Columns, body: str) -> Callable[[int], Moving | None]:
-    """The linkage at rows of the simulation, if the recorded places are those of the problem's own sizes."""
-    machine = machine_of(file)
-    sizes = {name: float(np.asarray(machine.sizes[name])) for name in file.model.mechanism.quantities}
+def _sizes(record: Record, file: ProblemFile) -> dict[str, float]:
+    """Sizes [SI] of the machine that ran, those of the problem where none were recorded."""
+    machine, names = machine_of(file), file.model.mechanism.quantities
+    if not record.has("sizes_SI"):
+        return {name: float(np.asarray(machine.sizes[name])) for name in names}
+    recorded = record.figures("sizes_SI")
+    if missing := [name for name in names if name not in recorded]:
+        raise record.fault(f"sizes_SI.{missing[0]}", "this is missing")
+    return recorded
+
+
+def _moving(file: ProblemFile, columns: Columns, body: str, sizes: Mapping[str, float]) -> Callable[[int], Moving | None]:
+    """The linkage at rows of the simulation, if the recorded places are those of its sizes."""
 
     def made(steps: int) -> Moving | None:
         try:
@@ -217,7 +226,7 @@ def _moving(file: ProblemFile, columns: Columns, body: str) -> Callable[[int], M
             if {f"{name}.x_m", f"{name}.y_m"} <= columns.keys():
                 own = np.stack([columns[f"{name}.x_m"][rows], -columns[f"{name}.y_m"][rows]], axis=1) * 1e3
                 if np.nanmax(np.abs(own - places), initial=0.0) > AGREES * max(drawn.box[2:]):
-                    return None  # it ran with another --design: what would be drawn is another machine
+                    return None  # what would be drawn is another machine
         time = columns["time_s"][rows]
         listed = [Readout("crank angle", "deg", [round(float(value), 4) for value in columns["crank_angle_deg"][rows]])]
         for name, words, unit in ((f"{body}.omega_rad_s", "crank speed", "rad/s"), ("input.torque_Nm", "driving torque", "N m")):
