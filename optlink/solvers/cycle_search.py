@@ -116,27 +116,14 @@ def settle(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
 
 
 def _levelled(nlp: CycleNLP, run: list[Solution]) -> Solution:
-    """The best optimum of a back end once peaks are followed: which lifts some optima more than others.
-
-    Where none of them settles, the other searches that ended there are followed: from a few digits beside it they may.
-    """
+    """The best optimum of a back end once peaks are followed: which lifts some optima more than others."""
     best: Solution | None = None
-    leaders = [group.solution for group in search.cluster(nlp, run)][:FOLLOWED]
-    for solution in leaders:
-        if best is not None and _proven(best) and solution.objective >= best.objective:
+    for group in search.cluster(nlp, run)[:FOLLOWED]:
+        if best is not None and best.status is Status.OPTIMAL and group.solution.objective >= best.objective:
             break
-        own = level(nlp, solution)
+        own = level(nlp, group.solution)
         best = own if best is None else min((best, own), key=rank)
-    rest = [solution for solution in run if solution.usable and all(solution is not one for one in leaders)]
-    for solution in sorted(rest, key=rank)[:FOLLOWED]:
-        if _proven(best):
-            break
-        best = min((level(nlp, solution), *([] if best is None else [best])), key=rank)
     return search.best(run) if best is None else best
-
-
-def _proven(solution: Solution | None) -> bool:
-    return solution is not None and solution.status is Status.OPTIMAL
 
 
 def rank(solution: Solution) -> tuple[bool, bool, float]:
