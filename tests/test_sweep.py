@@ -580,27 +580,25 @@ def test_without_dask_it_says_what_to_install(monkeypatch):
 
 
 DASK = """
-import os, signal, subprocess, sys, threading, time
+import os, signal, subprocess, sys, time
 from pathlib import Path
 import optlink
 from optlink.studies.sweep import sweep
 
-def kill_one():
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline and not list(Path(sys.argv[1], "killed").glob("chunks/*/*.csv")):
-        time.sleep(0.05)
-    lines = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout.splitlines()
-    mine = [int(l.split()[0]) for l in lines if len(l.split()) > 2 and l.split()[1] == str(os.getpid()) and "spawn_main" in l]
-    os.kill(mine[0], signal.SIGKILL)
-    print("killed")
+killed = []
+
+def kill_one(done, wanted):
+    if not killed and 0 < done < wanted:
+        lines = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout.splitlines()
+        mine = [int(l.split()[0]) for l in lines if len(l.split()) > 2 and l.split()[1] == str(os.getpid()) and "spawn_main" in l]
+        os.kill(mine[0], signal.SIGKILL)
+        killed.append(mine[0])
+        print("killed")
 
 if __name__ == "__main__":
     vary, file = ["mechanism.frame=450..550 mm:700"], optlink.load("crank-rocker")
     sweep(file, vary, Path(sys.argv[1], "dask"), engine="dask", workers=2)
-    thread = threading.Thread(target=kill_one)
-    thread.start()
-    sweep(file, vary, Path(sys.argv[1], "killed"), engine="dask", workers=2)
-    thread.join()
+    sweep(file, vary, Path(sys.argv[1], "killed"), engine="dask", workers=2, progress=kill_one)
     begin = time.monotonic()
     try:
         sweep(file, vary, engine="dask", scheduler="tcp://127.0.0.1:9")
