@@ -89,7 +89,7 @@ def document(rows: list[Row]) -> dict[str, Any]:
         "schema": "optlink/benchmarks/1",
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
-        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "cvxpy", *PEERS)},
+        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "cvxpy", "distributed", *PEERS)},
         "rows": [
             {
                 "what": row.what,
@@ -110,6 +110,7 @@ def measurements() -> dict[str, Callable[[], list[Row]]]:
     import clearance
     import dynamics
     import solves
+    import studies
     import synthesis
 
     return {
@@ -118,6 +119,7 @@ def measurements() -> dict[str, Callable[[], list[Row]]]:
         "dynamics": dynamics.rows,
         "clearance": clearance.rows,
         "synthesis": partial(synthesis.rows, **SYNTHESIS),
+        "studies": studies.rows,
         "processes": process_rows,
     }
 
