@@ -233,7 +233,10 @@ def tolerance(
     ] = None,
     robust: Annotated[
         str | None,
-        typer.Option(metavar="K|worst|margin", help="Search the design with the least error plus K sigma; with most sigma."),
+        typer.Option(
+            metavar="K|worst|margin|yield",
+            help="Search the design with the least error plus K sigma, or the worst case; with most sigma; with most yield.",
+        ),
     ] = None,
     changes: Set = None,
     design: Annotated[

@@ -425,6 +425,52 @@ def test_what_the_safest_design_yields(problem, law, span, limit, texts, better)
 
 
 @pytest.mark.parametrize(
+    ("problem", "law", "span", "limit", "texts"),
+    [
+        (
+            optlink.load("crank-rocker"),
+            lambda t: 2.0 / (3.0 * math.pi) * t**2,
+            90.0,
+            1.7,
+            ["crank=0.5 mm", "coupler=1 mm", "rocker=0.8 mm", "frame=1.2 mm"],
+        ),
+        (  # where the most standard deviations yield less than the best as drawn
+            feeder(45, 150, BACK[0], "90 deg", **{"from": "inner dead centre", "measure": "max"}),
+            BACK[1],
+            90.0,
+            0.6,
+            ["crank=0.2 mm", "coupler=0.3 mm", "rocker=0.3 mm", "D.x=0.3 mm"],
+        ),
+    ],
+)
+def test_no_design_yields_more_than_the_one_with_most_yield(problem, law, span, limit, texts):
+    """By linkages of pseudo-random sizes: not the best as drawn, not the one with most standard deviations, none nearby."""
+    found = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 14, robust="yield")
+    assert found.robust.valid
+    assert not found.beaten
+    random, count = np.random.default_rng(3), 40_000
+    unit = np.stack([SHAPES[d.shape](random, count) for d in found.deviations], axis=1)
+    arguments = (law, math.radians(span), math.radians(limit), found.deviations, unit)
+    own = kept(found.robust.design, *arguments)
+
+    def surplus(design):
+        """Standard deviations by which chance would favour the design that was found."""
+        other = kept(design, *arguments)
+        gained, lost = np.sum(own & ~other), np.sum(other & ~own)
+        return (gained - lost) / math.sqrt(max(gained + lost, 1))
+
+    margin = tolerance(problem, texts, limit=f"{limit} deg", samples=0, robust="margin").robust
+    assert surplus(found.robust.nominal) > 3.0
+    assert surplus(margin.design) > -1.0
+    base, tried = found.robust.result.problem, 0
+    while tried < 25:
+        near = {name: value + random.normal() * 0.01 * abs(value) for name, value in found.robust.free.items()}
+        if optlink.validate(base, near).valid:
+            tried += 1
+            assert surplus(base.spec.design(near)) > -2.5
+
+
+@pytest.mark.parametrize(
     ("texts", "limit", "wanted"),
     [
         (["crank=0.1 mm uniform", "coupler=0.1 mm uniform", "rocker=0.1 mm uniform", "D.x=0.1 mm uniform"], 2.4, 0.99),

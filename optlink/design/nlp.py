@@ -116,6 +116,10 @@ class NLP:
         return Compiled([self.x_symbol, self.p_symbol], [self.residual_expression])
 
     @cached_property
+    def _residual_slopes(self) -> Compiled:
+        return Compiled([self.x_symbol, self.p_symbol], [casadi.jacobian(self.residual_expression, self.x_symbol)])
+
+    @cached_property
     def _hessian(self) -> Compiled:
         multipliers = casadi.SX.sym("multipliers", len(self.rows))
         lagrangian = self.f_expression + casadi.dot(multipliers, self.g_expression)
@@ -138,6 +142,10 @@ class NLP:
     def residuals(self, x: Array) -> Array:
         """Residuals of the objective [rad], not scaled."""
         return self._residuals(x, self.p)[0]
+
+    def residual_slopes(self, x: Array) -> Array:
+        """Derivatives of the residuals [rad] by x, exact, (residuals, n)."""
+        return self._residual_slopes(x, self.p)[0].reshape((-1, len(x)), order="F")
 
     def design(self, x: Array) -> dict[str, float]:
         """Free quantities of the problem [SI] at x."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -15,12 +14,10 @@ from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
 from optlink.studies.allocation import Allocation
 from optlink.studies.carlo import Carlo
 from optlink.studies.nominal import people
+from optlink.studies.robust import YIELD, Robust
 from optlink.studies.sampling import CONFIDENCE
 from optlink.studies.tolerance import Tolerance
 from optlink.workflow import people as inhabited
-
-if TYPE_CHECKING:
-    from optlink.studies.robust import Robust
 
 SURE = f"{100.0 * CONFIDENCE:g} % sure"
 
@@ -53,10 +50,19 @@ def _shape(deviation: Deviation) -> str:
     return f"{deviation.shape}, adds to {deviation.size}" if deviation.shape == CONTACT else deviation.shape
 
 
+def made(counted: str) -> str:
+    """What a robust design was searched for, in words."""
+    return "Made most: the yield" if counted == YIELD else f"Made least: the largest error with {counted}"
+
+
+def proven(counted: str) -> str:
+    """What is proven of a robust design."""
+    return "its limits are proven; none with more yield was found" if counted == YIELD else "proven"
+
+
 def _redesigned(result: Tolerance, found: Robust) -> Table:
-    title = f"Made least: the largest error with {found.counted}"
     columns = [("", "left"), ("best as drawn", "right"), ("robust", "right"), ("", "left")]
-    table = grid(title, columns, header=True)
+    table = grid(made(found.counted), columns, header=True)
     for name, value in found.free.items():
         before, unit = inhabited(name, found.nominal[name])
         table.add_row(name, fixed(before), Text(fixed(inhabited(name, value)[0]), style=HEAD), unit)
@@ -69,9 +75,9 @@ def _redesigned(result: Tolerance, found: Robust) -> Table:
             ends = (percent(carlo.interval[end]) for carlo in (best, own))
             table.add_row(Text(name, style=QUIET), *(Text(text, style=QUIET) for text in ends), Text(SURE, style=QUIET))
     failed = ", ".join(check.name for check in found.result.validation.checks if not check.passed)
-    word = Text("proven" if found.valid else f"not proven: {failed}", style=GOOD if found.valid else BAD)
+    word = Text(proven(found.counted) if found.valid else f"not proven: {failed}", style=GOOD if found.valid else BAD)
     if result.beaten:
-        word.append("\nThe best as drawn yields more within this limit: build that one.", style=BAD)
+        word.append("\nThe best as drawn yields more within this limit: build that one, or search --robust yield.", style=BAD)
     table.caption = word
     table.caption_justify = "left"
     return table

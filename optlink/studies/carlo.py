@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.design.tolerances import Deviation
+from optlink.studies.nominal import Nominal
 from optlink.studies.sampling import drawn, wilson
 
 if TYPE_CHECKING:
@@ -107,11 +108,8 @@ def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | 
     sums = np.zeros((4, angles))
     least, most = np.full(angles, math.inf), np.full(angles, -math.inf)
     stuck = good = linear = done = 0
-    rows = max(1, PORTION // angles)
     for batch in drawn(study.deviations, samples, seed):
-        for first in range(0, len(batch), rows):
-            part = batch[first : first + rows]
-            change = nominal.change(_by_size(study.deviations, part))
+        for part, change in _moved(nominal, study.deviations, batch):
             whole = np.isfinite(change).all(axis=1)
             if not whole.all():
                 stuck += int(np.sum(~whole))
@@ -148,6 +146,19 @@ def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | 
         linear=-1 if limit is None else linear,
         seconds=time.perf_counter() - begin,
     )
+
+
+def largest_errors(nominal: Nominal, deviations: Sequence[Deviation], batch: Array) -> Array:
+    """Largest size of what is judged, of linkages with deviations (samples, deviations) [SI]; nan where one sticks."""
+    return np.concatenate([np.max(np.abs(nominal.base + change), axis=1) for _, change in _moved(nominal, deviations, batch)])
+
+
+def _moved(nominal: Nominal, deviations: Sequence[Deviation], batch: Array) -> Iterator[tuple[Array, Array]]:
+    """Deviations in portions, and the change of what is judged that each makes."""
+    rows = max(1, PORTION // len(nominal.crank_angles))
+    for first in range(0, len(batch), rows):
+        part = batch[first : first + rows]
+        yield part, nominal.change(_by_size(deviations, part))
 
 
 def _by_size(deviations: Sequence[Deviation], batch: Array) -> dict[str, Array]:

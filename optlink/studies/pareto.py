@@ -32,7 +32,7 @@ from optlink.studies.machines import Designing
 from optlink.studies.reoptimise import CHUNK, SLOW_CHUNK, Reoptimising, buildable, check_backend
 from optlink.studies.sweep import Folder
 from optlink.studies.tasks import Sweeping
-from optlink.studies.walks import NoEnd, searches, stated, walks
+from optlink.studies.walks import NoEnd, Walks
 from optlink.units import KINDS, factor
 from optlink.version import VERSION
 from optlink.workflow import solve
@@ -184,17 +184,16 @@ def pareto(
         raise InputError(Fault(message, remedy, problem.file, OPTION, objectives))
     count = _points(points, len(aims) - 1)
     check_backend(backend)
-    fixed = stated(problem, aims, first, count)
-    shape = [len(fixed[k].values) if k in fixed else count for k in range(len(aims)) if k != first]
-    _most(shape)
+    walks = Walks(problem, aims, first, count, backend)
+    _most(walks.shape)
     run(Sweeping(**Sweeping.stated(problem), grid=Grid(()), chunk=1), (), engine, workers, scheduler)  # raises if it cannot
     keep = Folder() if out is None else None
     place = keep.path if keep is not None else Path(str(out))
     store = Store(place, _about(problem, aims, count, backend), resume=resume)
-    ahead = searches(aims, first, fixed, machined=problem.machined)
-    once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(shape)))
+    ahead = walks.searches
+    once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(walks.shape)))
     try:
-        base, grid, anchors = walks(problem, aims, first, fixed, count, backend, once)
+        base, grid, anchors = walks.found(once)
     except NoEnd:
         store.withdraw()
         raise

@@ -19,6 +19,7 @@ from optlink.errors import Fault, InputError
 from optlink.studies.stated import stated
 from optlink.workflow import Result, solve, validate
 
+YIELD = "yield"
 STEPS, CLOSE = 12, 1e-5  # of the search for most standard deviations, and the share to which the limit is met
 LEVEL = 1e-12  # rad per standard deviation; where they change nothing, any number keeps the limit
 
@@ -27,13 +28,14 @@ LEVEL = 1e-12  # rad per standard deviation; where they change nothing, any numb
 class Robust:
     """A robust design, `result`, and the best as drawn, `nominal` [SI]; `before` [rad]: what was made least, of the latter.
 
-    `sigmas`: how many standard deviations count, None: the worst case.
+    `sigmas`: how many standard deviations count, None: the worst case; `by_yield`: the yield was made most instead.
     """
 
     result: Result
     nominal: Mapping[str, float]
     sigmas: float | None
     before: float
+    by_yield: bool = False
 
     @property
     def design(self) -> Mapping[str, float]:
@@ -42,7 +44,7 @@ class Robust:
 
     @property
     def value(self) -> float:
-        """What was made least [rad]."""
+        """What was made least [rad]; the largest error as drawn where that was not."""
         return self.result.objective
 
     @property
@@ -52,7 +54,9 @@ class Robust:
 
     @property
     def counted(self) -> str:
-        """What is added to the size of the error, in words."""
+        """What is added to the size of the error, in words; or that the yield counts."""
+        if self.by_yield:
+            return YIELD
         return "the worst case" if self.sigmas is None else f"{self.sigmas:.4g} standard deviations"
 
     @property
@@ -93,7 +97,7 @@ def robust(
     """
     if sigmas is not None and not 0.0 <= sigmas <= MOST:
         raise InputError(Fault("out of range", 'Give 0 to 100 standard deviations, or "worst"', key="--robust", value=sigmas))
-    return _Redesign(problem, tolerances, shape, backend).least(sigmas)
+    return Redesign(problem, tolerances, shape, backend).least(sigmas)
 
 
 def safest(
@@ -106,7 +110,7 @@ def safest(
     InputError
         as `robust`; where no design keeps the limit even as drawn.
     """
-    redesign = _Redesign(problem, tolerances, shape, backend)
+    redesign = Redesign(problem, tolerances, shape, backend)
     before = redesign.least(0.0)
     if before.value > limit:
         least = f"{math.degrees(before.value):.4g} deg"
@@ -122,8 +126,8 @@ def safest(
     return here
 
 
-class _Redesign:
-    """Searches robust designs of one problem, from its best design as drawn."""
+class Redesign:
+    """Searches robust designs of one problem, from its best design as drawn, `nominal` [SI]; `problem`: with its tolerances."""
 
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str, backend: str) -> None:
         if not isinstance(problem.model, DesignProblem):

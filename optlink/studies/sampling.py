@@ -63,20 +63,20 @@ def read_yield(text: str) -> float:
 
 
 def read_sigmas(text: str) -> float | str:
-    """A number of standard deviations, or "worst", or "margin"; as problem files have it, "3 sigma" and "worst case", too.
+    """A number of standard deviations, or "worst", "margin" or "yield"; also as problem files have it, "3 sigma", "worst case".
 
     Raises
     ------
     InputError
     """
     word = text.strip().removesuffix(" case")
-    if word in ("worst", "margin"):
+    if word in ("worst", "margin", "yield"):
         return word
     try:
         return float(text.strip().removesuffix("sigma"))
     except ValueError:
         raise InputError(
-            Fault("no number of standard deviations", "Write 3, or worst, or margin", key="--robust", value=text)
+            Fault("no number of standard deviations", "Write 3, or worst, margin or yield", key="--robust", value=text)
         ) from None
 
 

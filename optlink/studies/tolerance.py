@@ -189,7 +189,7 @@ def tolerance(
     wanted : share of the linkages that shall keep the limit, optional
         The loosest tolerances that do are searched; see `optlink.studies.allocation`.
     costs : mapping of a tolerance's name to its cost coefficient; that of the file, or 1, where none is given
-    robust : number of standard deviations, "worst", or "margin" (as many as keep the limit), optional
+    robust : number of standard deviations, "worst", "margin" (as many as keep the limit) or "yield" (most that keep it), optional
         Judge the design that is best with its scatter, and the best as drawn beside it; see `optlink.studies.robust`.
 
     Raises
@@ -205,12 +205,16 @@ def tolerance(
         from optlink.studies import robust as redesign
 
         allowed = _limit(limit, angular=True)
-        if robust != MARGIN:
+        if robust not in (MARGIN, redesign.YIELD):
             again = redesign.robust(problem, tolerances, None if robust == WORST else float(robust), shape=shape)
         elif allowed is None:
-            raise InputError(Fault("a margin needs a limit", 'Add for example --limit "0.5 deg"', key="--robust"))
-        else:
+            raise InputError(Fault(f"a {robust} needs a limit", 'Add for example --limit "0.5 deg"', key="--robust"))
+        elif robust == MARGIN:
             again = redesign.safest(problem, tolerances, allowed, shape=shape)
+        else:
+            from optlink.studies.most_yield import most_yield
+
+            again = most_yield(problem, tolerances, allowed, samples or SAMPLES, seed, shape=shape)
         file, design = again.result.problem, again.free  # with the assembly mode that was found
     nominal = drawing(file, output, crank_angles, design)
     deviations = read_deviations(problem, nominal, tolerances, shape)

@@ -20,7 +20,7 @@ from optlink.report.studied import Studied, figures_of, turning
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, WANTED
 from optlink.report.terminal import BAD, GOOD, HEAD, grid, number
 from optlink.report.terminal import QUIET as DIM
-from optlink.report.tolerances import percent
+from optlink.report.tolerances import made, percent, proven
 from optlink.studies.tolerance import SCHEMA
 from optlink.workflow import people
 
@@ -285,7 +285,7 @@ def _allocated(file: ProblemFile, found: Toleranced, record: Record) -> Table:
 
 
 def _redesigned(file: ProblemFile, found: Toleranced, record: Record) -> Table:
-    title = f"Made least: the largest error with {record.text('counted')}"
+    title = made(record.text("counted"))
     table = grid(title, [("", "left"), ("best as drawn", "right"), ("robust", "right"), ("", "left")], header=True)
     now, before = record.figures("design_SI"), record.figures("nominal_design_SI")
     for name in file.model.free:
@@ -298,7 +298,9 @@ def _redesigned(file: ProblemFile, found: Toleranced, record: Record) -> Table:
     if record.has("monte_carlo_of_the_nominal_design") and found.sampled is not None and math.isfinite(found.sampled.share):
         other = _sampled(record.record("monte_carlo_of_the_nominal_design"), len(found.degrees))
         table.add_row("yield", percent(other.share), Text(percent(found.sampled.share), style=HEAD), "")
-    table.caption = Text("proven" if record.flag("valid") else "not proven", style=GOOD if record.flag("valid") else BAD)
+    table.caption = Text(
+        proven(record.text("counted")) if record.flag("valid") else "not proven", style=GOOD if record.flag("valid") else BAD
+    )
     return table
 
 
