@@ -7,7 +7,7 @@ objective that is the largest over the cycle, that largest value. Rows hold at t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -62,6 +62,8 @@ class CycleNLP(NLP):
     level_symbols: Any = None
     slots: int = 0  # of roaming positions, all strokes together
     roamed: tuple[Any, ...] = ()  # signals there
+    nodes: int = 0  # per revolution
+    scales: tuple[float, tuple[float, ...]] = (1.0, ())  # what counts as one: length [m]; each term of the objective [SI]
 
     @cached_property
     def _levels(self) -> Compiled:
@@ -114,7 +116,12 @@ class CycleNLP(NLP):
 
 
 def build_cycle(
-    trace: Trace, structure: Structure, start: Mapping[str, float], nodes: int = NODES, slots: int | None = None
+    trace: Trace,
+    structure: Structure,
+    start: Mapping[str, float],
+    nodes: int = NODES,
+    slots: int | None = None,
+    scales: tuple[float | None, Sequence[float]] = (None, ()),
 ) -> CycleNLP:
     """Trace a problem into a nonlinear programme.
 
@@ -129,12 +136,14 @@ def build_cycle(
         Positions per revolution.
     slots : int, optional
         Roaming positions per stroke.
+    scales : length [m] and a number [SI] for each term of the objective, optional
+        What counts as one: the longest length of the file; what the file says of the term, else its figure at the start.
     """
     problem = trace.problem
     roaming = min(max(ROAMING // max(1, trace.cuts(structure)), SLOTS[0]), SLOTS[1]) if slots is None else slots
     integral = any(term.integral for term in trace.terms)
     with tracing():
-        parts = Parts(trace, structure, start, nodes if integral else nodes // 2, roaming)
+        parts = Parts(trace, structure, start, nodes if integral else nodes // 2, roaming, scales[0])
         x, p, events, count = parts.x, parts.p, len(structure.which), len(parts.free)
         figures = [casadi.SX(0.0) if goal.extreme else parts.figure(goal) for goal in parts.goals]
         tops = [parts.heights(goal, 1.0) if goal.extreme else figure for goal, figure in zip(parts.goals, figures, strict=True)]
@@ -145,7 +154,7 @@ def build_cycle(
         found = [float(np.max(value)) for value in Compiled([x, p], tops)(at, p_start)]
         courses = Compiled([x, p], [parts.natural(goal) for goal in parts.goals])
         naturals = [float(np.max(value)) for value in courses(at, p_start)]
-        sizes = [
+        sizes = list(scales[1]) or [
             scale or (abs(value) if abs(value) > ROUNDING * natural else natural) or 1.0
             for scale, value, natural in zip(problem.scales, found, naturals, strict=True)
         ]
@@ -191,6 +200,7 @@ def build_cycle(
         g_expression=casadi.vertcat(*[row.value for row in parts.rows]),
         residual_expression=f * worth,
         exact=0.0,
+        constants=tuple(parts.constants),
         helpers=frozenset(helpers),
         states=frozenset({EVENT, *(v.name for v in parts.variables[count : count + events])}),
         trace=trace,
@@ -200,4 +210,6 @@ def build_cycle(
         level_symbols=tuple(heights),
         slots=parts.slots,
         roamed=tuple(parts.roamed),
+        nodes=nodes,
+        scales=(parts.size, tuple(sizes)),
     )

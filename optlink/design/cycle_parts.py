@@ -95,10 +95,18 @@ def people_scale(kind: str, unit: str, size: float) -> Scale:
 class Parts:
     """The expressions of a programme, part by part."""
 
-    def __init__(self, trace: Trace, structure: Structure, start: Mapping[str, float], nodes: int, roaming: int) -> None:
+    def __init__(
+        self,
+        trace: Trace,
+        structure: Structure,
+        start: Mapping[str, float],
+        nodes: int,
+        roaming: int,
+        size: float | None = None,
+    ) -> None:
         self.trace, self.structure, self.problem = trace, structure, trace.problem
         problem = self.problem
-        self.size = size_of(problem)
+        self.size = size_of(problem) if size is None else size
         self.free = problem.free
         self.fixed = tuple(name for name in problem.quantities if name not in self.free)
         self.goals = problem.goals
@@ -109,16 +117,16 @@ class Parts:
         self.variables = [variable_of(name, problem.quantities[name], self.size) for name in self.free]
         self.variables += [Variable(f"{EVENT} {k + 1}", 1.0, DEGREES) for k in range(events)]
         self.variables += [Variable(f"{goal.words} {k + 1}", 1.0, PLAIN) for k, goal in enumerate(self.epigraphs)]
-        constants = [variable_of(name, problem.quantities[name], self.size) for name in self.fixed]
+        self.constants = [variable_of(name, problem.quantities[name], self.size) for name in self.fixed]
         self.x = casadi.SX.sym("x", len(self.variables))
         self.roaming, self.slots = roaming, self.strokes * roaming
         self.p = casadi.SX.sym("p", 1 + len(self.fixed) + self.slots)
         self.values: dict[str, Any] = {v.name: v.size * self.x[i] for i, v in enumerate(self.variables[: len(self.free)])}
-        self.values |= {v.name: v.size * self.p[1 + i] for i, v in enumerate(constants)}
+        self.values |= {v.name: v.size * self.p[1 + i] for i, v in enumerate(self.constants)}
         self.known = casadi.vertcat(*[self.values[name] for name in trace.names])
         self.events = [self.x[len(self.free) + k] for k in range(events)]
         self.levels = [self.x[len(self.free) + events + k] for k in range(len(self.epigraphs))]
-        self.x_fixed = [problem.quantities[v.name].value / v.size for v in constants]
+        self.x_fixed = [problem.quantities[v.name].value / v.size for v in self.constants]
         self.start = dict(start)
         self.rows: list[Row] = []
         self._cut(nodes)

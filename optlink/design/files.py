@@ -52,11 +52,8 @@ class ProblemFile:
         """
         if isinstance(self.model, DesignProblem):
             return self.model
-        raise InputError(
-            Fault(
-                "the problem has no [requirement], so there is nothing to solve", "Use `optlink analyze`, or add one", self.file
-            )
-        )
+        remedy = "Add one, or use `optlink analyze`, `study sweep --analyze`, `study sensitivity --output NAME`"
+        raise InputError(Fault("the problem has no [requirement], so there is nothing to solve", remedy, self.file))
 
     @property
     def generated(self) -> bool:

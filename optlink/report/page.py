@@ -101,7 +101,7 @@ def _known(part: Table | Text) -> bool:
 def sensitivities_of(subject: Subject) -> Sensitivities | None:
     """How the optimum answers to what is given; None where none was searched, or where nothing is left to gain."""
     outcome = subject.outcome
-    if isinstance(outcome, Result):
+    if isinstance(outcome, Result | MachineDesign):
         file, solution = outcome.problem, outcome.solution
     elif isinstance(outcome, Generation) and outcome.best is not None and not designs.exact(outcome.best):
         file, solution = outcome.best.problem, outcome.best.solution

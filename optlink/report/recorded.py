@@ -24,7 +24,7 @@ from optlink.generated import SCHEMA as GENERATION
 from optlink.generated import Design, Generation
 from optlink.generation import variants_of
 from optlink.machine_design import check_machine
-from optlink.report.resolved import generated_optimum, law_optimum
+from optlink.report.resolved import generated_optimum, law_optimum, machine_optimum
 from optlink.report.results.found import problem_of
 from optlink.report.results.record import AGAIN, Record, read
 from optlink.report.subject import Outcome, Subject, subject_of
@@ -86,6 +86,8 @@ def _solved(outcome: Outcome) -> Outcome:
     """An outcome whose optimum is a solution of its programme again."""
     if isinstance(outcome, Result) and outcome.status is Status.OPTIMAL:
         return replace(outcome, solution=law_optimum(outcome.problem, outcome.design))
+    if isinstance(outcome, MachineDesign) and outcome.status is Status.OPTIMAL:
+        return replace(outcome, solution=machine_optimum(outcome.problem, outcome.values))
     if isinstance(outcome, Generation) and outcome.designs and outcome.designs[0].status is Status.OPTIMAL:
         return replace(outcome, designs=(generated_optimum(outcome.designs[0]), *outcome.designs[1:]))
     return outcome
@@ -97,7 +99,12 @@ def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Sub
     values = {name: value * _size(file, name, units.text(name)) for name, value in record.figures("design").items()}
     if missing := [name for name in file.model.free if name not in values]:
         raise record.fault(f"design.{missing[0]}", "this is missing")
-    if file.generated:
+    outcome: Outcome
+    if file.machined:
+        known = {name: values[name] for name in file.model.free}
+        outcome = _solved(replace(check_machine(file, known), status=Status.OPTIMAL))
+        problem, solution = file, outcome.solution if isinstance(outcome, MachineDesign) else None
+    elif file.generated:
         from optlink.generation import validate as check
 
         outcome = _solved(_optimum(check(file, values)))

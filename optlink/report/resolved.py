@@ -33,6 +33,25 @@ def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | No
     return None if found is None else _same(found, found.nlp.x_of(dict(design)))
 
 
+def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution | None:
+    """The optimum of a machine that is designed by its cycle, at free sizes [SI]; None where they are none.
+
+    The positions of its peaks belong to the programme: it is searched from the optimum, and must stay there.
+    """
+    from optlink.design.cycle_nlp import CycleNLP
+    from optlink.machine_design import design_machine
+    from optlink.solvers import search
+    from optlink.studies.machines import restarted
+
+    found = design_machine(restarted(file, values), search.BACKENDS[-1], starts=1).solution
+    if found is None or found.status is not Status.OPTIMAL:
+        return None
+    assert isinstance(found.nlp, CycleNLP)
+    count = len(found.nlp.free)
+    away = found.x[:count] - found.nlp.x_of(values)[:count]
+    return found if float(np.max(np.abs(away))) <= SAME else None
+
+
 def generated_optimum(design: Design) -> Design:
     """A design for points, poses or a function with the solution that it is, if it is one."""
     from optlink.design.generation_nlp import angle_name, build_generation

@@ -12,7 +12,7 @@ from optlink.report.style import FOUND, LIMIT, QUIET, figure, heading, save, sty
 from optlink.report.whatif import step
 from optlink.studies.sensitivity import Sensitivities
 
-MANY = 14  # bars
+MANY, SEEN = 14, 1e-3  # bars, and the share of the longest that the shortest has
 
 
 def write_all(result: Sensitivities, folder: Path) -> list[Path]:
@@ -45,7 +45,8 @@ def write_table(result: Sensitivities, path: Path) -> None:
 @styled
 def tornado(result: Sensitivities) -> Figure:
     """Bars of the change of the objective by one step of each parameter, up and down."""
-    rows = result.moving[:MANY]
+    least = SEEN * max(abs(row.effect) for row in result.moving)
+    rows = [row for row in result.moving if abs(row.effect) >= least][:MANY]
     base = result.solution.objective
     relative = base > 0.0
     drawn = figure(8.0, 1.5 + 0.5 * len(rows))

@@ -16,12 +16,16 @@ from optlink.studies.sweep import Sweep
 
 AGREES = 1e-5  # share by which exact and searched derivatives may differ
 SHOWN = 12  # changes of the active set
+FEW = 4  # sizes that a table has a column each for
+MOVERS = 2  # of more sizes, those that are told
 
 
 def step(row: Sensitivity) -> str:
     """The change by which effects are compared, in words."""
     p = row.parameter
-    return "1 deg" if p.unit == "deg" else "1 %"
+    if p.unit == "deg":
+        return "1 deg"
+    return "1 %" if p.value else f"{p.step:g} {p.unit}".rstrip()
 
 
 def sensitivities(result: Sensitivities) -> RenderableType:
@@ -34,16 +38,10 @@ def sensitivities(result: Sensitivities) -> RenderableType:
     found.add_row("objective", Text(number(result.solution.objective), style=HEAD), result.unit)
     for name, value in result.values.items():
         found.add_row(name, Text(fixed(value), style=HEAD), result.units[name])
-    table = grid(
-        "What a change of what is given does, largest effect first",
-        [
-            ("given", "left"),
-            ("change", "right"),
-            ("objective", "right"),
-            *((f"{name}\n[{result.units[name]}]", "right") for name in names),
-        ],
-        header=True,
-    )
+    few = len(names) <= FEW
+    each = [(f"{name}\n[{result.units[name]}]", "right") for name in names] if few else [("moves most", "left")]
+    columns = [("given", "left"), ("change", "right"), ("objective", "right"), *each]
+    table = grid("What a change of what is given does, largest effect first", columns, header=True)
     for row in result.moving:
         p = row.parameter
         share = row.effect / result.solution.objective if result.solution.objective else math.nan
@@ -51,7 +49,7 @@ def sensitivities(result: Sensitivities) -> RenderableType:
             p.name,
             f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}",
             Text(_percent(share), style=GOOD if row.effect < 0.0 else ""),
-            *(_signed(row.design[name] * p.step) for name in names),
+            *([_signed(row.design[name] * p.step) for name in names] if few else [_movers(result, row)]),
         )
     parts: list[RenderableType] = [title, Text(), found, Text()]
     if result.moving:
@@ -66,6 +64,16 @@ def sensitivities(result: Sensitivities) -> RenderableType:
         line = Text.assemble(("\nSearched again on both sides of each: ", QUIET), (f"largest difference {result.gap:.1e}", style))
         parts.append(line)
     return Group(*parts)
+
+
+def _movers(result: Sensitivities, row: Sensitivity) -> str:
+    """The sizes that answer most to a change, as shares of themselves."""
+    sizes = {name: abs(result.values[name]) or 1.0 for name in row.design}
+    order = sorted(row.design, key=lambda name: -abs(row.design[name]) / sizes[name])
+    told = [
+        f"{name} {_signed(row.design[name] * row.parameter.step)}\u00a0{result.units[name]}" for name in order if row.design[name]
+    ]
+    return ", ".join(told[:MOVERS])
 
 
 def _prices(result: Sensitivities) -> Table:

@@ -138,11 +138,7 @@ def _polished(nlp: CycleNLP, x: Array, found: Peaks, radius: float) -> Solution 
 def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = "slsqp") -> Solution | None:
     """The optimum within a radius, the places of the peaks among the unknowns; None where there is none."""
     n, count = len(nlp.variables), len(nlp.free)
-    key = f"following {found.inner}"
-    if key not in nlp.cache:
-        nlp.cache[key] = following(nlp, found.inner)
-    moving = nlp.cache[key]
-    start = np.concatenate([x, [found.shares[slot] for slot, _ in found.inner]])
+    moving, start = _moving(nlp, x, found)
     low, high = np.maximum(nlp.x_low, x - radius), np.minimum(nlp.x_high, x + radius)
     for i in range(len(start)):
         if i < count or i >= n:
@@ -160,6 +156,32 @@ def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = 
         if near.status is Status.OPTIMAL or attempt is end:
             return near
     return None
+
+
+def sharpened(nlp: CycleNLP, solution: Solution) -> Solution:
+    """The same optimum to its last digits, by Newton's method with the places of the peaks among the unknowns."""
+    n, found = len(nlp.variables), peaks(nlp, solution.x)
+    nlp.roam(found.shares)
+    moving, start = _moving(nlp, nlp.lifted(solution.x), found)
+    end = polish(moving, Attempt(start, solution.iterations, solution.message), search.scaled(moving, start))
+    shares = found.shares.copy()
+    shares[[slot for slot, _ in found.inner]] = end.x[n:]
+    nlp.roam(shares)
+    near = _examined(nlp, replace(end, x=nlp.lifted(end.x[:n])))
+    return near if near.status is Status.OPTIMAL else solution
+
+
+def _moving(nlp: CycleNLP, x: Array, found: Peaks) -> tuple[NLP, Array]:
+    """The programme with the places of inner peaks as unknowns, made once for each set of them, and where it begins."""
+    key = f"following {found.inner}"
+    if key not in nlp.cache:
+        nlp.cache[key] = following(nlp, found.inner)
+    moving: NLP = nlp.cache[key]
+    count = len(found.inner)
+    for i, (low, high) in enumerate(zip((*nlp.x_low, *[0.0] * count), (*nlp.x_high, *[1.0] * count), strict=True)):
+        moving.limit(i, low, upper=False)
+        moving.limit(i, high, upper=True)
+    return moving, np.concatenate([x, [found.shares[slot] for slot, _ in found.inner]])
 
 
 def following(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> NLP:

@@ -22,7 +22,13 @@ QUIET = {
 interpreter from the chunk that it computes: 8 % of its time."""
 
 
-def _distributed() -> tuple[Any, Any]:
+def installed() -> tuple[Any, Any]:
+    """The packages dask and distributed.
+
+    Raises
+    ------
+    InputError
+    """
     try:
         import dask
         import distributed
@@ -36,7 +42,7 @@ def on_cluster(
     task: Task, todo: Iterable[int], workers: int, scheduler: str | None, patience: float = PATIENCE
 ) -> Iterator[tuple[int, Answer]]:
     """As `optlink.studies.engine.run`; a chunk whose worker dies is done again on another one."""
-    dask, distributed = _distributed()
+    dask, distributed = installed()
     cluster = None
     if scheduler is None:
         with dask.config.set(QUIET):

@@ -31,6 +31,26 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def check(engine: str, workers: int | None, scheduler: str | None) -> None:
+    """Make sure that chunks can be done so; see `run`.
+
+    Raises
+    ------
+    InputError
+        unknown engine, Dask not installed, a number of workers that is none.
+    """
+    if engine not in ENGINES:
+        raise InputError(Fault("unknown engine", nearest(engine, ENGINES), key="--engine", value=engine))
+    if workers is not None and not 1 <= workers <= MAX_WORKERS:
+        raise InputError(Fault("out of range", f"Give 1 to {MAX_WORKERS} processes", key="--workers", value=workers))
+    if scheduler is not None and engine != "dask":
+        raise InputError(Fault("only the engine dask has a scheduler", "Add --engine dask", key="--scheduler", value=scheduler))
+    if engine == "dask":
+        from optlink.studies.cluster import installed
+
+        installed()
+
+
 def run(
     task: Task, todo: Iterable[int], engine: str = "local", workers: int | None = None, scheduler: str | None = None
 ) -> Iterator[tuple[int, Answer]]:
@@ -53,12 +73,7 @@ def run(
     SolverError
         where a chunk breaks down.
     """
-    if engine not in ENGINES:
-        raise InputError(Fault("unknown engine", nearest(engine, ENGINES), key="--engine", value=engine))
-    if workers is not None and not 1 <= workers <= MAX_WORKERS:
-        raise InputError(Fault("out of range", f"Give 1 to {MAX_WORKERS} processes", key="--workers", value=workers))
-    if scheduler is not None and engine != "dask":
-        raise InputError(Fault("only the engine dask has a scheduler", "Add --engine dask", key="--scheduler", value=scheduler))
+    check(engine, workers, scheduler)
     if engine == "dask":
         from optlink.studies.cluster import on_cluster
 

@@ -17,8 +17,8 @@ SHARE = 0.01
 class Parameter:
     """One number that is given.
 
-    `value` in `unit`; `constant`: its place among the fixed quantities of the programme, -1 for a limit; `entries`: those of x,
-    then of the rows, whose lower or `upper` bound it is (both where it is a wanted value: `equal`).
+    `value` in `unit`; `constant`: its place among the fixed quantities of the programme, -1 if it is none of them; `entries`:
+    those of x, then of the rows, whose lower or `upper` bound it is (both where it is a wanted value: `equal`).
     """
 
     key: str
@@ -31,6 +31,11 @@ class Parameter:
     upper: bool = False
     equal: bool = False
     stated: bool = True  # whether the problem file holds this number, so that it can be changed there
+
+    @property
+    def kind(self) -> str:
+        """What it is, in words."""
+        return "limit" if self.entries else "fixed quantity"
 
     @property
     def step(self) -> float:
@@ -59,7 +64,7 @@ def parameters(nlp: NLP) -> list[Parameter]:
     Rows that share a limit and a label are one limit, with one bound.
     """
     found = [
-        Parameter(key_of(c.name), c.name, c.scale.people(float(nlp.p[1 + i])), c.scale.unit, c.scale, constant=i)
+        Parameter(key_of(c.name), c.name, _told(c.scale.people(float(nlp.p[1 + i]))), c.scale.unit, c.scale, constant=i)
         for i, c in enumerate(nlp.constants)
     ]
     n = len(nlp.variables)
@@ -79,5 +84,12 @@ def parameters(nlp: NLP) -> list[Parameter]:
             stated = entry < n or (key.startswith("limits.") and key != "limits.crank")
             bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if entry < n else name
             whole = f"{key}.{side}" if side and stated else key
-            limits[mark] = Parameter(whole, bounds, scale.people(bound), scale.unit, scale, -1, (entry,), upper, not side, stated)
+            limits[mark] = Parameter(
+                whole, bounds, _told(scale.people(bound)), scale.unit, scale, -1, (entry,), upper, not side, stated
+            )
     return found + list(limits.values())
+
+
+def _told(value: float) -> float:
+    """A number that was scaled to and fro, without the digits that this left."""
+    return float(f"{value:.14g}")

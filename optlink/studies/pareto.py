@@ -27,7 +27,7 @@ from optlink.front import ends, knee, undominated
 from optlink.studies.aims import OPTION, Aim, asked, cycle_figures, law_figure, read_aims, tightest
 from optlink.studies.axes import Grid
 from optlink.studies.chunks import Progress, Store
-from optlink.studies.engine import run
+from optlink.studies.engine import check
 from optlink.studies.machines import Designing
 from optlink.studies.reoptimise import CHUNK, SLOW_CHUNK, Reoptimising, buildable, check_backend
 from optlink.studies.sweep import Folder
@@ -186,7 +186,7 @@ def pareto(
     check_backend(backend)
     walks = Walks(problem, aims, first, count, backend)
     _most(walks.shape)
-    run(Sweeping(**Sweeping.stated(problem), grid=Grid(()), chunk=1), (), engine, workers, scheduler)  # raises if it cannot
+    check(engine, workers, scheduler)
     keep = Folder() if out is None else None
     place = keep.path if keep is not None else Path(str(out))
     store = Store(place, _about(problem, aims, count, backend), resume=resume)

@@ -9,6 +9,7 @@ import csv
 import hashlib
 import io
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -45,7 +46,7 @@ def _tuples(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Sweeping:
+class Sweeping(ABC):
     """What every chunk needs to know: the problem as written, the grid, and how many points a chunk has."""
 
     raw: Mapping[str, Any]
@@ -115,13 +116,13 @@ class Sweeping:
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
+    @abstractmethod
     def columns(self) -> list[str]:
         """Names of the columns."""
-        raise NotImplementedError
 
+    @abstractmethod
     def lines(self, index: int) -> list[list[str]]:
         """Rows of a chunk."""
-        raise NotImplementedError
 
     def __call__(self, index: int) -> str:
         """A chunk as lines of CSV."""
