@@ -16,6 +16,7 @@ from optlink.studies.sweep import Sweep
 
 AGREES = 1e-5  # share by which exact and searched derivatives may differ
 SHOWN = 12  # changes of the active set
+TINY = 5e-6  # share that three decimals of a percentage do not show
 FEW = 4  # sizes that a table has a column each for
 MOVERS = 2  # of more sizes, those that are told
 
@@ -102,7 +103,10 @@ def _end(end: End) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{share:+.3%}".replace("%", " %") if math.isfinite(share) else "-"
+    if not math.isfinite(share):
+        return "-"
+    tiny = 0.0 < abs(share) < TINY
+    return f"{100.0 * share:+.1e} %" if tiny else f"{share:+.3%}".replace("%", " %")
 
 
 def _signed(value: float) -> str:
