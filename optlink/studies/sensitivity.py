@@ -30,9 +30,8 @@ SCHEMA = "optlink/sensitivity/1"
 SMALL = 1e-2  # of the objective, by a change of the parameter by itself: where less changes, gaps are shares of this
 SLIGHT = 1e-3  # the same of the design
 ROUNDING = 1e-13  # share of the objective, or of a change in scaled units, that is none
-STEP = 3e-5  # of the value, by which the check solves again to either side
-NEAR_END = 0.4  # share of the range of validity that such a step may use ...
-CURVED_END = 0.02  # ... of a machine, whose figures bend more
+STEP, ROOM = 3e-5, 0.4  # of the value, by which the check solves again to either side, and of the range of validity at most
+MACHINE_STEP, MACHINE_ROOM = 3e-4, 0.02  # the same of a machine: its sizes are found less exactly, its figures bend more
 
 
 @dataclass(frozen=True)
@@ -245,7 +244,8 @@ def _searched_again(problem: ProblemFile, solution: Solution, row: Sensitivity, 
     parameter = row.parameter
     size = abs(parameter.value) or 1.0
     room = min(parameter.value - row.below.value, row.above.value - parameter.value)
-    step = min(STEP * size, (CURVED_END if problem.machined else NEAR_END) * room)
+    share, most = (MACHINE_STEP, MACHINE_ROOM) if problem.machined else (STEP, ROOM)
+    step = min(share * size, most * room)
     if step <= 1e-9 * size:
         return None
     again = searched_again if problem.machined else _moved
