@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -162,16 +163,35 @@ def refuse(options: Mapping[str, object], message: str, remedy: str, file: str |
 
 
 def places(csv: Path | None, out: Path | None) -> None:
-    """Make sure that results can be written before any work is done."""
+    """Make sure that results can be written before any work is done, and that they replace nothing of a sweep or a front."""
     from optlink.report.store import folder
 
     if csv is not None and csv.is_dir():
         remedy = "Give the name of a file, for example motion.csv"
         raise InputError(Fault("this is a folder", remedy, key="--csv", value=str(csv)))
     if out is not None:
+        _no_study(out)
         folder(out)
     if csv is not None:
         folder(csv.parent, "--csv")
+
+
+def _no_study(out: Path) -> None:
+    """Refuse a folder that holds a sweep or a front: its table would stay beside the result of something else."""
+    from optlink.studies.chunks import ABOUT
+
+    place = out / ABOUT
+    if not os.path.lexists(place):
+        return
+    try:
+        about = json.loads(place.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        about = None
+    problem = about.get("problem") if isinstance(about, dict) else None
+    whose = f" of {problem}" if isinstance(problem, str) else ""
+    what = "a front" if isinstance(about, dict) and "objectives" in about else "a sweep"
+    message = f"the folder holds {what}{whose}, and takes no other result"
+    raise InputError(Fault(message, "Choose another folder; nothing was overwritten", str(out), "--out"))
 
 
 @contextlib.contextmanager

@@ -5,12 +5,18 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from optlink import console
 from optlink.options import Json, Problem, Set, whole_number
+
+if TYPE_CHECKING:
+    from optlink.design.files import ProblemFile
+
+OUTPUT_SCHEMA = "optlink/output-sensitivity/1"
+AROUND = "0..330 deg:12"  # crank angles of an output where none are said
 
 Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="slsqp or ipopt.")]
 Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="local (processes) or dask.")]
@@ -46,8 +52,9 @@ def sensitivity(
         typer.Option(metavar="BODY|P.x", help="Instead: how an output angle or point answers to every size."),
     ] = None,
     angles: Annotated[
-        str, typer.Option("--angles", metavar="LIST", help='With --output, crank angles: "0 deg, 60 deg" or "0..330 deg:12".')
-    ] = "0..330 deg:12",
+        str | None,
+        typer.Option("--angles", metavar="LIST", help=f'With --output, crank angles: "0 deg, 60 deg" or "{AROUND}" (default).'),
+    ] = None,
     backend: Backend = "ipopt",
     starts: Annotated[int | None, typer.Option(metavar="N", help="Number of starts of the search.")] = None,
     seed: Annotated[int, typer.Option(metavar="S", help="Seed of the starts.")] = 0,
@@ -59,12 +66,17 @@ def sensitivity(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and the tornado.")] = None,
 ) -> None:
     """At the optimum: what each fixed size and each limit costs, how the design moves with it, and how far that holds."""
-    with console.reported(as_json):
+    with console.reported(as_json), console.made(out):
+        from optlink.studies.reoptimise import check_backend
+
         file = console.load(problem, changes)
-        console.places(None, out)
+        check_backend(backend)
         if output is not None:
-            _output(problem, file, output, angles, design, as_json)
+            remedy = "Leave --check out; it searches an optimum again"
+            console.refuse({"--check": check}, "no optimum is searched for the slopes of an output", remedy, file.file)
+            _output(file, output, AROUND if angles is None else angles, design, as_json, out)
             return
+        console.refuse({"--angles": angles}, "crank angles are those of an output", "Add for example --output rocker", file.file)
         if design:
             from optlink.errors import Fault, InputError
 
@@ -90,6 +102,8 @@ def _crank_angles(text: str) -> Any:
     from optlink.units import UnitProblem, factor
 
     remedy = 'Write for example "0 deg, 60 deg" or "0..330 deg:12"'
+    if not text.strip():
+        raise InputError(Fault("no crank angle is given", remedy, key="--angles", value=text))
     try:
         axis = read_axis(f"angles={text}")
         return np.asarray(axis.values) * factor(axis.unit, "angle")
@@ -98,36 +112,38 @@ def _crank_angles(text: str) -> Any:
         raise InputError(Fault(message, remedy, key="--angles", value=text)) from None
 
 
-def _output(name: str, file: object, output: str, angles: str, design: list[str] | None, as_json: bool) -> None:
+def _output(file: ProblemFile, output: str, angles: str, design: list[str] | None, as_json: bool, out: Path | None) -> None:
     """Derivatives of an output by every size."""
     import numpy as np
 
-    from optlink.design.files import ProblemFile
     from optlink.documents import finite, head
     from optlink.studies.outputs import output_sensitivity
-    from optlink.workflow import read_design
+    from optlink.workflow import read_design, solve
 
-    assert isinstance(file, ProblemFile)
     crank = _crank_angles(angles)
     sizes = {key: quantity.value for key, quantity in file.model.mechanism.quantities.items()}
-    if file.model.free and not design:
-        from optlink.workflow import solve
-
-        if not file.generated and not file.machined:
-            sizes |= {key: value for key, value in solve(file).design.items() if key in sizes}
-    elif design:
+    if design:
         sizes |= {key: value for key, value in read_design(file, design).items() if key in sizes}
+    elif file.model.free and not file.generated and not file.machined:
+        sizes |= {key: value for key, value in solve(file).design.items() if key in sizes}
     found = output_sensitivity(file.model.linkage, sizes, crank, output)
+    document = {
+        **head(OUTPUT_SCHEMA, file, "done"),
+        "output": found.name,
+        "unit": found.unit,
+        "sizes_SI": sizes,
+        "crank_angles_deg": np.degrees(crank),
+        "value": found.value,
+        "per_size_SI": dict(found.by),
+    }
+    if out is not None:
+        from optlink.report.store import write_csv, write_json
+
+        write_json(out / "result.json", finite(document))
+        columns = {f"per_{name}_SI": column for name, column in found.by.items()}
+        value = f"{found.name}_{found.unit}"
+        write_csv(out / "sensitivity.csv", {"crank_angle_deg": np.degrees(crank), value: found.value} | columns)
     if as_json:
-        document = {
-            **head("optlink/output-sensitivity/1", file, "done"),
-            "output": found.name,
-            "unit": found.unit,
-            "sizes_SI": sizes,
-            "crank_angles_deg": np.degrees(crank),
-            "value": found.value,
-            "per_size_SI": dict(found.by),
-        }
         console.print_json(finite(document))
         return
     from optlink.report import terminal, whatif
@@ -148,8 +164,8 @@ def sweep(
         typer.Option("--column", metavar="NAME", help="With --analyze: a column of the analysis. Repeatable."),
     ] = None,
     points: Annotated[
-        int, typer.Option(parser=whole_number, metavar="N", help="With --analyze: crank angles per revolution.")
-    ] = 360,
+        int | None, typer.Option(parser=whole_number, metavar="N", help="With --analyze: crank angles per revolution; 360.")
+    ] = None,
     design: Annotated[
         list[str] | None,
         typer.Option("--design", metavar="NAME=VALUE", help="With --analyze: what is free and not varied. Repeatable."),
@@ -178,6 +194,9 @@ def sweep(
             given = read_design(file, design, varied)
         if column and not analyze:
             raise InputError(Fault("columns are those of the analysis", "Add --analyze", key="--column", value=column[0]))
+        if not analyze:
+            remedy = "Add --analyze; how many values are swept is said in --vary KEY=LOW..HIGH UNIT:N"
+            console.refuse({"--points": points}, "crank angles are those of the analysis", remedy, file.file)
         with _points() as progress, _interruptible(out):
             result = run(
                 file,
@@ -186,7 +205,7 @@ def sweep(
                 resume=resume,
                 analyze=analyze,
                 columns=column or ("input.torque_Nm",),
-                points=points,
+                points=360 if points is None else points,
                 design=given,
                 backend=backend,
                 engine=engine,
@@ -246,13 +265,12 @@ def tolerance(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and pictures.")] = None,
 ) -> None:
     """How exact it must be built: worst case, scatter and yield for given tolerances, and the loosest that will do."""
-    with console.reported(as_json):
+    with console.reported(as_json), console.made(out):
         from optlink.errors import Fault, InputError
         from optlink.studies.sampling import read_costs, read_sigmas, read_yield
         from optlink.studies.tolerance import tolerance as run
 
         file = console.load(problem, changes)
-        console.places(None, out)
         given = None
         if design:
             from optlink.workflow import read_design

@@ -67,6 +67,7 @@ def test_start_of_the_file_is_the_given_shaper():
         assert start.figures[name] == pytest.approx(given.figures[name], rel=1e-8)
 
 
+@pytest.mark.slow
 def test_no_neighbour_that_meets_the_limits_is_better():
     """By the ordinary analysis alone: random steps, mended until stroke and time ratio hold, never improve."""
     result = shaper()

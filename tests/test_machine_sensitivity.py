@@ -98,8 +98,8 @@ def test_who_moves_the_pivot_moves_the_guide(pump):
     """Along the guide nothing changes; across it, what lies on the machine goes along."""
     assert pump["mechanism.ground.A.y"].design["G.y"] == pytest.approx(1.0, abs=1e-9)
     assert pump["mechanism.ground.A.x"].design["G.y"] == pytest.approx(-math.tan(math.radians(3.0)), rel=1e-9)
-    assert pump["mechanism.guides.G.x"].design["G.y"] == pytest.approx(math.tan(math.radians(3.0)), rel=1e-9)
-    for key in ("mechanism.ground.A.x", "mechanism.ground.A.y", "mechanism.guides.G.x"):
+    assert pump["mechanism.guides.G.through.x"].design["G.y"] == pytest.approx(math.tan(math.radians(3.0)), rel=1e-9)
+    for key in ("mechanism.ground.A.x", "mechanism.ground.A.y", "mechanism.guides.G.through.x"):
         assert abs(pump[key].objective) < 1e-9
         assert abs(pump[key].design["crank.length"]) < 1e-9
 
@@ -107,7 +107,7 @@ def test_who_moves_the_pivot_moves_the_guide(pump):
 def test_a_shaper_on_another_place_is_the_same(shaper):
     row = shaper["mechanism.ground.A.x"]
     assert row.design == pytest.approx({"C.x": 1.0} | dict.fromkeys(set(row.design) - {"C.x"}, 0.0), abs=1e-7)
-    assert not shaper["mechanism.guides.F.x"].moves
+    assert not shaper["mechanism.guides.F.through.x"].moves
     assert shaper.notes == ()  # though peaks lie on positions that the programme knows anyway
 
 
@@ -141,7 +141,7 @@ def test_every_figure_of_the_file_is_there(pump):
         "limits.room.max",
         "mechanism.ground.A.x",
         "mechanism.guides.G.direction",
-        "mechanism.guides.G.y.max",
+        "mechanism.guides.G.through.y.max",
         "mechanism.links.rod.length.min",
     }
     assert len(keys) == len(pump.rows)
@@ -175,3 +175,61 @@ def test_all_of_them_searched_again(name):
     for row in found.moving:
         assert row.check is not None
         assert row.check.gap < (1e-3 if name == "press-toggle" else 1e-5), row.parameter.key
+
+
+def test_every_key_can_be_set(pump, shaper):
+    """What is told can be tried: the value that stands there, under the key that stands there."""
+    for found in (pump, shaper):
+        for row in found.rows:
+            p = row.parameter
+            again = found.problem.override({p.key: f"{p.value!r} {p.unit}".strip() if p.unit else p.value})
+            assert again.model.free == found.problem.model.free
+
+
+def test_a_coordinate_has_a_key():
+    problem = optlink.load("shaper-design")
+    moved = problem.override({"mechanism.ground.A.x": "3 mm", "mechanism.ground.C.y.min": "-330 mm"}).model.quantities
+    assert moved["A.x"].value == pytest.approx(3e-3)
+    assert moved["C.y"].bounds == pytest.approx((-0.33, -0.18))
+    for key, words in (
+        ("mechanism.ground.A.z", "it has no z"),
+        ("mechanism.ground.A.along", "it has no along"),
+        ("mechanism.links.crank.joints.x", "it has no x"),
+        ("limits.guide.max.x", "it has no x"),
+    ):
+        with pytest.raises(InputError, match=words):
+            problem.override({key: "1 mm"})
+
+
+def changed(**changes):
+    return optlink.read(PUMP).override({key.replace("__", "."): value for key, value in changes.items()})
+
+
+def test_only_figures_are_figures():
+    """Not the digits in an expression, a file's name or a unit; of a table all values together."""
+    force = {"expression": "-20*v - 5*sin(phi)", "unit": "N"}
+    found = sensitivities(changed(loads__drag={"on": "ram", "force": force}), starts=1)
+    assert [row.parameter.key for row in found.rows if row.parameter.key.startswith("loads.")] == ["loads.pumping.force"]
+    table = {"over": "phi", "at": ["0 deg", "120 deg", "240 deg"], "values": ["0 N", "-60 N", "-20 N"]}
+    problem = changed(loads__gas={"on": "ram", "force": table})
+    row = sensitivities(problem, starts=1)["loads.gas.force.values"]
+    assert (row.parameter.value, row.parameter.unit) == (100.0, "%")
+    low, high = (
+        design_machine(
+            problem.override({"loads.gas.force.values": ["0 N", f"{-60 * share!r} N", f"{-20 * share!r} N"]}), starts=1
+        )
+        for share in (0.98, 1.02)
+    )
+    assert row.objective == pytest.approx((high.objective - low.objective) / 4.0, rel=1e-4)
+
+
+def test_one_per_cent_more_of_a_negative_speed_is_faster(pump):
+    row = sensitivities(changed(drive__speed="-150 rpm", limits__guide__max="400 N"), starts=1)["drive.speed"]
+    other = sensitivities(changed(limits__guide__max="400 N"), starts=1)["drive.speed"]
+    assert row.parameter.step == -other.parameter.step == -1.5
+    assert row.effect == row.objective * row.parameter.step
+
+
+def test_gravity_that_is_tilted_has_two_figures():
+    found = sensitivities(changed(gravity=["1 m/s^2", "-9.7 m/s^2"]), starts=1)
+    assert {"gravity.x", "gravity.y"} <= {row.parameter.key for row in found.moving}

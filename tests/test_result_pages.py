@@ -19,6 +19,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.report.recorded import KNOWN
 from optlink.report.results.opened import STUDIES, opened
+from optlink.report.results.record import LARGEST as LARGEST_NUMBER
 from optlink.report.sheet import LARGEST, Sheet
 from optlink.report.studied import Studied, _sheet, studied_page
 from tests.browser import browser, console, requests
@@ -554,3 +555,89 @@ def test_a_page_prints_its_points_without_sliders(driver, results, tmp_path):
         assert driver.find_element("css selector", "[data-pick]").is_displayed()
     finally:
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+@pytest.mark.parametrize("value", [-1e308, 1e200, 10**400, math.inf], ids=["low", "high", "whole", "endless"])
+@pytest.mark.parametrize(
+    "place", [("linear", "worst_high", 1), ("limit",), ("monte_carlo", "samples"), ("tolerances", 0, "tolerance_SI")]
+)
+def test_numbers_without_measure_are_refused_in_a_sentence(results, tmp_path, place, value):
+    told = at = document(results, "tolerance")
+    for step in place[:-1]:
+        at = at[step]
+    at[place[-1]] = value
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    done = run("report", str(tmp_path), "-o", str(tmp_path / "a.html"))
+    assert done.exit_code == 2
+    assert "the result is damaged" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_the_largest_numbers_that_are_shown_make_a_page(results, tmp_path):
+    told = document(results, "tolerance")
+    told["linear"]["worst_high"][1] = LARGEST_NUMBER
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    assert run("report", str(tmp_path), "-o", str(tmp_path / "a.html")).exit_code == 0
+
+
+def test_a_sensitivity_with_an_unknown_unit_is_damaged(results, tmp_path):
+    told = document(results, "sensitivity")
+    told["design_units"]["rocker"] = "x"
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    done = run("report", str(tmp_path), "-o", str(tmp_path / "a.html"))
+    assert done.exit_code == 2
+    assert 'design_units.rocker = "x": the result is damaged: the unit "x" is unknown' in done.stderr
+
+
+def test_a_table_with_numbers_without_measure_is_refused(results, tmp_path):
+    (tmp_path / "result.json").write_text(json.dumps(document(results, "sweep") | {"table": None}))
+    lines = (results / "sweep" / "sweep.csv").read_text().split("\n")
+    cells = lines[1].split(",")
+    cells[1] = "1e308"
+    (tmp_path / "sweep.csv").write_text("\n".join([lines[0], ",".join(cells), *lines[2:]]))
+    with pytest.raises(InputError, match="holds no number"):
+        opened(str(tmp_path))
+
+
+@pytest.mark.parametrize(("counted", "row"), [("yield", "largest as drawn"), ("3 standard deviations", "largest")])
+def test_the_largest_figure_of_a_robust_design_says_what_it_is_of(results, tmp_path, counted, row):
+    """With standard deviations they stand in the table's title; of a most-yield design the figure has no scatter in it."""
+    told = document(results, "tolerance")
+    design = {"coupler": 0.41, "rocker": 0.23}
+    told["robust"] = {"counted": counted, "valid": True, "design_SI": design, "nominal_design_SI": design}
+    told["robust"] |= {"largest_rad": 0.04, "largest_of_the_nominal_design_rad": 0.05}
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    texts = [text.strip() for told in Reader(studied_page(opened(str(tmp_path)))).texts.values() for text in told]
+    assert row in texts
+    assert ("largest as drawn" in texts) is (counted == "yield")
+
+
+@pytest.mark.parametrize("count", [-7, 0, 10**15])
+def test_a_front_along_no_or_endless_values_is_damaged(results, tmp_path, count):
+    told = document(results, "front")
+    told["held"][0]["values"] = count
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match="no front has so many"):
+        opened(str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "place", [("monte_carlo", "samples"), ("allocation", "check", "samples"), ("allocation", "cost_of_those_given")]
+)
+def test_what_shares_are_taken_of_is_not_zero(results, tmp_path, place):
+    told = at = document(results, "tolerance")
+    for step in place[:-1]:
+        at = at[step]
+    at[place[-1]] = 0
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match=f"{place[-1]} = 0"):
+        opened(str(tmp_path))
+
+
+@pytest.mark.parametrize(("key", "value"), [("before", [0.0, 1.0]), ("before", [1.0, None]), ("first_point_s", 0)])
+def test_a_trade_is_told_against_what_was_before(results, tmp_path, key, value):
+    told = document(results, "balance")
+    told["trade"][key] = value
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match=f"trade.{key}.*not above zero"):
+        opened(str(tmp_path))

@@ -208,6 +208,7 @@ def test_a_function_is_robust_anywhere_in_its_range():
 # --- prices ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_a_tolerance_costs_is_its_derivative(problem):
     found = sensitivities(problem, check=True)
     assert found.gap < 1e-4
@@ -473,9 +474,14 @@ def test_no_design_yields_more_than_the_one_with_most_yield(problem, law, span, 
 @pytest.mark.parametrize(
     ("texts", "limit", "wanted"),
     [
-        (["crank=0.1 mm uniform", "coupler=0.1 mm uniform", "rocker=0.1 mm uniform", "D.x=0.1 mm uniform"], 2.4, 0.99),
+        pytest.param(
+            ["crank=0.1 mm uniform", "coupler=0.1 mm uniform", "rocker=0.1 mm uniform", "D.x=0.1 mm uniform"],
+            2.4,
+            0.99,
+            marks=pytest.mark.slow,
+        ),
         (["crank=0.1 mm uniform", "coupler=0.1 mm triangular", "rocker=0.1 mm", "D.y=0.1 mm", "C.clearance=0.1 mm"], 2.5, 0.9),
-        (["coupler=0.1 mm uniform", "D.y=0.2 mm"], 2.35, 0.999),
+        pytest.param(["coupler=0.1 mm uniform", "D.y=0.2 mm"], 2.35, 0.999, marks=pytest.mark.slow),
         (["coupler=0.1 mm", "rocker=0.1 mm", "crank=0.1 mm"], 5.0, 0.9973),  # so wide that first order is not enough
     ],
 )

@@ -252,3 +252,44 @@ def test_bad_input_of_the_command():
     assert done.exit_code == 2
     assert json.loads(done.stdout)["status"] == "error"
     assert run("shaper").exit_code == 2
+
+
+def test_output_sensitivities_are_written(tmp_path):
+    """The rocker's slope by the frame from the file against the difference of two linkages of a table that was written alike."""
+    given = ["--design", "coupler=412.87 mm", "--design", "rocker=232.25 mm"]
+
+    def table(frame: str) -> dict[str, float]:
+        out = tmp_path / frame
+        done = run(
+            *("crank-rocker", "--output", "rocker", "--angles", "60 deg", *given),
+            *("--set", f"mechanism.frame={frame} mm", "--out", str(out), "--json"),
+        )
+        assert json.loads(done.stdout) == json.loads((out / "result.json").read_text())
+        with (out / "sensitivity.csv").open(encoding="utf-8") as file:
+            [row] = csv.DictReader(file)
+        return {name: float(value) for name, value in row.items()}
+
+    below, here, above = (table(frame) for frame in ("499", "500", "501"))
+    assert here["crank_angle_deg"] == pytest.approx(60.0)
+    assert here["per_frame_SI"] == pytest.approx((above["rocker_rad"] - below["rocker_rad"]) / 0.002, rel=1e-4)
+    page = CliRunner().invoke(app, ["report", str(tmp_path / "500"), "-o", str(tmp_path / "a.html")])
+    assert page.exit_code == 2
+    assert "has no page" in page.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--output", "rocker", "--check"], "no optimum is searched for the slopes of an output"),
+        (["--angles", "0 deg"], "crank angles are those of an output"),
+        (["--output", "rocker", "--angles", "1e400 deg"], "finite numbers"),
+        (["--output", "rocker", "--angles", ""], "no crank angle is given"),
+        (["--backend", "both"], "a study searches with one back end"),
+        (["--starts", "0"], "out of range"),
+    ],
+)
+def test_what_would_do_nothing_is_refused_and_leaves_no_folder(tmp_path, arguments, words):
+    done = run("crank-rocker", *arguments, "--out", str(tmp_path / "new" / "folder"))
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -741,3 +741,76 @@ def test_storage_is_whole_or_not_there(tmp_path):
     with pytest.raises(ZeroDivisionError):
         half_written(tmp_path / "a.txt")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ("50..70 mm step 1e-320", "makes more points than a sweep takes"),  # their number is infinite
+        ("50..70 mm step 1e-9", "makes more points than a sweep takes"),
+        ("1e400 mm, 60 mm", "finite numbers"),
+        ("-1e308..1e308 mm:3", "wider than numbers can tell"),
+        ("1e-308..1e308 mm:3 log", "wider than numbers can tell"),
+    ],
+)
+def test_ends_and_steps_that_no_number_holds_are_refused(values, words):
+    with pytest.raises(InputError, match=words):
+        read_axis(f"mechanism.crank={values}")
+
+
+def test_crank_angles_without_an_analysis_are_refused():
+    done = run("crank-rocker", "--vary", f"{FRAME}:3", "--points", "90")
+    assert done.exit_code == 2
+    assert "--points" in done.stderr
+    assert "Add --analyze" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "other", [["study", "tolerance", "--tolerance", "coupler=0.1 mm", "--samples", "0"], ["study", "sensitivity"], ["solve"]]
+)
+def test_a_sweep_is_not_overwritten_by_another_result(tmp_path, other):
+    assert run("crank-rocker", "--vary", f"{FRAME}:2", "--out", str(tmp_path)).exit_code == 0
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    done = CliRunner().invoke(app, [*other, "crank-rocker", "--out", str(tmp_path)])
+    assert done.exit_code == 2
+    assert "the folder holds a sweep of crank-rocker" in done.stderr
+    assert "Choose another folder" in done.stderr
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    (tmp_path / chunks.ABOUT).write_text(json.dumps({"mode": "pareto", "problem": "shaper", "objectives": []}))
+    assert "a front of shaper" in CliRunner().invoke(app, [*other, "crank-rocker", "--out", str(tmp_path)]).stderr
+
+
+@pytest.mark.parametrize(
+    ("objectives", "words"),
+    [
+        ("error, coupler=1..2 mm", "the range leaves the bounds of coupler, 100 to 900 mm"),
+        ("error, coupler.min=0.4..1 m", "the range leaves the bounds of coupler, 100 to 900 mm"),
+        ("error, coupler=300..200 mm", "its ends are exchanged"),
+    ],
+)
+def test_fronts_stay_within_the_bounds_of_sizes(objectives, words):
+    done = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", objectives, "--points", "3"])
+    assert done.exit_code == 2
+    assert words in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [
+        ("transmission-optimal", "a swing and a good transmission are wanted here"),
+        ("motion-3-poses", "poses of a body are wanted here"),
+        ("path-ellipse10", "points of a path are wanted here"),
+    ],
+)
+def test_what_has_no_front_says_what_is_wanted_of_it(name, wanted):
+    done = CliRunner().invoke(app, ["study", "pareto", name, "--objectives", "error, coupler.max"])
+    assert done.exit_code == 2
+    assert wanted in done.stderr
+
+
+def test_one_point_is_told_as_one(tmp_path):
+    aims = "error, coupler=500..900 mm"  # at both the coupler of the best design is shorter: one point
+    done = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", aims, "--points", "2"])
+    assert done.exit_code == 0
+    assert "\n1 point of the front" in done.stdout
+    assert "\n2 points done" in done.stdout

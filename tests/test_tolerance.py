@@ -526,3 +526,32 @@ def test_costs_and_yields_are_read():
     for text in ("coupler", "coupler=-1", "coupler=much"):
         with pytest.raises(InputError, match="no cost coefficient"):
             read_costs([text])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["crank-rocker", "--tolerance", "coupler=nan mm"], "a length must be finite"),
+        (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--robust", "-3"], "worst, margin or yield"),
+        (
+            ["slider-crank", "--tolerance", "rod.length=0.1 mm", "--robust", "3", "--limit", "1 mm"],
+            "motion laws of a four-bar only",
+        ),
+        (
+            ["slider-crank", "--tolerance", "rod.length=0.1 mm", "--robust", "yield", "--output", "rod"],
+            "motion laws of a four-bar",
+        ),
+        (
+            ["crank-rocker", "--tolerance", "coupler=0.1 mm", "--robust", "yield", "--limit", "3 deg", "--samples", "0"],
+            "a yield is counted by samples",
+        ),
+        (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--distribution", "contact"], "clearances alone"),
+        (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--distribution", "foo"], "Known: normal, uniform, triangular\n"),
+        (["crank-rocker"], "no tolerance is given"),
+    ],
+)
+def test_the_first_sentence_says_what_is_wrong_and_no_folder_is_left(tmp_path, arguments, words):
+    result = run(*arguments, "--out", str(tmp_path / "new" / "folder"))
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert list(tmp_path.iterdir()) == []

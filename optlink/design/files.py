@@ -272,33 +272,50 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
     if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):
         assigned(raw[section], name, value)
         return
-    *path, last = key.split(".")
+    steps = key.split(".")
     table: Any = raw
-    for depth, step in enumerate(path):
-        if step not in table:
-            known = _known(tuple(path[:depth])) if _fixed(tuple(path[:depth])) else list(table)
+    for depth, step in enumerate(steps[:-1]):
+        path = tuple(steps[:depth])
+        place = _coordinate(path, table, step)
+        if place is None and step not in table:
+            known = _known(path) if _fixed(path) else list(table)
             if step not in known:
                 remedy = nearest(step, known)
-                if not _fixed(tuple(path[:depth])):
-                    remedy += f". A new one is given whole: {'.'.join(path[: depth + 1])}={{ ... }}"
+                if not _fixed(path):
+                    remedy += f". A new one is given whole: {'.'.join(steps[: depth + 1])}={{ ... }}"
                 raise InputError(Fault("unknown key", remedy, file, key))
             table[step] = {}
-        table = table[step]
-        if not isinstance(table, dict):
-            above = ".".join(path[: depth + 1])
-            raise InputError(Fault(f"{above} is one value, it has no {last}", f"Set {above} itself", file, key, value))
-    if value is None:
-        table.pop(last, None)
+        table = table[step if place is None else place]
+        following = steps[depth + 1]
+        if not isinstance(table, dict) and _coordinate(tuple(steps[: depth + 1]), table, following) is None:
+            above = ".".join(steps[: depth + 1])
+            raise InputError(Fault(f"{above} is one value, it has no {following}", f"Set {above} itself", file, key, value))
+    place = _coordinate(tuple(steps[:-1]), table, steps[-1])
+    if place is not None:
+        table[place] = value
+    elif value is None:
+        table.pop(steps[-1], None)
     else:
-        table[last] = value
+        table[steps[-1]] = value
+
+
+def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
+    """Number of a coordinate in the pair that it belongs to, `mechanism.ground.A.x`; None where the key means something else."""
+    placed = path[:1] == ("mechanism",) or path == ("gravity",) or path[-1:] == ("centroid",)
+    if not placed or not isinstance(table, list) or len(table) != 2 or path[-1] in ("bounds", "joints"):
+        return None
+    names = ("along", "across") if "points" in path or path[-1] == "centroid" else ("x", "y")
+    return names.index(step) if step in names else None
 
 
 def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[str, object]:
     """A side of a range, `limits.transmission_angle.max`, or of a free quantity, `mechanism.coupler.min`, as the whole of it."""
     above, _, side = key.rpartition(".")
     known: Any = raw
-    for step in above.split("."):
-        known = known.get(step) if isinstance(known, Mapping) else None
+    steps = above.split(".")
+    for depth, step in enumerate(steps):
+        place = _coordinate(tuple(steps[:depth]), known, step)
+        known = known[place] if place is not None else known.get(step) if isinstance(known, Mapping) else None
     if side not in SIDES or value is None or known is None:
         return key, value
     if isinstance(known, Mapping):

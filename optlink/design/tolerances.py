@@ -163,7 +163,8 @@ def read_stated(raw: object, folder: Path) -> Stated:
         raise Unusable("expected a tolerance with its unit", remedy, "", raw)
     text = raw.strip().strip("\"'").strip()
     quantity, _, word = text.rpartition(" ")
-    if word.isalpha() and quantity.strip()[-1:].isalpha():  # two words after the number: a unit and a distribution
+    numbered = any(letter.isdigit() for letter in quantity)
+    if numbered and word.isalpha() and quantity.strip()[-1:].isalpha():  # two words after it: a unit and a distribution
         if word not in CHOICES:
             raise Unusable("unknown distribution", nearest(word, CHOICES), "", word)
         return Stated(quantity.strip(), word)

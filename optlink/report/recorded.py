@@ -32,7 +32,7 @@ from optlink.solvers.conflict import Relaxation
 from optlink.solvers.solution import LimitState
 from optlink.studies.sensitivity import SCHEMA as SENSITIVITY
 from optlink.studies.sensitivity import Resolved
-from optlink.units import factor
+from optlink.units import UnitProblem, factor
 from optlink.validation import Check
 from optlink.validation.check import Validation
 from optlink.validation.generation import validate_generation
@@ -96,7 +96,7 @@ def _solved(outcome: Outcome) -> Outcome:
 def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Subject:
     """The optimum of `study sensitivity`, its derivatives computed anew; what it searched again is as it was recorded."""
     units = record.record("design_units")
-    values = {name: value * _size(file, name, units.text(name)) for name, value in record.figures("design").items()}
+    values = {name: value * _size(file, units, name) for name, value in record.figures("design").items()}
     if missing := [name for name in file.model.free if name not in values]:
         raise record.fault(f"design.{missing[0]}", "this is missing")
     outcome: Outcome
@@ -124,10 +124,15 @@ def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Sub
     return replace(subject_of(file, outcome, (), notes), answers=replace(found, rows=rows))
 
 
-def _size(file: ProblemFile, name: str, unit: str) -> float:
-    """One of a unit of a quantity [SI]; 1 of what is no quantity of the problem."""
-    quantity = file.model.quantities.get(name)
-    return factor(unit, quantity.kind) if quantity is not None and unit else 1.0
+def _size(file: ProblemFile, units: Record, name: str) -> float:
+    """One of a recorded unit of a quantity [SI]; 1 of what is no quantity of the problem."""
+    quantity, unit = file.model.quantities.get(name), units.text(name)
+    if quantity is None or not unit:
+        return 1.0
+    try:
+        return factor(unit, quantity.kind)
+    except UnitProblem as error:
+        raise units.fault(name, error.message, unit) from None
 
 
 def _optimum(found: Generation) -> Generation:

@@ -40,10 +40,10 @@ def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution 
     """
     from optlink.design.cycle_nlp import CycleNLP
     from optlink.machine_design import design_machine
-    from optlink.solvers import search
+    from optlink.studies.machine_givens import CLOSE
     from optlink.studies.machines import restarted
 
-    found = design_machine(restarted(file, values), search.BACKENDS[-1], starts=1).solution
+    found = design_machine(restarted(file, values), CLOSE, starts=1).solution
     if found is None or found.status is not Status.OPTIMAL:
         return None
     assert isinstance(found.nlp, CycleNLP)

@@ -53,6 +53,11 @@ def number(value: float, digits: int = 6) -> str:
     return f"{value:.{digits}g}" if abs(value) >= 1e-5 else f"{value:.1e}"
 
 
+def points(count: int) -> str:
+    """A number of points in words."""
+    return f"{count:,} point{'' if count == 1 else 's'}"
+
+
 def fixed(value: float, digits: int = 3) -> str:
     """A figure with a fixed number of decimals; a dash where there is none."""
     return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "-"  # + 0.0: no minus before a zero

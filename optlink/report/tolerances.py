@@ -55,6 +55,11 @@ def made(counted: str) -> str:
     return "Made most: the yield" if counted == YIELD else f"Made least: the largest error with {counted}"
 
 
+def judged(counted: str) -> str:
+    """What its largest figure is of; that of a design with scatter stands in the title."""
+    return "largest as drawn" if counted == YIELD else "largest"
+
+
 def proven(counted: str) -> str:
     """What is proven of a robust design."""
     return "its limits are proven; none with more yield was found" if counted == YIELD else "proven"
@@ -66,7 +71,7 @@ def _redesigned(result: Tolerance, found: Robust) -> Table:
     for name, value in found.free.items():
         before, unit = inhabited(name, found.nominal[name])
         table.add_row(name, fixed(before), Text(fixed(inhabited(name, value)[0]), style=HEAD), unit)
-    table.add_row("largest", fixed(math.degrees(found.before), 4), fixed(math.degrees(found.value), 4), "deg")
+    table.add_row(judged(found.counted), fixed(math.degrees(found.before), 4), fixed(math.degrees(found.value), 4), "deg")
     if result.carlo is not None and result.unrobust is not None and result.limit is not None:
         best, own = result.unrobust, result.carlo
         limit = f"within {number(math.degrees(result.limit))} deg"

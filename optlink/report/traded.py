@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from optlink.report.balance import percent
-from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, grid, number
+from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, grid, number, points
 from optlink.studies.pareto import Pareto
 
 MANY = 3.0  # times from which on a rise is no longer told in per cent
@@ -18,10 +18,12 @@ SHOWN = 24  # points that are listed; ends and knee always
 def front(result: Pareto) -> RenderableType:
     """What a front says: its points with ends and knee, and how each objective stands against what was given."""
     title = Text(result.problem.model.title, style=HEAD)
-    title.append(f"\n{len(result.points)} points of the front of {_and([aim.name for aim in result.aims])}, ")
+    title.append(f"\n{points(len(result.points))} of the front of {_and([aim.name for aim in result.aims])}, ")
     title.append("every one proven", style=GOOD)
     empty = f"; {result.infeasible} hold no design" if result.infeasible else ""
-    title.append(f"\n{result.solved} solved; {result.dominated} are beaten by others{empty}")
+    title.append(
+        f"\n{result.solved} solved; {result.dominated} {'is' if result.dominated == 1 else 'are'} beaten by others{empty}"
+    )
     missed = result.solved - result.valid - result.infeasible
     if missed:
         title.append(f"; {missed} could not be proven and are left out", style=BAD)
@@ -34,7 +36,7 @@ def front(result: Pareto) -> RenderableType:
     parts: list[RenderableType] = [title, Text(), _points(result), Text(), _designs(result)]
     rate = f"; {1e3 * result.cpu / result.done:.0f} ms of processor time each" if result.done else ""
     line = (
-        f"{result.done:,} points done in {result.seconds:.1f} s{rate}; knee by the distance from the chord of the ends (Das 1999)"
+        f"{points(result.done)} done in {result.seconds:.1f} s{rate}; knee by the distance from the chord of the ends (Das 1999)"
     )
     return Group(*parts, Text(), Text(line, style=QUIET))
 

@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
+from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number, points
 from optlink.studies.outputs import OutputSensitivity
 from optlink.studies.sensitivity import End, Sensitivities, Sensitivity
 from optlink.studies.sweep import Sweep
@@ -17,7 +17,7 @@ from optlink.studies.sweep import Sweep
 AGREES = 1e-5  # share by which exact and searched derivatives may differ
 SHOWN = 12  # changes of the active set
 TINY = 5e-6  # share that three decimals of a percentage do not show
-FEW = 4  # sizes that a table has a column each for
+FEW = 3  # sizes that a table has a column each for
 MOVERS = 2  # of more sizes, those that are told
 
 
@@ -59,7 +59,7 @@ def sensitivities(result: Sensitivities) -> RenderableType:
         parts.append(Text("Nothing that is given moves this optimum, to first order."))
     still = [row.parameter.name for row in result.rows if not row.moves]
     if still:
-        parts += [Text(), Text(f"Without effect here: {', '.join(dict.fromkeys(still))}.", style=QUIET)]
+        parts += [Text(), Text(f"Without effect here: {'; '.join(dict.fromkeys(still))}.", style=QUIET)]
     if result.gap is not None:
         style = GOOD if result.gap <= AGREES else BAD
         line = Text.assemble(("\nSearched again on both sides of each: ", QUIET), (f"largest difference {result.gap:.1e}", style))
@@ -83,7 +83,7 @@ def _prices(result: Sensitivities) -> Table:
     for row in result.moving:
         p = row.parameter
         per = f"{result.unit} per {p.unit or 'unit'}".strip()
-        table.add_row(p.name, f"{row.objective:+.6g}", Text(per, style=QUIET))
+        table.add_row(p.key, f"{row.objective:+.6g}" if row.objective else "0", Text(per, style=QUIET))
     return table
 
 
@@ -93,7 +93,7 @@ def _events(result: Sensitivities) -> Table:
         for word, end in (("below", row.below), ("above", row.above)):
             if math.isfinite(end.value):
                 table.add_row(
-                    row.parameter.key, f"{word} {_end(end)} {row.parameter.unit}".rstrip(), Text(end.event, style=QUIET)
+                    row.parameter.name, f"{word} {_end(end)} {row.parameter.unit}".rstrip(), Text(end.event, style=QUIET)
                 )
     return table
 
@@ -133,7 +133,7 @@ def sweep(result: Sweep) -> RenderableType:
     """What a sweep found."""
     title = Text(result.problem.model.title, style=HEAD)
     every = " x ".join(f"{len(axis.values):,}" for axis in result.grid.axes)
-    title.append(f"\n{result.grid.count:,} points" + (f" ({every})" if len(result.grid.axes) > 1 else ""))
+    title.append(f"\n{points(result.grid.count)}" + (f" ({every})" if len(result.grid.axes) > 1 else ""))
     if not result.analysed:
         title.append(", ")
         missed = result.grid.count - result.valid - result.infeasible
@@ -158,7 +158,7 @@ def sweep(result: Sweep) -> RenderableType:
     if result.changes:
         parts += [Text(), _changes(result)]
     rate = result.done / result.seconds if result.seconds else 0.0
-    line = f"{result.done:,} points done in {result.seconds:.1f} s ({rate:,.0f} a second"
+    line = f"{points(result.done)} done in {result.seconds:.1f} s ({rate:,.0f} a second"
     line += f"; {1e3 * result.cpu / result.done:.2f} ms of processor time each)" if result.done else ")"
     if not result.analysed:
         line += f"; {result.searched:,} needed a search, the others followed a neighbour"

@@ -33,6 +33,7 @@ RADIUS, SMALLEST = 0.1, 1e-7  # scaled units: how far the sizes may move in the 
 MISSED = 100.0  # what missing a limit by its own size costs, in objectives
 SAME = 1e-9  # of a stroke: two peaks that near to one another are one
 EXACTLY = 1e-9  # scaled units: distance at which a row counts as active in the proof
+SHARP = (1e-4, 1e-7, 1e-9)  # scaled units: distances at which rows may count as active in the last steps of Newton
 ALLOWED = 1e2 * FEASIBLE  # violation of the programme with moving peaks, whose equations are steep
 BESIDE = 0.02  # of a stroke: other positions keep away from peaks, beside which they would seem to hold the sizes too
 NEAR = 0.3  # share of its level by which a local peak may be lower and yet be followed
@@ -163,7 +164,9 @@ def sharpened(nlp: CycleNLP, solution: Solution) -> Solution:
     n, found = len(nlp.variables), peaks(nlp, solution.x)
     nlp.roam(found.shares)
     moving, start = _moving(nlp, nlp.lifted(solution.x), found)
-    end = polish(moving, Attempt(start, solution.iterations, solution.message), search.scaled(moving, start))
+    begin, p = Attempt(start, solution.iterations, solution.message), search.scaled(moving, start)
+    tries = (polish(moving, begin, p, near) for near in SHARP)
+    end = next((found for found in tries if found is not begin), begin)
     shares = found.shares.copy()
     shares[[slot for slot, _ in found.inner]] = end.x[n:]
     nlp.roam(shares)

@@ -25,13 +25,13 @@ ROUNDING = 1e-14
 NOISE = 1e-14  # of the largest second derivative: how exactly a gradient can vanish
 
 
-def polish(nlp: NLP, attempt: Attempt, p: Array) -> Attempt:
-    """Refine an attempt; one that does not become better is returned as it was."""
+def polish(nlp: NLP, attempt: Attempt, p: Array, near: float = NEAR) -> Attempt:
+    """Refine an attempt, limits that are `near` being active; one that does not become better is returned as it was."""
     x = attempt.x
     begin = nlp.at(x, p)
     if not begin.finite:
         return attempt
-    proof = stationarity(nlp, x, begin, NEAR)
+    proof = stationarity(nlp, x, begin, near)
     allowed = max(FEASIBLE, violation(nlp, x, begin.g))
     active = np.array(proof.active, dtype=int)
     for _ in range(TRIES):

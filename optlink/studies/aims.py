@@ -17,20 +17,27 @@ from typing import Any, get_args
 from optlink.design.constraints import rows as limit_rows
 from optlink.design.cycle import CycleProblem
 from optlink.design.files import SIDES, ProblemFile, read
+from optlink.design.generation import GenerationProblem
 from optlink.design.objectives import MEASURES
 from optlink.design.problem import DesignProblem
 from optlink.design.quantity import Interval, nearest
 from optlink.design.terms import Limit, Measure, Term, What
 from optlink.errors import Fault, InputError
-from optlink.studies.axes import column
+from optlink.studies.axes import Axis, column, read_axis
 from optlink.studies.keys import Raw, raw_at, text
-from optlink.units import KINDS, factor
+from optlink.units import KINDS, UnitProblem, factor
 from optlink.validation.cycle import Cycle
 
 OPTION = "--objectives"
 ERROR, OWN = "error", "objective"
 MOVABLE = ("transmission_angle", "transmission_cosine", "swing_angle", "time_ratio", "frame_length", "link_ratio")
 SEVERAL = ("transmission_angle", "transmission_cosine", "link_ratio")  # what has a largest and a smallest value
+GENERATED = {
+    "path": "points of a path are",
+    "motion": "poses of a body are",
+    "function": "values of a function are",
+    "transmission": "a swing and a good transmission are",
+}
 ROOM = 1e-3  # of a limit, between its sides where one is made as tight as it can be
 EXAMPLES = (
     'For example --objectives "peak torque, guide force in F" of a machine, "error, limits.transmission_angle.max" of a law'
@@ -121,9 +128,10 @@ def read_aims(problem: ProblemFile, objectives: str) -> tuple[Aim, ...]:
 def _no_front(problem: ProblemFile) -> InputError:
     """Why a problem has no front, and what it has instead."""
     whose = "Fronts are those of machines with an [objective] over their cycle, and of four-bars for a law"
-    if problem.generated:
+    if isinstance(problem.model, GenerationProblem):
         instead = f"what a limit costs here: optlink study sweep {problem.name} --vary KEY=LOW..HIGH:N"
-        return InputError(Fault("points and poses are wanted here", f"{whose}; {instead}", problem.file))
+        wanted = GENERATED[problem.model.requirement.kind]
+        return InputError(Fault(f"{wanted} wanted here", f"{whose}; {instead}", problem.file))
     if getattr(problem.model, "balance", None) is not None:
         instead = f"that of two measures of balancing: optlink balance {problem.name} --trade force,torque"
         return InputError(Fault("nothing is to be designed here", f"{whose}; {instead}", problem.file))
@@ -139,7 +147,37 @@ def _ranged(problem: ProblemFile, reader: Any, part: str, number: int) -> Aim:
         raise InputError(
             Fault(f"{name} has no range: it is what is minimised", "Leave the range out", problem.file, OPTION, part)
         )
-    return replace(aim, span=span)
+    aim = replace(aim, span=span)
+    if aim.key.startswith("mechanism."):
+        _check_bounds(problem, aim)
+    return aim
+
+
+def spanned(aim: Aim, count: int) -> Axis:
+    """The values of the range that was asked for, `count` of them where it does not say how many.
+
+    Raises
+    ------
+    InputError
+    """
+    return read_axis(f"{aim.key}={aim.span}" if ":" in aim.span or "step" in aim.span else f"{aim.key}={aim.span}:{count}")
+
+
+def _check_bounds(problem: ProblemFile, aim: Aim) -> None:
+    """Make sure that the bounds of a size leave room beside every value of the range that one of them is to walk along."""
+    name = aim.key.removeprefix("mechanism.").rpartition(".")[0]
+    quantity = problem.spec.quantities[name]
+    try:
+        values = [value * factor(axis.unit, quantity.kind) for axis in [spanned(aim, 2)] for value in axis.values]
+    except (InputError, UnitProblem):  # no range: told when it is walked along
+        return
+    low, high = quantity.bounds
+    if (aim.sense > 0 and min(values) <= low) or (aim.sense < 0 and max(values) >= high):
+        ends = " to ".join(f"{bound / factor(aim.unit, quantity.kind):g}" for bound in (low, high))
+        message = f"the range leaves the bounds of {name}, {ends} {aim.unit}"
+        raise InputError(
+            Fault(message, "Stay between them, or change the bounds", problem.file, OPTION, f"{aim.said}={aim.span}")
+        )
 
 
 # --- four-bars for a law -----------------------------------------------------------------------------------------------

@@ -83,10 +83,12 @@ def read_axis(assignment: str) -> Axis:
         size = float(step)
         if not size > 0.0:
             raise fault("the step is zero or negative: the range would never end", "Give a step above zero")
-        steps = math.floor((b - a) / size * (1.0 + 1e-12))
-        if not steps:
+        ratio = (b - a) / size * (1.0 + 1e-12)
+        if ratio < 1.0:
             raise fault("the step is longer than the range", "Give a shorter step, or one value with --set")
-        _most(steps + 1, fault)
+        if ratio >= MAX_POINTS:  # infinite too
+            raise fault(f"so short a step makes more points than a sweep takes, {MAX_POINTS:,}", "Give a longer step")
+        steps = math.floor(ratio)
         return Axis(key, unit, tuple(a + size * i for i in range(steps + 1)))
     number = int(count)
     if number < 2:
@@ -98,6 +100,8 @@ def read_axis(assignment: str) -> Axis:
         inner = tuple(a * (b / a) ** (i / (number - 1)) for i in range(1, number - 1))
     else:
         inner = tuple(a + (b - a) * i / (number - 1) for i in range(1, number - 1))
+    if not all(map(math.isfinite, inner)):
+        raise fault("the range is wider than numbers can tell", "Give ends that are nearer to each other")
     return Axis(key, unit, (a, *inner, b))
 
 
@@ -118,6 +122,8 @@ def _listed(key: str, values: str, fault: object) -> Axis:
     if len(units - {""}) > 1:
         raise fault("the values have different units", "Write all values in one unit")
     numbers = tuple(float(number) for number, _ in found)
+    if not all(map(math.isfinite, numbers)):
+        raise fault("the values must be finite numbers")
     if len(set(numbers)) != len(numbers):
         raise fault("a value is listed twice", "List every value once")
     return Axis(key, unit, numbers)

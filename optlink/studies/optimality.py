@@ -25,7 +25,7 @@ TIGHT = 1e-9  # scaled units; a limit this close is active: nearer than a neighb
 STRONG = 1e-8  # of the objective's scale; a smaller price is none
 STILL = 1e-11  # scaled units; a slower change is rounding
 CURVED = 1e-10  # share of the largest second derivative below which one is rounding
-SAME = 1e-9  # share of its slopes by which one of two equal rows may differ
+SAME = 1e-6  # share of its slopes by which one of two equal rows may differ
 
 
 @dataclass(frozen=True)

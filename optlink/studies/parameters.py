@@ -9,6 +9,7 @@ from optlink.design.constraints import Scale
 from optlink.design.nlp import NLP
 from optlink.solvers.solution import key_of
 
+ROUNDING = 1e-14  # of a scaled quantity
 SHARE = 0.01
 """Step of a length or a plain number by which effects are compared, as a share of its value; that of an angle is 1 deg."""
 
@@ -38,9 +39,14 @@ class Parameter:
         return "limit" if self.entries else "fixed quantity"
 
     @property
+    def positive(self) -> bool:
+        """Whether it is a mass, a force or another figure that has no other side of zero, or is not meant to."""
+        return self.constant < 0 and not self.entries and self.value > 0.0 and self.unit != "deg"
+
+    @property
     def step(self) -> float:
         """The change by which effects are compared: 1 deg of an angle, else 1 % of the value (0.01 of a zero)."""
-        return 1.0 if self.unit == "deg" else SHARE * (abs(self.value) or 1.0)
+        return 1.0 if self.unit == "deg" else SHARE * (self.value or 1.0)
 
     def rate(self) -> float:
         """Change of the programme's own number per unit of this one."""
@@ -64,7 +70,7 @@ def parameters(nlp: NLP) -> list[Parameter]:
     Rows that share a limit and a label are one limit, with one bound.
     """
     found = [
-        Parameter(key_of(c.name), c.name, _told(c.scale.people(float(nlp.p[1 + i]))), c.scale.unit, c.scale, constant=i)
+        Parameter(key_of(c.name), c.name, _told(float(nlp.p[1 + i]), c.scale), c.scale.unit, c.scale, constant=i)
         for i, c in enumerate(nlp.constants)
     ]
     n = len(nlp.variables)
@@ -84,12 +90,11 @@ def parameters(nlp: NLP) -> list[Parameter]:
             stated = entry < n or (key.startswith("limits.") and key != "limits.crank")
             bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if entry < n else name
             whole = f"{key}.{side}" if side and stated else key
-            limits[mark] = Parameter(
-                whole, bounds, _told(scale.people(bound)), scale.unit, scale, -1, (entry,), upper, not side, stated
-            )
+            limits[mark] = Parameter(whole, bounds, _told(bound, scale), scale.unit, scale, -1, (entry,), upper, not side, stated)
     return found + list(limits.values())
 
 
-def _told(value: float) -> float:
-    """A number that was scaled to and fro, without the digits that this left."""
-    return float(f"{value:.14g}")
+def _told(own: float, scale: Scale) -> float:
+    """A number of the programme as people read it, without the digits that scaling to and fro has left."""
+    value, size = scale.people(own), abs(scale.people(1.0) - scale.people(0.0))
+    return 0.0 if abs(value) <= ROUNDING * size else float(f"{value:.14g}")

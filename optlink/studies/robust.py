@@ -96,7 +96,8 @@ def robust(
     InputError
     """
     if sigmas is not None and not 0.0 <= sigmas <= MOST:
-        raise InputError(Fault("out of range", 'Give 0 to 100 standard deviations, or "worst"', key="--robust", value=sigmas))
+        remedy = f"Give 0 to {MOST:g} standard deviations, or worst, margin or yield"
+        raise InputError(Fault("out of range", remedy, key="--robust", value=sigmas))
     return Redesign(problem, tolerances, shape, backend).least(sigmas)
 
 
@@ -126,13 +127,23 @@ def safest(
     return here
 
 
+def check_law(problem: ProblemFile) -> None:
+    """Make sure that there is an error over a span, of which the largest can be made least.
+
+    Raises
+    ------
+    InputError
+    """
+    if not isinstance(problem.model, DesignProblem):
+        message = "a robust design is found for motion laws of a four-bar only"
+        raise InputError(Fault(message, "Judge designs of it without --robust", problem.file, "--robust"))
+
+
 class Redesign:
     """Searches robust designs of one problem, from its best design as drawn, `nominal` [SI]; `problem`: with its tolerances."""
 
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str, backend: str) -> None:
-        if not isinstance(problem.model, DesignProblem):
-            message = "a robust design is found for motion laws of a four-bar only"
-            raise InputError(Fault(message, "Judge designs of it without --robust", problem.file, "--robust"))
+        check_law(problem)
         said = {name: each.raw for name, each in stated(problem, tolerances, shape).items()}
         first = solve(problem.override({"requirement.robust": None}), backend)
         if not first.valid:

@@ -5,6 +5,7 @@ How they are found: `optlink.studies.optimality`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -182,7 +183,7 @@ def sensitivities(
         solution, file = result.solution, result.problem
     if solution is None or solution.status is not Status.OPTIMAL:
         how = "infeasible" if solution is None else solution.status.value
-        remedy = f"See why: optlink solve {problem.name}"
+        remedy = "See why: `optlink solve` tells"
         raise InputError(Fault(f"there is no optimum whose sensitivity could be told: {how}", remedy, problem.file))
     return of_solution(file, solution, backend, check=check, progress=progress)
 
@@ -202,13 +203,19 @@ def of_solution(
     system = System(solution)
     machine = Givens(problem, system) if problem.machined else None
     factors = {v.name: v.scale.slope(x) for v, x in _shown(nlp, solution.x)}
-    rows = []
+    notes, rows = _notes(system, solution), []
     for parameter in parameters(nlp) if machine is None else machine.parameters:
-        push = system.push(parameter) if machine is None else machine.push(parameter)
+        try:
+            push = system.push(parameter) if machine is None else machine.push(parameter)
+        except InputError as error:  # at the end of what can be stated
+            notes.append(f"{parameter.name} is left out, as it cannot be changed to both sides: {error.faults[0].message}")
+            continue
         answer = system.answer(push)
         below, above = system.ends(parameter, push, answer)
+        if parameter.positive and below.value < 0.0:
+            below = End(-math.inf, "nothing")
         objective, moved = answer.objective, answer.moved
-        if abs(objective) * parameter.step <= ROUNDING * abs(solution.objective):
+        if abs(objective * parameter.step) <= ROUNDING * abs(solution.objective):
             objective = 0.0
         moved = np.where(np.abs(moved) <= ROUNDING * abs(parameter.rate()), 0.0, moved)
         design = {v.name: float(change * factors[v.name]) for v, change in _shown(nlp, moved)}
@@ -217,16 +224,22 @@ def of_solution(
     if check:
         asked = [row for row in rows if row.moves]
         for done, row in enumerate(asked):
-            rows[rows.index(row)] = replace(row, check=_searched_again(problem, solution, row, backend))
+            found = _searched_again(problem, solution, row, backend, loose=system.singular)
+            rows[rows.index(row)] = replace(row, check=found)
             if progress is not None:
                 progress((done + 1) / len(asked))
+        missing = [row.parameter.name for row in rows if row.moves and row.check is None]
+        if missing:
+            notes.append(f"no optimum to compare with beside this one: {', '.join(missing)}")
+        if system.singular:
+            notes.append("searching again may end in another of the designs: only objectives are compared")
     return Sensitivities(
         problem=problem,
         solution=solution,
-        unit=nlp.measure.unit,
+        unit=nlp.measure.unit.replace("**", "^"),
         rows=tuple(rows),
         units={v.name: v.scale.unit for v, _ in _shown(nlp, solution.x)},
-        notes=tuple(_notes(system, solution)),
+        notes=tuple(notes),
     )
 
 
@@ -236,11 +249,16 @@ def _notes(system: System, solution: Solution) -> list[str]:
         found.append("several designs are equally good, or limits depend on one another: the smallest change is shown")
     if solution.objective == 0.0 or float(np.max(np.abs(solution.nlp.residuals(solution.x)), initial=0.0)) <= solution.nlp.exact:
         found.append("the requirement is met exactly: nothing is left to gain, so every price is rounding")
+    if isinstance(solution.nlp, CycleNLP) and any(goal.sense == "maximise" for goal in solution.nlp.traced.problem.goals):
+        found.append("what shall be large counts with the other sign: the negative is made least, and told here")
     return found
 
 
-def _searched_again(problem: ProblemFile, solution: Solution, row: Sensitivity, backend: str) -> Resolved | None:
-    """Central differences between optima on either side; None where the range of validity leaves no room."""
+def _searched_again(problem: ProblemFile, solution: Solution, row: Sensitivity, backend: str, *, loose: bool) -> Resolved | None:
+    """Central differences between optima on either side; None where the range of validity leaves no room, or there is none.
+
+    `loose`: several designs are equally good, so that the objective alone can be compared.
+    """
     parameter = row.parameter
     size = abs(parameter.value) or 1.0
     room = min(parameter.value - row.below.value, row.above.value - parameter.value)
@@ -248,18 +266,31 @@ def _searched_again(problem: ProblemFile, solution: Solution, row: Sensitivity, 
     step = min(share * size, most * room)
     if step <= 1e-9 * size:
         return None
-    again = searched_again if problem.machined else _moved
-    if isinstance(problem.model, DesignProblem) and parameter.stated:
-        again = _rebuilt
-    (low, below), (high, above) = (again(problem, solution, parameter, parameter.value + way, backend) for way in (-step, step))
+    found: list[tuple[float, dict[str, float]] | None] = []
+    for value in (parameter.value - step, parameter.value + step):
+        if problem.machined:
+            found.append(searched_again(problem, solution, parameter, value, step * _pace(solution.nlp, row)))
+        elif isinstance(problem.model, DesignProblem) and parameter.stated:
+            found.append(_rebuilt(problem, solution, parameter, value, backend))
+        else:
+            found.append(_moved(problem, solution, parameter, value, backend))
+    here, there = found
+    if here is None or there is None:
+        return None
+    (low, below), (high, above) = here, there
     objective = (high - low) / (2.0 * step)
     design = {name: (above[name] - below[name]) / (2.0 * step) for name in row.design}
     small = SMALL * abs(solution.objective) / size
     gaps = [abs(objective - row.objective) / max(abs(objective), abs(row.objective), small, 1e-300)]
     slight = SLIGHT * max(abs(v.scale.people(x)) for v, x in _shown(solution.nlp, solution.x)) / size
     largest = max(*(abs(d) for d in (*design.values(), *row.design.values())), slight, 1e-300)
-    gaps += [abs(design[name] - row.design[name]) / largest for name in design]
+    gaps += [abs(design[name] - row.design[name]) / largest for name in design if not loose]
     return Resolved(step, objective, design, max(gaps))
+
+
+def _pace(nlp: NLP, row: Sensitivity) -> float:
+    """How fast the free quantities move with a parameter: scaled units per unit."""
+    return float(max(abs(row.design[v.name] / v.scale.slope(x)) for v, x in _shown(nlp, nlp.x_start)))
 
 
 def _rebuilt(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import nearest
-from optlink.design.tolerances import NORMAL, SHAPES, Deviation
+from optlink.design.tolerances import CHOICES, NORMAL, SHAPES, Deviation
 from optlink.documents import finite, head
 from optlink.errors import Fault, InputError
 from optlink.studies.carlo import Carlo, Progress, monte_carlo, sampled_document
@@ -199,11 +199,14 @@ def tolerance(
     _check(samples, seed, shape, wanted, limit)
     file, again = problem, None
     if robust is not None:
+        from optlink.studies import robust as redesign
+
+        redesign.check_law(problem)
         if design is not None or output not in (None, ERROR):
             remedy = "Leave --design and --output out, or --robust"
             raise InputError(Fault("a robust design is searched, for its error", remedy, problem.file, "--robust"))
-        from optlink.studies import robust as redesign
-
+        if robust == redesign.YIELD and not samples:
+            raise InputError(Fault("a yield is counted by samples", "Leave --samples out", key="--samples", value=samples))
         allowed = _limit(limit, angular=True)
         if robust not in (MARGIN, redesign.YIELD):
             again = redesign.robust(problem, tolerances, None if robust == WORST else float(robust), shape=shape)
@@ -214,7 +217,7 @@ def tolerance(
         else:
             from optlink.studies.most_yield import most_yield
 
-            again = most_yield(problem, tolerances, allowed, samples or SAMPLES, seed, shape=shape)
+            again = most_yield(problem, tolerances, allowed, samples, seed, shape=shape)
         file, design = again.result.problem, again.free  # with the assembly mode that was found
     nominal = drawing(file, output, crank_angles, design)
     deviations = read_deviations(problem, nominal, tolerances, shape)
@@ -247,8 +250,9 @@ def _check(samples: int, seed: int, shape: str, wanted: float | None, limit: str
         raise InputError(Fault("out of range", remedy, key="--samples", value=samples))
     if seed < 0:
         raise InputError(Fault("a seed is not negative", "Give 0 or more", key="--seed", value=seed))
-    if shape not in SHAPES:
-        raise InputError(Fault("unknown distribution", nearest(shape, SHAPES), key="--distribution", value=shape))
+    if shape not in CHOICES:
+        message = "clearances alone have this distribution, by themselves" if shape in SHAPES else "unknown distribution"
+        raise InputError(Fault(message, nearest(shape, CHOICES), key="--distribution", value=shape))
     if wanted is not None and not 0.0 < wanted < 1.0:
         raise InputError(Fault("no yield", "Give one between 0 and 100 %", key="--allocate", value=wanted))
     if wanted is not None and limit is None:

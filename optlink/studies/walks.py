@@ -14,8 +14,8 @@ import numpy as np
 from optlink.design.files import ProblemFile
 from optlink.errors import Fault, InputError, Status
 from optlink.machine_design import design_machine
-from optlink.studies.aims import OPTION, Aim, bare, cycle_figures, law_figure, tightest, walked
-from optlink.studies.axes import Axis, Grid, read_axis
+from optlink.studies.aims import OPTION, Aim, bare, cycle_figures, law_figure, spanned, tightest, walked
+from optlink.studies.axes import Axis, Grid
 from optlink.studies.keys import Raw, text
 from optlink.studies.machines import restarted
 from optlink.studies.reoptimise import buildable
@@ -233,7 +233,7 @@ def _axis(aim: Aim, tight: float, loose: float, count: int) -> Axis:
 
 def _stated(aim: Aim, count: int, made: Callable[[Raw], ProblemFile]) -> Axis:
     """The range that was asked for, from its loose end; `made` gives the problem with a value of the limit."""
-    axis = read_axis(f"{aim.key}={aim.span}" if ":" in aim.span or "step" in aim.span else f"{aim.key}={aim.span}:{count}")
+    axis = spanned(aim, count)
     for at in (0, len(axis.values) - 1):
         made(axis.raw(at))
     return replace(axis, values=tuple(sorted(axis.values, reverse=aim.sense > 0)))

@@ -172,6 +172,9 @@ def _trade(record: Record) -> Trade:
         raise record.fault("points", "there are none, or the knee is none of them")
     pair = (float(before[0]), float(before[1]))
     seconds = record.number("first_point_s"), record.maybe("further_point_s")
+    if not all(value > 0.0 for value in (*pair, seconds[0])):
+        key = "before" if seconds[0] > 0.0 else "first_point_s"
+        raise record.fault(key, "this is not above zero")
     return Trade(_measure(record, "first"), _measure(record, "second"), pair, points, knee, *seconds)
 
 

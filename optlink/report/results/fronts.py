@@ -16,7 +16,7 @@ from optlink.report.studied import Studied, figures_of, named_si, split, still, 
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
 from optlink.report.terminal import number
 from optlink.studies.aims import Aim
-from optlink.studies.axes import Axis, Grid
+from optlink.studies.axes import MAX_POINTS, Axis, Grid
 from optlink.studies.pareto import SCHEMA, Pareto, Point
 
 __all__ = ["SCHEMA", "studied"]
@@ -89,8 +89,10 @@ def _point(record: Record, columns: list[str]) -> Point:
 
 
 def _axis(record: Record) -> Axis:
-    ends = (record.number("first"), record.number("last"))
-    return Axis(record.text("limit"), record.text("unit"), tuple(np.linspace(*ends, record.whole("values")).tolist()))
+    ends, count = (record.number("first"), record.number("last")), record.whole("values")
+    if not 0 < count <= MAX_POINTS:
+        raise record.fault("values", "no front has so many", count)
+    return Axis(record.text("limit"), record.text("unit"), tuple(np.linspace(*ends, count).tolist()))
 
 
 # --- the page ----------------------------------------------------------------------------------------------------------------

@@ -28,6 +28,8 @@ STUDIES = {
     "optlink/pareto/1": ("study pareto", "fronts.studied"),
 }
 """Schemas of what is shown as it was recorded: the command that writes them, and who reads them (loaded when it is needed)."""
+PAGELESS = {"optlink/output-sensitivity/1": "Slopes of an output stand in the sensitivity.csv beside it"}
+"""Schemas of results that are not drawn, and where people read them."""
 
 
 def is_result(text: str) -> bool:
@@ -77,6 +79,8 @@ def _unknown(schema: object, path: Path) -> InputError:
     known = {**KNOWN, **{name: command for name, (command, _) in STUDIES.items()}}
     if not isinstance(schema, str) or not schema.startswith("optlink/"):
         return InputError(Fault("not a result of optlink", "Give a result.json that --out wrote", str(path), "schema", schema))
+    if schema in PAGELESS:
+        return InputError(Fault("a result of this kind has no page", PAGELESS[schema], str(path), "schema", schema))
     stem = schema.rpartition("/")[0]
     if stem in {name.rpartition("/")[0] for name in known}:
         remedy = f"Run `{next(c for n, c in known.items() if n.startswith(stem + '/'))}` again, or use the version that wrote it"

@@ -15,6 +15,7 @@ from optlink.errors import Fault, InputError
 
 Array = NDArray[np.float64]
 AGAIN = "Write it again with --out"
+LARGEST = 1e60  # beyond which nothing of a linkage lies, and before products of several are no numbers any more
 
 
 class Record:
@@ -62,13 +63,18 @@ class Record:
 
     def whole(self, key: str) -> int:
         """A whole number."""
-        return int(self._of(key, int, "a whole number"))
+        found = int(self._of(key, int, "a whole number"))
+        if abs(found) > LARGEST:
+            raise self.fault(key, "this is too large")
+        return found
 
     def number(self, key: str) -> float:
         """A finite number."""
         found = self._of(key, (int, float), "a number")
-        if not math.isfinite(found):
+        if isinstance(found, float) and not math.isfinite(found):
             raise self.fault(key, "this is not finite", found)
+        if abs(found) > LARGEST:
+            raise self.fault(key, "this is too large", found)
         return float(found)
 
     def maybe(self, key: str) -> float:
@@ -80,6 +86,8 @@ class Record:
         found = self._of(key, list, "a list")
         if not all(one is None or (isinstance(one, int | float) and not isinstance(one, bool)) for one in found):
             raise self.fault(key, "this is not a list of numbers")
+        if not all(one is None or abs(one) <= LARGEST for one in found):
+            raise self.fault(key, "a number of it is not finite or too large")
         if count is not None and len(found) != count:
             raise self.fault(key, f"there are {len(found)} numbers where {count} belong")
         return np.array([math.nan if one is None else float(one) for one in found])

@@ -15,11 +15,11 @@ from rich.table import Table
 from optlink.design.files import ProblemFile
 from optlink.errors import Fault, InputError
 from optlink.report.figures import Chart, Panel, Picks, Trace, axis, line, mark, sheet, short, stacked
-from optlink.report.results.record import AGAIN, Record
+from optlink.report.results.record import AGAIN, LARGEST, Record
 from optlink.report.sheet import Section
 from optlink.report.studied import Studied, figures_of, named_si, still, turning
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET
-from optlink.report.terminal import grid, number
+from optlink.report.terminal import grid, number, points
 from optlink.studies.axes import Axis, Grid
 from optlink.studies.chunks import TABLE
 from optlink.studies.sweep import CHANGED, SCHEMA
@@ -117,9 +117,11 @@ def _table_of(record: Record) -> Path:
 def _check_numbers(path: Path, name: str, texts: list[str]) -> None:
     for row, text in enumerate(texts):
         try:
-            float(text or "nan")
+            sound = not abs(float(text or "nan")) > LARGEST
         except ValueError:
-            raise InputError(Fault(f"row {row + 1} of the table holds no number", AGAIN, str(path), name, text)) from None
+            sound = False
+        if not sound:
+            raise InputError(Fault(f"row {row + 1} of the table holds no number", AGAIN, str(path), name, text))
 
 
 def _axis(record: Record, table: Mapping[str, list[str]]) -> Axis:
@@ -145,9 +147,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
     valid = int(np.sum(found.flags("valid")))
     complete = found.analysed or valid == found.grid.count
     every = " x ".join(f"{len(one.values):,}" for one in found.grid.axes)
-    line_ = (
-        f"{found.grid.count:,} points" + (f" ({every})" if len(found.grid.axes) > 1 else "") + f" over {_and(found.grid.axes)}"
-    )
+    line_ = points(found.grid.count) + (f" ({every})" if len(found.grid.axes) > 1 else "") + f" over {_and(found.grid.axes)}"
     proven = "every optimum proven" if complete else f"{valid:,} proven, {found.grid.count - valid:,} not"
     searched = "" if found.analysed else f"; {record.whole('searched_points'):,} needed a search, the others followed a neighbour"
     best = found.best

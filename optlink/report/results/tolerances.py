@@ -20,7 +20,7 @@ from optlink.report.studied import Studied, figures_of, turning
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, WANTED
 from optlink.report.terminal import BAD, GOOD, HEAD, grid, number
 from optlink.report.terminal import QUIET as DIM
-from optlink.report.tolerances import made, percent, proven
+from optlink.report.tolerances import judged, made, percent, proven
 from optlink.studies.tolerance import SCHEMA
 from optlink.workflow import people
 
@@ -138,6 +138,8 @@ def _sampled(record: Record, count: int) -> Sampled:
     edges, counts = (np.zeros(0), np.zeros(0)) if bars is None else (bars.numbers("edges"), bars.numbers("counts"))
     if len(counts) and len(edges) != len(counts) + 1:
         raise record.fault("histogram", "it has not one edge more than bins")
+    if record.whole("samples") <= 0:
+        raise record.fault("samples", "there are none", record.whole("samples"))
     asked = record.has("yield")
     interval = record.numbers("yield_interval_95_percent", 2) if asked else np.full(2, math.nan)
     return Sampled(
@@ -266,7 +268,10 @@ def _judged(found: Toleranced) -> str:
 
 def _allocated(file: ProblemFile, found: Toleranced, record: Record) -> Table:
     values, costs = record.figures("tolerances_SI"), record.figures("cost_coefficients")
-    idle, share = record.texts("without_effect"), record.number("cost") / record.number("cost_of_those_given")
+    idle, before = record.texts("without_effect"), record.number("cost_of_those_given")
+    if not before > 0.0:
+        raise record.fault("cost_of_those_given", "a cost is above zero", before)
+    share = record.number("cost") / before
     title = f"The loosest tolerances for a yield of {percent(record.number('wanted_yield'))}: cost {number(share)} of the given"
     heads = [("", "left"), ("given", "right"), ("allocated", "right"), ("cost coefficient", "right"), ("", "left")]
     table = grid(title, heads, header=True)
@@ -294,7 +299,7 @@ def _redesigned(file: ProblemFile, found: Toleranced, record: Record) -> Table:
         old, unit = people(name, before[name])
         table.add_row(name, number(old, 7), Text(number(people(name, now[name])[0], 7), style=HEAD), unit)
     values = [number(math.degrees(record.number(key)), 5) for key in ("largest_of_the_nominal_design_rad", "largest_rad")]
-    table.add_row("largest", *values, "deg")
+    table.add_row(judged(record.text("counted")), *values, "deg")
     if record.has("monte_carlo_of_the_nominal_design") and found.sampled is not None and math.isfinite(found.sampled.share):
         other = _sampled(record.record("monte_carlo_of_the_nominal_design"), len(found.degrees))
         table.add_row("yield", percent(other.share), Text(percent(found.sampled.share), style=HEAD), "")
