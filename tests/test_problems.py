@@ -26,6 +26,7 @@ from optlink.units import factor, parse
 from tests import synthesis_oracle as oracle
 
 NAMES = sorted(optlink.shipped())
+LONG = ("function-exp", "function-log10")  # ten seconds each; the sine stands for them in a plain run
 DESIGNS = [name for name in NAMES if isinstance(optlink.load(name).model, DesignProblem)]
 GENERATED = [name for name in NAMES if optlink.load(name).generated]
 POINTED = [name for name in GENERATED if name.startswith(("path-", "motion-"))]
@@ -59,7 +60,7 @@ def test_source_is_cited(name):
     assert len(problem.expected.source) > 20
 
 
-@pytest.mark.parametrize("name", DESIGNS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in DESIGNS])
 def test_expected_design_is_reached(name):
     problem = optlink.load(name)
     expected = problem.spec.expected

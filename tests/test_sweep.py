@@ -626,6 +626,7 @@ def test_a_cluster_gives_the_same_bytes_and_survives_a_killed_worker(undisturbed
 # --- cost ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_memory_is_flat():
     """Resident memory after 200 and after 2000 points, in a process of its own."""
     code = """
