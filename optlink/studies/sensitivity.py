@@ -183,7 +183,7 @@ def sensitivities(
         solution, file = result.solution, result.problem
     if solution is None or solution.status is not Status.OPTIMAL:
         how = "infeasible" if solution is None else solution.status.value
-        remedy = "See why: `optlink solve` tells"
+        remedy = "`optlink solve` tells why"
         raise InputError(Fault(f"there is no optimum whose sensitivity could be told: {how}", remedy, problem.file))
     return of_solution(file, solution, backend, check=check, progress=progress)
 
