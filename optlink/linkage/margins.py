@@ -1,0 +1,29 @@
+"""Least distances of a mechanism from the positions where its assembly modes meet: there it locks, or may change its branch.
+
+They are defaults of limits in the problem file, for laws, paths, poses and cycles alike; a user may set other values above zero.
+The validator uses the same values but measures them in motion, by formulas of its own.
+
+References
+----------
+ISO 286-1:2010, table 1: grade IT5 allows 15 um at 100 mm, 1.5e-4 of the length.
+"""
+
+from __future__ import annotations
+
+import math
+
+LEAST_ALIGNMENT = math.radians(1.0)
+"""Least angle [rad] of a joint between two bodies from alignment, so a transmission angle from 1 to 179 deg.
+
+Between two links it is their transmission angle, or 180 deg less it; of a link and a slider the angle of the link from the normal
+of the slider's line, likewise; of two guides the angle between their lines. At 1 deg a force is passed on 57 times as large, and
+lengths that are 1.5e-4 off (grade IT5) bring the joint into alignment: closer, no drawing could be built.
+"""
+
+LEAST_LENGTH_MARGIN = 1e-4
+"""Least difference of lengths, as a share of the longest link, where equal lengths mean a change point or a point of no direction.
+
+It holds for Grashof's sums (longest + shortest link below the other two), for coupler and crank where the motion starts at the
+inner dead centre (the coupler pin would lie on the crank pivot), and for the distance of the two pins of a slider and its guide.
+It is about what the finest usual tolerance of a link allows.
+"""
