@@ -21,9 +21,9 @@ lengths that are 1.5e-4 off (grade IT5) bring the joint into alignment: closer, 
 """
 
 LEAST_LENGTH_MARGIN = 1e-4
-"""Least difference of lengths, as a share of the longest link, where equal lengths mean a change point or a point of no direction.
+"""Least difference of lengths, as a share of the longest link, where equal ones mean a change point or a point of no direction.
 
-It holds for Grashof's sums (longest + shortest link below the other two), for coupler and crank where the motion starts at the
+It holds for Grashof's sums (longest + shortest link below the other two), for coupler and crank where the motion starts at its
 inner dead centre (the coupler pin would lie on the crank pivot), and for the distance of the two pins of a slider and its guide.
 It is about what the finest usual tolerance of a link allows.
 """
