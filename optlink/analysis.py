@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ from optlink.dynamics.reactions import acting_on, reported_on
 from optlink.dynamics.record import Record, slider_names
 from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
+from optlink.linkage.alignment import Aligned, listed
 from optlink.linkage.cycle import TURN, Ranges, Travel, failure, reachable, travels
 from optlink.linkage.elementwise import Value
 from optlink.linkage.refine import extremes, zeros
@@ -28,6 +29,7 @@ Array = NDArray[np.float64]
 SCHEMA = "optlink/analysis/1"
 MAX_POINTS = 1_000_000
 GRID = 720  # positions among which extremes are bracketed
+BESIDE = 1e-6  # rad from a singular position: rates and forces there are rounding
 MARGIN = 1e-3  # share of a limited range that is left out at either end: speeds are infinite at a dead position
 
 
@@ -77,8 +79,15 @@ class Analysis:
 
     @property
     def sound(self) -> bool:
-        """Whether every position has finite reactions."""
+        """Whether the motion is determined and every position has finite reactions."""
         return self.singular.size == 0 and self.jammed.size == 0 and self.undefined.size == 0
+
+    @property
+    def status(self) -> str:
+        """The verdict in a few words."""
+        if self.ranges.singular:
+            return "motion not determined beyond a singular position"
+        return "analysed" if self.sound else "no finite reactions at some positions"
 
     @property
     def figures(self) -> dict[str, float]:
@@ -100,7 +109,7 @@ class Analysis:
         mechanism = self.machine.mechanism
         deg = math.degrees
         document = {
-            **head(SCHEMA, self.problem, "analysed" if self.sound else "no finite reactions at some positions"),
+            **head(SCHEMA, self.problem, self.status),
             "sound": self.sound,
             "notes": list(self.notes),
             "groups": [{"kind": g.kind, "joint": g.joint, "bodies": [link.body for link in g.links]} for g in mechanism.groups],
@@ -118,6 +127,10 @@ class Analysis:
             "load_jumps_deg": np.degrees(self.jumps),
             "work_J": self.work,
             "singular_deg": np.degrees(self.singular),
+            "singular_positions": [
+                {"crank_angle_deg": deg(p.crank_angle), "joint": p.group.joint, "alignment_deg": deg(p.angle)}
+                for p in self.ranges.singular
+            ],
             "jammed_deg": np.degrees(self.jammed),
             "undefined_deg": np.degrees(self.undefined),
             "meanings": dict(self.meanings),
@@ -259,10 +272,17 @@ def analyze(
         low, high = start - TURN, start
     work = Work(machine, start, low, high, speed)
     columns, meanings, (singular, jammed, undefined) = _table(machine, angles, speed, work)
-    found = _extremes(machine, low, high, ranges.full, speed, work)
-    swings, strokes = travels(machine.mechanism, machine.sizes, low, high, ranges.full)
+    found: dict[str, Extreme] = {}
+    swings: dict[str, Travel] = {}
+    strokes: dict[str, Travel] = {}
+    if ranges.singular:  # nothing is known of a whole motion that two branches continue
+        singular = _undetermined(columns, singular, ranges.singular, low, high)
+    else:
+        found = _extremes(machine, low, high, ranges.full, speed, work)
+        swings, strokes = travels(machine.mechanism, machine.sizes, low, high, ranges.full)
     names = slider_names(machine)
-    share = model.drive.fluctuation
+    share = None if ranges.singular else model.drive.fluctuation
+    end = start + math.copysign(TURN, speed) if ranges.full else float(angles[-1])
     return Analysis(
         problem,
         machine,
@@ -276,7 +296,7 @@ def analyze(
         swings,
         {names[guide]: travel for guide, travel in strokes.items()},
         work.jumps,
-        float(work(np.array([start + math.copysign(TURN, speed)]))[0]) if ranges.full else float(work(angles[-1:])[0]),
+        math.nan if ranges.singular else float(work(np.array([end]))[0]),
         singular,
         jammed,
         undefined,
@@ -295,6 +315,9 @@ def _check(points: int, step: float | None, speed: float) -> None:
         raise InputError(Fault("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s"))
 
 
+PLACES = ("_deg", "_rad", "_m", "time_s", "energy.potential_J")
+"""Endings of the columns that a position alone determines, and time."""
+
 FAULTS = ("singular", "jammed", "undefined")
 CHUNK = 20_000  # positions of the table that are worked on at a time
 
@@ -312,6 +335,22 @@ def _table(machine: Machine, angles: Array, speed: float, work: Work) -> tuple[d
         if name == "input.power_W":
             columns["input.work_J"], meanings["input.work_J"] = work(angles), "work of the drive since the first row"
     return columns, meanings, [angles[np.concatenate([getattr(p, kind) for p in parts])] for kind in FAULTS]
+
+
+def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[Aligned], low: float, high: float) -> Array:
+    """Take out of the table what singular positions leave without a meaning; return their crank angles [rad] in the motion."""
+    angles = np.radians(columns["crank_angle_deg"])
+    exact = np.array([low + (position.crank_angle - low) % TURN for position in positions])
+    exact = np.where(exact - low > TURN - BESIDE, low, exact)
+    apart = np.abs(np.remainder(angles[:, None] - exact + math.pi, TURN) - math.pi)
+    beside = np.any(apart <= BESIDE, axis=1)
+    for name, column in columns.items():
+        if name == "input.work_J":
+            columns[name] = np.full(column.shape, np.nan)
+        elif not name.endswith(PLACES):
+            columns[name] = np.where(beside, np.nan, column)
+    others = rows[np.all(np.abs(rows[:, None] - exact) > BESIDE, axis=1)] if rows.size else rows
+    return np.unique(np.concatenate([others, exact[exact <= high + BESIDE]]))
 
 
 def _extremes(machine: Machine, low: float, high: float, full: bool, speed: float, work: Work) -> dict[str, Extreme]:
@@ -376,6 +415,15 @@ def _notes(
                 failed = failure(machine.mechanism, machine.sizes, end + way * math.radians(1.0))
                 if failed:
                     notes.append(f"one degree further, {failed}")
+    for position in ranges.aligned:
+        if not position.singular:
+            notes.append(_near(machine, position))
+    if ranges.singular:
+        notes.append(
+            f"singular position at crank angle {listed(ranges.singular)}: the assembly modes meet, and the motion beyond it is "
+            "not determined, so extremes, strokes and work are left out. Change the lengths"
+        )
+        singular = np.empty(0)
     guilty = {name.rpartition(".")[0] for name, column in columns.items() if not np.all(np.isfinite(column))}
     loads = ", ".join(load.name for load in machine.loads if load.name in guilty) or "a load"
     for angles, what in (
@@ -392,3 +440,16 @@ def _notes(
     if loose:
         notes.append(f"joints count as ideal here; `optlink simulate` has the clearance of {', '.join(loose)}")
     return notes
+
+
+def _near(machine: Machine, position: Aligned) -> str:
+    """Where a joint that comes near alignment makes forces peak."""
+    joint, amount = position.group.joint, f"{math.degrees(position.angle):.3g} deg"
+    where = f"at crank angle {math.degrees(position.crank_angle):.6g} deg"
+    name = f"{joint}.transmission_rad"
+    found = Record(machine.moving(np.array([position.crank_angle])), (name,))
+    if name in found.columns:
+        what = f"the transmission angle at {joint} is {math.degrees(float(found[name][0])):.6g} deg,"
+    else:
+        what = f"the {position.group.kind} group of {joint} is"
+    return f"{where} {what} {amount} from alignment: accelerations and forces peak there"

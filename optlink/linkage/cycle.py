@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.alignment import Aligned, least_alignments, slack
 from optlink.linkage.elementwise import Value, unit
 from optlink.linkage.groups import PRP
 from optlink.linkage.mechanism import Group, Mechanism, Pose
@@ -41,10 +42,20 @@ class Failure:
 
 @dataclass(frozen=True)
 class Ranges:
-    """Ranges of crank angle [rad] in which every group closes; `full` where that is the whole revolution."""
+    """Ranges of crank angle [rad] in which every group closes; `full` where that is the whole revolution.
+
+    `aligned`: positions within the ranges in which a group is near alignment, or in a singular position.
+    """
 
     ranges: tuple[tuple[float, float], ...]
     full: bool
+    aligned: tuple[Aligned, ...] = ()
+
+    @property
+    def singular(self) -> tuple[Aligned, ...]:
+        """Positions in which the assembly modes of a group meet, in the order of the crank angle."""
+        found = [position for position in self.aligned if position.singular]
+        return tuple(sorted(found, key=lambda position: position.crank_angle))
 
     def holding(self, crank_angle: float) -> tuple[float, float] | None:
         """The range that holds a crank angle, shifted by whole turns to it."""
@@ -77,8 +88,9 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
     """
-    grid = np.linspace(0.0, TURN, GRID + 1)
-
+    aligned = least_alignments(mechanism, sizes)
+    lowest = [position.crank_angle for position in aligned if not position.singular]
+    grid = np.unique(np.concatenate([np.linspace(0.0, TURN, GRID + 1), lowest]))
     crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel in passing
 
     def function(angles: Array) -> Array:
@@ -87,16 +99,44 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
         sines = [np.broadcast_to(np.asarray(group.sine(pose), dtype=float), angles.shape) for group in crossing]
         return np.array([_closing(pose), *sines])
 
-    failing = bool(np.any(function(grid)[0] < 0.0))
+    def closed(angles: Array) -> bool:
+        with np.errstate(all="ignore"):
+            return bool(np.all(slack(mechanism.pose(sizes, unit(angles))) >= 0.0))
+
+    failing = not closed(grid)
     margin, *sines = zeros(function, grid)
     ends = np.unique(np.concatenate([margin if failing else [], *sines]))  # a margin that but touches zero is no end
     if len(ends) == 0:
-        return Ranges((), False) if failing else Ranges(((0.0, TURN),), True)
-    ranges = []
-    for a, b in zip(ends, [*ends[1:], ends[0] + TURN], strict=True):
-        if function(np.array([0.5 * (a + b)]))[0, 0] >= 0.0:
-            ranges.append((_inside(function, a, 1.0), _inside(function, b, -1.0)))
-    return Ranges(tuple(ranges), False)
+        return Ranges((), False) if failing else Ranges(((0.0, TURN),), True, tuple(aligned))
+    ranges = [
+        (_inside(function, a, 1.0), _inside(function, b, -1.0))
+        for a, b in zip(ends, [*ends[1:], ends[0] + TURN], strict=True)
+        if function(np.array([0.5 * (a + b)]))[0, 0] >= 0.0
+    ]
+    if not sines:
+        ranges = _joined(ranges, closed)
+    found = Ranges(tuple(ranges), False)
+    return Ranges(found.ranges, False, tuple(p for p in aligned if _within(found, p.crank_angle)))
+
+
+def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) -> list[tuple[float, float]]:
+    """Ranges that are apart by no more than rounding at a singular position as one."""
+    found: list[tuple[float, float]] = []
+    for low, high in ranges:
+        if found and closed(np.linspace(found[-1][1], low, 9)):
+            found[-1] = found[-1][0], high
+        else:
+            found.append((low, high))
+    if len(found) > 1 and closed(np.linspace(found[-1][1], found[0][0] + TURN, 9)):
+        (_, high), (low, _) = found.pop(0), found.pop()
+        found.append((low, high + TURN))
+    return found
+
+
+def _within(ranges: Ranges, crank_angle: float) -> bool:
+    """Whether a crank angle lies inside a range, not at its end."""
+    holding = ranges.holding(crank_angle)
+    return holding is not None and min(crank_angle - holding[0], holding[1] - crank_angle) > 1e-6
 
 
 def _inside(function: Callable[[Array], Array], end: float, way: float) -> float:

@@ -68,6 +68,14 @@ class RRR(_Pair):
         distance = np.sqrt(dot(between, between))
         return np.maximum(distance - (a + b), np.abs(a - b) - distance)
 
+    def alignment(self, pose: Pose) -> Value:
+        """Squared sine of the transmission angle, from the lengths alone."""
+        p, q = self.pins
+        a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
+        between = minus(pose.point(q), pose.point(p))
+        square = dot(between, between)
+        return (square - (a - b) * (a - b)) * ((a + b) * (a + b) - square) / (4.0 * a * a * b * b)
+
 
 @dataclass(frozen=True)
 class RRP(_Pair):
@@ -102,6 +110,10 @@ class RRP(_Pair):
         height = cross(line, minus(pose.point(self.outer), begin)) - pose.offset(self.guide, self.second, self.joint)
         return np.abs(height) - pose.distance(self.first, self.outer, self.joint)
 
+    def alignment(self, pose: Pose) -> Value:
+        """Squared sine of the angle between the link and the normal of the guide."""
+        return pose.margins[self.joint]
+
 
 @dataclass(frozen=True)
 class RPR(_Pair):
@@ -131,6 +143,12 @@ class RPR(_Pair):
         """Offset of the pins across the guide beyond their distance [m]."""
         between = minus(*(pose.point(name) for name in self.outer))
         return np.abs(self._offset(pose)) - np.sqrt(dot(between, between))
+
+    def alignment(self, pose: Pose) -> Value:
+        """Squared distance of the two pins along the guide, in lengths of the crank: at zero its normal force has no lever."""
+        between, offset = minus(*(pose.point(name) for name in self.outer)), self._offset(pose)
+        crank = pose.size(pose.mechanism.crank.length)
+        return (dot(between, between) - offset * offset) / (crank * crank)
 
     def _offset(self, pose: Pose) -> Value:
         of_slider, of_other = (pose.offset(self.guide, link, pin) for link, pin in zip(self.links, self.outer, strict=True))
@@ -172,6 +190,10 @@ class RPP(_Pair):
         """Nothing: two lines meet unless they are parallel."""
         return 0.0 * pose.margins[self.joint]
 
+    def alignment(self, pose: Pose) -> Value:
+        """Squared sine of the angle between the two lines."""
+        return pose.margins[self.joint]
+
 
 @dataclass(frozen=True)
 class PRP(_Pair):
@@ -206,3 +228,7 @@ class PRP(_Pair):
     def gap(self, pose: Pose) -> Value:
         """Nothing: two lines meet unless they are parallel."""
         return 0.0 * pose.margins[self.joint]
+
+    def alignment(self, pose: Pose) -> Value:
+        """Squared sine of the angle between the two lines."""
+        return pose.margins[self.joint]

@@ -27,3 +27,13 @@ It holds for Grashof's sums (longest + shortest link below the other two), for c
 inner dead centre (the coupler pin would lie on the crank pivot), and for the distance of the two pins of a slider and its guide.
 It is about what the finest usual tolerance of a link allows.
 """
+
+SINGULAR_ALIGNMENT = math.radians(0.001)
+"""Angle [rad] of a joint from alignment below which a position counts as singular when a given machine is analysed.
+
+It is far above rounding (double precision leaves about 1e-6 deg) and far below what can be built: lengths would have to agree to
+1.5e-10 of their size. A loop that fails to close by no more than that counts as closed, in a singular position.
+"""
+
+NEAR_ALIGNMENT = math.radians(5.0)
+"""Angle [rad] of a joint from alignment below which an analysis says where forces and accelerations peak."""

@@ -117,6 +117,10 @@ class Group(Protocol):
         """By how much the group fails to close [m]: negative where it closes."""
         ...
 
+    def alignment(self, pose: Pose) -> Value:
+        """Squared sine of the angle by which the group is out of alignment: zero at a singular position, negative beyond it."""
+        ...
+
 
 class Pose:
     """Where everything is. Filled group by group; `points` in [m], `directions` of bodies as unit vectors, `margins` by joint."""

@@ -109,12 +109,13 @@ def analysis(outcome: Analysis) -> RenderableType:
     """Everything about an analysis that fits on a screen or two."""
     model = outcome.problem.model
     title = Text(model.title, style=HEAD)
-    sound = "analysed" if outcome.sound else "no finite reactions at some positions"
     turn = "the crank turns fully" if outcome.full else "the crank cannot turn fully"
-    title.append(f"\n{sound}", style=GOOD if outcome.sound else BAD)
+    title.append(f"\n{outcome.status}", style=GOOD if outcome.sound else BAD)
     title.append(f", {turn}; {_speed(outcome.speed)}")
     for note in outcome.notes:
         title.append(f"\nNote: {note}")
+    if outcome.ranges.singular:
+        return title
     parts: list[RenderableType] = [title, Text(), _travels(outcome), Text(), _extremes(outcome)]
     if outcome.machine.inertias or outcome.machine.loads:
         parts += [Text(), _work(outcome)]

@@ -1,0 +1,120 @@
+"""Positions of a mechanism in which a joint comes into alignment, or near it: change points and sharp peaks, between rows too.
+
+Where the alignment of a group touches zero its assembly modes meet: the position is singular, and the mechanism may leave it in
+either mode.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.elementwise import Value, unit
+from optlink.linkage.jet import Jet
+from optlink.linkage.margins import NEAR_ALIGNMENT, SINGULAR_ALIGNMENT
+from optlink.linkage.mechanism import Group, Mechanism, Pose
+from optlink.linkage.refine import zeros
+
+Array = NDArray[np.float64]
+TURN = 2.0 * math.pi
+GRID = 1440
+"""Positions per revolution between which each least alignment is bracketed."""
+
+TOUCHING = math.sin(SINGULAR_ALIGNMENT) ** 2
+"""Alignment (a squared sine) up to which a position is singular; a negative one of that size is rounding."""
+
+_STILL = 1e-12  # rate of an alignment over the crank angle that is rounding
+_ASIDE = 1e-3  # [rad]: so far on either side of a least alignment the alignment is larger
+
+
+class Aligned(NamedTuple):
+    """A position in which a group comes closest to alignment: crank angle [rad] and angle from alignment [rad] there."""
+
+    crank_angle: float
+    group: Group
+    angle: float
+
+    @property
+    def singular(self) -> bool:
+        """Whether the assembly modes meet there."""
+        return self.angle <= SINGULAR_ALIGNMENT * (1.0 + 1e-9)
+
+    def __str__(self) -> str:
+        return f"{math.degrees(self.crank_angle):.6g} deg ({self.group.kind} group of {self.group.joint})"
+
+
+def listed(positions: Iterable[Aligned]) -> str:
+    """Crank angles with their groups, for a sentence."""
+    return ", ".join(str(position) for position in positions)
+
+
+def squared_sines(pose: Pose) -> Array:
+    """Alignment of every group (groups, n); NaN behind one that fails to close."""
+    shape = np.shape(_value(pose.directions[pose.mechanism.crank.body][0]))
+    with np.errstate(all="ignore"):
+        found = [np.broadcast_to(_value(group.alignment(pose)), shape) for group in pose.mechanism.groups]
+    return np.array(found, dtype=float).reshape(-1, *shape)
+
+
+def slack(pose: Pose) -> Array:
+    """Least alignment of all groups (n,) above what counts as closed: negative (never NaN) where one fails to close."""
+    least = np.full(np.shape(_value(pose.directions[pose.mechanism.crank.body][0])), np.inf)
+    for group, sines in zip(pose.mechanism.groups, squared_sines(pose), strict=True):
+        above = sines - group.least if group.least > 0.0 else sines + TOUCHING  # parallel lines meet nowhere
+        least = np.minimum(least, np.where(np.isnan(above), np.where(least < 0.0, np.inf, -1.0), above))
+    return least
+
+
+def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], low: float = 0.0, high: float = TURN) -> list[Aligned]:
+    """Positions in which a group comes within `NEAR_ALIGNMENT` of alignment, each at the least angle from it.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float [m, rad]
+    low, high : float [rad]
+        Range of the crank angle.
+
+    Returns
+    -------
+    list of Aligned, in the order of the groups and of the crank angle
+    """
+    step = TURN / GRID
+    grid = np.arange(low - 0.37 * step, high + step, step)  # so that round crank angles lie between its points
+
+    def moving(angles: Array) -> Pose:
+        with np.errstate(all="ignore"):
+            return mechanism.pose(sizes, unit(Jet(angles, 1.0)))
+
+    def rates(angles: Array) -> Array:
+        pose = moving(angles)
+        with np.errstate(all="ignore"):
+            found = [_rate(group.alignment(pose)) for group in mechanism.groups]
+        return np.array([np.broadcast_to(rate, angles.shape) for rate in found])
+
+    still = np.max(np.nan_to_num(np.abs(rates(grid)), posinf=0.0), axis=1, initial=0.0) <= _STILL if mechanism.groups else []
+    found = []
+    for k, angles in enumerate(zeros(rates, grid, still=True)):
+        angles = angles[(angles >= low - 1e-9) & (angles < high - 1e-9)]
+        if still[k] or not angles.size:
+            continue
+        before, sines, after = (squared_sines(moving(angles + aside))[k] for aside in (-_ASIDE, 0.0, _ASIDE))
+        lowest = (sines <= before) & (sines <= after) & (sines < math.sin(NEAR_ALIGNMENT) ** 2)
+        for at, sine in zip(angles[lowest], sines[lowest], strict=True):
+            if sine >= -TOUCHING:
+                found.append(
+                    Aligned(0.0 if abs(at) < 1e-9 else float(at), mechanism.groups[k], math.asin(math.sqrt(max(sine, 0.0))))
+                )
+    return found
+
+
+def _value(x: Value) -> Value:
+    return x.value if isinstance(x, Jet) else x
+
+
+def _rate(x: Value) -> Value:
+    return x.rate if isinstance(x, Jet) else 0.0
