@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.reactions import acting_on, reported_on
 from optlink.dynamics.record import Record, slider_names
+from optlink.dynamics.strokes import Acting, acting_loads, use_of, working_stroke
 from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
 from optlink.linkage.alignment import Aligned, listed
@@ -104,6 +106,23 @@ class Analysis:
         found["input.work_per_revolution_J" if self.full else "input.work_over_range_J"] = self.work
         return {name: value for name, value in found.items() if math.isfinite(value)}
 
+    @cached_property
+    def acting(self) -> tuple[Acting, ...]:
+        """The loads that act in one stroke alone; none where the crank cannot turn fully."""
+        return acting_loads(self.machine, self.speed) if self.full else ()
+
+    def _travel(self, travel: Travel, unit: str) -> dict[str, Any]:
+        return {
+            f"span_{unit}": travel.span,
+            f"low_{unit}": travel.low,
+            f"high_{unit}": travel.high,
+            "low_at_deg": math.degrees(travel.low_at),
+            "high_at_deg": math.degrees(travel.high_at),
+            "dead_centres_deg": [math.degrees(at) for at in travel.dead_centres],
+            "time_ratio": travel.time_ratio,
+            **stroke_records(travel, self.speed, self.acting),
+        }
+
     def to_dict(self) -> dict[str, Any]:
         """The analysis as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
         mechanism = self.machine.mechanism
@@ -118,8 +137,8 @@ class Analysis:
             "full_rotation": self.full,
             "reachable_deg": [[deg(low), deg(high)] for low, high in self.ranges.ranges],
             "reactions": reactions_told(self.machine),
-            "strokes": {name: _travel(travel, "m") for name, travel in self.strokes.items()},
-            "swings": {name: _travel(travel, "rad") for name, travel in self.swings.items()},
+            "strokes": {name: self._travel(travel, "m") for name, travel in self.strokes.items()},
+            "swings": {name: self._travel(travel, "rad") for name, travel in self.swings.items()},
             "extremes": {
                 name: {"min": e.least, "min_at_deg": deg(e.least_at), "max": e.largest, "max_at_deg": deg(e.largest_at)}
                 for name, e in self.extremes.items()
@@ -141,15 +160,33 @@ class Analysis:
         return finite(document)  # type: ignore[no-any-return]
 
 
-def _travel(travel: Travel, unit: str) -> dict[str, Any]:
+def stroke_records(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> dict[str, Any]:
+    """The working, slow, forward and backward stroke of an output as JSON, with crank ranges in the sense of the crank.
+
+    Parameters
+    ----------
+    travel : Travel
+    speed : float
+        Speed of the crank; only its sign counts.
+    acting : tuple of Acting
+        The loads that act in one stroke alone.
+    """
+    working, loads = working_stroke(travel, speed, acting)
+    strokes = travel.strokes(speed)
     return {
-        f"span_{unit}": travel.span,
-        f"low_{unit}": travel.low,
-        f"high_{unit}": travel.high,
-        "low_at_deg": math.degrees(travel.low_at),
-        "high_at_deg": math.degrees(travel.high_at),
-        "dead_centres_deg": [math.degrees(at) for at in travel.dead_centres],
-        "time_ratio": travel.time_ratio,
+        "slow_stroke": next((stroke.name for stroke in strokes if stroke.pace == "slow"), None),
+        "working_stroke": working,
+        "working_loads": list(loads),
+        **{
+            stroke.name: {
+                "crank_from_deg": math.degrees(stroke.begin),
+                "crank_to_deg": math.degrees(stroke.end),
+                "crank_rotation_deg": math.degrees(stroke.rotation),
+                "pace": stroke.pace,
+                "use": use_of(stroke, working) or None,
+            }
+            for stroke in strokes
+        },
     }
 
 
@@ -300,7 +337,10 @@ def analyze(
         singular,
         jammed,
         undefined,
-        tuple(_notes(problem, ranges, design, machine, columns, singular, jammed, undefined)),
+        (
+            *_notes(problem, ranges, design, machine, columns, singular, jammed, undefined),
+            *(quick_stroke_notes(problem, machine, speed) if ranges.full else ()),
+        ),
         flywheel(machine, speed, share, low) if share is not None and ranges.full else None,
     )
 
@@ -391,6 +431,19 @@ def _extremes(machine: Machine, low: float, high: float, full: bool, speed: floa
         i, j = int(np.nanargmin(amounts)), int(np.nanargmax(amounts))
         found["input.work_J"] = Extreme(float(amounts[i]), float(places[i]), float(amounts[j]), float(places[j]))
     return found
+
+
+def quick_stroke_notes(problem: ProblemFile, machine: Machine, speed: float) -> list[str]:
+    """A note for every load that acts in the quick stroke although the file does not say "quick"."""
+    notes = []
+    for item in acting_loads(machine, speed):
+        if item.pace == "quick" and problem.model.loads[item.load].stroke != "quick":
+            rotation = math.degrees(math.fsum(end - begin for begin, end in item.ranges))
+            notes.append(
+                f"{item.load} acts in the {item.stroke} stroke of {item.body}, which is the quick one: {rotation:.5g} of 360 deg "
+                f'of crank rotation (loads.{item.load}.stroke = "slow" is the other one, "quick" confirms this one)'
+            )
+    return notes
 
 
 def _notes(

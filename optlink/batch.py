@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,8 +41,8 @@ def analyze_batch(
 
     Returns
     -------
-    columns by name, arrays (designs, points); NaN where a design cannot be assembled or is singular. Memory beside these arrays
-    does not grow with the number of designs.
+    columns by name, arrays (designs, points); NaN where a design cannot be assembled, is singular, or has no slow stroke in which
+    a load should act. Memory beside these arrays does not grow with the number of designs.
 
     Raises
     ------
@@ -61,12 +61,28 @@ def analyze_batch(
     found = {name: np.empty((count, points)) for name in columns}
     step = max(1, PORTION // points)
     for first in range(0, count, step):
-        part = slice(first, first + step)
-        machine = machine_of(problem, {name: values[part, None] for name, values in arrays.items()})
-        record = Record(machine.moving(angles, way), columns)
-        for name in columns:
-            found[name][part] = record[name]
+        for part, defined in _alike(problem, arrays, np.arange(first, min(first + step, count))):
+            if not defined:
+                for name in columns:
+                    found[name][part] = np.nan
+                continue
+            machine = machine_of(problem, {name: values[part, None] for name, values in arrays.items()})
+            record = Record(machine.moving(angles, way), columns)
+            for name in columns:
+                found[name][part] = record[name]
     return found
+
+
+def _alike(problem: ProblemFile, arrays: Mapping[str, Array], part: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], bool]]:
+    """The designs of a portion in groups whose slow strokes are the same, and whether every load that needs one has one."""
+    if not any(load.by_pace for load in problem.model.loads.values()):
+        yield part, True
+        return
+    senses = problem.model.slow_senses({name: values[part, None] for name, values in arrays.items()})
+    senses = np.broadcast_to(senses, (len(senses), len(part)))
+    keys, group = np.unique(senses, axis=1, return_inverse=True)
+    for k, key in enumerate(keys.T):
+        yield part[np.ravel(group) == k], bool(np.all(key != 0.0))
 
 
 def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, Array]:

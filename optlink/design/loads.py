@@ -20,14 +20,15 @@ from optlink.design.quantity import (
     nearest,
 )
 from optlink.design.section import Section
-from optlink.dynamics.loads import Force, Load, SlideDamper, Spring, Stroke, Torque, TorsionSpring
+from optlink.dynamics.loads import Force, Load, SlideDamper, Spring, Torque, TorsionSpring
+from optlink.linkage.cycle import OTHER, Direction
 from optlink.linkage.mechanism import FRAME, Mechanism
 
 
 class Samples(Protocol):
     """What a load must know of the motion of its machine."""
 
-    def slow(self, load: Load) -> Stroke:
+    def slow(self, load: Load) -> Direction:
         """Which stroke of a load's motion takes longer."""
         ...
 
@@ -55,7 +56,7 @@ class LoadSection(Section):
     """Of the force, from +x; left out: along the guide of a slider."""
     acts: Literal["constant", "opposing"] = "constant"
     """As it is, or against the motion."""
-    stroke: Literal["both", "forward", "backward", "slow", "fast"] = "both"
+    stroke: Literal["both", "forward", "backward", "slow", "quick"] = "both"
     """In which stroke it acts; forward is along the guide, or counter-clockwise."""
     between: tuple[str, str] | None = None
     """Of a spring or damper: the two points that it joins."""
@@ -73,6 +74,11 @@ class LoadSection(Section):
     """Angle of that spring without a torque; left out: 0."""
     torsional_damping: TorsionalDamping | None = None
     """Of the rotation of `on` against `against`."""
+
+    @field_validator("stroke", mode="before")
+    @classmethod
+    def _older_word(cls, raw: object) -> object:
+        return "quick" if raw == "fast" else raw
 
     @field_validator("force", "torque", mode="before")
     @classmethod
@@ -140,6 +146,11 @@ class LoadSection(Section):
             name, guide, known.slider, known.on, known.at or mechanism.bodies[known.slider].start, self.damping.value
         )
 
+    @property
+    def by_pace(self) -> bool:
+        """Whether the sizes decide in which direction it acts: in the slow or in the quick stroke."""
+        return self.stroke in ("slow", "quick")
+
     def _check_keys(self) -> None:
         """Keys that say nothing together."""
         given = {key for key in self.model_fields_set if getattr(self, key) is not None}
@@ -196,8 +207,7 @@ class LoadSection(Section):
         """In which stroke it acts, and whether that goes with the sense of the crank."""
         if load.opposing or self.stroke != "both":
             motion.check_moves(load)
-        if self.stroke not in ("slow", "fast"):
+        if not self.by_pace:
             return {"stroke": self.stroke}
         found = motion.slow(load)
-        other: dict[Stroke, Stroke] = {"forward": "backward", "backward": "forward"}
-        return {"stroke": found if self.stroke == "slow" else other[found], "turning": True}
+        return {"stroke": found if self.stroke == "slow" else OTHER[found], "turning": True}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
@@ -19,14 +20,15 @@ from optlink.design.loads import LoadSection
 from optlink.design.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
 from optlink.design.section import RESERVED, Name, Section
 from optlink.design.tolerances import Deviation, Tolerances, deviations, loosened
-from optlink.dynamics.loads import Force, Load, Stroke
+from optlink.dynamics.loads import Force, Load
 from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.strokes import slow_stroke_of
+from optlink.linkage.cycle import LEAST_DIFFERENCE, Direction
 from optlink.linkage.elementwise import Value, cross, dot, unit
 from optlink.linkage.mechanism import FRAME, Mechanism
 
 Array = NDArray[np.float64]
-STROKES = 720  # positions at which the strokes of a load's motion are told apart
-EVEN = 2.0 / STROKES  # share of the revolution below which two strokes count as equally long
+STROKES = 720  # positions of a revolution at which the motion of a load is sampled
 
 
 class Expected(Section):
@@ -118,8 +120,15 @@ class Problem(Section):
         largest = {name: quantity.bounds[1] for name, quantity in quantities.items()}
         return deviations(self.tolerances, mechanism, quantities, largest | pivots)
 
-    def machine(self, design: Mapping[str, Value] | None = None) -> Machine:
+    def machine(self, design: Mapping[str, Value] | None = None, slow: Mapping[str, Direction] | None = None) -> Machine:
         """The machine for given quantities [SI] (the values and starts of the file where none are given).
+
+        Parameters
+        ----------
+        design : mapping of quantity to value [SI], optional
+        slow : mapping of load to "forward" or "backward", optional
+            The slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise; that of the machine
+            of this design if left out.
 
         Raises
         ------
@@ -144,7 +153,7 @@ class Problem(Section):
         for name, body in self.bodies.items():
             with _below(f"bodies.{name}"):
                 inertias[name] = body.inertia_of(name, mechanism, sizes)
-        motion = Revolution(Machine(mechanism, sizes))
+        motion = Revolution(Machine(mechanism, sizes), slow or {})
         loads = []
         for name, section_ in self.loads.items():
             if name in RESERVED:
@@ -162,6 +171,22 @@ class Problem(Section):
             self.mechanism.friction,
             {name: joint.on for name, joint in self.joints.items() if joint.on is not None},
         )
+
+    @property
+    def slow_assumed(self) -> dict[str, Direction] | None:
+        """A slow stroke of every load where free sizes decide it, and the starts of the file may leave it open; else None."""
+        return dict.fromkeys(self.loads, "forward") if self.free else None
+
+    def slow_senses(self, design: Mapping[str, Value]) -> Array:
+        """Slow strokes of the loads that act by pace (loads, designs): 1 forward, -1 backward, 0 where neither is slow.
+
+        Parameters
+        ----------
+        design : mapping of quantity to array (designs, 1) [SI]
+        """
+        machine = self.machine(design, dict.fromkeys(self.loads, "forward"))
+        motion = Revolution(Machine(machine.mechanism, machine.sizes))
+        return np.array([motion.slow_senses(load) for load in machine.loads if self.loads[load.name].by_pace])
 
     @property
     def loose(self) -> bool:
@@ -203,8 +228,8 @@ class _below:
 class Revolution:
     """Samples of a machine's motion over a revolution (or as much of it as can be assembled)."""
 
-    def __init__(self, machine: Machine) -> None:
-        self.machine = machine
+    def __init__(self, machine: Machine, slow: Mapping[str, Direction] | None = None) -> None:
+        self.machine, self._slow = machine, slow or {}
 
     @cached_property
     def moving(self) -> Moving:
@@ -248,19 +273,41 @@ class Revolution:
             what = "does not move in this direction" if isinstance(load, Force) else "does not turn"
             raise Unusable(f"what it opposes {what}", 'Take the load out, or write acts = "constant"', "acts")
 
-    def slow(self, load: Load) -> Stroke:
-        """Which stroke of a load's motion takes longer while the crank turns evenly.
+    def slow(self, load: Load) -> Direction:
+        """Which stroke of a load's motion takes longer while the crank turns evenly counter-clockwise.
 
         Raises
         ------
         Unusable
             when both take equally long.
         """
-        rates = self._rates(load)
-        balance = float(np.mean(np.sign(rates))) if rates.size else 0.0
-        if abs(balance) <= 2.0 * EVEN:
-            raise Unusable("both strokes take equally long", 'Write stroke = "forward" or "backward"', "stroke")
-        return "forward" if balance > 0.0 else "backward"
+        if load.name in self._slow:
+            return self._slow[load.name]
+        if np.all(self.moving.motion.assembled) and np.ndim(self.moving.motion.assembled) == 1:
+            found = slow_stroke_of(self.machine, load)
+        else:  # many designs that have the same slow stroke, or a crank that cannot turn fully
+            sense = self.slow_senses(load)
+            found = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
+        if found is None:
+            least = f"{math.degrees(LEAST_DIFFERENCE):g} deg"
+            message = f"both strokes take equally long (to {least} of crank rotation), so there is no slow stroke"
+            raise Unusable(message, 'Write stroke = "forward" or "backward", or change the sizes', "stroke")
+        return found
+
+    def slow_senses(self, load: Load) -> Array:
+        """Slow stroke of a load's motion for one or many designs: 1 forward, -1 backward, 0 where both take equally long.
+
+        By the sampled positions that can be reached, reversals interpolated between them.
+        """
+        velocity = load.reversing(self.moving)
+        rate = np.asarray(velocity[0] if velocity else 0.0, dtype=float)
+        rate = np.broadcast_to(rate, np.shape(self.moving.motion.assembled)) + np.zeros(STROKES)
+        rate = np.concatenate([rate, rate[..., :1]], axis=-1)
+        size = np.abs(rate[..., 1:]) + np.abs(rate[..., :-1])
+        with np.errstate(all="ignore"):
+            difference = 2.0 * np.pi * np.nanmean((rate[..., 1:] + rate[..., :-1]) / size, axis=-1)
+        sense = np.where(np.abs(difference) >= LEAST_DIFFERENCE, np.sign(difference), 0.0)
+        return np.asarray(sense, dtype=float).reshape(-1)
 
     def middle(self, body: str, against: str, free: float) -> float:
         """The midst of the swing of a body against another [rad], at most half a turn from `free`.
@@ -291,7 +338,7 @@ def cross_check(problem: Problem) -> None:
     Unusable
         with the full key that is to blame.
     """
-    machine = problem.machine()
+    machine = problem.machine(slow=problem.slow_assumed)
     gaps = problem.gaps(machine)
     with _below("tolerances"):
         _ = problem.deviations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,12 @@ Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
 GRID = 1440
 """Positions per revolution among which everything is bracketed."""
+LEAST_DIFFERENCE = math.radians(0.1)
+"""Crank rotations [rad] of two strokes that differ by less count as equally long: neither is the slow one."""
+Direction = Literal["forward", "backward"]
+Pace = Literal["slow", "quick", "equal"]
+OTHER: dict[Direction, Direction] = {"forward": "backward", "backward": "forward"}
+"""The opposite of each direction of motion."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +166,36 @@ def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float
     return None
 
 
+def slow_stroke(forward: float, backward: float) -> Direction | None:
+    """Which of two strokes is the slow one, by the crank rotation [rad] of each; None where they are equally long.
+
+    Equally long are crank rotations that differ by less than `LEAST_DIFFERENCE`, so that rounding never decides.
+    """
+    if not abs(forward - backward) >= LEAST_DIFFERENCE:
+        return None
+    return "forward" if forward > backward else "backward"
+
+
+@dataclass(frozen=True)
+class StrokeRange:
+    """One stroke of an output at constant crank speed.
+
+    `name`: "forward" where the output moves along its guide or counter-clockwise, else "backward"; `begin`, `end`: crank angles
+    [rad] at which it begins (0 ... 2 pi) and ends, the end beyond the begin in the sense in which the crank turns; `pace`:
+    "slow", "quick", or "equal" where the two strokes take equally long.
+    """
+
+    name: Direction
+    begin: float
+    end: float
+    pace: Pace
+
+    @property
+    def rotation(self) -> float:
+        """Crank rotation during the stroke [rad], positive."""
+        return abs(self.end - self.begin)
+
+
 @dataclass(frozen=True)
 class Travel:
     """The limited motion of a body or slider.
@@ -179,6 +216,31 @@ class Travel:
     def span(self) -> float:
         """Stroke [m] or swing angle [rad]."""
         return self.high - self.low
+
+    def strokes(self, speed: float = 1.0) -> tuple[StrokeRange, ...]:
+        """The forward and the backward stroke; none unless there are two dead centres in a full revolution.
+
+        Parameters
+        ----------
+        speed : float
+            Speed of the crank; only its sign counts, negative clockwise.
+        """
+        if not math.isfinite(self.time_ratio):
+            return ()
+        sense = math.copysign(1.0, speed)
+        forward = (sense * (self.high_at - self.low_at)) % TURN
+        slow = slow_stroke(forward, TURN - forward)
+        found = []
+        name: Direction
+        for name, at, rotation in (("forward", self.low_at, forward), ("backward", self.high_at, TURN - forward)):
+            begin = at % TURN
+            found.append(StrokeRange(name, begin, begin + sense * rotation, pace_of(name, slow)))
+        return tuple(found)
+
+
+def pace_of(stroke: Direction, slow: Direction | None) -> Pace:
+    """Pace of a stroke, "slow", "quick" or "equal", where the slow one is known or there is none."""
+    return "equal" if slow is None else "slow" if stroke == slow else "quick"
 
 
 def travels(

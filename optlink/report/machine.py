@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from optlink.analysis import Analysis, machine_of, reactions_told
+from optlink.analysis import Analysis, reactions_told
 from optlink.design.files import ProblemFile
 from optlink.design.linkages import DyadsSection
 from optlink.dynamics.machine import Machine
+from optlink.dynamics.strokes import Acting, use_of, working_stroke
+from optlink.linkage.cycle import Travel
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
 from optlink.simulation import Simulation
 
@@ -20,7 +23,8 @@ COLUMN = tuple[str, str]
 
 def machine(file: ProblemFile) -> list[RenderableType]:
     """What a machine is made of: bodies, joints, groups, masses, loads, drive; and which body acts on which."""
-    model, built = file.model, machine_of(file)
+    model = file.model
+    built = model.machine(slow=model.slow_assumed)
     mechanism = built.mechanism
     parts: list[RenderableType] = []
     if isinstance(model.mechanism, DyadsSection):
@@ -54,7 +58,7 @@ def machine(file: ProblemFile) -> list[RenderableType]:
         stated = {key: getattr(section, key) for key in type(section).model_fields if key in section.model_fields_set}
         words = ", ".join(f"{key} {'-'.join(value) if isinstance(value, tuple) else value}" for key, value in stated.items())
         stroke = getattr(next(load for load in built.loads if load.name == name), "stroke", "both")
-        drive.add_row(name, words + (f" (the {stroke} one)" if section.stroke in ("slow", "fast") else ""))
+        drive.add_row(name, words + (f" (the {stroke} one)" if section.by_pace and not model.free else ""))
     for name, coefficient in built.friction.items():
         drive.add_row(f"friction in {name}", number(coefficient))
     parts.append(drive)
@@ -141,7 +145,33 @@ def _travels(outcome: Analysis) -> RenderableType:
             centres = [f"{math.degrees(at) + 0.0:.3f}" for at in travel.dead_centres]
             low, high, span = (fixed(value * factor) for value in (travel.low, travel.high, travel.span))
             table.add_row(f"{name} {what}", low, high, span, unit, "\n".join(centres), fixed(travel.time_ratio, 5))
-    return table
+    named = [(f"{name} slides", travel) for name, travel in outcome.strokes.items()]
+    named += [(f"{name} swings", travel) for name, travel in outcome.swings.items()]
+    strokes = stroke_table(named, outcome.speed, outcome.acting)
+    return table if strokes is None else Group(table, Text(), strokes)
+
+
+def stroke_table(named: Sequence[tuple[str, Travel]], speed: float, acting: tuple[Acting, ...]) -> Table | None:
+    """Forward and backward stroke of every output with their crank ranges; None where no output has two dead centres.
+
+    Parameters
+    ----------
+    named : sequence of (name of the output, Travel)
+    speed : float
+        Speed of the crank; only its sign counts.
+    acting : tuple of Acting
+        The loads that act in one stroke alone.
+    """
+    columns: list[COLUMN] = [("", "left"), ("stroke", "left"), ("crank range deg", "right"), ("turns deg", "right")]
+    columns += [("pace", "left"), ("use", "left")]
+    table = grid("Working and return strokes", columns, header=True)
+    for name, travel in named:
+        working, loads = working_stroke(travel, speed, acting)
+        for stroke in travel.strokes(speed):
+            use = use_of(stroke, working) + (f": {', '.join(loads)}" if loads and stroke.name == working else "")
+            begin, end, rotation = (f"{math.degrees(angle):.3f}" for angle in (stroke.begin, stroke.end, stroke.rotation))
+            table.add_row(name, stroke.name, f"{begin} to {end}", rotation, stroke.pace, use)
+    return table if table.row_count else None
 
 
 WORTH = {

@@ -1,0 +1,126 @@
+"""Working and return stroke: in which crank ranges the loads of a machine act, and which stroke of an output is the slow one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.loads import Force, Load, Torque
+from optlink.dynamics.machine import Machine
+from optlink.linkage.cycle import OTHER, TURN, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke
+from optlink.linkage.refine import zeros
+
+Array = NDArray[np.float64]
+GRID = 720  # crank angles among which reversals are bracketed
+AHEAD = 1e-6  # rad beyond a reversal at which the direction of motion is read
+SAME = 1e-6  # rad; crank angles that near to one another are one
+
+
+def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[float, float]]]:
+    """Crank ranges [rad] in which the motion of a load is forward and backward, for a crank that turns counter-clockwise.
+
+    Parameters
+    ----------
+    machine : Machine
+        Whose crank turns fully.
+    load : Load
+        One that depends on the direction of a motion.
+    """
+
+    def rates(angles: Array) -> Array:
+        found = load.reversing(machine.moving(angles))
+        return np.broadcast_to(np.asarray(0.0 if found is None else found[0], dtype=float), angles.shape)[None, :]
+
+    grid = np.linspace(0.0, TURN, GRID + 1) + 0.37 * TURN / GRID  # no reversal at a round angle lies on the seam
+    at = zeros(rates, grid, still=True)[0]
+    ranges: dict[Direction, list[tuple[float, float]]] = {"forward": [], "backward": []}
+    if at.size == 0:
+        ranges["forward" if float(np.nanmean(rates(grid))) > 0.0 else "backward"].append((0.0, TURN))
+        return ranges
+    signs = rates(at + AHEAD)[0]
+    turns = np.append(True, np.sign(signs[1:]) != np.sign(signs[:-1]))  # a motion that only pauses does not reverse
+    at, signs = at[turns], signs[turns]
+    for begin, end, sign in zip(at, [*at[1:], at[0] + TURN], signs, strict=True):
+        ranges["forward" if sign > 0.0 else "backward"].append((float(begin), float(end)))
+    return ranges
+
+
+def slow_stroke_of(machine: Machine, load: Load) -> Direction | None:
+    """Which stroke of a load's motion is the slow one for a crank that turns counter-clockwise; None where neither is."""
+    return _slow(load_strokes(machine, load))
+
+
+def _slow(ranges: Mapping[Direction, list[tuple[float, float]]]) -> Direction | None:
+    forward, backward = (math.fsum(end - begin for begin, end in ranges[name]) for name in OTHER)
+    return slow_stroke(forward, backward)
+
+
+@dataclass(frozen=True)
+class Acting:
+    """A load that acts in one stroke alone.
+
+    `stroke`: "forward" or "backward" along the load's own direction, as the crank turns; `ranges`: the crank ranges [rad] in
+    which it acts, for a crank that turns counter-clockwise; `pace` of this stroke: "slow", "quick" or "equal".
+    """
+
+    load: str
+    body: str
+    stroke: Direction
+    ranges: tuple[tuple[float, float], ...]
+    pace: Pace
+
+
+def acting_loads(machine: Machine, speed: float) -> tuple[Acting, ...]:
+    """The loads that act in one stroke alone, in a machine whose crank turns fully."""
+    return tuple(_acting(machine, speed))
+
+
+def _acting(machine: Machine, speed: float) -> Iterator[Acting]:
+    for load in machine.loads:
+        if not isinstance(load, Force | Torque) or load.stroke == "both":
+            continue
+        ranges = load_strokes(machine, load)
+        other = OTHER[load.stroke] if speed < 0.0 else load.stroke
+        own, counter = (other, load.stroke) if load.turning else (load.stroke, other)
+        yield Acting(load.name, load.body, own, tuple(ranges[counter]), pace_of(counter, _slow(ranges)))
+
+
+def working_stroke(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> tuple[Direction | None, tuple[str, ...]]:
+    """The working stroke of an output and the loads that make it so.
+
+    It is the stroke in which loads of the same dead centres act; where no load of the machine is limited to a stroke, the slow
+    one, as usual for quick-return mechanisms; None where loads act in both, or none says.
+
+    Parameters
+    ----------
+    travel : Travel
+    speed : float
+        Speed of the crank; only its sign counts.
+    acting : tuple of Acting
+    """
+    found: dict[Direction, list[str]] = {}
+    strokes = travel.strokes(speed)
+    for stroke in strokes:
+        begin, end = sorted((stroke.begin, stroke.end))
+        for item in acting:
+            if len(item.ranges) == 1 and _same(item.ranges[0], (begin, end)):
+                found.setdefault(stroke.name, []).append(item.load)
+    if len(found) == 1:
+        ((name, loads),) = found.items()
+        return name, tuple(loads)
+    if not found and not acting:
+        return next((stroke.name for stroke in strokes if stroke.pace == "slow"), None), ()
+    return None, ()
+
+
+def _same(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    return all(abs(math.remainder(a - b, TURN)) < SAME for a, b in zip(one, other, strict=True))
+
+
+def use_of(stroke: StrokeRange, working: Direction | None) -> str:
+    """What a stroke is for: "working", "return", or nothing where that is open."""
+    return "" if working is None else "working" if stroke.name == working else "return"
