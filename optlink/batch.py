@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.analysis import machine_of
+from optlink.analysis import GRID, machine_of
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import nearest
+from optlink.dynamics.machine import Machine
 from optlink.dynamics.record import Record
 from optlink.errors import Fault, InputError
 from optlink.linkage.cycle import TURN
+from optlink.linkage.refine import extremes_of_rows
 
 Array = NDArray[np.float64]
 PORTION = 12_000
 """Positions that are worked on at a time: a few dozen intermediate arrays of them stay in the processor's cache."""
+
+LARGE = 60_000
+"""The same for extremes, whose refinement takes many short calls."""
+
+CLEAR = 0.1
+"""Least sine of every group (of a transmission angle 5.7 deg) by which a design keeps clear of singular positions, also between
+the samples."""
 
 
 def analyze_batch(
@@ -83,6 +94,68 @@ def _alike(problem: ProblemFile, arrays: Mapping[str, Array], part: NDArray[np.i
     keys, group = np.unique(senses, axis=1, return_inverse=True)
     for k, key in enumerate(keys.T):
         yield part[np.ravel(group) == k], bool(np.all(key != 0.0))
+
+
+def batch_extremes(
+    problem: ProblemFile, designs: Mapping[str, ArrayLike], columns: Sequence[str]
+) -> tuple[dict[str, Array], NDArray[np.bool_]]:
+    """Exact extremes of columns over the revolution for many designs at once, as those of `optlink.analyze`.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        Its machine has no loads that jump (`Machine.switching`).
+    designs : mapping of quantity to array (designs,) [SI]
+        What is not named keeps its value.
+    columns : names as in `Analysis.columns`, or `B.f_N` for the magnitude of a reaction; no angles of bodies
+
+    Returns
+    -------
+    extremes : arrays (designs, 2) by name, the least and the largest value
+    clear : array (designs,) of bool
+        Which designs keep clear of every singular position. The extremes of the others mean nothing.
+
+    Raises
+    ------
+    InputError
+        as `analyze_batch`.
+    """
+    arrays = _read(problem, designs)
+    count = len(next(iter(arrays.values())))
+    drive = problem.model.drive
+    way, start = drive.speed.value, drive.start.value
+    step = TURN / GRID
+    grid = np.asarray(min(start, start + math.copysign(TURN, way)) + step * np.arange(-1, GRID + 2), dtype=float)
+    found = {name: np.full((count, 2), np.nan) for name in columns}
+    clear = np.zeros(count, dtype=bool)
+    portion = max(1, LARGE // GRID)
+    for first in range(0, count, portion):
+        machine = machine_of(problem, {name: values[first : first + portion, None] for name, values in arrays.items()})
+        moving = machine.moving(grid, way)
+        record = Record(moving, [part for name in columns for part in reaction_parts(name)])
+        with np.errstate(all="ignore"):
+            apart = [np.min(np.abs(record.full(sine)), axis=1) > CLEAR for sine in record.reactions.singularity.values()]
+            apart.append(np.all(moving.motion.assembled, axis=1))
+        apart += [np.all(np.isfinite(column.values), axis=1) for column in record.columns.values()]
+        numbers = first + np.flatnonzero(np.all(apart, axis=0))
+        clear[numbers] = True
+        if numbers.size:
+            own = machine_of(problem, {name: values[numbers, None] for name, values in arrays.items()})
+            for name in columns:
+                found[name][numbers] = extremes_of_rows(functools.partial(_column, own, way, name), grid)
+    return found, clear
+
+
+def reaction_parts(name: str) -> tuple[str, ...]:
+    """The columns whose root sum square a column is: the components of the magnitude of a reaction, else itself."""
+    return (f"{name[:-4]}.fx_N", f"{name[:-4]}.fy_N") if name.endswith(".f_N") else (name,)
+
+
+def _column(machine: Machine, speed: float, name: str, angles: Array) -> Array:
+    """A column of a batch of designs at crank angles (1, n) or (designs, n)."""
+    record = Record(machine.moving(angles, speed), reaction_parts(name))
+    values = [record[part] for part in reaction_parts(name)]
+    return values[0] if len(values) == 1 else np.hypot(*values)
 
 
 def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, Array]:

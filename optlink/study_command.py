@@ -161,7 +161,11 @@ def sweep(
     analyze: Annotated[bool, typer.Option("--analyze", help="Only analyse the designs, no optimisation.")] = False,
     column: Annotated[
         list[str] | None,
-        typer.Option("--column", metavar="NAME", help="With --analyze: a column of the analysis. Repeatable."),
+        typer.Option(
+            "--column",
+            metavar="NAME",
+            help="With --analyze: a column of the analysis, or a figure such as slider.stroke_m. Repeatable.",
+        ),
     ] = None,
     points: Annotated[
         int | None, typer.Option(parser=whole_number, metavar="N", help="With --analyze: crank angles per revolution; 360.")
@@ -214,7 +218,7 @@ def sweep(
                 progress=progress,
             )
         console.told(result, "whatif.sweep", "sweeps", None, as_json, out)
-        if not result.complete:
+        if not result.successful:
             raise typer.Exit(1)
 
 

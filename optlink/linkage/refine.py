@@ -39,17 +39,48 @@ def extremes(function: Function, grid: Array, breaks: Sequence[float] = ()) -> t
     for at in breaks:
         low, high = np.where((low < at) & (at < centre), at, low), np.where((centre < at) & (at < high), at, high)
     value = np.take_along_axis(values, best, axis=-1)
-    steps = np.linspace(0.0, 1.0, POINTS)
     rows = np.arange(len(values))[:, None, None]
+
+    def own(points: Array) -> Array:
+        found = function(points.ravel()).reshape(len(values), *points.shape)
+        return np.asarray(found[rows, rows, np.arange(2)[None, :, None], np.arange(POINTS)[None, None, :]])
+
+    return _closed_in(own, centre, value, low, high)
+
+
+def extremes_of_rows(function: Function, grid: Array) -> Array:
+    """Least and largest value of every row of a function, each row closed in on at crank angles of its own.
+
+    Parameters
+    ----------
+    function : crank angles (rows, n) [rad] -> values (rows, n), finite
+    grid : array (n,) [rad], rising
+        Fine enough that each extreme lies beside the best grid point.
+
+    Returns
+    -------
+    values : array (rows, 2)
+    """
+    values = function(grid[None, :])
+    best = np.stack([np.argmin(values, axis=1), np.argmax(values, axis=1)], axis=1)
+    low, high = grid[np.maximum(best - 1, 0)], grid[np.minimum(best + 1, len(grid) - 1)]
+
+    def own(points: Array) -> Array:
+        return function(points.reshape(len(points), -1)).reshape(points.shape)
+
+    return _closed_in(own, grid[best], np.take_along_axis(values, best, axis=1), low, high)[1]
+
+
+def _closed_in(own: Callable[[Array], Array], centre: Array, value: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Close in on extremes within their brackets: `own` gives the values (rows, 2, n) at crank angles (rows, 2, n)."""
+    signs, steps = np.array([1.0, -1.0]), np.linspace(0.0, 1.0, POINTS)
     for _ in range(ROUNDS):
         points = low[..., None] + (high - low)[..., None] * steps
-        shape = points.shape
-        found = function(points.ravel()).reshape(len(values), *shape)
-        own = found[rows, rows, np.arange(2)[None, :, None], np.arange(POINTS)[None, None, :]]
-        score = np.where(np.isfinite(own), own * signs[None, :, None], np.inf)
+        found = own(points)
+        score = np.where(np.isfinite(found), found * signs[None, :, None], np.inf)
         place = np.argmin(score, axis=-1)
         near = np.take_along_axis(points, place[..., None], axis=-1)[..., 0]
-        at_near = np.take_along_axis(own, place[..., None], axis=-1)[..., 0]
+        at_near = np.take_along_axis(found, place[..., None], axis=-1)[..., 0]
         better = np.where(np.isfinite(at_near), at_near * signs < value * signs, False)
         centre, value = np.where(better, near, centre), np.where(better, at_near, value)
         low = np.take_along_axis(points, np.maximum(place - 1, 0)[..., None], axis=-1)[..., 0]

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from optlink.report.store import write_json
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET, WANTED, figure, heading, save, styled
+from optlink.studies.analyses import FIGURES
 from optlink.studies.axes import Axis
-from optlink.studies.sweep import CHANGED, Sweep
-from optlink.studies.tasks import FIGURES
+from optlink.studies.sweep import CHANGED, TEXT, Sweep
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class Grid:
     @property
     def states(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Where other limits begin to hold, and where a design is not proven; nowhere if none was searched."""
-        if self.result.analysed:
+        if self.result.evaluated:
             nowhere = np.zeros(self.order.shape, dtype=bool)
             return nowhere, nowhere
         return self.column(CHANGED), ~self.column("valid")
@@ -68,13 +68,13 @@ class Grid:
     @property
     def empty(self) -> str:
         """What it means that a point has no value."""
-        return "cannot turn fully, or is singular" if self.result.analysed else "no design"
+        return "no valid figures" if self.result.evaluated else "no design"
 
     @property
     def shown(self) -> tuple[str, ...]:
         """Columns whose values are drawn: the objective, or what was analysed."""
-        names = self.result.names[len(self.result.grid.axes) :]
-        return names if self.result.analysed else tuple(name for name in names if name.startswith("objective"))
+        names = tuple(n for n in self.result.names[len(self.result.grid.axes) :] if n not in (*TEXT, "valid"))
+        return names if self.result.evaluated else tuple(name for name in names if name.startswith("objective"))
 
 
 def write_all(result: Sweep, folder: Path) -> list[Path]:
@@ -133,12 +133,18 @@ def _scaled(axis: XAxis | YAxis, scale: str) -> None:
 
 
 def _analysed(grid: Grid) -> dict[str, tuple[str, ...]]:
-    """Columns of the analysis, each with those of its figures."""
+    """Columns of the analysis, each with those of its figures; of a single figure itself."""
     found: dict[str, tuple[str, ...]] = {}
     for name in grid.shown:
-        column = name.rpartition(".")[0]
+        column = _parted(name)[0]
         found[column] = (*found.get(column, ()), name)
     return dict(list(found.items())[:PANELS])
+
+
+def _parted(name: str) -> tuple[str, str]:
+    """A column of the analysis and what is told of it; of a single figure itself and nothing."""
+    stem, _, kind = name.rpartition(".")
+    return (stem, kind) if kind in FIGURES else (name, "")
 
 
 WORDS = {"min": "least", "max": "largest", "rms": "rms"}
@@ -151,7 +157,7 @@ assert set(WORDS) == set(FIGURES)
 def _curves(grid: Grid) -> Figure:
     """The objective and below it the sizes, those of one unit in one panel; or what was analysed."""
     (axis,) = grid.axes
-    panels = list(_analysis_panels(grid)) if grid.result.analysed else list(_design_panels(grid))
+    panels = list(_analysis_panels(grid)) if grid.result.evaluated else list(_design_panels(grid))
     drawn = figure(8.0, 1.2 + 2.5 * len(panels))
     rows: Any = drawn.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     x = np.array(axis.values)
@@ -184,7 +190,7 @@ def _design_panels(grid: Grid) -> Iterator[tuple[str, dict[str, Array]]]:
 
 def _analysis_panels(grid: Grid) -> Iterator[tuple[str, dict[str, Array]]]:
     for column, names in _analysed(grid).items():
-        yield _label(*named(column)), {WORDS[name.rpartition(".")[2]]: grid.column(name) for name in names}
+        yield _label(*named(column)), {WORDS.get(_parted(name)[1], name): grid.column(name) for name in names}
 
 
 def _marked_curves(grid: Grid, drawn: Figure, rows: Sequence[Axes], x: Array) -> None:
@@ -225,7 +231,7 @@ def _edges(x: Array, *, log: bool) -> Array:
 
 def _maps(grid: Grid) -> Figure:
     """One map of the objective; of an analysis the least, the largest and the rms value of its first column."""
-    names = next(iter(_analysed(grid).values())) if grid.result.analysed else grid.shown
+    names = next(iter(_analysed(grid).values())) if grid.result.evaluated else grid.shown
     width, height = (8.0, 5.6) if len(names) == 1 else (13.0, 4.6)
     drawn = figure(width, height)
     panels: Any = drawn.subplots(1, len(names), squeeze=False, sharey=True)[0]
@@ -233,7 +239,7 @@ def _maps(grid: Grid) -> Figure:
     for axes, name in zip(panels, names, strict=True):
         values = np.asarray(grid.column(name), dtype=float)
         shaded = _field(grid, axes, values, None, ...)
-        what, _, kind = name.rpartition(".") if grid.result.analysed else (name, "", "")
+        what, kind = _parted(name) if grid.result.evaluated else (name, "")
         drawn.colorbar(shaded, ax=axes, label=" ".join(filter(None, [WORDS.get(kind, ""), _label(*named(what))])))
         axes.set_xlabel(_label(grid.axes[1].key, grid.axes[1].unit))
         handles |= _marks(grid, axes, values, ...)
@@ -248,7 +254,7 @@ def _slices(grid: Grid) -> Figure:
     chosen = np.unique(np.linspace(0, len(slow.values) - 1, count).round().astype(int))
     columns = 2 if len(chosen) in (2, 4) else min(3, len(chosen))
     lines = math.ceil(len(chosen) / columns)
-    names = next(iter(_analysed(grid).values())) if grid.result.analysed else grid.shown
+    names = next(iter(_analysed(grid).values())) if grid.result.evaluated else grid.shown
     name = next((name for name in names if name.endswith(".rms")), names[0])
     values = np.asarray(grid.column(name), dtype=float)
     known = values[chosen][np.isfinite(values[chosen])]
@@ -270,7 +276,7 @@ def _slices(grid: Grid) -> Figure:
             axes.tick_params(labelbottom=True)
         if k % columns == 0:
             axes.set_ylabel(_label(up.key, up.unit))
-    what, _, kind = name.rpartition(".") if grid.result.analysed else (name, "", "")
+    what, kind = _parted(name) if grid.result.evaluated else (name, "")
     words = " ".join(filter(None, [WORDS.get(kind, ""), _label(*named(what))]))
     drawn.colorbar(shaded, ax=panels.ravel().tolist(), label=words)
     some = "" if len(chosen) == len(slow.values) else f" ({len(chosen)} of its {len(slow.values)} values)"

@@ -12,7 +12,7 @@ from rich.text import Text
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number, points
 from optlink.studies.outputs import OutputSensitivity
 from optlink.studies.sensitivity import End, Sensitivities, Sensitivity
-from optlink.studies.sweep import Sweep
+from optlink.studies.sweep import TEXT, Sweep
 
 AGREES = 1e-5  # share by which exact and searched derivatives may differ
 SHOWN = 12  # changes of the active set
@@ -134,14 +134,9 @@ def sweep(result: Sweep) -> RenderableType:
     title = Text(result.problem.model.title, style=HEAD)
     every = " x ".join(f"{len(axis.values):,}" for axis in result.grid.axes)
     title.append(f"\n{points(result.grid.count)}" + (f" ({every})" if len(result.grid.axes) > 1 else ""))
-    if not result.analysed:
-        title.append(", ")
-        missed = result.grid.count - result.valid - result.infeasible
-        counts = {"proven": result.valid, "hold no design": result.infeasible, "not proven": missed}
-        counted = [f"{count:,} {words}" for words, count in counts.items() if count]
-        title.append("every optimum proven" if result.complete else ", ".join(counted), style=GOOD if result.complete else BAD)
-        if result.infeasible:
-            title.append("\nWhich limits conflict where there is no design: `optlink solve` with --set at such a point")
+    title.append(", ").append(_counted(result), style=GOOD if result.complete else BAD)
+    if result.infeasible:
+        title.append("\nWhich limits conflict where there is no design: `optlink solve` with --set at such a point")
     parts: list[RenderableType] = [title, Text()]
     axes = grid("Varied", [("", "left"), ("", "left"), ("", "right")])
     for axis in result.grid.axes:
@@ -157,12 +152,75 @@ def sweep(result: Sweep) -> RenderableType:
         parts += [Text(), best]
     if result.changes:
         parts += [Text(), _changes(result)]
+    if result.evaluated:
+        parts += [Text(), *_rows(result)]
     rate = result.done / result.seconds if result.seconds else 0.0
     line = f"{points(result.done)} done in {result.seconds:.1f} s ({rate:,.0f} a second"
     line += f"; {1e3 * result.cpu / result.done:.2f} ms of processor time each)" if result.done else ")"
-    if not result.analysed:
+    if not result.evaluated:
         line += f"; {result.searched:,} needed a search, the others followed a neighbour"
     return Group(*parts, Text(), Text(line, style=QUIET))
+
+
+def _counted(result: Sweep) -> str:
+    """How many points have which outcome."""
+    if not result.evaluated:
+        if result.complete:
+            return "every optimum proven"
+        missed = result.grid.count - result.valid - result.infeasible
+        counts = {"proven": result.valid, "hold no design": result.infeasible, "not proven": missed}
+    else:
+        counts = dict(result.statuses)
+    return ", ".join(f"{count:,} {words}" for words, count in counts.items() if count)
+
+
+def _rows(result: Sweep) -> list[RenderableType]:
+    """The first rows of a table of figures; of more rows than are shown also the least and largest of each figure."""
+    axes = result.grid.axes
+    names = [name for name in result.names[len(axes) :] if name not in TEXT and name != "valid"]
+    columns = result.columns
+    parts: list[RenderableType] = []
+    if result.grid.count > SHOWN and result.valid:
+        heads = [("", "left"), ("least", "right"), ("at", "right"), ("largest", "right"), ("at", "right")]
+        span = grid("Figures over all valid points", heads, header=True)
+        valid = np.flatnonzero(columns["valid"])
+        for name in names:
+            least, largest = (int(valid[of(columns[name][valid])]) for of in (np.nanargmin, np.nanargmax))
+            span.add_row(name, *(text for k in (least, largest) for text in (number(columns[name][k]), _place(result, k))))
+        parts += [span, Text()]
+    few = result.grid.count <= SHOWN
+    varied = [(_short(axis.key, axis.unit), "right") for axis in axes]
+    if few:
+        heads = [("\n".join(name.rsplit(".", 1)), "right") for name in names]
+        table = grid("Points", [*varied, *heads, ("status", "left")], header=True)
+        for k in range(result.grid.count):
+            cells = [number(float(columns[name][k])) for name in names]
+            table.add_row(*_values(result, k), *cells, Text(columns["status"][k], style="" if columns["valid"][k] else BAD))
+        parts += [table, Text()]
+    bad = np.flatnonzero(~columns["valid"])
+    if bad.size:
+        table = grid(f"Points that are not valid: {bad.size:,}", [*varied, ("reason", "left")], header=True)
+        for k in map(int, bad[:SHOWN]):
+            table.add_row(*_values(result, k), columns["reason"][k])
+        if bad.size > SHOWN:
+            table.caption = f"and {bad.size - SHOWN:,} more; the table of the sweep has all"
+        parts += [table, Text()]
+    return parts[:-1]
+
+
+def _values(result: Sweep, point: int) -> list[str]:
+    return [f"{value:g}" for value in result.grid.values(point)]
+
+
+def _short(key: str, unit: str) -> str:
+    """A key without the sections that every size of a mechanism is in, its unit below."""
+    name = key.removeprefix("mechanism.").removeprefix("links.")
+    return f"{name}\n[{unit}]" if unit else name
+
+
+def _place(result: Sweep, point: int) -> str:
+    values = zip(result.grid.axes, result.grid.values(point), strict=True)
+    return ", ".join(f"{value:g} {axis.unit}".rstrip() for axis, value in values)
 
 
 def _changes(result: Sweep) -> Table:

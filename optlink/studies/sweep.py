@@ -7,6 +7,7 @@ import shutil
 import tempfile
 import time
 import weakref
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,18 +21,20 @@ from optlink.design.files import ProblemFile
 from optlink.design.objectives import MEASURES
 from optlink.documents import finite, head
 from optlink.errors import Fault, InputError, Status
+from optlink.studies.analyses import MANY, Analysing, quantity_of
 from optlink.studies.axes import Grid, read_grid
 from optlink.studies.chunks import Progress, Store
 from optlink.studies.engine import run
 from optlink.studies.machines import Designing
 from optlink.studies.reoptimise import CHUNK, SEARCHED, SLOW_CHUNK, Reoptimising, buildable, check_backend
-from optlink.studies.tasks import MANY, Analysing, Sweeping, quantity_of
+from optlink.studies.tasks import Sweeping
 
 SCHEMA = "optlink/sweep/1"
 CHANGED = "active_set_changed"
+OPTIMISE = "optimise"  # the mode of a sweep that searches an optimum at every point
 MOST_ANGLES = 10_000  # of an analysis
 KEPT = 200  # changes of the active set that a result names; the table marks all
-TEXT = ("status", "failed", "active", "found")
+TEXT = ("status", "failed", "active", "found", "reason")
 
 
 def objective_column(problem: ProblemFile) -> str:
@@ -62,7 +65,7 @@ class _Summary:
 
     objective: str | None
     valid: int = 0
-    infeasible: int = 0
+    statuses: Counter[str] = field(default_factory=Counter)
     searched: int = 0
     changed: int = 0
     best: dict[str, str] | None = None
@@ -73,18 +76,18 @@ class _Summary:
 class Sweep:
     """A finished sweep. Its table is a file; nothing of it is held in memory until it is asked for.
 
-    `valid`, `infeasible`, `searched`, `changed`: how many points have a proven optimum, hold no design, needed more than steps
-    from a neighbour, have another active set than the point before; `cpu` [s] of all processes for the `done` points that this
-    run did itself.
+    `valid`, `searched`, `changed`: how many points have a proven optimum (or a sound analysis), needed more than steps from a
+    neighbour, have another active set than the point before; `statuses`: how many points have each status; `cpu` [s] of all
+    processes for the `done` points that this run did itself.
     """
 
     problem: ProblemFile
     grid: Grid
-    analysed: bool
+    mode: str
     path: Path
     names: tuple[str, ...]
     valid: int
-    infeasible: int
+    statuses: Mapping[str, int]
     searched: int
     changed: int
     best: Mapping[str, str] | None
@@ -106,9 +109,24 @@ class Sweep:
         return {name: _column(name, values) for name, values in zip(names, table, strict=True)}
 
     @property
+    def evaluated(self) -> bool:
+        """Whether designs were analysed or simulated as they are, rather than optimised."""
+        return self.mode != OPTIMISE
+
+    @property
     def complete(self) -> bool:
-        """Whether every point has a proven optimum (or was analysed)."""
-        return self.analysed or self.valid == self.grid.count
+        """Whether every point has a proven optimum, or all figures that it was analysed for."""
+        return self.valid == self.grid.count
+
+    @property
+    def successful(self) -> bool:
+        """Whether the sweep serves: every optimum proven; of an analysis, where some points may lie out of reach, any valid."""
+        return self.complete or (self.evaluated and self.valid > 0)
+
+    @property
+    def infeasible(self) -> int:
+        """How many points hold no design."""
+        return self.statuses.get(Status.INFEASIBLE.value, 0)
 
     def to_dict(self) -> dict[str, Any]:
         """As a JSON document."""
@@ -116,22 +134,24 @@ class Sweep:
             {"key": a.key, "unit": a.unit, "first": a.values[0], "last": a.values[-1], "values": len(a.values)}
             for a in self.grid.axes
         ]
-        document = head(SCHEMA, self.problem, "complete" if self.complete else "not valid everywhere")
+        status = "complete" if self.complete else "not valid everywhere" if self.valid else "not valid anywhere"
+        document = head(SCHEMA, self.problem, status)
         document |= {
-            "mode": "analyse" if self.analysed else "optimise",
+            "mode": self.mode,
             "axes": axes,
             "points": self.grid.count,
             "table": None if self.keep is not None else str(self.path),
             "columns": list(self.names),
             "engine": self.engine,
             "workers": self.workers,
+            "valid_points": self.valid,
+            "statuses": dict(self.statuses),
             "points_done_now": self.done,
             "seconds": self.seconds,
             "processor_seconds": self.cpu,
         }
-        if not self.analysed:
+        if not self.evaluated:
             document |= {
-                "valid_points": self.valid,
                 "infeasible_points": self.infeasible,
                 "searched_points": self.searched,
                 "active_set_changes": self.changed,
@@ -185,8 +205,8 @@ def sweep(
     resume : bool
         Go on with a run of before that ended early in that folder.
     analyze : bool
-        No optimisation: `columns` of the analysis at `points` crank angles, their least, largest and rms value; `design` [SI] of
-        what is free and not varied, its start if left out.
+        No optimisation: `columns` of the analysis, their exact least and largest value and their rms at `points` crank angles, or
+        single figures such as "slider.stroke_m"; `design` [SI] of what is free and not varied, its start if left out.
     backend : "slsqp" or "ipopt"
     engine, workers, scheduler
         See `optlink.studies.engine.run`.
@@ -217,11 +237,11 @@ def sweep(
     return Sweep(
         problem=problem,
         grid=grid,
-        analysed=analyze,
+        mode=mode_of(task),
         path=store.table,
         names=tuple(names),
         valid=summary.valid,
-        infeasible=summary.infeasible,
+        statuses=summary.statuses,
         searched=summary.searched,
         changed=summary.changed,
         best=summary.best,
@@ -254,7 +274,7 @@ def _task(
             **stated, grid=grid, chunk=MANY, quantities=quantities, asked=tuple(columns), points=points, design=given
         )
         first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
-        replace(whole, grid=first).lines(0)  # whatever is wrong with the columns shows now
+        replace(whole, grid=first).lines(0)  # whatever is wrong with columns or sizes shows now
         return whole
     if design is not None:
         raise InputError(Fault("a given design is not optimised", "Leave --design out, or add --analyze", key="--design"))
@@ -278,6 +298,11 @@ def _with_something_free(task: Designing | Reoptimising, problem: ProblemFile) -
     return task
 
 
+def mode_of(task: Sweeping) -> str:
+    """What a sweep does at every point."""
+    return "analyse" if isinstance(task, Analysing) else OPTIMISE
+
+
 def _about(task: Sweeping) -> dict[str, Any]:
     """What makes a study this one and no other."""
     about: dict[str, Any] = {
@@ -285,7 +310,7 @@ def _about(task: Sweeping) -> dict[str, Any]:
         "optlink": task.version,
         "problem": task.name,
         "problem_hash": task.hash,
-        "mode": "analyse" if isinstance(task, Analysing) else "optimise",
+        "mode": mode_of(task),
         "axes": [[axis.key, axis.unit, list(axis.values)] for axis in task.grid.axes],
         "points_per_chunk": task.chunk,
         "columns": task.columns,
@@ -315,11 +340,12 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
 
 
 def _count(summary: _Summary, grid: Grid, names: list[str], number: int, row: list[str], before: str | None = None) -> None:
-    if summary.objective is None:
-        return
     found = dict(zip(names, row, strict=True))
+    summary.statuses[found["status"]] += 1
+    if summary.objective is None:
+        summary.valid += found["valid"] == "true"
+        return
     summary.searched += found["found"] == SEARCHED
-    summary.infeasible += found["status"] == Status.INFEASIBLE.value
     if found[CHANGED] == "true":
         summary.changed += 1
         if len(summary.changes) < KEPT and before is not None:

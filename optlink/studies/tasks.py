@@ -1,4 +1,4 @@
-"""What a sweep does with its grid: the division into chunks, and the task that analyses designs as they are.
+"""What a sweep does with its grid: the division into chunks.
 
 A chunk depends on its number alone, so the rows are the same whatever the engine, the number of workers and the order.
 """
@@ -10,30 +10,16 @@ import hashlib
 import io
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
-from optlink.batch import analyze_batch
 from optlink.design.files import ProblemFile, read
-from optlink.design.quantity import nearest
 from optlink.errors import Fault, InputError
 from optlink.studies.axes import Axis, Grid
-from optlink.units import factor
 from optlink.version import VERSION
-
-Array = NDArray[np.float64]
-MANY = 2000  # designs of a chunk that is analysed
-FIGURES: dict[str, Callable[[Array], Array]] = {
-    "min": lambda values: np.min(values, axis=1),
-    "max": lambda values: np.max(values, axis=1),
-    "rms": lambda values: np.sqrt(np.mean(np.square(values), axis=1)),
-}
 
 
 def figure(value: float) -> str:
@@ -136,55 +122,3 @@ class Sweeping(ABC):
 
 _kept: dict[str, Sweeping] = {}
 """The task that this process is at: what it has built is used for every chunk, though each may come with a copy of the task."""
-
-
-@dataclass(frozen=True)
-class Analysing(Sweeping):
-    """Designs as they are: least, largest and rms value over the revolution of columns of the analysis.
-
-    `quantities`: name of the mechanism's quantity of every axis; `design` [SI] of what is free and not varied.
-    """
-
-    quantities: tuple[str, ...]
-    asked: tuple[str, ...]
-    points: int
-    design: tuple[tuple[str, float], ...]
-
-    @property
-    def columns(self) -> list[str]:
-        """The axes, then three figures of every column."""
-        return [*(axis.column for axis in self.grid.axes), *(f"{name}.{kind}" for name in self.asked for kind in FIGURES)]
-
-    def lines(self, index: int) -> list[list[str]]:
-        """Rows of a chunk, at the speed of the batch analysis."""
-        values = [self.grid.values(point) for point in self.span(index)]
-        table = np.array(values).T
-        known = self.problem.model.mechanism.quantities
-        designs = {name: np.full(len(values), value) for name, value in self.design}
-        for name, axis, column in zip(self.quantities, self.grid.axes, table, strict=True):
-            designs[name] = column * factor(axis.unit, known[name].kind)
-        found = analyze_batch(self.problem, designs, self.asked, self.points)
-        with np.errstate(all="ignore"):
-            figures = [of(found[name]) for name in self.asked for of in FIGURES.values()]
-        return [
-            [*map(repr, own), *(figure(column[i]) for column in figures)] for i, own in enumerate(values)
-        ]  # repr: the axes' own digits
-
-
-def quantity_of(problem: ProblemFile, axis: Axis) -> str:
-    """Name of the mechanism's quantity that an axis varies: `mechanism.frame`, `mechanism.links.rod.length` or `rod.length`.
-
-    Raises
-    ------
-    InputError
-        when it varies something else: that changes what is asked, not what is analysed.
-    """
-    known = problem.model.mechanism.quantities
-    name = axis.key.removeprefix("mechanism.")
-    for start in ("links.", "ground.", "guides.", "points."):
-        name = name.removeprefix(start)
-    name = name.replace(".points.", ".")
-    if name not in known:
-        message = "only sizes of the mechanism can be varied without a new optimisation"
-        raise InputError(Fault(message, nearest(name, known), problem.file, f"--vary {axis.key}"))
-    return name

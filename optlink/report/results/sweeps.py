@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from html import escape
@@ -32,7 +33,7 @@ PICKED = 1500  # points that can be picked
 PANELS = 4  # above one another
 ENDS = {"min": "least", "max": "largest", "rms": "rms"}
 LISTED = 12  # changes of the active set that are listed
-TEXTS = ("status", "failed", "active", "found")
+TEXTS = ("status", "failed", "active", "found", "reason")
 FLAGS = ("valid", CHANGED)
 
 
@@ -41,7 +42,7 @@ class Swept:
     """A sweep as it was recorded: its `grid`, its table as texts by column, the `names` of objective (or figures) and designs."""
 
     grid: Grid
-    analysed: bool
+    evaluated: bool
     table: Mapping[str, list[str]]
     figures: tuple[str, ...]
     designs: tuple[str, ...]
@@ -57,7 +58,7 @@ class Swept:
     @property
     def best(self) -> int | None:
         """The place of the least objective that is proven, if there is one."""
-        if self.analysed:
+        if self.evaluated:
             return None
         values = np.where(self.flags("valid"), self.numbers(self.figures[0]), np.nan)
         return None if np.all(np.isnan(values)) else int(np.nanargmin(values))
@@ -75,7 +76,7 @@ def read(record: Record) -> Swept:
         when the record is damaged, or its table is missing or another one.
     """
     mode = record.text("mode")
-    if mode not in ("analyse", "optimise"):
+    if mode not in ("analyse", "simulate", "optimise"):
         raise record.fault("mode", "no sweep has that", mode)
     path = _table_of(record)
     names, count, told = record.texts("columns"), record.whole("points"), record.records("axes")
@@ -98,7 +99,7 @@ def read(record: Record) -> Swept:
     if not axes or whole.count != count:
         raise record.fault("axes", f"their values make {whole.count if axes else 0} points, the table has {count}")
     rest = [name for name in names[len(axes) :] if name not in TEXTS + FLAGS]
-    if mode == "analyse":
+    if mode != "optimise":
         return Swept(whole, True, table, tuple(rest), ())
     objective = next((name for name in rest if name.startswith("objective")), None)
     if objective is None:
@@ -143,24 +144,32 @@ def studied(record: Record, file: ProblemFile) -> Studied:
     InputError
         when the record is damaged, or its table is missing or another one.
     """
-    found = read(record)
+    found, mode = read(record), record.text("mode")
     valid = int(np.sum(found.flags("valid")))
-    complete = found.analysed or valid == found.grid.count
+    complete = valid == found.grid.count
     every = " x ".join(f"{len(one.values):,}" for one in found.grid.axes)
     line_ = points(found.grid.count) + (f" ({every})" if len(found.grid.axes) > 1 else "") + f" over {_and(found.grid.axes)}"
-    proven = "every optimum proven" if complete else f"{valid:,} proven, {found.grid.count - valid:,} not"
-    searched = "" if found.analysed else f"; {record.whole('searched_points'):,} needed a search, the others followed a neighbour"
+    if found.evaluated:
+        counts = Counter(found.table.get("status", []))
+        proven = ", ".join(f"{count:,} {status}" for status, count in counts.items()) or "analysed"
+    else:
+        proven = "every optimum proven" if complete else f"{valid:,} proven, {found.grid.count - valid:,} not"
+    searched = (
+        "" if found.evaluated else f"; {record.whole('searched_points'):,} needed a search, the others followed a neighbour"
+    )
     best = found.best
     return Studied(
         problem=file,
         kind="sweep",
-        verdict="Analysed" if found.analysed else proven[0].upper() + proven[1:],
-        valid=complete,
+        verdict=proven[0].upper() + proven[1:],
+        valid=complete or (found.evaluated and valid > 0),
         status=[line_],
         sections=[Section("Sweep", tuple(_charts(found))), *figures_of(_tables(found, best))],
         moving=still if best is None else turning(*_best(file, found, best)),
         by=(
-            "analysis of every point" if found.analysed else f"an optimum at every point, each proven by the validator{searched}"
+            f"{'simulation' if mode == 'simulate' else 'analysis'} of every point"
+            if found.evaluated
+            else f"an optimum at every point, each proven by the validator{searched}"
         ),
         drawn="The best point of the sweep.",
         after=1,
@@ -251,12 +260,15 @@ def _kept(found: Swept) -> NDArray[np.intp]:
 def _picks(found: Swept, places: NDArray[np.intp], x: Array, y: Array) -> Picks:
     """The design of every point."""
     columns = _columns(found)
-    words = [] if found.analysed else ["held by", "status"]
+    words = ["status", "reason"] if found.evaluated else ["held by", "status"]
     rows = []
     for k in places:
         told = [number(float(found.table[name][k] or "nan"), 7) for name in columns]
-        if not found.analysed:
-            told += [found.table["active"][k] or "nothing", found.table["status"][k]]
+        status = found.table["status"][k] if "status" in found.table else ""
+        if found.evaluated:
+            told += [status, found.table["reason"][k] if "reason" in found.table else ""]
+        else:
+            told += [found.table["active"][k] or "nothing", status]
         rows.append(tuple(told))
     best = found.best
     first = int(np.argmin(np.abs(places - best))) if best is not None else 0
@@ -289,11 +301,11 @@ def _curves(found: Swept) -> Chart:
         line(x[kept], found.numbers(name)[kept], named(name), colour, width=2.2) | data
         for name, colour in zip(found.figures, (FOUND, *BODIES), strict=False)
     ]
-    bad = kept[~found.flags("valid")[kept]] if not found.analysed else kept[:0]
+    bad = kept[~found.flags("valid")[kept]] if not found.evaluated else kept[:0]
     if len(bad):
         crosses = line(x[bad], found.numbers(first)[bad], "not proven", LIMIT, width=8.0, mode="markers")
         above.append(crosses | {"marker": crosses["marker"] | {"symbol": "x"}})
-    panels = [Panel("over the revolution" if found.analysed and len(found.figures) > 1 else named(first), above, 1.2)]
+    panels = [Panel("over the revolution" if found.evaluated and len(found.figures) > 1 else named(first), above, 1.2)]
     units = dict.fromkeys(name.rpartition("_")[2] for name in found.designs)
     for unit in units:
         own = [name for name in found.designs if name.rpartition("_")[2] == unit]
