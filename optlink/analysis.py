@@ -156,7 +156,7 @@ class Analysis:
             "columns": dict(self.columns),
         }
         if self.flywheel:
-            document["flywheel"] = vars(self.flywheel) | {}
+            document["flywheel"] = vars(self.flywheel) | {"mean_speed_over": "crank angle"}
         return finite(document)  # type: ignore[no-any-return]
 
 

@@ -83,6 +83,7 @@ class Simulation:
                 "notes": list(self.notes),
                 "sizes_SI": {name: self.machine.sizes[name] for name in self.problem.model.mechanism.quantities},
                 "figures": self.figures,
+                "mean_speed_over": "time",
                 "stopped_s": self.run.stopped,
                 "steps": self.run.steps,
                 "evaluations": self.run.evaluations,

@@ -56,7 +56,7 @@ def drive(result: Simulation) -> Figure | None:
         turned = np.abs(result.run.crank_angle - result.run.crank_angle[-1]) <= 2.0 * math.pi
         top.plot(time[turned], np.full(int(np.sum(turned)), mean), "--", color=WANTED, linewidth=1.2)
         share = figures["last_turn.fluctuation"]
-        label = f"last turn: mean {mean:.4g} rad/s, fluctuation {share:.2%}"
+        label = f"last turn: mean over time {mean:.4g} rad/s, fluctuation {share:.2%}"
         room = 0.16 * float(np.ptp(speed)) or 0.1 * abs(mean) or 1.0
         top.set_ylim(float(np.min(speed)) - room, float(np.max(speed)) + 0.4 * room)
         top.text(0.99, 0.03, label, transform=top.transAxes, ha="right", va="bottom", fontsize=9)

@@ -244,6 +244,7 @@ def _work(outcome: Analysis) -> Table:
     wheel = outcome.flywheel
     if wheel:
         table.add_row("mean torque", number(wheel.mean_torque), "N m")
+        table.add_row("mean speed", number(wheel.mean_speed), "rad/s, mean over the crank angle (not over time)")
         alone = "of the mean speed under it, without a flywheel"
         table.add_row(
             "fluctuation", number(wheel.fluctuation), alone if wheel.fluctuation > 0.0 else "without a flywheel: it would stop"
@@ -268,7 +269,7 @@ def simulation(outcome: Simulation) -> RenderableType:
     end.add_row("crank speed", number(speed, 10), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)")
     if "last_turn.mean_speed_rad_s" in found:
         mean, share = found["last_turn.mean_speed_rad_s"], found["last_turn.fluctuation"]
-        end.add_row("last turn: mean speed", number(mean), f"rad/s, fluctuation {share:.4%}")
+        end.add_row("last turn: mean speed", number(mean), f"rad/s, mean over time; fluctuation {share:.4%}")
     works = grid("Energy account", [("", "left"), ("", "right"), ("", "left")])
     for name, work in course.works.items():
         works.add_row("work of the drive" if name == "input" else f"work of {name}", number(float(work[-1]), 9), "J")

@@ -15,7 +15,8 @@ from optlink.studies.sensitivity import End, Sensitivities, Sensitivity
 from optlink.studies.sweep import TEXT, Sweep
 
 AGREES = 1e-5  # share by which exact and searched derivatives may differ
-SHOWN = 12  # changes of the active set
+SHOWN = 12  # changes of the active set, points of a table
+ACROSS = 5  # figures side by side
 TINY = 5e-6  # share that three decimals of a percentage do not show
 FEW = 3  # sizes that a table has a column each for
 MOVERS = 2  # of more sizes, those that are told
@@ -180,7 +181,8 @@ def _rows(result: Sweep) -> list[RenderableType]:
     names = [name for name in result.names[len(axes) :] if name not in TEXT and name != "valid"]
     columns = result.columns
     parts: list[RenderableType] = []
-    if result.grid.count > SHOWN and result.valid:
+    few = result.grid.count <= SHOWN and len(names) <= ACROSS
+    if not few and result.valid:
         heads = [("", "left"), ("least", "right"), ("at", "right"), ("largest", "right"), ("at", "right")]
         span = grid("Figures over all valid points", heads, header=True)
         valid = np.flatnonzero(columns["valid"])
@@ -188,10 +190,9 @@ def _rows(result: Sweep) -> list[RenderableType]:
             least, largest = (int(valid[of(columns[name][valid])]) for of in (np.nanargmin, np.nanargmax))
             span.add_row(name, *(text for k in (least, largest) for text in (number(columns[name][k]), _place(result, k))))
         parts += [span, Text()]
-    few = result.grid.count <= SHOWN
     varied = [(_short(axis.key, axis.unit), "right") for axis in axes]
     if few:
-        heads = [("\n".join(name.rsplit(".", 1)), "right") for name in names]
+        heads = [(name.replace(".", ".\n"), "right") for name in names]
         table = grid("Points", [*varied, *heads, ("status", "left")], header=True)
         for k in range(result.grid.count):
             cells = [number(float(columns[name][k])) for name in names]
@@ -215,7 +216,7 @@ def _values(result: Sweep, point: int) -> list[str]:
 def _short(key: str, unit: str) -> str:
     """A key without the sections that every size of a mechanism is in, its unit below."""
     name = key.removeprefix("mechanism.").removeprefix("links.")
-    return f"{name}\n[{unit}]" if unit else name
+    return name.replace(".", ".\n") + (f"\n[{unit}]" if unit else "")
 
 
 def _place(result: Sweep, point: int) -> str:

@@ -207,7 +207,7 @@ def quantity_of(problem: ProblemFile, axis: Axis) -> str:
     name = axis.key.removeprefix("mechanism.")
     for start in ("links.", "ground.", "guides.", "points."):
         name = name.removeprefix(start)
-    name = name.replace(".points.", ".")
+    name = name.replace(".points.", ".").replace(".through.", ".")
     if name not in known:
         message = "only sizes of the mechanism can be varied without a new optimisation"
         raise InputError(Fault(message, nearest(name, known), problem.file, f"--vary {axis.key}"))

@@ -90,7 +90,7 @@ def _end(figures: Mapping[str, float], crank: Array) -> Table:
     speed = figures["end.speed_rad_s"]
     table.add_row("crank speed", number(speed, 9), f"rad/s, {speed * 30.0 / math.pi:.6g} rpm")
     if "last_turn.mean_speed_rad_s" in figures:
-        share = f"rad/s, fluctuation {figures.get('last_turn.fluctuation', math.nan):.4%}"
+        share = f"rad/s, mean over time; fluctuation {figures.get('last_turn.fluctuation', math.nan):.4%}"
         table.add_row("last turn: mean speed", number(figures["last_turn.mean_speed_rad_s"]), share)
     return table
 
