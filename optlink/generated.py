@@ -23,6 +23,7 @@ from optlink.linkage.groups import RRR
 from optlink.linkage.motion import sweep
 from optlink.linkage.refine import extremes
 from optlink.outcome import heading, proven
+from optlink.solvers.evidence import Evidence
 from optlink.solvers.solution import LimitState, Solution
 from optlink.units import KINDS, factor
 from optlink.validation.check import Validation
@@ -70,8 +71,17 @@ class Design:
     @property
     def exact(self) -> bool:
         """Whether it passes everything but for rounding."""
-        error = math.sqrt(max(self.objective, 0.0)) if self.task.measure == "sum of squares" else self.objective
-        return error <= LEVEL * self.task.whole
+        return self.error <= self.level
+
+    @property
+    def error(self) -> float:
+        """The objective as a deviation [m, rad or 1]: the root of a sum of squares."""
+        return math.sqrt(max(self.objective, 0.0)) if self.task.measure == "sum of squares" else self.objective
+
+    @property
+    def level(self) -> float:
+        """Error up to which a design passes everything but for rounding [m, rad or 1]."""
+        return LEVEL * self.task.whole
 
     def alike(self, other: Design) -> bool:
         """Whether two designs differ by less than anybody would call another design."""
@@ -230,10 +240,15 @@ class Generation:
     backend: str
     seed: int
     starts: int
-    hits: int
+    evidence: Evidence
     seconds: dict[str, float]
     interrupted: bool = False
     notes: tuple[str, ...] = field(default=())
+
+    @property
+    def hits(self) -> int:
+        """Starts that reached the best design."""
+        return self.evidence.hits
 
     @property
     def valid(self) -> bool:
@@ -257,7 +272,10 @@ class Generation:
 
     def to_dict(self) -> dict[str, Any]:
         """The result as a JSON document."""
-        document = heading(SCHEMA, self) | {"starts_that_reached_the_best": self.hits}
+        document = heading(SCHEMA, self) | {
+            "starts_that_reached_the_best": self.hits,
+            "evidence": vars(self.evidence) | {},
+        }
         if self.best is not None:
             document["design"] = self.best.to_dict()["design"]
             document["assembly"] = self.best.assembly

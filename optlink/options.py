@@ -60,7 +60,8 @@ Starts = Annotated[
         "--starts",
         parser=whole_number,
         metavar="N",
-        help="Number of starts. Of a law: the given one (the default) and Sobol points; of points: as many as it takes.",
+        help="Number of starts. Of a law: the given one (the default) and Sobol points; "
+        "of points: at least N, by default until a better design is unlikely.",
     ),
 ]
 Seed = Annotated[int, typer.Option("--seed", parser=whole_number, metavar="S", help="Seed of the starts.")]

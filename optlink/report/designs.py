@@ -264,8 +264,8 @@ def _times(outcome: Generation) -> Text:
     times = ", ".join(f"{name} {1e3 * seconds:.0f} ms" for name, seconds in outcome.seconds.items() if seconds > 0.0)
     if not outcome.starts:
         return Text(times, style=QUIET)
-    searched = "sum of squares" if outcome.best is not None and outcome.best.task.measure == "max" else "value"
-    reached = f"{outcome.hits} of {outcome.starts} starts reached the best {searched}; " if outcome.best is not None else ""
+    told = outcome.evidence
+    reached = f"{told.hits} of {outcome.starts} starts reached the best value; {told.chance}; " if outcome.designs else ""
     return Text(f"{reached}batch of least squares, then {outcome.backend}; {times}", style=QUIET)
 
 

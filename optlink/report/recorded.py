@@ -29,6 +29,7 @@ from optlink.report.results.found import problem_of
 from optlink.report.results.record import AGAIN, Record, read
 from optlink.report.subject import Outcome, Subject, subject_of
 from optlink.solvers.conflict import Relaxation
+from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.solution import LimitState
 from optlink.studies.sensitivity import SCHEMA as SENSITIVITY
 from optlink.studies.sensitivity import Resolved
@@ -195,7 +196,7 @@ def _generation(document: Mapping[str, Any], file: ProblemFile) -> Generation:
         backend=str(document["backend"]),
         seed=int(document["seed"]),
         starts=int(document["starts"]),
-        hits=int(document["starts_that_reached_the_best"]),
+        evidence=Evidence(**document["evidence"]) if "evidence" in document else evidence(()),
         seconds={},
         notes=tuple(document.get("notes", ())),
     )

@@ -21,6 +21,18 @@ class Evidence:
     unseen: float
     missed: float
 
+    @property
+    def chance(self) -> str:
+        """The estimate `missed` in words."""
+        return f"chance that a better optimum was missed: {percent(self.missed)} (estimate)"
+
+
+def percent(share: float) -> str:
+    """A share of 0 ... 1 in percent, never rounded to none or all."""
+    if share in (0.0, 1.0):
+        return f"{100.0 * share:g} %"
+    return "below 0.1 %" if share < 1e-3 else f"{min(100.0 * share, 99.9):.2g} %" if share < 0.995 else "over 99 %"
+
 
 def evidence(counts: Sequence[int]) -> Evidence:
     """Estimate from the hits of every distinct optimum what a multistart search missed.

@@ -1,0 +1,195 @@
+"""Polish what the rounds of a search find, with every limit, and collect the distinct valid designs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optlink.design.files import ProblemFile
+from optlink.design.generation import GenerationProblem
+from optlink.errors import Status
+from optlink.generated import Design
+from optlink.outcome import optimality
+from optlink.solvers.evidence import Evidence, evidence
+from optlink.solvers.solution import Solution
+from optlink.validation.generation import validate_generation
+
+if TYPE_CHECKING:
+    from optlink.design.nlp import NLP
+    from optlink.synthesis.search import Candidate, Exploration
+
+TRIES = 6  # candidates of the first round that are polished per requested design, while too few are valid
+PER_ROUND = 10  # candidates polished in a later round
+REPAIRED = 2  # candidates of a round that were put in order, and those polished in vain, in a later round
+COMPARABLE = 1.5  # error, as a multiple of the least one, up to which optima are counted: a better one would be among them
+SAME = 1e-6  # relative difference of two objectives that are the same
+
+
+def model(file: ProblemFile) -> GenerationProblem:
+    """The model of a path or motion problem."""
+    assert isinstance(file.model, GenerationProblem)
+    return file.model
+
+
+class Polisher:
+    """From candidates to designs: the programme with every limit, built once per assembly mode and direction of the crank."""
+
+    def __init__(self, files: list[ProblemFile], backend: str) -> None:
+        self.files, self.backend = files, backend
+        self.programmes: dict[tuple[int, int], NLP] = {}
+
+    def programme(self, variant: int, direction: int) -> NLP:
+        """The programme of a variant."""
+        from optlink.design.generation_nlp import build_generation
+
+        key = (variant, direction if model(self.files[variant]).data.offsets is None else 1)
+        if key not in self.programmes:
+            self.programmes[key] = build_generation(model(self.files[variant]), key[1])
+        return self.programmes[key]
+
+    def polish(self, candidate: Candidate) -> Design:
+        """The nearest optimum with every limit, proven."""
+        from optlink.solvers import search as local
+
+        file = self.files[candidate.variant]
+        task, nlp = model(file), self.programme(candidate.variant, candidate.direction)
+        own, minimax = task.data.offsets is None, task.measure == "max"
+        x = np.concatenate([candidate.x, candidate.t]) if own else candidate.x
+        if len(nlp.variables) > len(x):
+            x = np.append(x, 0.0)  # the largest deviation; `given` lifts it
+        start = local.given(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
+        if start.status is Status.OPTIMAL:
+            return proven(file, nlp, start)
+        solution = local.solve_from(nlp, start.x, local.MINIMAX if minimax else self.backend)
+        if minimax and solution.status is not Status.OPTIMAL:
+            solution = local.best([solution, local.solve_from(nlp, start.x, self.backend)])
+        if minimax and start.usable and solution.objective > start.objective * (1.0 + 1e-9):
+            solution = replace(solution, status=Status.STALLED)  # an optimum, but not the one beside the start
+        return proven(file, nlp, solution)
+
+
+def proven(file: ProblemFile, nlp: NLP, solution: Solution) -> Design:
+    """A solution of the programme as a design with its proof."""
+    task = model(file)
+    values = {name: quantity.value for name, quantity in task.quantities.items()}
+    values |= {name: solution.design[name] for name in task.free}
+    free = len(task.free)
+    own = solution.x[free : free + len(task.data.columns)] if task.data.offsets is None else None
+    angles = task.crank_angles(values, own)
+    proof = validate_generation(task, values, angles, solution.objective)
+    proof = replace(proof, checks=(*proof.checks, *optimality(solution)))
+    return Design(file, values, angles, solution.objective, solution.status, proof, solution)
+
+
+class Collection:
+    """Distinct valid designs, best first, and the optima that every polished candidate led to.
+
+    Candidates are polished after every round, so that what a search of few rounds collects is a part of what a longer one with
+    the same seed does: more starts never give a worse design.
+
+    Parameters
+    ----------
+    polisher : Polisher
+    requested : int
+        Number of distinct designs.
+    """
+
+    def __init__(self, polisher: Polisher, requested: int) -> None:
+        self.polisher, self.requested = polisher, requested
+        self.designs: list[Design] = []
+        self.nearest: Design | None = None
+        self._ends: dict[Candidate, Design] = {}
+        self._first = True
+
+    @property
+    def exact(self) -> int:
+        """Number of distinct designs that pass everything."""
+        return sum(design.exact for design in self.designs)
+
+    def add(self, found: Exploration) -> None:
+        """Polish what the latest round found."""
+        vain = TRIES * self.requested if self._first else REPAIRED
+        self._follow(found.candidates, vain if self._first else PER_ROUND, vain)
+        if not self.exact:
+            self._follow(found.repaired, REPAIRED if self.designs else vain, vain)
+        self._first = False
+
+    def _follow(self, candidates: list[Candidate], tries: int, vain: int) -> None:
+        """Polish candidates in turn: `tries` at most, `vain` of them without a valid design."""
+        from optlink.synthesis.search import PERFECT
+
+        for candidate in candidates:
+            if candidate in self._ends:
+                continue
+            if not tries or not vain or candidate.cost > self._dearest():
+                break
+            if self.exact and candidate.cost > PERFECT:
+                break  # beside a design that passes everything, no other one counts
+            design = self._ends[candidate] = self.polisher.polish(candidate)
+            tries -= 1
+            if design.valid:
+                self._insert(design)
+            else:
+                vain -= 1
+                self.nearest = min(filter(None, (self.nearest, design)), key=_failing)
+
+    def _dearest(self) -> float:
+        """Largest cost of a candidate that is worth polishing: limits only add to it."""
+        if len(self.designs) < self.requested:
+            return math.inf
+        return max(_cost(self.designs[0]) * COMPARABLE**2, _cost(self.designs[-1]))
+
+    def _insert(self, design: Design) -> None:
+        alike = next((known for known in self.designs if design.alike(known)), None)
+        if alike is not None:
+            if _rank(design) >= _rank(alike):
+                return
+            self.designs.remove(alike)
+        self.designs.append(design)
+        self.designs.sort(key=_rank)
+        del self.designs[self.requested :]
+
+    def evidence(self) -> Evidence:
+        """How many starts reached the best optimum, and how likely a better one was missed.
+
+        Counted are the starts whose polished designs are valid and come near the best one (`COMPARABLE`): a better optimum would
+        be one of these.
+        """
+        ends = sorted(((d.error, c.count) for c, d in self._ends.items() if d.valid), key=lambda end: end[0])
+        if not ends:
+            return evidence(())
+        best = self.designs[0]
+        level = 0.0 if best.exact else best.error
+        values: list[float] = []
+        counts: list[int] = []
+        for error, count in ends:
+            value = 0.0 if best.exact and error <= best.level else error
+            if value > COMPARABLE * level:
+                break
+            if values and value <= values[-1] * (1.0 + SAME):
+                counts[-1] += count
+            else:
+                values.append(value)
+                counts.append(count)
+        told = evidence(counts)
+        return replace(told, missed=0.0) if best.exact else told  # nothing is better than an exact design
+
+
+def _cost(design: Design) -> float:
+    """The cost of a candidate of the batch that has the error of a design, at most."""
+    task = design.task
+    share = (design.error / task.whole) ** 2
+    return share if task.measure == "sum of squares" else share * len(task.data.columns)
+
+
+def _failing(design: Design) -> tuple[int, float]:
+    return sum(not check.passed for check in design.validation.checks), design.objective
+
+
+def _rank(design: Design) -> tuple[float, float]:
+    """By objective; those that pass the points exactly by their worst transmission angle, best first."""
+    transmission = design.least_transmission
+    return (0.0 if design.exact else design.objective), -(transmission if math.isfinite(transmission) else 0.0)

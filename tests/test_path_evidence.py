@@ -1,0 +1,115 @@
+"""What a search of starts for paths and poses says of itself: more starts are never worse, hits are counted after polishing."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.generation import SMALL, generate
+from optlink.solvers.evidence import percent
+from tests import synthesis_oracle as oracle
+from tests.stated import document, four_bar_section, free
+
+MM = 1e3
+
+
+def exact_task(seed: int, *, scrambled: bool = False) -> tuple[dict[str, Any], float]:
+    """Nine points of a random crank-rocker's curve, as the untimed task, and the size of the curve [mm]."""
+    rng = np.random.default_rng(seed)
+    linkage = oracle.random_crank_rocker(rng)
+    points = oracle.planted_path(linkage, np.sort(rng.uniform(0.0, 2.0 * math.pi, 9)))
+    rows = oracle.rows_of(oracle.complex_points(points))
+    if scrambled:
+        rows = np.concatenate([rows[4::-1], rows[5:]])
+    size = float(np.sqrt(np.mean(np.sum((rows - rows.mean(axis=0)) ** 2, axis=1))))
+    place, length = free(-100.0 * size, 100.0 * size), free(0.01 * size, 100.0 * size)
+    sizes = dict.fromkeys(("crank", "coupler", "rocker", "frame"), length)
+    section = four_bar_section("either", **sizes, points={"P": [place, place]}, pivot=[place, place])
+    return document(section, rows, {"link_ratio": [0.005, 200.0]}), size
+
+
+@pytest.mark.slow
+def test_ten_seeds_agree_on_nine_exact_points() -> None:
+    """Nine points of a four-bar's own curve: every seed finds a four-bar through all of them, and knows that none is better."""
+    raw, _ = exact_task(41)
+    task = optlink.read(raw)
+    for seed in range(10):
+        found = generate(task, seed=seed, designs=1)
+        assert found.designs[0].exact, seed
+        assert found.evidence.missed == 0.0
+
+
+@pytest.mark.slow
+def test_ten_seeds_agree_on_nine_scrambled_points() -> None:
+    raw, size = exact_task(7, scrambled=True)
+    task = optlink.read(raw)
+    errors = [MM * generate(task, seed=seed, designs=1).designs[0].error for seed in range(10)]
+    assert max(errors) <= min(errors) * (1.0 + 1e-6) + 1e-9 * size, errors
+
+
+def random_points(seed: int) -> dict[str, Any]:
+    """Points or poses without an exact answer, limits on lengths and, every other time, on the transmission."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(6, 11))
+    turn = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
+    radius = 40.0 * np.exp(0.25 * rng.standard_normal(count))
+    rows = np.column_stack([radius * np.cos(turn), 0.6 * radius * np.sin(turn)])
+    if seed % 3 == 0:
+        rows = np.column_stack([rows, np.cumsum(rng.uniform(-0.3, 0.3, count))])
+    limits = {"link_ratio": [0.1, 10.0]} | ({"transmission_angle": ["30 deg", "150 deg"]} if seed % 2 else {})
+    length, place = free(5.0, 300.0), free(-300.0, 300.0)
+    sizes = dict.fromkeys(("crank", "coupler", "rocker", "frame"), length)
+    section = four_bar_section("left", **sizes, points={"P": [place, place]}, pivot=[place, place])
+    more = {"measure": "max"} if seed % 5 == 4 else {}
+    return document(section, rows, limits, closed=True, **more)
+
+
+def monotone(seed: int, numbers: tuple[int | None, ...]) -> None:
+    task = optlink.read(random_points(seed))
+    results = sorted((generate(task, starts=n, designs=1) for n in numbers), key=lambda found: found.starts)
+    best = math.inf
+    for found in results:
+        objective = found.objective if found.valid else math.inf
+        assert objective <= best * (1.0 + 1e-12), (seed, found.starts, objective, best)
+        best = objective
+
+
+def test_more_starts_never_give_a_worse_path() -> None:
+    monotone(1, (50, 100))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2, 12))
+def test_more_starts_never_give_a_worse_path_or_motion(seed: int) -> None:
+    """Nor is the default better than at least as many starts."""
+    monotone(seed, (1, 100, 300, None, 1000))
+
+
+def test_hits_are_counted_after_polishing_with_limits() -> None:
+    """An active transmission limit, and the largest distance: many starts reach the polished value, none the unpolished one."""
+    for measure in ("sum of squares", "max"):
+        raw = random_points(1)
+        raw["requirement"]["measure"] = measure
+        found = generate(optlink.read(raw), starts=180, designs=1)
+        assert found.valid
+        assert any(limit.active for limit in found.designs[0].limits)
+        assert found.hits >= 2, measure
+        assert found.evidence.starts >= found.hits
+
+
+def test_a_search_says_what_it_may_have_missed() -> None:
+    task = optlink.read(random_points(1))
+    short = generate(task, starts=1, designs=1)
+    assert short.evidence.missed > SMALL
+    assert any("chance that a better optimum was missed" in note for note in short.notes)
+    whole = generate(task, designs=1)
+    assert whole.evidence.missed < short.evidence.missed
+    assert whole.to_dict()["evidence"]["missed"] == whole.evidence.missed
+
+
+def test_a_small_chance_is_never_shown_as_none() -> None:
+    assert [percent(x) for x in (0.0, 1e-9, 0.12, 0.999999, 1.0)] == ["0 %", "below 0.1 %", "12 %", "over 99 %", "100 %"]
