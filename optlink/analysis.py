@@ -190,6 +190,32 @@ def stroke_records(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> 
     }
 
 
+def named_travels(machine: Machine) -> list[tuple[str, Travel]]:
+    """Every slider and body that goes to and fro while the crank turns fully, by what it does."""
+    swings, strokes = travels(machine.mechanism, machine.sizes, 0.0, TURN, True)
+    names = slider_names(machine)
+    found = [(f"{names[guide]} slides", travel) for guide, travel in strokes.items()]
+    return found + [(f"{body} swings", travel) for body, travel in swings.items()]
+
+
+def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] | None = None) -> dict[str, Any]:
+    """The working, slow, forward and backward stroke of every output of a machine whose crank turns fully, as JSON.
+
+    Parameters
+    ----------
+    machine : Machine
+    speed : float
+        Speed of the crank; only its sign counts.
+    acting : tuple of Acting, optional
+        What works in one stroke alone; the loads of the machine if left out.
+    """
+    acting = acting_loads(machine, speed) if acting is None else acting
+    return {
+        name: {"time_ratio": travel.time_ratio, **stroke_records(travel, speed, acting)}
+        for name, travel in named_travels(machine)
+    }
+
+
 def reactions_told(machine: Machine) -> dict[str, str]:
     """For every joint which body acts on which, as columns tell it."""
     found = {}

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from optlink.analysis import Analysis, analyze
+from optlink.analysis import Analysis, analyze, stroke_document
 from optlink.design.cycle import CycleProblem
 from optlink.design.files import ProblemFile
 from optlink.design.linkages import sizes_of
@@ -16,6 +16,7 @@ from optlink.design.quantity import Unusable
 from optlink.design.settled import settled
 from optlink.design.terms import Term
 from optlink.documents import finite
+from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
 from optlink.outcome import Optimum, heading, proof, proven
 from optlink.solvers.solution import Solution
@@ -63,6 +64,7 @@ class MachineDesign:
     conflict: tuple[Relaxation, ...] = ()
     together: tuple[Relaxation, ...] = ()
     notes: tuple[str, ...] = ()
+    interrupted: bool = False  # the search ended before its last starting point
 
     @property
     def task(self) -> CycleProblem:
@@ -105,6 +107,12 @@ class MachineDesign:
         return made if made.full else None
 
     @cached_property
+    def built(self) -> Machine | None:
+        """The machine of this design whose crank turns fully; None where there is none."""
+        cycle = measured(self.task, self.values)
+        return cycle.machine if cycle is not None and cycle.full else None
+
+    @cached_property
     def figures(self) -> tuple[Told, ...]:
         """The terms of the objective, then the limits, of the given machine and of the one found."""
         given, found = (measured(self.task, values) for values in ({}, self.values))
@@ -131,6 +139,7 @@ class MachineDesign:
             "free": list(task.free),
             "objective": {"value": self.objective, "unit": KINDS[task.unit_kind].si if task.unit_kind else ""},
             "figures": [vars(told) | {} for told in self.figures],
+            "strokes": {} if self.built is None else stroke_document(self.built, task.drive.speed.value),
         }
         return finite(document | proof(self, lambda values: people(task, values)))  # type: ignore[no-any-return]
 

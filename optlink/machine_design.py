@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.analysis import quick_stroke_notes
 from optlink.design.cycle import Bound, CycleProblem
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import Unusable, nearest
@@ -24,13 +25,13 @@ from optlink.validation.cycle import validate_cycle
 if TYPE_CHECKING:
     from optlink.design.cycle_nlp import CycleNLP
     from optlink.design.cycle_trace import Structure, Trace
-    from optlink.solvers.cycle_search import Begin
+    from optlink.solvers.continuum import Continuum
+    from optlink.solvers.cycle_search import Begin, Samples, Searched
 
 Array = NDArray[np.float64]
 
 MAX_STARTS = 10_000
-STARTS = 8
-ORDERS = 3  # of reversals, in which a design is looked for where the first holds none
+ALIKE = 1e-6  # relative, of the objectives of two designs of one continuum
 MOST_NODES, EXACT = 400, 1e-7  # positions per revolution, and the share to which an integral must be that of the fine sweep
 
 
@@ -50,7 +51,8 @@ def design_machine(
     backend : "slsqp", "ipopt" or "both"
         Both: each searches for itself, the better design is taken, and they must agree.
     starts : int, optional
-        The given sizes, and random ones that move alike; 8 if left out.
+        The given sizes, and random ones that move alike; 8 if left out. A larger number contains those of a smaller one
+        and the best design of all is taken, so that more are never worse.
     seed : int
         Of the random sizes.
     progress : function of the number of searches done, optional
@@ -62,7 +64,8 @@ def design_machine(
     """
     from optlink.design.cycle_trace import Trace
     from optlink.solvers import search
-    from optlink.solvers.cycle_search import SAMPLES, begins, explained, programme, rank, searched
+    from optlink.solvers.continuum import continuum
+    from optlink.solvers.cycle_search import STARTS, Samples, explained, others, rank, searched
 
     _check(problem, backend, starts, seed)
     task, count = task_of(problem), STARTS if starts is None else starts
@@ -71,21 +74,18 @@ def design_machine(
         search.backend(name)  # imports are nobody's solving time
     clock = [time.perf_counter()]
     try:
-        trace = Trace(task)
+        trace = Trace(task, slow=task.slow_assumed)
     except Unusable as error:
         raise InputError(Fault(error.message, error.remedy, problem.file, error.key, error.value)) from None
-    orders = begins(trace, count, seed)
-    if not orders:
+    samples = Samples(trace, seed)
+
+    def fits(structure: Structure) -> bool:
+        return _strokeless(task, trace, structure) is None
+
+    firsts = _firsts(problem, samples, count)
+    if not firsts:
         return _nowhere(problem, seed, count, time.perf_counter() - clock[0])
-    orders = _to_and_fro(problem, trace, orders)
-    nlp = programme(trace, orders[0])
-    for name in names:
-        search.prepare(nlp, name)
     clock.append(time.perf_counter())
-    notes = []
-    if len(orders[0].starts) < count:
-        found_ = len(orders[0].starts)
-        notes.append(f"only {found_} of {count} starts: among {SAMPLES * count} random sizes no more turn fully and move alike")
     done = 0
 
     def advance() -> None:
@@ -94,23 +94,17 @@ def design_machine(
         if progress:
             progress(done)
 
-    result = searched(nlp, orders[0], names, advance)
+    result = searched(trace, firsts, names, advance, lambda: others(samples, firsts, count, fits))
     if not result.usable:
-        result = explained(result, orders[0], names)
-    for order in orders[1:ORDERS] if not result.usable else ():
-        other = searched(programme(trace, order), order, names, lambda: None)
-        if other.usable:
-            result = other
-            notes.append("its motions reverse in another order than those of the given machine")
-            break
+        result = explained(result, names)
     nlp, found = _dense(result.nlp, result.found)
     winner = min(found.values(), key=rank)
     chosen = next(name for name, solution in found.items() if solution is winner)
+    equal = continuum(nlp, winner, chosen) if result.usable else None
     clock.append(time.perf_counter())
     proof = validate_cycle(task, winner.design, winner.objective)
     checks = (*proof.checks, *optimality(winner), *(_agreement(found) if len(found) > 1 else ()))
     clock.append(time.perf_counter())
-    clusters = search.cluster(nlp, [solution for run in result.runs.values() for solution in run])
     return MachineDesign(
         problem=problem,
         status=winner.status,
@@ -123,11 +117,85 @@ def design_machine(
         starts=result.starts,
         solution=winner,
         backends=found,
-        optima=tuple(Optimum(c.solution.design, c.solution.objective, c.count) for c in clusters),
+        optima=_optima(task, winner, result.solutions, equal) if result.usable else (),
         conflict=result.conflict,
         together=result.together,
-        notes=tuple(notes),
+        notes=tuple(_notes(problem, result, winner, count, equal)),
+        interrupted=result.interrupted,
     )
+
+
+def _firsts(problem: ProblemFile, samples: Samples, count: int) -> list[Begin]:
+    """Where to search: sizes that move as the first ones in which every output with a stroke goes to and fro.
+
+    Raises
+    ------
+    InputError
+        when in none of the sizes that turn fully such an output goes to and fro.
+    """
+    from optlink.solvers.cycle_search import begins
+
+    task = task_of(problem)
+    wrong: list[tuple[str, Term, int]] = []
+
+    def fits(structure: Structure) -> bool:
+        fault = _strokeless(task, samples.trace, structure)
+        if fault is not None:
+            wrong.append(fault)
+        return fault is None
+
+    found = begins(samples, count, fits)
+    if not found and wrong:
+        key, term, reversals = wrong[0]
+        message = f"{term.of} reverses {reversals} times in a revolution" if reversals else f"{term.of} never reverses"
+        remedy = "Name an output that goes to and fro, or start from other sizes"
+        raise InputError(Fault(message, remedy, problem.file, f"{key}.of", term.of))
+    return found
+
+
+def _notes(problem: ProblemFile, result: Searched, winner: Solution, count: int, equal: Continuum | None) -> Iterator[str]:
+    """What a user should know of the search and of the design beside the figures."""
+    from optlink.solvers.cycle_search import SAMPLES
+
+    task = task_of(problem)
+    most = max(len(order.begin.starts) for order in result.orders)
+    if most < count:
+        yield f"only {most} of {count} starts: among {SAMPLES * count} random sizes no more turn fully and move alike"
+    if result.usable:
+        if not result.nlp.structure.like(result.orders[0].begin.structure):
+            yield "its motions reverse in another order than those of the given machine"
+        if equal is not None:
+            yield _continuum_note(equal)
+        made = measured(task, winner.design)
+        if made is not None and made.full:
+            yield from quick_stroke_notes(problem, made.machine, task.drive.speed.value)
+
+
+def _continuum_note(equal: Continuum) -> str:
+    """That a continuum of designs is equally good, and how to pick one."""
+    if equal.scale:
+        return f"all lengths may be scaled together: the objective and the limits stay the same; fix one, for example {equal.fix}"
+    changes = ", ".join(f"{name} {share:+.3g}" for name, share in equal.changes.items() if name != equal.fix)
+    together = f" ({changes} per {equal.fix} +1, in SI units)" if changes else ""
+    return f"a continuum of designs is equally good: {equal.fix} may change{together}; fix {equal.fix} to pick one of them"
+
+
+def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equal: Continuum | None) -> tuple[Optimum, ...]:
+    """Distinct proven designs, the answer first; a continuum of equally good ones counts as one."""
+    from optlink.solvers.search import SAME_DESIGN
+
+    free = len(task.free)
+    kept: list[tuple[Solution, int]] = [(winner, 0)]
+    for solution in sorted((s for s in solutions if s.status is Status.OPTIMAL), key=lambda s: s.objective):
+        for i, (known, hits) in enumerate(kept):
+            near = bool(np.max(np.abs(known.x[:free] - solution.x[:free])) <= 10.0 * SAME_DESIGN)
+            alike = abs(known.objective - solution.objective) <= ALIKE * max(abs(known.objective), 1e-300)
+            if near or (alike and equal is not None):
+                kept[i] = known, hits + 1
+                break
+        else:
+            kept.append((solution, 1))
+    return tuple(Optimum(solution.design, solution.objective, max(hits, 1)) for solution, hits in kept)
 
 
 def check_machine(problem: ProblemFile, values: Mapping[str, float]) -> MachineDesign:
@@ -152,23 +220,6 @@ def _check(problem: ProblemFile, backend: str, starts: int | None, seed: int) ->
     if not problem.model.free:
         example = 'Free one: length = { start = "120 mm", bounds = ["60 mm", "200 mm"] }, or `optlink analyze` the machine'
         raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
-
-
-def _to_and_fro(problem: ProblemFile, trace: Trace, orders: list[Begin]) -> list[Begin]:
-    """The orders of events in which every output whose stroke is told goes to and fro.
-
-    Raises
-    ------
-    InputError
-        when there is none.
-    """
-    wrong = [_strokeless(task_of(problem), trace, order.structure) for order in orders]
-    if wrong[0] is not None and all(wrong):
-        key, term, count = wrong[0]
-        message = f"{term.of} reverses {count} times in a revolution" if count else f"{term.of} never reverses"
-        remedy = "Name an output that goes to and fro, or start from other sizes"
-        raise InputError(Fault(message, remedy, problem.file, f"{key}.of", term.of))
-    return [order for order, fault in zip(orders, wrong, strict=True) if fault is None]
 
 
 def _strokeless(task: CycleProblem, trace: Trace, structure: Structure) -> tuple[str, Term, int] | None:

@@ -114,11 +114,12 @@ def _generate(
 
 def _design(file: ProblemFile, backend: Backend, starts: int | None, seed: int, as_json: bool, out: Path | None) -> None:
     """Design a machine by its cycle."""
-    from optlink.machine_design import STARTS, design_machine
+    from optlink.machine_design import design_machine
+    from optlink.solvers.cycle_search import STARTS
 
-    with console.counted((STARTS if starts is None else starts) * _searches(backend)) as progress:
+    with console.counted(STARTS if starts is None else starts) as progress:
         result = design_machine(file, str(backend), starts, seed, progress)
-    if starts is not None and result.starts < starts and not result.notes:
+    if starts is not None and result.interrupted:
         _interrupted(result.starts, starts)
     _machine(result, as_json, out)
 

@@ -15,7 +15,7 @@ from optlink.design.files import ProblemFile, read
 from optlink.designed import task_of
 from optlink.errors import InputError, Status
 from optlink.machine_design import design_machine
-from optlink.solvers.cycle_search import Begin, programme, searched
+from optlink.solvers.cycle_search import Begin, searched
 from optlink.validation.cycle import BALANCE, Cycle, validate_cycle
 
 PRESS = """
@@ -248,7 +248,7 @@ def test_positions_beside_a_peak_hold_nothing(name):
     values = {key: 1e-3 * value for key, value in BESIDE.items()}
     trace = Trace(task)
     begin = Begin(trace.structure(values), (values,))
-    found = searched(programme(trace, begin), begin, (name,), lambda: None).found[name]
+    found = searched(trace, [begin], (name,), lambda: None).found[name]
     assert found.status is Status.OPTIMAL
     lower = Cycle(task, found.design)
     assert found.objective == pytest.approx(lower.objective(), rel=1e-7)

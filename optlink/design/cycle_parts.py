@@ -19,6 +19,7 @@ from optlink.design.nlp import Variable
 from optlink.design.problem import EPIGRAPH
 from optlink.design.quantity import Quantity
 from optlink.design.terms import Goal, Term
+from optlink.linkage.cycle import LEAST_DIFFERENCE
 from optlink.units import KINDS, factor
 
 Array = NDArray[np.float64]
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 EVENT = "end of a stroke"
 """Name of the rows that define the crank angles at which motions reverse."""
 FEWEST = 4  # positions per stroke
+ROOM = 1.01  # of the least difference of slow and quick stroke, which a programme keeps
 APART = 1e-3  # rad, least crank rotation between two events
 
 
@@ -90,6 +92,13 @@ def size_of(problem: CycleProblem) -> float:
 def people_scale(kind: str, unit: str, size: float) -> Scale:
     """From multiples of `size` [SI] to a unit of people."""
     return Scale(unit, size / factor(unit or KINDS[kind].people, kind)) if kind else Scale("", size)
+
+
+def _keeps_slow(bound: Bound) -> bool:
+    """Whether a limit of a time ratio itself keeps the slow stroke the slow one."""
+    if bound.term.stroke == "quick":
+        return bound.interval.high is not None
+    return bound.interval.low is not None
 
 
 class Parts:
@@ -175,18 +184,25 @@ class Parts:
         self._slow()
 
     def _slow(self) -> None:
-        """A load of the slow stroke acts in what is still the slow one."""
-        for name, section in self.problem.loads.items():
-            load = next(load for load in self.trace.base.loads if load.name == name)
-            if section.stroke not in ("slow", "fast") or not self.events:
-                continue
-            key = [event.key for event in self.trace.events]
-            guide = ("guide", str(getattr(load, "direction", "")))
-            which = key.index(guide if guide in key else ("load", name))
-            forward = (getattr(load, "stroke", "") == "forward") is (self.trace.direction > 0.0)
-            more = self.duration(which, forward) - self.duration(which, not forward)
-            more = more if section.stroke == "slow" else -more
-            self.rows.append(Row(f"loads.{name}.stroke", "the slow stroke stays the slow one", more / TURN, 0.0, math.inf, PLAIN))
+        """The slow stroke stays the slow one: of a load by the least difference, of a time ratio where no limit says so."""
+        for name, which in self.trace.paced_loads.items() if self.events else ():
+            label = f"slow minus quick stroke of {name}"
+            least = ROOM * LEAST_DIFFERENCE
+            self.rows.append(Row(f"loads.{name}.stroke", label, self._slower(which), least, math.inf, DEGREES))
+        implied = {id(bound.term) for bound in self.problem.bounds if _keeps_slow(bound)}
+        for term in self.trace.terms:
+            if term.by_pace and id(term) not in implied:
+                label = f"slow minus quick stroke of {term.of}"
+                self.rows.append(Row(EVENT, label, self._slower(self.trace.event_of(term)), 0.0, math.inf, DEGREES))
+
+    def _forward_slow(self, which: int) -> bool:
+        """Whether the forward stroke of a motion counts as the slow one in this programme."""
+        return self.structure.slow[self.trace.paced.index(which)] is not False
+
+    def _slower(self, which: int) -> Any:
+        """Crank rotation [rad] by which the slow stroke is longer than the quick one."""
+        slow = self._forward_slow(which)
+        return self.duration(which, slow) - self.duration(which, not slow)
 
     def forward(self, which: int) -> list[bool]:
         """For every stroke whether an output, whose reversals cut, moves forward in it."""
@@ -288,12 +304,10 @@ class Parts:
         return casadi.atan2(a * d - b * c, a * c + b * d)
 
     def _ratio(self, term: Term) -> Any:
-        """Duration of the slow stroke over that of the quick one, which is which being that of the start."""
+        """Duration of a stroke over that of the other; which is the slow one is fixed in a programme."""
         which = self.trace.event_of(term)
-        forward, backward = self.duration(which, True), self.duration(which, False)
-        first, second = (self.structure.angles[k] for k in self._ends(term))
-        slow = (second - first >= math.pi) is self.structure.rising[self._ends(term)[0]]
-        return forward / backward if slow else backward / forward
+        own = self._forward_slow(which) is (term.stroke != "quick") if term.by_pace else term.stroke == "forward"
+        return self.duration(which, own) / self.duration(which, not own)
 
     # --- rows ------------------------------------------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ angles of these events are unknowns of the programme, and within a stroke everyt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,6 +22,7 @@ from optlink.design.terms import STATIC, Term, guide_of, output_of
 from optlink.dynamics.loads import Force, Load
 from optlink.dynamics.machine import Machine, Moving, parts
 from optlink.dynamics.reactions import Reactions, reactions, reported_on, required, shaking
+from optlink.linkage.cycle import Direction, slow_stroke
 from optlink.linkage.elementwise import Value, cross, dot, magnitude, minus, sign, unit
 from optlink.linkage.groups import RRP, RRR
 from optlink.linkage.jet import Jet
@@ -75,6 +76,8 @@ class Structure:
     which: tuple[int, ...]
     rising: tuple[bool, ...]
     angles: tuple[float, ...]
+    slow: tuple[bool | None, ...] = ()
+    """For every event of `Trace.paced`: whether the forward stroke is the slow one; None where both take equally long."""
 
     def like(self, other: Structure) -> bool:
         """Whether the same events come in the same order."""
@@ -98,7 +101,9 @@ class Trace:
     ----------
     problem : CycleProblem
     values : mapping of quantity to float [SI], optional
-        The sizes at which it is decided which stroke is the slow one.
+        The sizes that decide which stroke is the slow one.
+    slow : mapping of load to "forward" or "backward", optional
+        In place of `values`: the slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise.
 
     Raises
     ------
@@ -106,12 +111,17 @@ class Trace:
         when the machine of these sizes cannot be made, with the full key that is to blame.
     """
 
-    def __init__(self, problem: CycleProblem, values: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        problem: CycleProblem,
+        values: Mapping[str, float] | None = None,
+        slow: Mapping[str, Direction] | None = None,
+    ) -> None:
         self.problem, self.mechanism = problem, problem.linkage
         self.speed = problem.drive.speed.value
         self.direction = -1.0 if self.speed < 0.0 else 1.0
         self.names = list(problem.quantities)
-        self.base = problem.machine(values)
+        self.base, self.slow = problem.machine(values, slow), slow
         self.terms: tuple[Term, ...] = (*problem.goals, *(bound.term for bound in problem.bounds))
         self.cyclic = [term for term in self.terms if term.nature.cyclic]
         self.works = any(term.quantity == "work" for term in self.terms)
@@ -216,6 +226,31 @@ class Trace:
         """Index of the event that ends the strokes of a term's output."""
         return [event.key for event in self.events].index(self._key(term))
 
+    @cached_property
+    def paced_loads(self) -> dict[str, int]:
+        """Loads of the slow or quick stroke, with the index of the event that ends their strokes."""
+        keys = [event.key for event in self.events]
+        guides = {load.name: ("guide", str(getattr(load, "direction", ""))) for load in self.base.loads}
+        return {
+            name: keys.index(guides[name] if guides[name] in keys else ("load", name))
+            for name, section in self.problem.loads.items()
+            if section.by_pace
+        }
+
+    @cached_property
+    def paced(self) -> tuple[int, ...]:
+        """Events of the motions whose slow stroke matters: of loads, and of time ratios, of the slow or quick stroke."""
+        terms = [self.event_of(term) for term in self.terms if term.by_pace]
+        return tuple(dict.fromkeys([*self.paced_loads.values(), *terms]))
+
+    def slow_loads(self, slow: Sequence[bool | None]) -> dict[str, Direction]:
+        """The slow stroke of loads, for a crank that turns counter-clockwise, where `slow` tells that of every paced event."""
+        forward = dict(zip(self.paced, slow, strict=True))
+        same = self.direction > 0.0
+        return {
+            name: "forward" if (forward[which] is not False) is same else "backward" for name, which in self.paced_loads.items()
+        }
+
     def _key(self, term: Term) -> tuple[str, ...]:
         if term.quantity == "work":
             return "guide", str(guide_of(str(term.of), self.mechanism))
@@ -284,16 +319,30 @@ class Trace:
             return self._watch(*known, angles)[groups : groups + count]
 
         cutting: list[tuple[float, int, bool]] = []
+        every: dict[int, list[tuple[float, int, bool]]] = {}
         told: list[tuple[float, int, bool]] = []
         for k, places in enumerate(zeros(values_at, grid, still=True)):
             rises = values_at(places + AHEAD)[k] > 0.0 if places.size else []
             own = [(float(at) % TURN, k, bool(up)) for at, up in zip(places, rises, strict=True)]
+            every[k] = own
             if self.events[k].cuts:
                 cutting += own
             else:
                 told += _from_rise(own)
         ordered = [*_from_rise(cutting), *told]
-        return Structure(tuple(k for _, k, _ in ordered), tuple(up for *_, up in ordered), tuple(at for at, *_ in ordered))
+        slow = tuple(_forward_slow(every[k]) for k in self.paced)
+        return Structure(tuple(k for _, k, _ in ordered), tuple(up for *_, up in ordered), tuple(at for at, *_ in ordered), slow)
+
+
+def _forward_slow(found: list[tuple[float, int, bool]]) -> bool | None:
+    """Whether the forward stroke between reversals (angle, which, rising) is the slow one; None where it cannot be said."""
+    if len(found) < 2:
+        return None
+    found = sorted(found)
+    ends = [*(at for at, *_ in found[1:]), found[0][0] + TURN]
+    forward = sum(end - at for (at, _, up), end in zip(found, ends, strict=True) if up)
+    slow = slow_stroke(forward, TURN - forward)
+    return None if slow is None else slow == "forward"
 
 
 def _from_rise(found: list[tuple[float, int, bool]]) -> list[tuple[float, int, bool]]:

@@ -33,6 +33,8 @@ What = Literal[
     "work",
     "length",
 ]
+OPPOSITE = {"forward": "backward", "backward": "forward", "slow": "quick", "quick": "slow"}
+"""The other one of two strokes."""
 EXTREME = ("peak", "largest", "least")
 """Measures that a single position decides: as many rows as positions, rather than one figure."""
 
@@ -89,8 +91,9 @@ class Term(Section):
     """Leave the inertia of the bodies out; weights and loads stay."""
     direction: FixedAngle | None = None
     """Of the stroke of a point: along what, from +x."""
-    stroke: Literal["forward", "backward"] | None = None
-    """Of an end, and of the work of a slider: in which stroke."""
+    stroke: Literal["forward", "backward", "slow", "quick"] | None = None
+    """Of an end, and of the work of a slider: in which stroke, forward or backward. Of a time ratio: the stroke whose time is
+    divided by that of the other; left out: the slow one."""
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -123,6 +126,11 @@ class Term(Section):
         return self.quantity in ("stroke", "end", "time ratio") or self.stroke is not None
 
     @property
+    def by_pace(self) -> bool:
+        """Whether the sizes decide in which direction its stroke is: a time ratio of the slow or the quick stroke."""
+        return self.quantity == "time ratio" and self.stroke in (None, "slow", "quick")
+
+    @property
     def words(self) -> str:
         """The term as people call it."""
         measure = {"": "", "rms": "RMS "}.get(self.how, f"{self.how} ")
@@ -137,6 +145,7 @@ class Term(Section):
         where = {"reaction": "at", "transmission angle": "at", "guide force": "in", "guide moment": "in", "slide": "in"}
         words += f" {where.get(self.quantity, 'of')} {self.of}" if self.of else ""
         words += f" on {self.on}" if self.on else ""
+        words += f", {self.stroke} over {OPPOSITE[self.stroke]}" if self.quantity == "time ratio" and self.stroke else ""
         return words + (f" along {self.direction}" if self.direction is not None else "")
 
     def kind(self, mechanism: Mechanism) -> str:
@@ -169,10 +178,11 @@ def check_shape(term: Term) -> None:
         raise Unusable("only a reaction acts on a body", "Leave it out", "on", term.on)
     if term.static and what not in STATIC:
         raise Unusable(f"{_a(what)} has no static part", f"Leave it out; only {', '.join(STATIC)} have one", "static")
-    if term.stroke is not None and what != "end" and (what != "work" or term.of is None):
-        raise Unusable(
-            "only an end, and the work during a stroke of a slider, have one", 'Write quantity = "work" and of', "stroke"
-        )
+    if term.stroke is not None and what not in ("end", "time ratio") and (what != "work" or term.of is None):
+        message = "only an end, a time ratio, and the work during a stroke of a slider have one"
+        raise Unusable(message, 'Write quantity = "work" and of', "stroke")
+    if term.stroke in ("slow", "quick") and what != "time ratio":
+        raise Unusable(f"{_a(what)} has its stroke by direction", 'Write "forward" or "backward"', "stroke", term.stroke)
     if (what == "end" or (what == "work" and term.of is not None)) and term.stroke is None:
         raise Unusable("which stroke", 'Add stroke = "forward" or "backward"', "stroke")
 
@@ -210,8 +220,9 @@ class Objective(Section):
     """Leave the inertia of the bodies out; weights and loads stay."""
     direction: FixedAngle | None = None
     """Of the stroke of a point: along what, from +x."""
-    stroke: Literal["forward", "backward"] | None = None
-    """Of an end, and of the work of a slider: in which stroke."""
+    stroke: Literal["forward", "backward", "slow", "quick"] | None = None
+    """Of an end, and of the work of a slider: in which stroke, forward or backward. Of a time ratio: the stroke whose time is
+    divided by that of the other; left out: the slow one."""
     sense: Literal["minimise", "maximise"] = "minimise"
     """Whether it shall be small or large."""
     terms: tuple[Goal, ...] = ()
@@ -317,12 +328,28 @@ class Limit(Term):
         for key, (value, _) in found.items():
             if self.how == "peak" and value <= 0.0:
                 raise Unusable("the largest size over the cycle is positive", "Give a limit above zero", key, getattr(self, key))
-            if self.quantity == "time ratio" and value < 1.0:
-                raise Unusable("the slow stroke takes at least as long as the quick one", "Give 1 or more", key, value)
+            if self.quantity == "time ratio":
+                check_time_ratio(self.stroke, value, key)
             if self.quantity == "transmission angle" and not 0.0 < value < math.pi:
                 raise Unusable("out of range", 'Give an angle between 0 and 180 deg, for example "45 deg"', key, str(value))
         first = next(iter(found.values()))
         return Interval(low[0] if low else None, high[0] if high else None, kind or None, first[1])
+
+
+def check_time_ratio(stroke: str | None, value: float, key: str) -> None:
+    """Refuse a limit that no time ratio of a stroke over the other can meet.
+
+    Raises
+    ------
+    Unusable
+        naming the key.
+    """
+    if stroke in (None, "slow") and value < 1.0:
+        raise Unusable("the slow stroke takes at least as long as the quick one", "Give 1 or more", key, value)
+    if stroke == "quick" and value > 1.0:
+        raise Unusable("the quick stroke takes at most as long as the slow one", "Give 1 or less", key, value)
+    if value <= 0.0:
+        raise Unusable("the time of a stroke is positive", "Give a ratio above 0", key, value)
 
 
 def read_figure(raw: object, kind: str, key: str) -> tuple[float, str]:

@@ -11,6 +11,7 @@ from rich.text import Text
 from optlink.design.cycle import CycleProblem
 from optlink.designed import MachineDesign, people_unit
 from optlink.errors import Status
+from optlink.report.machine import machine_strokes
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, active, checks, fixed, grid, number
 from optlink.solvers.conflict import Relaxation
 
@@ -18,6 +19,8 @@ from optlink.solvers.conflict import Relaxation
 def machine_design(outcome: MachineDesign) -> RenderableType:
     """Everything about the design of a machine."""
     parts: list[RenderableType] = [_headline(outcome), Text(), _sizes(outcome), Text(), _figures(outcome)]
+    strokes = machine_strokes(outcome.built, outcome.task.drive.speed.value) if outcome.built is not None else None
+    parts += [Text(), strokes] if strokes is not None else []
     if outcome.conflict:
         parts += [Text(), _conflict(outcome)]
     elif outcome.solution is not None:
@@ -102,7 +105,7 @@ def _given(item: Relaxation) -> str:
 def _optima(outcome: MachineDesign) -> Table:
     free = list(outcome.values)[:4]
     reached = sum(optimum.count for optimum in outcome.optima)
-    title = f"Distinct optima, before their peaks were followed: {len(outcome.optima)}, reached by {reached} searches"
+    title = f"Distinct optima: {len(outcome.optima)}, reached by {reached} searches"
     table = grid(title, [("objective", "right"), *((name, "right") for name in free), ("searches", "right")], header=True)
     for optimum in outcome.optima[:8]:
         values = [fixed(optimum.design[name] * people_unit(outcome.task, name)[0], 2) for name in free]

@@ -9,11 +9,11 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from optlink.analysis import Analysis, reactions_told
+from optlink.analysis import Analysis, named_travels, reactions_told
 from optlink.design.files import ProblemFile
 from optlink.design.linkages import DyadsSection
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.strokes import Acting, use_of, working_stroke
+from optlink.dynamics.strokes import Acting, acting_loads, use_of, working_stroke
 from optlink.linkage.cycle import Travel
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
 from optlink.simulation import Simulation
@@ -149,6 +149,20 @@ def _travels(outcome: Analysis) -> RenderableType:
     named += [(f"{name} swings", travel) for name, travel in outcome.swings.items()]
     strokes = stroke_table(named, outcome.speed, outcome.acting)
     return table if strokes is None else Group(table, Text(), strokes)
+
+
+def machine_strokes(machine: Machine, speed: float, acting: tuple[Acting, ...] | None = None) -> Table | None:
+    """Forward and backward stroke of every output of a machine whose crank turns fully; None where there is none.
+
+    Parameters
+    ----------
+    machine : Machine
+    speed : float
+        Speed of the crank; only its sign counts.
+    acting : tuple of Acting, optional
+        What works in one stroke alone; the loads of the machine if left out.
+    """
+    return stroke_table(named_travels(machine), speed, acting_loads(machine, speed) if acting is None else acting)
 
 
 def stroke_table(named: Sequence[tuple[str, Travel]], speed: float, acting: tuple[Acting, ...]) -> Table | None:

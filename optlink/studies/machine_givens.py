@@ -96,7 +96,7 @@ class Givens:
     def _seen(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
         """The Lagrangian, its gradient by (x, p) and the rows where the optimum is, with another value in the file."""
         system, nlp = self.system, self.nlp
-        trace = Trace(task_of(changed(self.problem, parameter, value)))
+        trace = Trace(task_of(changed(self.problem, parameter, value)), slow=self.nlp.traced.slow)
         slots = nlp.slots // nlp.strokes
         other = build_cycle(trace, nlp.structure, nlp.design(system.x), nlp.nodes, slots, nlp.scales)
         if [row.label for row in other.rows] != [row.label for row in nlp.rows]:

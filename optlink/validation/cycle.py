@@ -80,6 +80,22 @@ class Course:
         return columns(Record(self.machine.moving(angles, self.speed, side=side)))
 
 
+def time_ratio(forward: float, backward: float, stroke: str | None) -> float:
+    """Time of a stroke over that of the other at constant crank speed.
+
+    Parameters
+    ----------
+    forward, backward : float
+        Crank rotation of the two strokes [rad], positive.
+    stroke : "forward", "backward", "slow", "quick" or None
+        Whose time is divided by the other's; None is the slow one.
+    """
+    if stroke in ("forward", "backward"):
+        return forward / backward if stroke == "forward" else backward / forward
+    quick, slow = sorted((forward, backward))
+    return quick / slow if stroke == "quick" else slow / quick
+
+
 class Cycle:
     """A design in motion: what its terms are, measured.
 
@@ -133,7 +149,10 @@ class Cycle:
             return math.nan
         if term.quantity == "end":
             return found.high if term.stroke == "forward" else found.low
-        return found.span if term.quantity == "stroke" else found.time_ratio
+        if term.quantity == "stroke":
+            return found.span
+        strokes = {stroke.name: stroke.rotation for stroke in found.strokes(self.speed)}
+        return time_ratio(strokes["forward"], strokes["backward"], term.stroke) if strokes else math.nan
 
     def _point(self, term: Term) -> float:
         """Stroke of a point along a direction, one of its ends, or its time ratio, from the extremes of its course."""
@@ -145,8 +164,8 @@ class Cycle:
             return float(values[0, 1 if term.stroke == "forward" else 0])
         if term.quantity == "stroke":
             return float(values[0, 1] - values[0, 0])
-        one = float(angles[0, 1] - angles[0, 0]) % TURN
-        return max(one, TURN - one) / min(one, TURN - one)
+        forward = math.copysign(1.0, self.speed) * float(angles[0, 1] - angles[0, 0]) % TURN
+        return time_ratio(forward, TURN - forward, term.stroke)
 
     def _work(self, term: Term) -> float:
         sense = math.copysign(TURN, self.speed)

@@ -1,0 +1,124 @@
+"""A continuum of equally good designs: a flat direction at an optimum, confirmed by a search from a shifted design."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.cycle_nlp import CycleNLP
+from optlink.errors import Status
+from optlink.solvers import search
+from optlink.solvers.levels import level
+from optlink.solvers.solution import Solution
+
+Array = NDArray[np.float64]
+
+STRONG = 1e-9  # share of the largest multiplier, of a limit that holds the design
+FLAT = 1e-6  # share of the largest curvature, below which a direction is tried
+SHIFT = 0.05  # of the range of the quantity that changes most, by which the design is moved to confirm
+EQUAL = 1e-6  # relative, of two objectives
+MOVES = 1e-4  # scaled units, by which another quantity must have changed to be named
+
+
+@dataclass(frozen=True)
+class Continuum:
+    """Designs that are equally good.
+
+    `fix`: the quantity whose value picks one of them; `changes`: by quantity how much it changes per change of that one [SI per
+    SI]; `scale`: whether all lengths are scaled together.
+    """
+
+    fix: str
+    changes: dict[str, float]
+    scale: bool
+
+
+def continuum(nlp: CycleNLP, solution: Solution, name: str) -> Continuum | None:
+    """The continuum of equally good designs through an optimum, if there is one.
+
+    Parameters
+    ----------
+    nlp : CycleNLP
+        Its programme.
+    solution : Solution
+        The optimum, its peaks followed.
+    name : name of a back end
+        Which searches from the shifted design.
+    """
+    if solution.status is not Status.OPTIMAL:
+        return None
+    count = len(nlp.free)
+    for direction in _flat(nlp, solution):
+        lead = int(np.argmax(np.abs(direction[:count])))
+        if abs(direction[lead]) < MOVES:
+            continue
+        other = _shifted(nlp, solution, lead, name)
+        if other is not None:
+            return _named(nlp, solution, other, lead)
+    return None
+
+
+def _flat(nlp: CycleNLP, solution: Solution) -> list[Array]:
+    """Directions in which no limit with a price and no curvature of the Lagrangian holds the design, flattest first."""
+    n, point = len(solution.x), nlp.at(solution.x, solution.p)
+    multipliers = solution.proof.multipliers
+    size = float(np.max(np.abs(multipliers), initial=0.0))
+    equal = nlp.lower == nlp.upper
+    holding = [i for i in solution.proof.active if equal[i] or abs(multipliers[i]) > STRONG * size]
+    basis = np.eye(n)
+    if holding:
+        _, singular, rows = np.linalg.svd(np.vstack([np.eye(n), point.jacobian])[holding])
+        rank = int(np.sum(singular > 1e-9 * max(singular[0], 1.0)))
+        basis = rows[rank:].T
+    if basis.shape[1] == 0:
+        return []
+    hessian = nlp.hessian(solution.x, solution.p, multipliers[n:])
+    reduced = basis.T @ hessian @ basis
+    if not np.all(np.isfinite(reduced)):
+        return []
+    values, vectors = np.linalg.eigh(reduced)
+    stiff = max(float(np.max(np.abs(hessian))), 1.0)
+    return [basis @ vectors[:, k] for k in np.argsort(np.abs(values)) if abs(values[k]) <= FLAT * stiff]
+
+
+def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solution | None:
+    """An equally good design with another value of one quantity; None where there is none."""
+    low, high = float(nlp.x_low[lead]), float(nlp.x_high[lead])
+    at = float(solution.x[lead])
+    step = SHIFT * (high - low)
+    target = at + step if high - at >= at - low else at - step
+    places = nlp.p[len(nlp.p) - nlp.slots :].copy()
+    try:
+        nlp.limit(lead, target, upper=False)
+        nlp.limit(lead, target, upper=True)
+        x = solution.x.copy()
+        x[lead] = target
+        other = search.solve_from(nlp, nlp.lifted(x), name)
+        other = level(nlp, other) if other.usable else other
+    finally:
+        nlp.limit(lead, low, upper=False)
+        nlp.limit(lead, high, upper=True)
+        nlp.roam(places)
+    same = abs(other.objective - solution.objective) <= EQUAL * max(abs(solution.objective), 1e-300)
+    return other if other.usable and same else None
+
+
+def _named(nlp: CycleNLP, solution: Solution, other: Solution, lead: int) -> Continuum:
+    count = len(nlp.free)
+    moved = other.x[:count] - solution.x[:count]
+    changed = {
+        v.name: (other.design[v.name] - solution.design[v.name])
+        / (other.design[nlp.free[lead]] - solution.design[nlp.free[lead]])
+        for v, by in zip(nlp.variables[:count], moved, strict=True)
+        if abs(by) > MOVES
+    }
+    ratios = {name: other.design[name] / value for name, value in solution.design.items() if abs(value) > 0.0}
+    quantities = nlp.traced.problem.quantities
+    lengths = [name for name in nlp.free if quantities[name].kind in ("length", "coordinate")]
+    sized = {name for name, quantity in quantities.items() if quantity.kind in ("length", "coordinate") and quantity.value != 0.0}
+    whole = sized <= set(lengths)  # what is fixed at zero scales too
+    own = [ratios.get(name, 1.0) for name in lengths if abs(solution.design[name]) > 1e-6 * nlp.scales[0]]
+    scale = whole and set(changed) <= set(lengths) and bool(np.ptp(own) <= 1e-3 * abs(np.mean(own) - 1.0))
+    return Continuum(nlp.free[lead], changed, scale)
