@@ -333,7 +333,7 @@ def simulate_clearance(
         kept,
         account.meanings,
         table(account.turns),
-        (*account.impacts, *plant.integration.open.values()),
+        (*account.impacts, *plant.integration.lasting),
         table(account.section),
         account.figures(),
         prediction,

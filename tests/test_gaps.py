@@ -22,6 +22,7 @@ import pytest
 import optlink
 from optlink.analysis import machine_of
 from optlink.clearance import equations as equations_module
+from optlink.clearance import plant as plant_module
 from optlink.clearance import record as record_module
 from optlink.clearance.account import KEPT
 from optlink.clearance.contact import SLOWEST
@@ -886,6 +887,108 @@ def test_largest_force_is_told_however_few_the_rows():
     assert few.figures["largest_normal_N"] == pytest.approx(strongest, rel=0.02)
     assert few.figures["largest_penetration_m"] == pytest.approx(np.max(many["C.penetration_m"]), rel=1e-3)
     assert np.max(few["C.normal_N"]) < 0.9 * strongest  # the rows themselves miss it
+
+
+def brake(torque: float, rpm: float) -> dict:
+    """A four-bar whose rocker is held back: its journal stays on the bearing, and what it vibrates by soon dies."""
+    raw = Case("brake", {"C": "coupler"}, bars=True, speed=rpm, joint={"friction": 0.15}).raw
+    raw["loads"] = {"brake": {"on": "rocker", "torque": f"{torque} N*m", "acts": "opposing"}}
+    return raw
+
+
+def test_slow_machine_under_load_is_not_stepped_by_its_contact(monkeypatch):
+    """An explicit method would need a step for every time constant of the contact, though nothing vibrates any more."""
+    calls = []
+    solve = Integration._solve
+    monkeypatch.setattr(Integration, "_solve", lambda self, *told: calls.append(told[2]) or solve(self, *told))
+    found = simulate(brake(80.0, 3.0), 1, 36, 1e-9)
+    assert found.ending is Ending.FINISHED, found.message
+    assert max(calls) > 1000  # rows at once
+    assert imbalance(found) < 1e-5
+
+
+def test_slow_machine_moves_as_an_explicit_method_at_a_tight_tolerance_says(monkeypatch):
+    raw = brake(25.0, 15.0)
+    found = simulate(raw, 1, 90, 1e-9)
+    monkeypatch.setattr(plant_module, "SLOW", math.inf)
+    true = simulate(raw, 1, 90, 1e-12)
+    assert found.figures["rms_rad"] == pytest.approx(true.figures["rms_rad"], rel=1e-5)
+    assert largest(found["rocker.error_rad"] - true["rocker.error_rad"]) < 1e-4 * true.figures["peak_rad"]
+    assert len(found.impacts) == len(true.impacts)
+    assert found.figures["C.normal_max_N"] == pytest.approx(true.figures["C.normal_max_N"], rel=1e-4)
+    assert imbalance(found) < 1e-6
+
+
+PEAKED = [
+    Case("viscous four-bar", {"D": "rocker"}, bars=True, speed=1500.0, joint={"friction": 0.2, "damping": "8 N*s/m"}),
+    Case(
+        "Flores at the crank's pin", {"B": "crank"}, speed=2600.0, joint={"friction": 0.15, "law": "flores", "restitution": 0.6}
+    ),
+    Case("heavy torque", {"C": "slider"}, torque=5.0, initial=900.0, speed=1100.0, joint={"friction": 0.3}),
+]
+
+
+@pytest.mark.parametrize("case", PEAKED, ids=str)
+def test_peaks_do_not_depend_on_the_rows(case):
+    """Of forces, penetrations and torque, and of every contact, that which is still on at the end too."""
+    few, many = (simulate(case.raw, 1, points, 1e-12) for points in (24, 7200))
+    assert math.isnan(few.impacts[-1].end)
+    for name in ("largest_normal_N", "largest_penetration_m", "torque_max_Nm"):
+        assert few.figures[name] == pytest.approx(many.figures[name], rel=3e-8), name
+    assert len(few.impacts) == len(many.impacts)
+    for one, other in zip(few.impacts, many.impacts, strict=True):
+        assert one.penetration == pytest.approx(other.penetration, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", PEAKED[1:], ids=str)
+def test_peaks_are_those_of_the_oracle(case):
+    """Its motion at 10,000 instants stays below them and comes near to them."""
+    part = 0.12 if case.torque is None else 0.08  # of the revolution
+    whole = case.raw
+    whole["drive"]["speed"] = f"{case.speed / part} rpm"  # the revolution that counts ends there
+    if case.torque is None:
+        whole["drive"] |= {"torque": "0 N*m", "initial_speed": f"{case.speed} rpm"}
+    setup = replace(case.setup, torque=0.0 if case.torque is None else case.torque)
+    found = simulate(whole, 1, 24, 1e-12)
+    end = 60.0 * part / case.speed
+    other = oracle.run(setup, end, np.linspace(0.0, end, 10_001))
+    for name, force in other.normal.items():
+        assert found.figures[f"{name}.normal_max_N"] == pytest.approx(float(np.max(force)), rel=1e-4)
+    deepest = {name: max((one.depth for one in other.contacts if one.joint == name), default=0.0) for name in other.normal}
+    for name, depth in deepest.items():
+        assert found.figures[f"{name}.penetration_max_m"] == pytest.approx(depth, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.slow
+def test_largest_torque_is_that_of_the_oracle():
+    """Of a crank that turns evenly: the drive feels every impact."""
+    case = Case("torque", {"B": "rod", "C": "rod"}, speed=1600.0, start=35.0)
+    found = simulate(case.raw, 1, 24, 1e-12)
+    first = found.impacts[0]
+    fine = simulate(case.raw, 1, 20_000, 1e-12)
+    until = int(0.1 * 20_000)
+    end = float(fine["time_s"][until - 1])
+    other = oracle.run(case.setup, end, np.linspace(0.0, end, 10_001))
+    assert first.begin < end
+    assert float(np.max(np.abs(fine["input.torque_Nm"][:until]))) == pytest.approx(largest(other.torque), rel=2e-3)
+    assert found.figures["torque_max_Nm"] >= largest(other.torque) * (1.0 - 1e-9)
+    assert found.figures["torque_max_Nm"] == pytest.approx(largest(fine["input.torque_Nm"]), rel=2e-3)
+    assert found.figures["torque_max_Nm"] >= largest(fine["input.torque_Nm"]) * (1.0 - 1e-9)
+
+
+def test_peaks_agree_wherever_they_are_told():
+    """In figures, revolutions, contacts and rows."""
+    found = simulate(Case("three", {"A": "crank", "B": "rod", "C": "rod"}, speed=900.0).raw, 2, 40, 1e-10)
+    figures = found.to_dict()["figures"]
+    for k, point in enumerate("ABC"):
+        depth, force = figures[f"{point}.penetration_max_m"], figures[f"{point}.normal_max_N"]
+        assert depth == np.max(found.turns[f"{point}.penetration_max_m"])
+        assert force == np.max(found.turns[f"{point}.normal_max_N"])
+        assert depth == max(one.penetration for one in found.impacts if one.gap == k)
+        assert depth >= np.max(found[f"{point}.penetration_m"])
+        assert force >= np.max(found[f"{point}.normal_N"])
+    assert figures["torque_max_Nm"] == np.max(found.turns["torque_max_Nm"]) >= largest(found["input.torque_Nm"])
 
 
 def test_interrupted_run_returns_what_was_computed():

@@ -30,7 +30,7 @@ WATCHED = 25
 
 _PLAIN = (
     *("count", "contacts", "largest", "imbalance", "first", "sums", "every"),
-    *("peak", "deepest", "strongest", "torque", "correction", "settled"),
+    *("peak", "depths", "forces", "torque", "correction", "settled"),
 )
 
 
@@ -49,7 +49,9 @@ class Account:
         self.first: float | None = None
         self.sums: dict[str, float] = dict.fromkeys(("square", "rows", "effort", "torque"), 0.0)
         self.every: dict[str, float] = dict.fromkeys(("square", "rows"), 0.0)
-        self.peak = self.deepest = self.strongest = self.torque = self.correction = 0.0
+        self.peak = self.torque = self.correction = 0.0
+        self.depths = [0.0] * len(plant.equations.gaps)  # largest at every gap [m]
+        self.forces = [0.0] * len(plant.equations.gaps)  # [N]
         self.settled = 0
 
     def add(self, settled: bool) -> dict[str, Array]:
@@ -123,18 +125,16 @@ class Account:
         self.largest = abs(self.first)
 
     def _sum(self, rows: Mapping[str, Array], error: Array, turn: Revolution, settled: bool) -> None:
-        impacts, strongest = turn.impacts, turn.forces
+        impacts = turn.impacts
         self.count += 1
         unit, own = self.plant.output.unit, self.plant.output.name
         square, torque = float(np.sum(error * error)), rows["input.torque_Nm"]
         correction = rows.get("command.correction_rad", np.zeros(1))
-        self.strongest = max([self.strongest, *strongest])
-        for gap in self.plant.equations.gaps:
-            self.deepest = max(self.deepest, float(np.max(rows[f"{gap.point}.penetration_m"])))
-        self.deepest = max([self.deepest, *(impact.penetration for impact in impacts)])
+        self.depths = [max(both) for both in zip(self.depths, turn.depths, strict=True)]
+        self.forces = [max(both) for both in zip(self.forces, turn.forces, strict=True)]
         self.contacts += len(impacts)
         self.impacts.extend(impacts)
-        self.torque = max(self.torque, float(np.max(np.abs(torque))))
+        self.torque = max(self.torque, turn.torque)
         figures = {
             "revolution": float(self.count),
             f"rms_{unit}": math.sqrt(square / len(error)),
@@ -142,10 +142,12 @@ class Account:
             f"mean_{unit}": float(np.mean(error)),
             "impacts": float(len(impacts)),
             "torque_rms_Nm": math.sqrt(float(np.mean(torque * torque))),
+            "torque_max_Nm": turn.torque,
         }
-        for gap, most in zip(self.plant.equations.gaps, strongest, strict=True):
+        for gap, depth, force in zip(self.plant.equations.gaps, turn.depths, turn.forces, strict=True):
             figures[f"{gap.point}.contact_share"] = float(np.mean(rows[f"{gap.point}.contact"]))
-            figures[f"{gap.point}.normal_max_N"] = most
+            figures[f"{gap.point}.normal_max_N"] = force
+            figures[f"{gap.point}.penetration_max_m"] = depth
         self.turns.append(figures)
         point = {"revolution": float(self.count), f"{own}.error_{unit}": float(error[-1])}
         for gap in self.plant.equations.gaps:
@@ -176,6 +178,7 @@ class Account:
         """The figures that sum it up, by name (SI)."""
         unit = self.plant.output.unit
         rows, every, turns = max(self.sums["rows"], 1.0), max(self.every["rows"], 1.0), max(self.settled, 1)
+        gaps = self.plant.equations.gaps
         works = dict(zip(self.plant.equations.losses, self.plant.integration.works, strict=True))
         return {
             "revolutions": float(self.count),
@@ -185,8 +188,10 @@ class Account:
             f"peak_{unit}": self.peak,
             f"rms_from_start_{unit}": math.sqrt(self.every["square"] / every),
             "contacts": float(self.contacts + len(self.plant.integration.open)),
-            "largest_penetration_m": self.deepest,
-            "largest_normal_N": self.strongest,
+            "largest_penetration_m": max(self.depths),
+            "largest_normal_N": max(self.forces),
+            **{f"{gap.point}.penetration_max_m": depth for gap, depth in zip(gaps, self.depths, strict=True)},
+            **{f"{gap.point}.normal_max_N": force for gap, force in zip(gaps, self.forces, strict=True)},
             "torque_rms_Nm": math.sqrt(self.sums["torque"] / turns),
             "torque_max_Nm": self.torque,
             "correction_rms_rad": math.sqrt(self.sums["effort"] / turns),

@@ -34,6 +34,9 @@ Array = NDArray[np.float64]
 WEIGHTLESS = 1e-12
 """Share of the largest inertia below which a free direction of motion has none."""
 
+LEAST_FORCE = 1e-300
+"""Force [N] that keeps a ratio of forces finite where there are none."""
+
 
 @dataclass(frozen=True)
 class Servo:
@@ -74,7 +77,7 @@ class Equations:
         self._outcomes: dict[int, Compiled] = {}
         self._closures: dict[int, Compiled] = {}
         self._watches: dict[int, Compiled] = {}
-        self._integrators: dict[tuple[int, float], Buffered] = {}
+        self._integrators: dict[tuple[int, float, bool], Buffered] = {}
         with tracing():
             self._trace()
 
@@ -155,7 +158,12 @@ class Equations:
         rate = casadi.vertcat(*[contact.rate for contact in touches])
         curve = casadi.jtimes(rate, x, self.ode)
         normal = casadi.vertcat(*[contact.normal for contact in touches])
-        self._watched = casadi.cse([depth, rate, curve, normal])
+        torque = casadi.SX(torque)
+        bare = [touch(gap, known.play(gap), v).normal for gap, v in zip(self.gaps, casadi.vertsplit(self.entered), strict=True)]
+        # the torque is linear in the modes, which scale the contact forces: what a newton more of each adds to it
+        lever = casadi.jacobian(torque, self.modes).T / (casadi.vertcat(*bare) + LEAST_FORCE)
+        over = [casadi.jtimes(part, x, self.ode) + casadi.jtimes(part, self.begin, 1.0) for part in (normal, torque)]
+        self._watched = casadi.cse([depth, rate, curve, normal, over[0], lever, torque, over[1]])
         self._outcome = casadi.cse([whole, torque, pull])
         self.free, self.symbolic = free, known
         self.masses = Compiled([x], [mass[free, free], held])
@@ -194,7 +202,7 @@ class Equations:
         return casadi.vertcat(self.span, self.begin, self.further, self.entered, self.modes)
 
     def watch(self, copies: int) -> Compiled:
-        """(x, parameters, tau) -> penetration at every gap [m], its first and second rate, normal force [N]; `copies` of it."""
+        """(x, parameters, tau) -> what `peaks.Watched` names, one after the other; `copies` of it."""
         if copies not in self._watches:
             self._watches[copies] = Compiled([self.x, self.parameters, self.tau], self._watched, copies)
         return self._watches[copies]
@@ -218,13 +226,13 @@ class Equations:
         moved, works = self._nudge(state, parameters, np.array([time]))
         return moved, works
 
-    def integrator(self, steps: int, tolerance: float) -> Buffered:
+    def integrator(self, steps: int, tolerance: float, *, stiff: bool = False) -> Buffered:
         """(x, parameters) -> states, works [J] after each of `steps` equal steps of the span, by CVODES."""
-        if (steps, tolerance) not in self._integrators:
-            self._integrators[steps, tolerance] = self._integrator(steps, tolerance)
-        return self._integrators[steps, tolerance]
+        if (steps, tolerance, stiff) not in self._integrators:
+            self._integrators[steps, tolerance, stiff] = self._integrator(steps, tolerance, stiff)
+        return self._integrators[steps, tolerance, stiff]
 
-    def _integrator(self, steps: int, tolerance: float) -> Buffered:
+    def _integrator(self, steps: int, tolerance: float, stiff: bool) -> Buffered:
         problem = {
             "x": self.x,
             "p": self.parameters,
@@ -232,13 +240,14 @@ class Equations:
             "ode": self.span * self.ode,
             "quad": self.span * self.powers,
         }
-        # Adams: between the switches the motion is smooth; measured a quarter faster than BDF, in contact as well as apart
+        # Adams: between the switches the motion is smooth; measured a quarter faster than BDF, in contact as well as apart.
+        # Where a contact lasts for many of its vibrations these have died: only BDF then steps as far as the motion allows.
         options: dict[str, Any] = {
-            "linear_multistep_method": "adams",
+            "linear_multistep_method": "bdf" if stiff else "adams",
             "quad_err_con": True,  # the works are as true as the motion
             "reltol": tolerance,
             "abstol": 1e-3 * tolerance,
-            "max_num_steps": 20_000,  # a row; a hundred are usual
+            "max_num_steps": 200_000 if stiff else 20_000,  # a row; a hundred are usual
         }
         grid = [(i + 1.0) / steps for i in range(steps)]
         inner = casadi.integrator("motion", "cvodes", problem, 0.0, grid, options)

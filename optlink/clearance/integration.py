@@ -11,24 +11,21 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.clearance.contact import EXPONENT, SLOWEST
+from optlink.clearance.contact import SLOWEST
 from optlink.clearance.equations import Equations
-from optlink.clearance.path import crossing, highest, summit
+from optlink.clearance.path import crossing, summit
+from optlink.clearance.peaks import Peaks, Watched
 
 Array = NDArray[np.float64]
-CHUNKS = (1, 10, 64, 256)
-"""Rows that one call of the integrator may cover."""
-
-SAMPLES = 64
-"""Of the force on the way to where a contact is deepest."""
+CHUNKS = (1, 10, 64, 256, 2560)
+"""Rows that one call of the integrator may cover; the most where the machine is slow and in contact only."""
 
 BUSY = 2000
 """Switches within one row that are a stall."""
@@ -77,16 +74,6 @@ class Crossing(NamedTuple):
     works: Array
 
 
-class Summit(NamedTuple):
-    """The row in which a contact seems to be deepest: how deep [m], when [s], span [s], state at its begin, parameters."""
-
-    height: float
-    at: float
-    span: float
-    state: Array
-    given: Array
-
-
 class Block(NamedTuple):
     """Rows: times (m,) [s], states (m, 2n), modes and approach speeds of the gaps (m, k), works so far (m, w) [J]."""
 
@@ -118,12 +105,15 @@ class Integration:
         Between two rows.
     tolerance : float
         Relative, of the integrator; absolute a thousandth of it (SI).
+    slow : bool
+        Whether contacts vibrate far faster than the machine moves: an implicit method then steps over a vibration that has died.
     """
 
     equations: Equations
     state: Array
     step: float
     tolerance: float = 1e-10
+    slow: bool = False
     row: int = 0
     ahead: float = 0.0  # since that row [s]
     modes: Array = field(default_factory=lambda: np.zeros(0))
@@ -141,9 +131,7 @@ class Integration:
         self._busy = 0
         self.calls = 0
         self.open: dict[int, Impact] = {}
-        self.summits: dict[int, Summit] = {}
-        self.begun: dict[int, tuple[int, float, Array]] = {}  # switches so far, time, state where a contact began
-        self.forces = np.zeros(gaps)  # largest normal force at every gap, until someone looks
+        self.peaks = Peaks(self.equations.gaps, self._again)
         self.stop: Callable[[], bool] = lambda: False
         self.finished: list[Impact] = []
         self.switches = 0
@@ -185,21 +173,28 @@ class Integration:
                 found = self._first_switch(states[row], row * span / count, span / count, suspects)
                 whole = row + (found is None)  # a false alarm: that row is as it is
                 there, into = (states[row + 1], span / count) if found is None else (found.state, found.into)
-                self._note(np.vstack([states[row], there]), into, row * span / count)
+                last = np.vstack([states[row], there])
+                offset = row * span / count
+                self._note(last, self._watch(last, self.parameters(into, self.time + offset)), into, offset)
             if whole:
                 yield self._accept(states[1 : whole + 1], works[:whole])
             if found is not None:
                 self._switch(found)
             elif not suspects:
-                self._chunk = min(self._chunk + 1, len(CHUNKS) - 1)
+                self._chunk = min(self._chunk + 1, len(CHUNKS) - 1 - (not self._stiff(self.modes)))
 
     # --- one call ------------------------------------------------------------------------------------------------------
 
     def _integrate(self, state: Array, span: float, count: int, time: float) -> tuple[Array, Array]:
+        return self._solve(state, self.parameters(span, time), count)
+
+    def _solve(self, state: Array, given: Array, count: int) -> tuple[Array, Array]:
+        """States at the begin and after each of `count` equal steps of the span, and the works after each [J]."""
         self.calls += 1
         try:  # casadi tells a failure on standard error too, where people and scripts expect what optlink says
             with contextlib.redirect_stderr(io.StringIO()):
-                states, works = self.equations.integrator(count, self.tolerance)(state, self.parameters(span, time))
+                stiff = self._stiff(given[-len(self.equations.gaps) :])
+                states, works = self.equations.integrator(count, self.tolerance, stiff=stiff)(state, given)
         except RuntimeError:
             if self.stop():  # an interrupt from the keyboard breaks a call off too
                 raise KeyboardInterrupt from None
@@ -210,19 +205,25 @@ class Integration:
             raise Stalled("the motion has no finite value any more")
         return np.vstack([state, states.reshape(count, -1)]), works.reshape(count, -1)
 
-    def _observe(self, states: Array, span: float) -> list[Array]:
-        """Penetration, its rate and second derivative, and the normal force at every gap, (m, k) each."""
+    def _stiff(self, modes: Array) -> bool:
+        return self.slow and bool(np.any(modes > 0.0))
+
+    def _observe(self, states: Array, span: float) -> Watched:
+        """Gaps and torque at states that are `span` apart, the first one now."""
+        return self._watch(states, self.parameters(span * (len(states) - 1), self.time))
+
+    def _watch(self, states: Array, given: Array) -> Watched:
         count = len(states)
-        given = np.tile(self.parameters(span * (count - 1), self.time), count)
-        found = self.equations.watch(count)(states.ravel(), given, np.linspace(0.0, 1.0, count))
-        return [part.reshape(count, len(self.equations.gaps)) for part in found]
+        found = self.equations.watch(count)(states.ravel(), np.tile(given, count), np.linspace(0.0, 1.0, count))
+        return Watched(*(part.reshape(count, -1) for part in found))
 
     def _suspects(self, states: Array, span: float) -> tuple[int, dict[int, tuple[float, bool]]]:
         """The first row in which some gap may switch: its number, and by gap an estimate of when, and whether it surely does.
 
         Notes how deep and how strong contacts were till then.
         """
-        depth, rate, curve, _ = watched = self._observe(states, span)
+        watched = self._observe(states, span)
+        depth, rate, curve = watched[:3]
         side = 1.0 - 2.0 * self.modes  # what grows beyond zero at a switch is the penetration with this sign
         y, slope = side * depth, side * rate
         turns = (slope[:-1] > 0.0) & (slope[1:] < 0.0)  # touches zero within the row, perhaps
@@ -237,7 +238,7 @@ class Integration:
             sure = bool(y[i + 1, j] > 0.0)
             s = crossing(ends[0], ends[1], span) if sure else summit(ends[0], ends[1], span)
             row, found[int(j)] = int(i), (s * span, sure)
-        self._note_depths(states[: row + 1], [part[: row + 1] for part in watched], span, 0.0)
+        self._note(states[: row + 1], Watched(*(part[: row + 1] for part in watched)), span, 0.0)
         return row, found
 
     def _first_switch(self, state: Array, offset: float, span: float, suspects: dict[int, tuple[float, bool]]) -> Crossing | None:
@@ -309,56 +310,14 @@ class Integration:
                 break
         return state, works, into
 
-    def _note(self, states: Array, span: float, offset: float) -> None:
-        """How deep and how strong the contacts are between two states, `offset` from now."""
-        self._note_depths(states, self._observe(states, span), span, offset)
+    def _note(self, states: Array, watched: Watched, span: float, offset: float) -> None:
+        """Take account of consecutive rows, `span` apart; the first is `offset` from now."""
+        self.peaks.note(states, watched, lambda i: self.parameters(span, self.time + offset + i * span), self.modes, self.entered)
 
-    def _note_depths(self, states: Array, watched: Sequence[Array], span: float, offset: float) -> None:
-        """How deep and how strong the contacts under way are in these rows; the deepest is looked at when it is over."""
-        depth, rate, curve, normal = watched
-        for j, impact in self.open.items():
-            self.open[j] = impact._replace(penetration=max(impact.penetration, float(np.max(depth[:, j]))))
-            self.forces[j] = max(self.forces[j], float(np.max(normal[:, j])))
-            for i in np.flatnonzero((rate[:-1, j] > 0.0) & (rate[1:, j] <= 0.0)):
-                ends = [[float(part[m, j]) for part in (depth, rate, curve)] for m in (i, i + 1)]
-                height, at = highest(ends[0], ends[1], span)
-                self.forces[j] = max(self.forces[j], self.equations.gaps[j].stiffness * max(height, 0.0) ** EXPONENT)
-                if j not in self.summits:
-                    self._note_approach(j, self.time + offset + i * span + at * span)
-                if j not in self.summits or height > self.summits[j].height:
-                    given = self.parameters(0.0, self.time + offset + i * span)
-                    self.summits[j] = Summit(height, at * span, span, states[i].copy(), given)
-
-    def _note_approach(self, gap: int, summit: float) -> None:
-        """The force is largest before the contact is deepest where it damps: look at the whole way from its begin."""
-        begun = self.begun.pop(gap, None)
-        if begun is None or begun[0] != self.switches:
-            return
-        _, time, state = begun
-        given = self.parameters(summit - time, time)
-        states, _ = self.equations.integrator(SAMPLES, self.tolerance)(state, given)
-        told = (states, np.tile(given, SAMPLES), np.linspace(0.0, 1.0, SAMPLES + 1)[1:])
-        normal = self.equations.watch(SAMPLES)(*told)[3].reshape(SAMPLES, -1)
-        self.forces[gap] = max(self.forces[gap], float(np.max(normal[:, gap])))
-
-    def _deepest(self, gap: int) -> float:
-        """Penetration at the highest summit of a contact, where its rate is zero: found on the motion itself."""
-        if gap not in self.summits:
-            return 0.0
-        _, s, span, state, given = self.summits.pop(gap)
-        low, high, depth = 0.0, span, 0.0
-        for _ in range(40):
-            given[0] = s
-            found, _ = self.equations.integrator(1, self.tolerance)(state, given)
-            depth, rate, curve = (float(part[gap]) for part in self.equations.watch(1)(found, given, np.ones(1))[:3])
-            low, high = (s, high) if rate > 0.0 else (low, s)
-            rest = -rate / curve if curve < 0.0 else math.inf
-            if abs(rest) < NEAR * span:
-                given[0], given[1] = 0.0, given[1] + s
-                found, _ = self.equations.nudge(found, given, rest)
-                return float(self.equations.watch(1)(found, given, np.ones(1))[0][gap])
-            s = s + rest if low < s + rest < high else 0.5 * (low + high)
-        return depth
+    def _again(self, state: Array, given: Array, steps: int) -> tuple[Array, Watched]:
+        """An interval integrated again, in small steps."""
+        states, _ = self._solve(state, given, steps)
+        return states, self._watch(states, given)
 
     def _accept(self, states: Array, works: Array) -> Block:
         """Go to the last of these rows."""
@@ -385,17 +344,32 @@ class Integration:
             self.entered = self.entered.copy()
             self.entered[gap] = max(float(rate), SLOWEST)
             self.open[gap] = Impact(gap, self.time, angle, float(rate), 0.0, np.nan, np.nan)
+            self.peaks.begin(gap)
         else:
-            done = self.open.pop(gap)
-            depth = max(done.penetration, self._deepest(gap))
-            self.finished.append(done._replace(penetration=depth, end=self.time, departure=-float(rate)))
+            self._deepen(gap)
+            self.finished.append(self.open.pop(gap)._replace(end=self.time, departure=-float(rate)))
         self.switches += 1
-        if begins:
-            self.begun[gap] = self.switches, self.time, self.state.copy()
         self._busy += 1
         self._chunk = 0
         if self._busy > BUSY:
             raise Stalled(f"more than {BUSY} contacts begin and end within {self.step:.3g} s")
+
+    def take_peaks(self) -> tuple[float, ...]:
+        """Largest penetrations [m] and normal forces [N] of all gaps and the largest torque [N m] since this was last asked."""
+        for gap in self.open:
+            self._deepen(gap)
+        return self.peaks.take()
+
+    @property
+    def lasting(self) -> tuple[Impact, ...]:
+        """The contacts that are still on."""
+        known = self.peaks.contacts
+        return tuple(one._replace(penetration=max(one.penetration, known[gap].value)) for gap, one in self.open.items())
+
+    def _deepen(self, gap: int) -> None:
+        """Note how deep a contact has been till now."""
+        impact = self.open[gap]
+        self.open[gap] = impact._replace(penetration=max(impact.penetration, self.peaks.deepest(gap)))
 
     def _closed(self, states: Array) -> Array:
         """States (m, 2n) moved back onto the closing joints, from which they drift by the integrator's error."""

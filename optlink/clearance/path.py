@@ -44,9 +44,3 @@ def summit(begin: Sequence[float], end: Sequence[float], span: float) -> float:
     path = _quintic(begin, end, span)
     tops = _real_roots(np.polyder(path))
     return float(tops[np.argmax(np.polyval(path, tops))]) if tops.size else begin[1] / (begin[1] - end[1])
-
-
-def highest(begin: Sequence[float], end: Sequence[float], span: float) -> tuple[float, float]:
-    """Estimates of the largest value of a path within a row, and where (as a share); it rises first and falls at last."""
-    at = summit(begin, end, span)
-    return float(np.polyval(_quintic(begin, end, span), at)), at

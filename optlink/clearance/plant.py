@@ -13,7 +13,7 @@ from optlink.clearance.contact import EXPONENT
 from optlink.clearance.control import Controller
 from optlink.clearance.equations import Drive, Equations, Weightless
 from optlink.clearance.gap import Gap
-from optlink.clearance.integration import Block, Impact, Integration, Summit
+from optlink.clearance.integration import Block, Impact, Integration
 from optlink.clearance.output import Output
 from optlink.clearance.record import Record
 from optlink.dynamics.machine import Machine, parts
@@ -25,6 +25,9 @@ TURN = 2.0 * np.pi
 DENSE, DENSEST = 360, 50_000
 """Rows of a revolution that are looked at, at least and at most; within one a contact is found by values and slopes."""
 
+SLOW = 5_000
+"""Rows of a revolution that a journal's vibration would need from which on the machine is slow, measured by its contacts."""
+
 LOOKS = 4.0
 """Rows for each period in which a journal vibrates on its bearing under the load that the machine's motion makes."""
 
@@ -32,13 +35,16 @@ LOOKS = 4.0
 class Revolution(NamedTuple):
     """One revolution.
 
-    Its rows, what the servo was told beyond its command (m,) [rad], the contacts that ended, largest normal forces [N].
+    Its rows, what the servo was told beyond its command (m,) [rad], the contacts that ended; at every gap the largest penetration
+    [m] and normal force [N], and the largest torque [N m], between the rows too.
     """
 
     block: Block
     further: Array
     impacts: tuple[Impact, ...]
+    depths: tuple[float, ...] = ()
     forces: tuple[float, ...] = ()
+    torque: float = 0.0
 
 
 class Plant:
@@ -87,7 +93,8 @@ class Plant:
         if least > 20 * max(points, self.samples, DENSE):  # samples and rows that fit badly: take samples that fit
             self.samples = points * max(1, round(self.samples / points))
             least = max(points, self.samples)
-        dense = min(max(DENSE, LOOKS * self.period / vibration(machine, gaps, nominal)), DENSEST)
+        wished = LOOKS * self.period / vibration(machine, gaps, nominal)
+        dense = min(max(DENSE, wished), DENSEST)
         self.rows = int(least * max(1, math.ceil(dense / least)))
         self.points, self.sample_time = points, self.period / self.samples
         self.equations = Equations(machine, gaps, drive, nominal)
@@ -96,7 +103,7 @@ class Plant:
             self._measure = Compiled([self.equations.x], [output.of(self.equations.symbolic)])
         state = self._ideal(machine, start, speed)
         self._check_inertia(state)
-        self.integration = Integration(self.equations, state, self.period / self.rows, tolerance)
+        self.integration = Integration(self.equations, state, self.period / self.rows, tolerance, wished > SLOW)
         self.start, self.nominal = start, nominal
         self.controller: Controller | None = None
         self.partial: Revolution | None = None  # what there is of a revolution that broke off
@@ -160,8 +167,8 @@ class Plant:
         impacts, course.finished = tuple(course.finished), []
         whole, self.partial = self.partial, None
         assert whole is not None
-        forces, course.forces = tuple(course.forces.tolist()), np.zeros(len(self.equations.gaps))
-        return whole._replace(impacts=impacts, forces=forces)
+        peaks, k = course.take_peaks(), len(self.equations.gaps)
+        return whole._replace(impacts=impacts, depths=peaks[:k], forces=peaks[k : 2 * k], torque=peaks[-1])
 
     def _rows(self, parts: list[tuple[Block, Array]], every: int) -> Revolution:
         """Every so many-th of the rows that were looked at."""
@@ -189,10 +196,6 @@ class Plant:
             "entered": course.entered.tolist(),
             "works": course.works.tolist(),
             "open": [list(impact) for impact in course.open.values()],
-            "summits": {
-                str(gap): [top.height, top.at, top.span, top.state.tolist(), top.given.tolist()]
-                for gap, top in course.summits.items()
-            },
             "switches": course.switches,
             "further": course.further,
             "pid": None if pid is None else [pid.integral, pid.before],
@@ -208,10 +211,6 @@ class Plant:
         course.state, course.modes, course.entered, course.works = (
             np.array(saved[name], dtype=float) for name in ("state", "modes", "entered", "works")
         )
-        course.summits = {
-            int(gap): Summit(height, at, span, np.array(state), np.array(given))
-            for gap, (height, at, span, state, given) in saved["summits"].items()
-        }
         course.open = {int(row[0]): Impact(int(row[0]), *row[1:]) for row in saved["open"]}
         course.further = saved["further"]
         if self.controller and saved["pid"]:

@@ -60,7 +60,6 @@ def _contacts(outcome: LooseSimulation) -> Table:
     table = grid("Contacts: share of the time, largest force and penetration", columns, header=True)
     for k, gap in enumerate(outcome.gaps):
         own = [impact for impact in outcome.impacts if impact.gap == k]
-        depth = max([float(np.max(outcome[f"{gap.point}.penetration_m"])), *(impact.penetration for impact in own)])
         table.add_row(
             gap.point,
             gap.journal,
@@ -68,8 +67,8 @@ def _contacts(outcome: LooseSimulation) -> Table:
             number(gap.clearance * 1e3),
             str(len(own)),
             f"{float(np.mean(outcome.turns[f'{gap.point}.contact_share'])):.1%}",
-            number(float(np.max(outcome.turns[f"{gap.point}.normal_max_N"])), 5),
-            fixed(depth * 1e6, 2),
+            number(outcome.figures[f"{gap.point}.normal_max_N"], 5),
+            fixed(outcome.figures[f"{gap.point}.penetration_max_m"] * 1e6, 2),
         )
     return table
 

@@ -111,7 +111,7 @@ def orbit(result: LooseSimulation) -> Figure | None:
     panels = [pair[0] for pair in _panels(made, count)]
     for k, (gap, axes) in enumerate(zip(result.gaps, panels, strict=True)):
         contact = result[f"{gap.point}.contact"][rows] > 0.5
-        deepest = max(float(np.max(result[f"{gap.point}.penetration_m"][rows])), 0.0)
+        deepest = turns.peak(f"{gap.point}.penetration_m", WINDOW)
         factor = exaggeration(gap, deepest)
         unit = scale(gap.clearance, "m")
         x, y, both, begins = _path(turns, k, rows, factor)
@@ -177,7 +177,8 @@ def force(result: LooseSimulation) -> Figure | None:
     rows, last = turns.rows(turns.shown), turns.rows(1)
     for k, (gap, (top, bottom)) in enumerate(zip(result.gaps, panels, strict=True)):
         normal, rub, depth = (result[f"{gap.point}.{name}"] for name in ("normal_N", "rub_N", "penetration_m"))
-        unit, small = scale(turns.peak(f"{gap.point}.normal_N", rows), "N"), scale(float(np.max(depth[rows])), "m")
+        strongest = turns.peak(f"{gap.point}.normal_N", turns.shown)
+        unit, small = scale(strongest, "N"), scale(float(np.max(depth[rows])), "m")
         overlay(top, turns, normal, unit, FOUND, label="normal force")
         if gap.friction or gap.damping:
             x, y = turns.fold(rub * unit.factor, last)
@@ -223,8 +224,7 @@ def force(result: LooseSimulation) -> Figure | None:
         top.set_ylabel(f"force [{unit.unit}]{cut}")
         bottom.set_ylabel(f"penetration [{small.unit}]{cut_below}")
         share = float(np.mean(result[f"{gap.point}.contact"][last][-turns.points :]))
-        most = rough(turns.peak(f"{gap.point}.normal_N", rows), "N")
-        told = f"in contact {share:.0%}, at most {most}"
+        told = f"in contact {share:.0%}, at most {rough(strongest, 'N')}"
         top.set_title("\n".join(heading(line, width / columns - 0.6, 9.5) for line in (named(gap), told)), fontsize=9.5)
     more = f"{turns.span(turns.shown)}, the last one bold" if turns.shown > 1 else turns.span(1)
     made.suptitle(turns.title("contact forces", width - 0.4, more), fontsize=TITLE)

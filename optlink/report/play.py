@@ -36,6 +36,7 @@ from optlink.report.style import (
 from optlink.report.turns import (
     FULL,
     TITLE,
+    TORQUE,
     WINDOW,
     Turns,
     crank_axis,
@@ -52,7 +53,6 @@ from optlink.report.turns import (
 Array = NDArray[np.float64]
 MARKED = 60  # revolutions up to which each has a mark
 ZOOM = 4.0  # times the ideal torque from which on a second view shows what is near it
-TORQUE = "input.torque_Nm"
 
 
 def write_all(result: LooseSimulation, folder: Path) -> list[Path]:
@@ -187,7 +187,7 @@ def torque(result: LooseSimulation) -> Figure | None:
         return None
     own, ideal = result[TORQUE], _ideal_torque(turns)
     last = own[turns.rows(1)]
-    largest, near = float(np.max(np.abs(last))), 0.0
+    largest, near = turns.peak(TORQUE, 1), 0.0
     if ideal is not None:
         near = float(np.nanmax(np.abs(ideal[1]), initial=0.0))
     two = 0.0 < ZOOM * near < largest

@@ -19,6 +19,7 @@ from optlink.report.style import FOUND, QUIET, SHADE, Scale, heading, scale
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FULL = 360.0
+TORQUE = "input.torque_Nm"
 WINDOW = 3  # revolutions that are shown one after another
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 BULK = 99.8  # per cent of the rows that are shown whatever single ones do
@@ -124,9 +125,14 @@ class Turns:
         """In what the output or its deviation is shown."""
         return scale(largest, "m" if self.result.output.guide else "deg")
 
-    def peak(self, name: str, rows: slice | None = None) -> float:
-        """Largest amount of a column."""
-        return float(np.nanmax(np.abs(self.result[name][rows or slice(None)]), initial=0.0))
+    def peak(self, name: str, count: int) -> float:
+        """Largest torque's amount, normal force or penetration of the last revolutions, at the rows and between them."""
+        values = self.result[name][self.rows(count)]
+        found = float(np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0))
+        stem, _, unit = name.rpartition("_")
+        exact = self.result.turns.get(f"{stem}_max_{unit}".removeprefix("input."), np.zeros(0))
+        whole = min(count - self.broken, len(exact))
+        return max(found, float(np.max(exact[-whole:]))) if whole else found
 
     # --- the crank angle as abscissa -----------------------------------------------------------------------------------
 

@@ -37,6 +37,7 @@ from optlink.report.turns import WINDOW, Turns
 __all__ = ["COMPARISON", "SCHEMA", "compared", "studied"]
 
 Array = NDArray[np.float64]
+PEAKS = ("normal_max_N", "penetration_max_m")
 CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
 
 
@@ -121,8 +122,12 @@ def _whole(record: Record, found: LooseSimulation) -> None:
             "torque_rms_Nm",
             "torque_max_Nm",
             "correction_max_rad",
+            *(f"{name}.{what}" for name in points for what in PEAKS),
         ],
-        "turns": [f"rms_{unit}", *(f"{name}.{what}" for name in points for what in ("contact_share", "normal_max_N"))],
+        "turns": [
+            *(f"rms_{unit}", "torque_max_Nm"),
+            *(f"{name}.{what}" for name in points for what in ("contact_share", *PEAKS)),
+        ],
         "section": ["revolution", f"{found.output.name}.error_{unit}"],
         "columns": [
             *(
@@ -197,9 +202,9 @@ def _orbit(turns: Turns, gap: Gap) -> Chart:
     layout = sheet(460) | {"hovermode": "closest"}
     layout["xaxis"] = axis(f"x [{unit.unit}]") | {"constrain": "domain"}
     layout["yaxis"] = axis(f"y [{unit.unit}]") | {"scaleanchor": "x", "constrain": "domain"}
-    deepest = float(np.max(found[f"{gap.point}.penetration_m"][rows]))
+    deepest = turns.peak(f"{gap.point}.penetration_m", WINDOW)
     remark = f"Centre of {gap.journal} from that of {gap.bearing}, {turns.span(WINDOW)}; penetration at most "
-    remark += f"{max(deepest, 0.0) * 1e6:.3g} µm, {max(deepest, 0.0) / gap.clearance:.2%} of the clearance."
+    remark += f"{deepest * 1e6:.3g} µm, {deepest / gap.clearance:.2%} of the clearance."
     return Chart(
         f"Joint {gap.point}: the journal's centre in its bearing", {"data": curves, "layout": layout}, False, remark=remark
     )
