@@ -17,7 +17,7 @@ from optlink.documents import finite, head
 from optlink.dynamics.flywheel import Flywheel, flywheel
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.reactions import acting_on, reported_on
+from optlink.dynamics.reactions import acting_on
 from optlink.dynamics.record import Record, slider_names
 from optlink.dynamics.strokes import Acting, acting_loads, use_of, working_stroke
 from optlink.dynamics.work import Work
@@ -219,13 +219,12 @@ def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] |
 def reactions_told(machine: Machine) -> dict[str, str]:
     """For every joint which body acts on which, as columns tell it."""
     found = {}
-    for point, bodies in machine.mechanism.pins.items():
+    for point, (by, on) in acting_on(machine).items():
+        bodies = machine.mechanism.pins[point]
         if len(bodies) == 2:
-            by, on = acting_on(machine, point)
             found[point] = f"{by} on {on}"
         else:
-            first = reported_on(machine)[point]
-            found |= {f"{point}.{body}": f"pin on {body}" for body in (first, *(b for b in bodies if b != first))}
+            found |= {f"{point}.{body}": f"pin on {body}" for body in (on, *(b for b in bodies if b != on))}
     for guide in machine.mechanism.guides:
         found[guide.name] = f"{guide.on} on {guide.slider}, normal to the left of the line"
     return found
@@ -437,7 +436,7 @@ def _extremes(machine: Machine, low: float, high: float, full: bool, speed: floa
     step, seam = (high - low) / GRID, int(full)  # a whole turn has no ends: one step further on either side
     even = low + step * np.arange(-seam, GRID + 1 + seam)
     grid = np.unique(np.concatenate([even, work.jumps]))
-    at, best = extremes(values, grid, tuple(work.jumps))
+    at, best = extremes(values, grid, tuple(work.jumps), [name.rpartition("_")[2] for name in names])
     if work.jumps.size:
         before = values(work.jumps, side=-1)
         for k, sign in ((0, 1.0), (1, -1.0)):

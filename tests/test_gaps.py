@@ -190,7 +190,7 @@ def differences(case: Case) -> dict[str, float]:
         put("slider.s", found["slider.s_m"], other.position["slider"][:, 0])
         put("slider.v", found["slider.v_m_s"], other.velocity["slider"][:, 0])
     for pin, gap in setup.gaps.items():
-        sign, strongest = 1.0 if acting_on(machine, pin)[1] == gap.journal else -1.0, largest(other.normal[pin])
+        sign, strongest = 1.0 if acting_on(machine)[pin][1] == gap.journal else -1.0, largest(other.normal[pin])
         assert strongest > 0.0
         for i, axis in enumerate("xy"):
             put(f"{pin}.e{axis}", found[f"{pin}.e{axis}_m"], other.gap[pin][:, i], gap.clearance)
@@ -199,7 +199,7 @@ def differences(case: Case) -> dict[str, float]:
         put(f"{pin}.moment", gap.radius * found[f"{pin}.rub_N"], other.moment[pin], gap.radius * strongest)
     for pin, (_, second) in setup.pins.items():
         if pin not in setup.gaps:
-            sign = 1.0 if acting_on(machine, pin)[1] == second else -1.0
+            sign = 1.0 if acting_on(machine)[pin][1] == second else -1.0
             for i, axis in enumerate("xy"):
                 put(f"{pin}.f{axis}", sign * found[f"{pin}.f{axis}_N"], other.reaction[pin][:, i], largest(other.reaction[pin]))
     put("torque", found["input.torque_Nm"], other.torque)

@@ -758,7 +758,7 @@ def test_who_acts_on_whom_is_said_and_meant(name):
     machine = machine_of(name)
     moving = machine.moving(PHI, 7.0, 5.0)
     found, wanted = reactions(moving), expected(moving)
-    assert {point: acting_on(machine, point) for point in machine.mechanism.pins} == ACTING[name]
+    assert acting_on(machine) == ACTING[name]
     assert reported_on(machine) == {point: on for point, (_, on) in ACTING[name].items()}
     for point, (by, on) in ACTING[name].items():
         told = flat(found.pin(machine, point), PHI)
@@ -773,8 +773,8 @@ def test_a_reaction_is_told_on_the_body_that_the_machine_names():
     machine = machine_of("pins of three and four bodies").with_(reported={"C": "link5", "B": "crank"})
     moving = machine.moving(PHI, 7.0)
     found, wanted = reactions(moving), expected(moving)
-    assert acting_on(machine, "C") == ("pin", "link5")
-    assert acting_on(machine, "B") == ("link2", "crank")
+    assert acting_on(machine)["C"] == ("pin", "link5")
+    assert acting_on(machine)["B"] == ("link2", "crank")
     for point, body in machine.reported.items():
         told = flat(found.pin(machine, point), PHI)
         np.testing.assert_allclose(told, wanted.pins[point][body], rtol=0.0, atol=SAME * np.max(np.abs(told)))

@@ -14,7 +14,7 @@ from optlink.clearance.gap import Touch, acting
 from optlink.clearance.integration import Block
 from optlink.clearance.loose import Loose
 from optlink.dynamics.inertia import Wrench
-from optlink.dynamics.reactions import acting_on, reported_on
+from optlink.dynamics.reactions import acting_on
 from optlink.dynamics.record import Column, slider_names
 from optlink.linkage.elementwise import Value, Vector, cross, minus, plus
 from optlink.linkage.mechanism import FRAME, Guide
@@ -173,15 +173,13 @@ class Record:
 
     def _forces(self) -> Iterator[tuple[str, str, Value]]:
         machine = self.equations.machine
-        told = reported_on(machine)
-        for point, bodies in machine.mechanism.pins.items():
-            forces = self.pins[point]
+        for point, (by, on) in acting_on(machine).items():
+            forces, bodies = self.pins[point], machine.mechanism.pins[point]
             if len(bodies) == 2:
-                by, on = acting_on(machine, point)
                 for axis, value in zip("xy", forces[on], strict=True):
                     yield f"{point}.f{axis}_N", f"force of {by} on {on} at {point} in {axis}", value
             else:
-                for body in (told[point], *(b for b in bodies if b != told[point])):
+                for body in (on, *(b for b in bodies if b != on)):
                     for axis, value in zip("xy", forces[body], strict=True):
                         yield f"{point}.{body}.f{axis}_N", f"force of the pin on {body} at {point} in {axis}", value
         for guide in machine.mechanism.guides:

@@ -85,11 +85,13 @@ def reported_on(machine: Machine) -> dict[str, str]:
     return {**found, **machine.reported}
 
 
-def acting_on(machine: Machine, point: str) -> tuple[str, str]:
-    """(by, on) of the reaction that is told for a pin; "pin" where three or more bodies meet."""
-    on = reported_on(machine)[point]
-    others = [body for body in machine.mechanism.pins[point] if body != on]
-    return (others[0] if len(others) == 1 else "pin", on)
+def acting_on(machine: Machine) -> dict[str, tuple[str, str]]:
+    """(by, on) of the reaction that is reported for every pin; "pin" where three or more bodies meet."""
+    on, found = reported_on(machine), {}
+    for point, bodies in machine.mechanism.pins.items():
+        others = [body for body in bodies if body != on[point]]
+        found[point] = (others[0] if len(others) == 1 else "pin", on[point])
+    return found
 
 
 def _outer_pins(group: Group) -> list[tuple[str, str]]:
@@ -167,7 +169,7 @@ class _Balance:
         self.guides: dict[str, GuideForce] = {}
         self.rows: dict[str, tuple[Vector, Vector]] = {}
         self.jammed: Value = False
-        self.placed = [FRAME, *self.mechanism.bodies]
+        self.order = {body: k for k, body in enumerate((FRAME, *self.mechanism.bodies))}
 
     def solve(self) -> Reactions:
         for group in reversed(self.mechanism.groups):
@@ -266,8 +268,8 @@ class _Balance:
 
     def carrier(self, point: str, own: tuple[str, str]) -> str:
         """The body placed before a group that holds one of its outer joints."""
-        first = min(self.placed.index(body) for body in own)
-        return next(body for body in self.mechanism.pins[point] if self.placed.index(body) < first)
+        first = min(self.order[body] for body in own)
+        return next(body for body in self.mechanism.pins[point] if self.order[body] < first)
 
     def exert(self, point: str, body: str, force: Vector, by: str) -> None:
         """At a pin one body exerts a force on another."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine, Moving
-from optlink.dynamics.reactions import Reactions, acting_on, reactions, reported_on, shaking, torque_parts
+from optlink.dynamics.reactions import Reactions, acting_on, reactions, shaking, torque_parts
 from optlink.linkage.elementwise import Value, cross, dot, magnitude, minus
 from optlink.linkage.groups import RRR
 from optlink.linkage.mechanism import FRAME
@@ -97,14 +97,13 @@ class Record:
 
     def _forces(self) -> Iterator[tuple[str, str, Value]]:
         moving, machine, found = self.moving, self.machine, self.reactions
-        on = reported_on(machine)
-        for point, bodies in machine.mechanism.pins.items():
+        for point, (by, on) in acting_on(machine).items():
+            bodies = machine.mechanism.pins[point]
             if len(bodies) == 2:
-                by, body = acting_on(machine, point)
-                for axis, value in zip("xy", found.pins[point][body], strict=True):
-                    yield f"{point}.f{axis}_N", f"force of {by} on {body} at {point} in {axis}", value
+                for axis, value in zip("xy", found.pins[point][on], strict=True):
+                    yield f"{point}.f{axis}_N", f"force of {by} on {on} at {point} in {axis}", value
             else:
-                for body in (on[point], *(b for b in bodies if b != on[point])):
+                for body in (on, *(b for b in bodies if b != on)):
                     for axis, value in zip("xy", found.pins[point][body], strict=True):
                         yield f"{point}.{body}.f{axis}_N", f"force of the pin on {body} at {point} in {axis}", value
         for guide in machine.mechanism.guides:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from optlink.linkage.alignment import Aligned, least_alignments, slack
 from optlink.linkage.elementwise import Value, unit
 from optlink.linkage.groups import PRP
+from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Group, Mechanism, Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.refine import zeros
@@ -257,39 +258,42 @@ def travels(
     -------
     swings, strokes : mappings of body and of guide to Travel; bodies that turn fully or do not turn are left out
     """
-    bodies = [link.body for link in mechanism.links]
-    guides = [guide.name for guide in mechanism.guides]
-
-    def rates(angles: Array) -> Array:
-        motion = sweep(mechanism, sizes, angles)
-        found = [motion.body_angle(body).rate for body in bodies] + [motion.slide(guide).rate for guide in guides]
-        return np.array(found).reshape(-1, len(angles))
-
+    outputs = [link.body for link in mechanism.links] + [guide.name for guide in mechanism.guides]
+    is_body = [True] * len(mechanism.links) + [False] * len(mechanism.guides)
     grid = low + (high - low) * np.linspace(0.0, 1.0, GRID + 1)
     if full:
         grid = grid + 0.37 * (grid[1] - grid[0])  # so that no dead centre at a round angle lies on the seam
     motion = sweep(mechanism, sizes, grid)
+    jets = [motion.body_angle(name) if body else motion.slide(name) for name, body in zip(outputs, is_body, strict=True)]
+    moving = [
+        k for k, jet in enumerate(jets) if _moves(jet, 1.0 if is_body[k] else float(np.nanmax(np.abs(jet.value), initial=1e-12)))
+    ]
+
+    def rates(angles: Array) -> Array:
+        at = sweep(mechanism, sizes, angles)
+        found = [at.body_rate(outputs[k]) if is_body[k] else at.slide(outputs[k]).rate for k in moving]
+        return np.array(found).reshape(-1, len(angles))
+
+    reversals: dict[int, Array] = {}
+    for k, centres in zip(moving, zeros(rates, grid, still=True), strict=True):
+        turns = is_body[k] and full and (len(centres) == 0 or abs(jets[k].value[-1] - jets[k].value[0]) > math.pi)
+        if not turns and (len(centres) or not full):
+            reversals[k] = centres
+    ends_of = {k: np.sort(np.concatenate([centres, [] if full else [low, high]])) for k, centres in reversals.items()}
+    there = sweep(mechanism, sizes, np.concatenate([grid[:1], *ends_of.values()]))
     swings: dict[str, Travel] = {}
     strokes: dict[str, Travel] = {}
-    for k, centres in enumerate(zeros(rates, grid, still=True)):
-        body = k < len(bodies)
-        jet = motion.body_angle(bodies[k]) if body else motion.slide(guides[k - len(bodies)])
-        size = float(np.nanmax(np.abs(jet.rate), initial=0.0))
-        scale = 1.0 if body else float(np.nanmax(np.abs(jet.value), initial=1e-12))
-        if size <= 1e-9 * scale or (body and full and (len(centres) == 0 or abs(jet.value[-1] - jet.value[0]) > math.pi)):
-            continue
-        ends = np.sort(np.concatenate([centres, [] if full else [low, high]]))
-        if len(ends) == 0:
-            continue
-        at = np.concatenate([[grid[0]], ends])  # the first value fixes the branch of a body's angle
-        there = sweep(mechanism, sizes, at)
-        if body:
-            values = np.interp(ends, grid, np.asarray(jet.value))
-            exact = np.asarray(there.body_angle(bodies[k]).value)[1:]
+    done = 1
+    for k, ends in ends_of.items():
+        own, done = slice(done, done + len(ends)), done + len(ends)
+        centres = reversals[k]
+        if is_body[k]:
+            values = np.interp(ends, grid, np.asarray(jets[k].value))
+            exact = np.asarray(there.body_angle(outputs[k]).value)[own]
             values = exact + TURN * np.round((values - exact) / TURN)
             values = values - TURN * np.round(0.5 * (np.min(values) + np.max(values)) / TURN)
         else:
-            values = np.asarray(there.slide(guides[k - len(bodies)]).value)[1:]
+            values = np.asarray(there.slide(outputs[k]).value)[own]
         ratio = math.nan
         if full and len(centres) == 2:
             one = float(centres[1] - centres[0])
@@ -303,5 +307,10 @@ def travels(
             float(ends[last]),
             ratio,
         )
-        (swings if body else strokes)[bodies[k] if body else guides[k - len(bodies)]] = travel
+        (swings if is_body[k] else strokes)[outputs[k]] = travel
     return swings, strokes
+
+
+def _moves(jet: Jet, scale: float) -> bool:
+    """Whether a motion is more than rounding."""
+    return float(np.nanmax(np.abs(jet.rate), initial=0.0)) > 1e-9 * scale

@@ -53,6 +53,11 @@ class Motion:
             jet = _jet(angle(self.pose.direction(body)))
         return Jet(_continuous(self._full(jet.value)), self._full(jet.rate), self._full(jet.acceleration))
 
+    def body_rate(self, body: str) -> Array:
+        """Angular velocity of a body [rad/s]."""
+        with np.errstate(all="ignore"):
+            return self._full(_jet(angle(self.pose.direction(body))).rate)
+
     def slide(self, guide: str) -> Jet:
         """Slide in a guide [m], its velocity and acceleration [m/s, m/s^2]."""
         found = next(known for known in self.mechanism.guides if known.name == guide)

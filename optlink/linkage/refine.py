@@ -1,21 +1,36 @@
-"""Extremes and zeros of functions of the crank angle, many at a time: sampled, bracketed, closed in on together."""
+"""Extremes and zeros of many functions of the crank angle at once: sampled on one grid, then refined together.
+
+Every function is refined on an interpolant of its samples and evaluated once more where that has its extreme; where the
+interpolant is not exact, more samples are taken.
+
+Source of the zeros: T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function
+without using derivatives, Advances in Engineering Software 28 (1997) 145-149.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 Function = Callable[[Array], Array]
 """Crank angles (n,) [rad] -> values (functions, n)."""
-
 POINTS = 9  # of a bracket, per round
 ROUNDS = 12  # each shrinks the brackets to two of the eight steps: 6e-8 of a grid step at the end
+EXACT, ROUNDING = 1e-9, 1e-13  # shares of the range of its samples, and of their size, by which an interpolant may be wrong
+SMOOTH = 1e-6  # share of that range which the last term of an interpolant may add half-way between samples
+ZERO = 1e-13  # share of the largest value of its kind below which a function is zero but for rounding
+PORTION, VALUES = 512, 1_000_000  # angles, and values of all functions, that are worked on at a time
+HALFWAY = float(np.prod(np.arange(0.5, POINTS // 2) ** 2))
+"""Product of the distances to all samples but the last, from half-way between the two in the middle."""
 
 
-def extremes(function: Function, grid: Array, breaks: Sequence[float] = ()) -> tuple[Array, Array]:
+def extremes(
+    function: Function, grid: Array, breaks: Sequence[float] = (), kinds: Sequence[Hashable] | None = None
+) -> tuple[Array, Array]:
     """Least and largest value of every function over the range of the grid.
 
     Parameters
@@ -24,28 +39,19 @@ def extremes(function: Function, grid: Array, breaks: Sequence[float] = ()) -> t
     grid : array (n,) [rad], rising
         Fine enough that each extreme lies beside the best grid point.
     breaks : crank angles where the functions may jump; no bracket reaches across one
+    kinds : one for each function, optional
+        Functions of one kind have the same unit: one that is zero but for rounding beside the others is not refined.
 
     Returns
     -------
     angles, values : arrays (functions, 2), of the least and of the largest value; NaN where a function has none
     """
-    values = function(grid)
-    signs = np.array([1.0, -1.0])
-    scored = np.where(np.isfinite(values), values, np.inf)[:, None, :] * signs[None, :, None]
-    scored = np.where(np.isfinite(values)[:, None, :], scored, np.inf)
-    best = np.argmin(scored, axis=-1)  # (functions, 2)
-    centre = grid[best]
-    low, high = grid[np.maximum(best - 1, 0)], grid[np.minimum(best + 1, len(grid) - 1)]
-    for at in breaks:
-        low, high = np.where((low < at) & (at < centre), at, low), np.where((centre < at) & (at < high), at, high)
-    value = np.take_along_axis(values, best, axis=-1)
-    rows = np.arange(len(values))[:, None, None]
+    values = _in_portions(function, grid)
 
-    def own(points: Array) -> Array:
-        found = function(points.ravel()).reshape(len(values), *points.shape)
-        return np.asarray(found[rows, rows, np.arange(2)[None, :, None], np.arange(POINTS)[None, None, :]])
+    def own(points: Array, which: Index) -> Array:
+        return _in_portions(function, points.ravel(), (which // 2).repeat(points.shape[1])).reshape(points.shape)
 
-    return _closed_in(own, centre, value, low, high)
+    return _extremes(values, grid, breaks, _zero(values, kinds), own)
 
 
 def extremes_of_rows(function: Function, grid: Array) -> Array:
@@ -62,31 +68,133 @@ def extremes_of_rows(function: Function, grid: Array) -> Array:
     values : array (rows, 2)
     """
     values = function(grid[None, :])
-    best = np.stack([np.argmin(values, axis=1), np.argmax(values, axis=1)], axis=1)
+
+    def own(points: Array, which: Index) -> Array:
+        each = np.full((2 * len(values), points.shape[1]), grid[0])
+        each[which] = points
+        return function(each.reshape(len(values), -1)).reshape(each.shape)[which]
+
+    return _extremes(values, grid, (), np.zeros(len(values), dtype=bool), own)[1]
+
+
+def _extremes(
+    values: Array, grid: Array, breaks: Sequence[float], zero: NDArray[np.bool_], own: Callable[[Array, Index], Array]
+) -> tuple[Array, Array]:
+    """Angles and values (functions, 2) of the extremes near the best of the values (functions, n) on a grid.
+
+    `own` gives the values (m, k) at crank angles (m, k) for the extremes number (m,): twice the function's number, and one more
+    for the largest value.
+    """
+    known = np.isfinite(values)
+    best = np.stack([np.argmin(np.where(known, sign * values, np.inf), axis=-1) for sign in (1.0, -1.0)], axis=-1).ravel()
+    rows, signs = np.arange(len(values)).repeat(2), np.tile([1.0, -1.0], len(values))
+    angle, value = grid[best], signs * values[rows, best]
     low, high = grid[np.maximum(best - 1, 0)], grid[np.minimum(best + 1, len(grid) - 1)]
+    for edge in breaks:
+        low, high = np.where((low < edge) & (edge < angle), edge, low), np.where((angle < edge) & (edge < high), edge, high)
+    some = np.flatnonzero(np.isfinite(value) & ~zero[rows])  # what is still to be refined
+    nodes, samples = _beside(values, rows[some], grid, best[some], breaks)
+    samples = signs[some, None] * samples
+    for left in range(ROUNDS, -1, -1):
+        polynomials, tolerance = _interpolants(nodes, samples)
+        at, expected = _refined(polynomials, low[some], high[some], angle[some], value[some])
+        exact = signs[some] * own(at[:, None], some)[:, 0]
+        angle[some], value[some] = _lower(angle[some], value[some], at, exact)
+        some = some[~(np.abs(exact - expected) <= tolerance)]
+        if not left or not some.size:
+            break
+        nodes = _points(low[some], high[some])
+        samples = signs[some, None] * own(nodes, some)
+        at, lowest, low[some], high[some] = _lowest(nodes, samples)
+        angle[some], value[some] = _lower(angle[some], value[some], at, lowest)
+    shape = (len(values), 2)
+    return np.where(np.isfinite(value), angle, np.nan).reshape(shape), (signs * value).reshape(shape)
 
-    def own(points: Array) -> Array:
-        return function(points.reshape(len(points), -1)).reshape(points.shape)
 
-    return _closed_in(own, grid[best], np.take_along_axis(values, best, axis=1), low, high)[1]
+def _zero(values: Array, kinds: Sequence[Hashable] | None) -> NDArray[np.bool_]:
+    """Which functions are rounding beside others of their kind."""
+    if kinds is None:
+        return np.zeros(len(values), dtype=bool)
+    size = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=-1, initial=0.0)
+    largest = dict.fromkeys(kinds, 0.0)
+    for kind, own in zip(kinds, size, strict=True):
+        largest[kind] = max(largest[kind], float(own))
+    zero: NDArray[np.bool_] = size <= ZERO * np.array([largest[kind] for kind in kinds])
+    return zero
 
 
-def _closed_in(own: Callable[[Array], Array], centre: Array, value: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Close in on extremes within their brackets: `own` gives the values (rows, 2, n) at crank angles (rows, 2, n)."""
-    signs, steps = np.array([1.0, -1.0]), np.linspace(0.0, 1.0, POINTS)
+def _lower(angle: Array, value: Array, at: Array, other: Array) -> tuple[Array, Array]:
+    """The lower of two guesses (n,), the first where the other is not finite."""
+    lower = np.where(np.isfinite(other), other < value, False)
+    return np.where(lower, at, angle), np.where(lower, other, value)
+
+
+def _points(low: Array, high: Array) -> Array:
+    """Points (n, points) from `low` to `high`."""
+    return low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, POINTS)
+
+
+def _lowest(points: Array, values: Array) -> tuple[Array, Array, Array, Array]:
+    """Angle and value of the lowest of some points (n, points), and the points before and after it."""
+    row, place = np.arange(len(points)), np.argmin(np.where(np.isfinite(values), values, np.inf), axis=-1)
+    before, after = np.maximum(place - 1, 0), np.minimum(place + 1, POINTS - 1)
+    return points[row, place], values[row, place], points[row, before], points[row, after]
+
+
+def _refined(curves: Function, low: Array, high: Array, angle: Array, value: Array) -> tuple[Array, Array]:
+    """Angles and values (n,) of the minima of curves between `low` and `high`, those given where there is no lower one."""
     for _ in range(ROUNDS):
-        points = low[..., None] + (high - low)[..., None] * steps
-        found = own(points)
-        score = np.where(np.isfinite(found), found * signs[None, :, None], np.inf)
-        place = np.argmin(score, axis=-1)
-        near = np.take_along_axis(points, place[..., None], axis=-1)[..., 0]
-        at_near = np.take_along_axis(found, place[..., None], axis=-1)[..., 0]
-        better = np.where(np.isfinite(at_near), at_near * signs < value * signs, False)
-        centre, value = np.where(better, near, centre), np.where(better, at_near, value)
-        low = np.take_along_axis(points, np.maximum(place - 1, 0)[..., None], axis=-1)[..., 0]
-        high = np.take_along_axis(points, np.minimum(place + 1, POINTS - 1)[..., None], axis=-1)[..., 0]
-    lost = ~np.isfinite(value)
-    return np.where(lost, np.nan, centre), value
+        points = _points(low, high)
+        at, lowest, low, high = _lowest(points, curves(points))
+        angle, value = _lower(angle, value, at, lowest)
+    return angle, value
+
+
+def _beside(values: Array, rows: Index, grid: Array, best: Index, breaks: Sequence[float]) -> tuple[Array, Array]:
+    """Grid points (n, points) beside the best ones, none across a break, and the values of `rows` there; NaN if too few."""
+    ends = np.unique(np.concatenate([[0, len(grid)], np.searchsorted(grid, np.asarray(breaks, dtype=float))])).astype(int)
+    part = np.searchsorted(ends, best, side="right")
+    first, last = ends[part - 1], ends[part]
+    begin = np.clip(best - POINTS // 2, first, np.maximum(last - POINTS, first))
+    enough = (last - first >= POINTS)[:, None]
+    index = np.where(enough, begin[:, None] + np.arange(POINTS), 0)
+    return grid[index], np.where(enough, values[rows[:, None], index], np.nan)
+
+
+def _interpolants(nodes: Array, samples: Array) -> tuple[Function, Array]:
+    """Polynomials through samples (n, points), and by how much the functions may miss them at an extreme (n,).
+
+    That is NaN where the samples are not smooth.
+    """
+    order = np.argsort(np.abs(np.arange(POINTS) - POINTS // 2), kind="stable")  # from the middle on
+    nodes, differences = nodes[:, order], samples[:, order]
+    with np.errstate(all="ignore"):
+        scale = np.ptp(nodes, axis=-1, keepdims=True) / (POINTS - 1)
+        for k in range(1, POINTS):  # Newton's divided differences
+            steps = (nodes[:, k:] - nodes[:, : POINTS - k]) / scale
+            differences[:, k:] = (differences[:, k:] - differences[:, k - 1 : -1]) / steps
+        spread, rounding = np.ptp(samples, axis=-1), ROUNDING * np.max(np.abs(samples), axis=-1)
+        smooth = np.abs(differences[:, -1]) * HALFWAY <= SMOOTH * spread + rounding
+
+    def curves(points: Array) -> Array:
+        found = np.broadcast_to(differences[:, -1:], points.shape)
+        with np.errstate(all="ignore"):
+            for k in range(POINTS - 2, -1, -1):
+                found = differences[:, k, None] + (points - nodes[:, k, None]) / scale * found
+        return found
+
+    return curves, np.where(smooth, EXACT * spread + rounding, np.nan)
+
+
+def _in_portions(function: Function, angles: Array, rows: Index | None = None) -> Array:
+    """Values of all functions at all angles (functions, n), or of the function `rows[k]` at `angles[k]` (n,)."""
+    found: list[Array] = []
+    done, size = 0, PORTION
+    while done < len(angles) or not found:
+        values = function(angles[done : done + size])
+        found.append(values if rows is None else values[rows[done : done + size], np.arange(values.shape[1])])
+        done, size = done + size, max(PORTION, VALUES // max(1, len(values)))
+    return np.concatenate(found, axis=-1)
 
 
 STILL = 1e-11
@@ -100,28 +208,59 @@ def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = Fal
     ----------
     function : crank angles (n,) -> values (functions, n)
     grid : array (n,) [rad], rising
-    count : rounds of bisection at most
+    count : rounds of inverse quadratic interpolation or bisection at most
     still : whether the functions are rates of what may stand still for a while: rounding does not reverse it
 
     Returns
     -------
     one rising array per function; sign changes across a gap (NaN) or a jump to NaN are none
     """
-    values = function(grid)
+    values = _in_portions(function, grid)
     if still:
         size = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=1, keepdims=True, initial=0.0)
         values = np.where(np.abs(values) <= STILL * size, 0.0, values)
     left, right = values[:, :-1], values[:, 1:]
     crossing = np.isfinite(left) & np.isfinite(right) & (np.sign(left) * np.sign(right) <= 0.0) & (left != 0.0)
     which, where = np.nonzero(crossing)
-    a, b = grid[where], grid[where + 1]
-    at_a = values[which, where]
-    column = np.arange(len(which))
-    for _ in range(count if len(which) else 0):
-        middle = 0.5 * (a + b)
-        at = function(middle)[which, column]
-        same = np.sign(at) == np.sign(at_a)
-        a, b = np.where(same, middle, a), np.where(same, b, middle)
-        if np.all(b - a <= 2.0 * np.spacing(np.maximum(np.abs(a), np.abs(b)))):
+
+    def own(angles: Array, brackets: Index) -> Array:
+        return _in_portions(function, angles, which[brackets])
+
+    found = _roots(own, grid[where], grid[where + 1], left[crossing], right[crossing], count)
+    return [found[which == k] for k in range(len(values))]
+
+
+def _roots(
+    function: Callable[[Array, Index], Array], low: Array, high: Array, at_low: Array, at_high: Array, count: int
+) -> Array:
+    """Upper ends (n,) of the brackets of sign changes, closed in on to rounding (Chandrupatla 1997).
+
+    `function` takes angles and the brackets that they lie in. `new` and `old` bracket a zero, `last` is the end dropped before.
+    """
+    found, active, sign = high.copy(), np.arange(len(low)), np.sign(at_low)
+    new, old, last, f_new, f_old, f_last = high, low, low, at_high, at_low, at_low
+    lower = np.zeros(len(low), dtype=bool)  # whether `new` is the lower end
+    step = np.full(len(low), 0.5)
+    for _ in range(count if len(low) else 0):
+        at = new + step * (old - new)
+        f_at = function(at, active)
+        below = np.sign(f_at) == sign
+        same = below == lower
+        last, f_last = np.where(same, new, old), np.where(same, f_new, f_old)
+        old, f_old = np.where(same, old, new), np.where(same, f_old, f_new)
+        new, f_new, lower = at, f_at, below
+        found[active] = np.maximum(new, old)
+        width, least = np.abs(old - new), np.spacing(np.maximum(np.abs(old), np.abs(new)))
+        wide = width > 2.0 * least
+        if not np.any(wide):
             break
-    return [b[which == k] for k in range(len(values))]
+        active, sign, lower, width, least = (x[wide] for x in (active, sign, lower, width, least))
+        new, old, last, f_new, f_old, f_last = (x[wide] for x in (new, old, last, f_new, f_old, f_last))
+        with np.errstate(all="ignore"):
+            xi, phi = (new - old) / (last - old), (f_new - f_old) / (f_last - f_old)
+            a, b = f_new / (f_old - f_new) * f_last / (f_old - f_last), (last - new) / (old - new)
+            inverse = a + b * f_new / (f_last - f_new) * f_old / (f_last - f_old)
+            good = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi) & np.isfinite(inverse)
+        edge = np.minimum(0.5, least / width)
+        step = np.clip(np.where(good, inverse, 0.5), edge, 1.0 - edge)
+    return found
