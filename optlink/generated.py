@@ -17,6 +17,7 @@ from optlink.design.linkages import FourBarSection
 from optlink.design.settled import settled
 from optlink.documents import finite
 from optlink.errors import InputError, Status
+from optlink.fit import Fit, path_fit
 from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.groups import RRR
@@ -67,6 +68,11 @@ class Design:
     def measured(self) -> Deviations:
         """Generated points and how far they miss the wanted ones."""
         return deviations(self.task, self.values, self.crank_angles)
+
+    @cached_property
+    def fit(self) -> Fit | None:
+        """Its error against the size of the task; None where there is no error to measure."""
+        return path_fit(self.task, self.values, self.crank_angles, self.measured, self.limits)
 
     @property
     def exact(self) -> bool:
@@ -172,6 +178,7 @@ class Design:
                 f"{name}_{people_unit(self.task, name)[1]}": v for name, v in people_design(self.task, self.values).items()
             },
             "objective": {"value": self.objective, **_figures(self)},
+            "fit": None if self.fit is None else self.fit.to_dict(),
             "least_transmission_deg": math.degrees(self.least_transmission),
             "points": point,
             "limits": [vars(limit) | {} for limit in self.limits],
@@ -279,6 +286,7 @@ class Generation:
         if self.best is not None:
             document["design"] = self.best.to_dict()["design"]
             document["assembly"] = self.best.assembly
+            document["fit"] = None if self.best.fit is None else self.best.fit.to_dict()
         document["designs"] = [design.to_dict() for design in self.designs]
         document["nearest_miss"] = None if self.nearest is None or self.designs else self.nearest.to_dict()
         return finite(document)  # type: ignore[no-any-return]

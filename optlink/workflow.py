@@ -18,6 +18,7 @@ from optlink.design.objectives import MEASURES
 from optlink.design.quantity import Quantity, Unusable, nearest, read_quantity
 from optlink.documents import finite
 from optlink.errors import Fault, InputError, Status
+from optlink.fit import Fit, law_fit
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.linkage.structure import EITHER
@@ -114,6 +115,14 @@ class Result:
         return _error(problem, self.design, at)
 
     @property
+    def fit(self) -> Fit | None:
+        """Its error at the design positions against the range of the output; None where there is no error to measure."""
+        problem = self.problem.spec
+        wanted = problem.law.curve(problem.law.offsets, self.design["phi0"], self.design["psi0"])
+        limits = self.solution.limits if self.solution else ()
+        return law_fit(problem, self.design, self.error(), wanted, limits)
+
+    @property
     def alternations(self) -> int:
         """How many times in a row the error (with what tolerances add to it) reaches its largest size with the other sign.
 
@@ -147,6 +156,7 @@ class Result:
                 "largest_deg": math.degrees(MEASURES["max"].of(self.error())),
             },
         }
+        document["fit"] = None if self.fit is None else self.fit.to_dict()
         document |= proof(self, lambda design: _design(self.problem.spec.design(design)))
         if self.first is not None:
             document["first_step"] = vars(self.first) | {"gap": self.first.gap}

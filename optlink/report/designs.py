@@ -13,7 +13,7 @@ from rich.text import Text
 from optlink.design.generation import TURN, GenerationProblem
 from optlink.generated import LEVEL, OUTPUT, Design, Generation, people_unit
 from optlink.linkage.cognates import Cognate, CouplerLinkage
-from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, active, checks, fixed, grid, number
+from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, active, checks, fixed, graded, grid, number
 from optlink.validation import Check
 
 ALIKE = 1e-3  # of the frame: difference of two four-bars that are the same
@@ -35,13 +35,12 @@ def generation(outcome: Generation) -> RenderableType:
     given = outcome.starts == 0
     title.append("\ngiven design, " if given else f"\n{best.status.value}, ")
     title.append("valid" if best.valid else "not valid", style=GOOD if best.valid else BAD)
-    if not given:
-        many = (
-            f"{len(outcome.designs)} distinct design{'s' * (len(outcome.designs) != 1)} proven"
-            if best.valid
-            else "the nearest miss"
-        )
-        title.append(f"; {many}")
+    many = (
+        f"; {len(outcome.designs)} distinct design{'s' * (len(outcome.designs) != 1)} proven"
+        if best.valid
+        else "; the nearest miss"
+    )
+    graded(title, best.fit, "" if given else many)
     for note in outcome.notes:
         title.append(f"\nNote: {note}")
     chosen = "either" in str(outcome.problem.model.mechanism.assembly)

@@ -118,7 +118,9 @@ def verdict(subject: Subject) -> str:
     if isinstance(subject.outcome, Analysis):
         return "Analysed" if subject.valid else "No finite reactions at some positions"
     if subject.valid:
-        return "Valid: every check passed"
+        outcome = subject.outcome.best if isinstance(subject.outcome, Generation) else subject.outcome
+        fit = getattr(outcome, "fit", None)
+        return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
     failed = _failed(subject)
     return f"Not valid: {failed}" if failed else f"Not valid: {subject.outcome.status.value}"
 

@@ -13,13 +13,14 @@ from rich.text import Text
 
 from optlink.design.cycle import CycleProblem
 from optlink.design.files import ProblemFile
-from optlink.design.generation import GenerationProblem
+from optlink.design.generation import MARK, START, ZERO, GenerationProblem
 from optlink.design.linkages import FourBarSection
 from optlink.design.objectives import MEASURES
 from optlink.design.problem import DesignProblem
 from optlink.design.quantity import Interval, Quantity
 from optlink.design.section import Section
 from optlink.errors import Status
+from optlink.fit import Fit
 from optlink.solvers.solution import LimitState
 from optlink.validation import Check
 from optlink.workflow import Relaxed, Result, people
@@ -90,9 +91,20 @@ def _headline(outcome: Result) -> Text:
         word = "no design"
     title.append(f"\n{outcome.status.value}, " if outcome.status is not Status.NOT_SEARCHED else "\ngiven design, ")
     title.append(word, style=GOOD if outcome.valid else BAD)
+    if outcome.valid:
+        graded(title, outcome.fit)
     for note in outcome.notes:
         title.append(f"\nNote: {note}")
     return title.append(f"\n{outcome.status.text}", style=QUIET)
+
+
+def graded(title: Text, fit: Fit | None, tail: str = "") -> None:
+    """The grade of a fit behind the verdict of a title, then `tail`, then the reasons of a poor fit."""
+    if fit is not None:
+        title.append(", ").append(fit.text, style=BAD if fit.grade == "poor" else "")
+    title.append(tail)
+    for each in fit.reasons if fit is not None else ():
+        title.append(f"\nPoor fit, likely reason: {each.reason}. Remedy: {each.remedy}.")
 
 
 def _design(outcome: Result) -> Table:
@@ -242,7 +254,8 @@ def problem(file: ProblemFile) -> RenderableType:
         parts.append(_section("mechanism", model.mechanism))
     if isinstance(model, DesignProblem | GenerationProblem):
         over = {"transmission_over": model.transmission_over}
-        parts += [_section("requirement", model.requirement), _section("limits", model.limits, over)]
+        task = holding(model) if isinstance(model, GenerationProblem) else None
+        parts += [_section("requirement", model.requirement, task), _section("limits", model.limits, over)]
     if isinstance(model, CycleProblem):
         from optlink.report.improved import asked
 
@@ -262,6 +275,17 @@ def problem(file: ProblemFile) -> RenderableType:
     return Group(*parts)
 
 
+def holding(model: GenerationProblem) -> dict[str, str]:
+    """What holds for the keys of a task that may be left out."""
+    found = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
+    if model.requirement.kind == "motion":
+        found["angle_length"] = f"{1e3 * model.radian:.6g} mm"
+    else:
+        found["angle_length"] = "none"
+    added = {key: str(model.quantities[key]) for key in (START, MARK, ZERO) if key in model.quantities}
+    return found | added
+
+
 def _section(name: str, section: Section, instead: Mapping[str, str] | None = None, *, only_stated: bool = False) -> Table:
     table = grid(f"\n[{name}]", [("", "left"), ("", "left"), ("", "left")])
     for key, field in type(section).model_fields.items():
@@ -272,14 +296,25 @@ def _section(name: str, section: Section, instead: Mapping[str, str] | None = No
     return table
 
 
+ABSENT = {
+    "psi0": "the rocker's own angle at the start",
+    "span": "that of the table",
+    "points": "its rows",
+    "robust": "no",
+    "pivot": "fixed: 0 mm, 0 mm",
+    "direction": "fixed: 0 deg",
+    "law": "none",
+    "output": "none",
+    "zero": "none",
+    "start": "none",
+    "mark": "none",
+}
+"""What holds where a key is left out that is no limit."""
+
+
 def _plain(name: str, value: object) -> str:
     if value is None:
-        return {
-            "psi0": "the rocker's own angle at the start",
-            "span": "that of the table",
-            "points": "its rows",
-            "robust": "no",
-        }.get(name, "no limit")
+        return ABSENT.get(name, "no limit")
     if isinstance(value, Quantity | Interval | str | int | float):
         return str(value)
     if isinstance(value, dict):

@@ -165,6 +165,8 @@ def title_of(track: Track, width: float, title: str, *more: str) -> str:
     text = [heading(title, width, TITLE)]
     if not track.design.valid:
         text.append(wrapped(f"NOT VALID: {failed(track.design)}".split(", "), width, ", "))
+    elif track.design.fit is not None and track.design.fit.grade == "poor":
+        text.append(heading(track.design.fit.text.capitalize(), width, TITLE))
     return "\n".join([*text, *filter(None, more)])
 
 

@@ -1,0 +1,135 @@
+"""Every answer grades its error against the size of its task, and says why it is poor."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli import app
+from optlink.design.files import dump
+from optlink.fit import Fit
+from optlink.generation import generate, validate
+from optlink.report.page import verdict
+from optlink.report.subject import Subject
+from tests.stated import document, four_bar_section, free
+
+SIZES = dict.fromkeys(("crank", "coupler", "rocker", "frame"), free(10.0, 300.0))
+SPOT = {"P": [free(-300.0, 300.0), free(-300.0, 300.0)]}
+STAR = 50.0 * np.array([[math.cos(2.4 * k), math.sin(2.4 * k)] for k in range(7)])
+TURNED = np.column_stack([[0.0, 60.0, 110.0, 90.0, 20.0], [0.0, 25.0, 70.0, 130.0, 110.0], np.radians([0, 80, 170, 260, 330])])
+
+
+@pytest.fixture(scope="module")
+def star() -> optlink.generated.Generation:
+    """A zigzag that no four-bar draws, with the crank pivot where it is by default."""
+    section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
+    raw = document(section, STAR + 150.0, {"transmission_angle": ["40 deg", "140 deg"]})
+    return generate(optlink.read(raw), starts=60, designs=1)
+
+
+@pytest.mark.parametrize(("share", "grade"), [(0.0, "exact"), (1e-6, "good"), (0.01, "good"), (0.049, "fair"), (0.051, "poor")])
+def test_grades_are_shares_of_the_size(share: float, grade: str) -> None:
+    assert Fit(share * 0.4, 0.4, "m", "the size of the path").grade == grade
+
+
+def test_a_poor_path_is_called_poor(star) -> None:
+    best = star.best
+    assert star.valid
+    fit = best.fit
+    gaps = STAR[:, None] - STAR[None]
+    size = float(np.max(np.hypot(gaps[..., 0], gaps[..., 1])))
+    rms = math.sqrt(star.objective / len(STAR)) * 1e3
+    assert fit.share == pytest.approx(rms / size, rel=1e-9)
+    assert fit.grade == "poor"
+    assert star.to_dict()["fit"]["grade"] == "poor"
+    assert any("limits.crank" in each.remedy for each in fit.reasons)
+    assert any("A.x" in each.reason or "crank pivot is fixed" in each.reason for each in fit.reasons)
+    limited = [limit.key for limit in best.limits if limit.active and limit.multiplier]
+    named = [each.remedy.removeprefix("widen ") for each in fit.reasons if each.remedy.startswith("widen")]
+    assert set(named) <= set(limited)
+    assert bool(named) == bool([key for key in limited if not key.startswith("requirement.points")])
+    assert verdict(Subject(star.problem, star, None)).startswith("Valid, poor fit: rms error is")
+
+
+def test_points_that_the_curve_does_not_meet_in_order_are_named(star) -> None:
+    steps = np.degrees(np.abs(np.diff(star.best.crank_angles)))
+    named = [each.reason for each in star.best.fit.reasons if "order of the points" in each.reason]
+    assert bool(named) == bool(np.any(steps < 0.0115))
+    first = int(np.argmin(steps)) + 1
+    assert not named or f"{first} and {first + 1}" in named[0]
+    assert named
+
+
+def test_poses_that_turn_farther_than_the_coupler_name_it() -> None:
+    section = four_bar_section("left", **SIZES, points=SPOT)
+    found = generate(optlink.read(document(section, TURNED)), starts=60, designs=1)
+    best = found.best
+    assert best is not None
+    assert best.fit.grade == "poor"
+    reason = next(each for each in best.fit.reasons if "the poses turn through 330 deg" in each.reason)
+    assert "double-crank" in reason.remedy
+
+
+def test_a_curve_passed_at_other_crank_angles_names_the_timing() -> None:
+    """A planted linkage, its points given at crank angles a third of a turn late."""
+    sizes = {"crank": 30.0, "coupler": 80.0, "rocker": 70.0, "frame": 90.0}
+    angles = np.linspace(0.0, 4.0, 7)
+    section = four_bar_section("left", **{k: f"{v} mm" for k, v in sizes.items()}, points={"P": ["40 mm", "30 mm"]})
+    section |= {"pivot": ["0 mm", "0 mm"], "direction": "0 deg"}
+    raw = document(section, np.zeros((7, 2)) + np.arange(7)[:, None], crank=angles)
+    planted = validate(optlink.read(raw), {}).best.measured.generated * 1e3
+    late = validate(optlink.read(document(section, planted, crank=angles + 2.0)), {}).best
+    assert late.fit.grade == "poor"
+    assert any('requirement.timing = "free"' in each.remedy for each in late.fit.reasons)
+    there = validate(optlink.read(document(section, planted, crank=angles)), {}).best
+    assert there.fit.grade == "exact"
+    assert there.fit.reasons == ()
+
+
+def test_a_fixed_pivot_is_named_with_what_moving_it_would_gain() -> None:
+    sizes = {"crank": 30.0, "coupler": 80.0, "rocker": 70.0, "frame": 90.0}
+    angles = np.linspace(0.0, 4.0, 7)
+    section = four_bar_section("left", **{k: f"{v} mm" for k, v in sizes.items()}, points={"P": ["40 mm", "30 mm"]})
+    section = {k: v for k, v in section.items() if k not in ("pivot", "direction")}
+    raw = document(section, np.zeros((7, 2)) + np.arange(7)[:, None], crank=angles)
+    planted = validate(optlink.read(raw), {}).best.measured.generated * 1e3
+    away = validate(optlink.read(document(section, planted + np.array([25.0, -40.0]), crank=angles)), {}).best
+    (reason,) = [each for each in away.fit.reasons if "moved as a whole" in each.reason]
+    assert "the crank pivot is fixed at (0 mm, 0 mm)" in reason.reason
+    assert "mechanism.pivot" in reason.remedy
+
+
+def test_a_law_is_graded_by_its_output_range() -> None:
+    result = optlink.solve(optlink.load("crank-rocker"))
+    fit = result.fit
+    motion = optlink.load("crank-rocker").spec.law
+    assert fit.error == pytest.approx(math.sqrt(float(np.mean(result.error() ** 2))))
+    assert fit.size == pytest.approx(abs(float(np.ptp(motion.curve(motion.offsets, 0.0, 0.0)))))
+    assert result.to_dict()["fit"]["of"] == "the output range"
+
+
+def test_headline_and_json_tell_the_grade(tmp_path) -> None:
+    section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
+    file = tmp_path / "star.toml"
+    file.write_text(dump(optlink.read(document(section, STAR + 150.0))))
+    run = CliRunner().invoke(app, ["solve", str(file), "--starts", "60", "--designs", "1"])
+    assert run.exit_code == 0
+    assert "valid, poor fit: rms error is" in " ".join(run.stdout.split())
+    assert "Poor fit, likely reason:" in run.stdout
+    told = json.loads(CliRunner().invoke(app, ["solve", str(file), "--starts", "60", "--designs", "1", "--json"]).stdout)
+    assert told["fit"]["grade"] == "poor"
+    assert told["fit"]["share"] == pytest.approx(told["fit"]["error"] / told["fit"]["size"])
+
+
+def test_show_says_what_is_fixed_where_a_key_is_left_out() -> None:
+    shown = CliRunner().invoke(app, ["show", "path-arc5"]).stdout
+    line = next(line for line in shown.splitlines() if line.startswith("pivot"))
+    assert "fixed: 0 mm, 0 mm" in line
+    assert "fixed: 0 deg" in next(line for line in shown.splitlines() if line.startswith("direction"))
+    requirement = shown.partition("[requirement]")[2].partition("[limits]")[0]
+    assert "no limit" not in requirement
