@@ -39,15 +39,17 @@ def show(
 ) -> None:
     """The problem in full, with units and defaults."""
     with console.reported(as_json):
+        from optlink.design.files import complete
+
         file = console.load(problem, changes)
         if as_json:
             document = {"schema": "optlink/problem/1", "name": file.name, "problem_hash": file.hash}
-            console.print_json(document | {"problem": dict(file.raw)})
+            console.print_json(document | {"problem": complete(file)})
             return
         if as_toml:
-            from optlink.design.files import dump
+            import tomli_w
 
-            print(dump(file), end="")
+            print(tomli_w.dumps(complete(file)), end="")
             return
         from optlink.report import terminal
 

@@ -151,9 +151,12 @@ def test_bad_input_is_named(points, changes, words):
 
 
 KEYS = {
-    ("path", "limits"): "crank transmission_angle transmission_cosine transmission_over swing_angle time_ratio frame_length "
-    "link_ratio pivots",
-    ("slider", "limits"): "crank transmission_angle transmission_over pivots",
+    (
+        "path",
+        "limits",
+    ): "alignment length_margin crank transmission_angle transmission_cosine transmission_over swing_angle time_ratio "
+    "frame_length link_ratio pivots",
+    ("slider", "limits"): "alignment length_margin crank transmission_angle transmission_over pivots",
     ("path", "requirement"): "kind point points timing start rotation closed measure",
     ("slider", "requirement"): "kind point points timing start rotation closed measure",
 }

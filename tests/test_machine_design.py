@@ -78,8 +78,8 @@ def test_no_neighbour_that_meets_the_limits_is_better():
 
     def measured(x: np.ndarray) -> np.ndarray:
         cycle = Cycle(task, dict(zip(names, x, strict=True)))
-        equal = [cycle.figure(task.limits[name]) for name in ("stroke", "time_ratio")]
-        return np.array([*equal, cycle.figure(task.limits["guide"]), cycle.objective()])
+        equal = [cycle.figure(task.limits.named[name]) for name in ("stroke", "time_ratio")]
+        return np.array([*equal, cycle.figure(task.limits.named["guide"]), cycle.objective()])
 
     here = measured(at)
     slopes = np.array([(measured(at + h) - measured(at - h)) / 2e-6 for h in 1e-6 * np.eye(len(at))]).T[:2]

@@ -23,7 +23,7 @@ CHECKS = {
     "within its bounds": "bounds",
     "link lengths": "lengths",
     "Grashof": "grashof",
-    "assembled over": "assembled",
+    "off alignment": "assembled",
     "one branch": "branch",
     "one circuit": "circuit",
     "met in order": "order",

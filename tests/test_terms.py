@@ -111,7 +111,7 @@ def test_values_of_every_term_are_those_of_the_analysis(speed):
 def test_work_of_the_stroke_and_mean_torque_are_those_of_the_cutting_force():
     """Independent of the dynamics: 5880 N along the stroke, which is what the drive gives in a revolution."""
     nlp = programme()
-    stroke = 5880.0 * Cycle(nlp.traced.problem, nlp.design(nlp.x_start)).figure(nlp.traced.problem.limits["stroke"])
+    stroke = 5880.0 * Cycle(nlp.traced.problem, nlp.design(nlp.x_start)).figure(nlp.traced.problem.limits.named["stroke"])
     _, g = nlp.values(nlp.x_start, nlp.p)
     found = {row.limit: row.scale.people(value) for row, value in zip(nlp.rows, g, strict=True)}
     assert found["limits.work"] == pytest.approx(stroke, rel=1e-8)

@@ -30,7 +30,8 @@ CHECKS = {
     "within its bounds": "bounds",
     "link lengths": "lengths",
     "Grashof": "grashof",
-    "assembled over": "assembled",
+    "off alignment": "assembled",
+    "C apart from A": "apart",
     "one branch": "branch",
     "one circuit": "circuit",
     "smallest transmission angle": "smallest",
@@ -113,7 +114,7 @@ def test_every_check_has_a_kind_a_limit_and_a_finite_value():
     proof = validate(SHIPPED, BEST, 0.00759237360)
     kinds = [kind(check.name) for check in proof.checks]
     assert kinds.count("bounds") == 4
-    where_asked = {"dead centres", "swing", "time ratio", "frame length", "link ratio"}
+    where_asked = {"dead centres", "swing", "time ratio", "frame length", "link ratio", "apart"}
     assert sorted(k for k in kinds if k != "bounds") == sorted(set(CHECKS.values()) - where_asked - {"bounds"})
     assert all(check.limit and math.isfinite(check.value) for check in proof.checks)
 
@@ -337,6 +338,17 @@ def defects() -> dict[str, Defect]:
         {"from": "40 deg", "span": "60 deg", "psi0": "100 deg"},
         {"crank": "span", "transmission_angle": None},
     )
+    # 0.01 mm between crank and coupler of a kite: with 0.03 mm, 1e-4 of the rocker, it would do
+    folds = problem(lengths(0.1, 0.10001, 0.3, 0.3), {"from": "inner dead centre"}, {"crank": "span", "transmission_angle": None})
+    found["crank pin on its pivot"] = defect(folds, folds.design({}), "apart")
+    square = 0.2**2 + 0.25**2 - 2.0 * 0.2 * 0.25 * math.cos(math.radians(0.5))  # of B-D, with 0.5 deg at C
+    last = math.degrees(math.acos((0.3**2 + 0.34**2 - square) / (2.0 * 0.3 * 0.34)))
+    nearly = problem(
+        lengths(0.3, 0.2, 0.25, 0.34),
+        {"from": f"{-last - 40.0!r} deg", "span": "40 deg", "psi0": "100 deg"},
+        {"crank": "span", "transmission_angle": None},
+    )
+    found["nearly in line at the end"] = defect(nearly, nearly.design({}), "assembled")
     found["span beyond the reach"] = defect(moved, moved.design({}), "assembled, branch, circuit, lengths, finite")
     for name, limits, must in (
         ("transmission angle 0.001 deg too large", {"transmission_angle": ["45 deg", "134.999 deg"]}, "largest"),

@@ -6,21 +6,20 @@ A row's value is dimensionless or in rad and smooth wherever it can be; `Scale` 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.design.generation import GenerationProblem, joint_cosine
-from optlink.design.limits import Reach
+from optlink.design.generation import GenerationProblem
+from optlink.design.limits import Margins, Reach
 from optlink.design.linkages import FourBarSection
 from optlink.design.problem import DEAD_CENTRES, DesignProblem
 from optlink.design.quantity import Interval
-from optlink.linkage.elementwise import Value
+from optlink.linkage.elementwise import Value, magnitude
 from optlink.linkage.fourbar import (
     LENGTHS,
     crank_rocker_conditions,
-    diagonal_squared,
     double_crank_conditions,
     lengths_of,
     swing,
@@ -29,7 +28,7 @@ from optlink.linkage.fourbar import (
     turning_points,
 )
 from optlink.linkage.groups import RRR
-from optlink.linkage.mechanism import Pose
+from optlink.linkage.mechanism import Group, Pose
 
 
 @dataclass(frozen=True)
@@ -56,14 +55,43 @@ class Scale:
         return -math.degrees(1.0 / math.sqrt(max(1.0 - value * value, 1e-300))) if self.cosine else self.factor
 
 
-CLEARANCE = 1e-4
-"""Share of the frame by which Grashof's sums must be met: at zero the linkage is a change-point linkage, no crank-rocker."""
+@dataclass(frozen=True)
+class Rooted(Scale):
+    """A row that holds the square of what people read: smooth also where a force vanishes."""
 
-FLAT = 1.0 - math.cos(math.radians(1.0))
-"""What the cosine of the transmission angle of a generated linkage keeps from one, 1 deg: at one the assembly modes meet."""
+    def people(self, value: float) -> float:
+        """The figure in `unit`."""
+        return math.sqrt(max(value, 0.0)) * self.factor
+
+    def own(self, people: float) -> float:
+        """The row's own value."""
+        return (people / self.factor) ** 2
+
+    def slope(self, value: float) -> float:
+        """d people / d value."""
+        return 0.5 * self.factor / math.sqrt(max(value, 1e-300))
+
+
+@dataclass(frozen=True)
+class SineSquared(Scale):
+    """A row that holds the squared sine of the angle that people read."""
+
+    def people(self, value: float) -> float:
+        """The angle [deg]; NaN where the group cannot close."""
+        return math.degrees(math.asin(math.sqrt(value))) if 0.0 <= value <= 1.0 else math.nan
+
+    def own(self, people: float) -> float:
+        """The row's own value."""
+        return math.sin(math.radians(people)) ** 2
+
+    def slope(self, value: float) -> float:
+        """d people / d value."""
+        return math.degrees(0.5 / math.sqrt(max(value * (1.0 - value), 1e-300)))
+
 
 DEGREES = Scale("deg", math.degrees(1.0))
 COSINE = Scale("deg", cosine=True)
+SINE_SQUARED = SineSquared("deg")
 PLAIN = Scale("")
 
 
@@ -89,86 +117,86 @@ Term = Callable[[AnyProblem, Mapping[str, Value], Reach, float], Iterator[Row]]
 """(problem, values, crank angles asked for, reference length [m]) -> rows"""
 
 
+SAME = 1e-12  # cosines that differ by rounding alone
+ALIGNED = "coupler and rocker not in line"
+
+
 def crank(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
-    """The crank turns fully (linear conditions), or the mechanism can be assembled over the span."""
-    lengths = lengths_of(values)
-    millimetres = Scale("mm", 1e3 * size)
+    """The crank turns fully (linear conditions, with the length margin in the sums)."""
     if problem.limits.crank == "span":
-        r, a, b, f = lengths
-        cosines = [np.cos(phi) for phi in turning_points(reach.start, reach.span)]
-        if isinstance(problem, GenerationProblem):
-            yield from _bent(lengths, cosines)
-            return
-        for cos_phi in cosines:
-            square = diagonal_squared(r, f, cos_phi) / size**2
-            yield Row(
-                "limits.crank",
-                "B not too far from D",
-                (a + b) * (a + b) / size**2 - square,
-                0.0,
-                math.inf,
-                PLAIN,
-            )
-            yield Row(
-                "limits.crank",
-                "B not too near to D",
-                square - (a - b) * (a - b) / size**2,
-                0.0,
-                math.inf,
-                PLAIN,
-            )
-    else:
-        full = problem.limits.crank == "full rotation"
-        conditions = crank_rocker_conditions if full else double_crank_conditions
-        for label, slack in conditions(*lengths).items():
-            least = CLEARANCE if "+" in label else 0.0
-            yield Row("limits.crank", label, slack / size, least, math.inf, millimetres)
-        unlimited = problem.limits.transmission_angle is None and problem.limits.transmission_cosine is None
-        if isinstance(problem, GenerationProblem) and (unlimited or problem.transmission_over != "revolution"):
-            yield from _bent(lengths, [1.0, -1.0])
-    if problem.limits.crank == "span" and problem.requirement.start in DEAD_CENTRES and "phi0" not in problem.quantities:
-        r, a, b, f = lengths
-        line = a + r if problem.requirement.start == DEAD_CENTRES[0] else a - r  # its sign does not matter
-        square = line * line / size**2
-        longest, shortest = (b + f) * (b + f) / size**2, (b - f) * (b - f) / size**2
-        yield Row("requirement.from", "dead centre: C not too far from A", longest - square, 0.0, math.inf, PLAIN)
-        yield Row("requirement.from", "dead centre: C not too near to A", square - shortest, 0.0, math.inf, PLAIN)
+        return
+    full = problem.limits.crank == "full rotation"
+    conditions = crank_rocker_conditions if full else double_crank_conditions
+    millimetres = Scale("mm", 1e3 * size)
+    for label, slack in conditions(*lengths_of(values)).items():
+        words = label.split()
+        if "+" not in words:
+            yield Row("limits.crank", label, slack / size, 0.0, math.inf, millimetres)
+            continue
+        # the share of the second link of the longer side: where another is longest its own sum implies this row
+        least = problem.limits.length_margin * values[words[2]]
+        yield Row("limits.length_margin", label, (slack - least) / size, 0.0, math.inf, millimetres)
 
 
-def _bent(lengths: tuple[Value, Value, Value, Value], cosines: Sequence[Value]) -> Iterator[Row]:
-    """Coupler and rocker are never in line, where the assembly modes meet; `cosines` of the crank angles closest to that."""
-    for cosine in cosines:
-        value = transmission_cosine(*lengths, cosine)
-        yield Row("limits.crank", "coupler and rocker not in line", value, FLAT - 1.0, 1.0 - FLAT, COSINE)
+def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
+    """The dead centre at which a law starts exists, and coupler and crank differ at the inner one: C would lie on A.
+
+    Of a crank that turns fully Grashof's sums imply both.
+    """
+    begin = getattr(problem.requirement, "start", None)
+    if problem.limits.crank != "span" or begin not in DEAD_CENTRES or "phi0" in problem.quantities:
+        return
+    r, a, b, f = lengths_of(values)
+    key, millimetres, margin = "limits.length_margin", Scale("mm", 1e3 * size), problem.limits.length_margin
+    line = a + r if begin == DEAD_CENTRES[0] else magnitude(a - r)
+    for longest in (r, a, b, f):  # a row for each: the largest of them is not smooth
+        least = margin * longest
+        yield Row(key, "dead centre: C not too far from A", (b + f - line - least) / size, 0.0, math.inf, millimetres)
+        for difference in (b - f, f - b):
+            row = (line - difference - least) / size
+            yield Row(key, "dead centre: C not too near to A", row, 0.0, math.inf, millimetres)
+
+
+def sides(problem: AnyProblem) -> Iterator[tuple[str, float, float, str]]:
+    """Limits of transmission cosines: (key, low, high, "revolution" or "span").
+
+    A side of the transmission limit that is looser than the alignment says nothing and is left out (infinite); one that is as
+    tight takes its place. Beside a tighter one the alignment stays: it still holds where that one has to give way.
+    """
+    limits, required = problem.limits, "span" if problem.limits.crank == "span" else "revolution"
+    most = math.cos(limits.alignment.value)
+    key, low, high = "limits.transmission_angle", -math.inf, math.inf
+    if limits.transmission_angle is not None:
+        low = -math.inf if limits.transmission_angle.high is None else math.cos(limits.transmission_angle.high)
+        high = math.inf if limits.transmission_angle.low is None else math.cos(limits.transmission_angle.low)
+    elif limits.transmission_cosine is not None:
+        key = "limits.transmission_cosine"
+        low, high = _within(limits.transmission_cosine)
+    own = low if low >= -most - SAME else -math.inf, high if high <= most + SAME else math.inf
+    if own != (-math.inf, math.inf):
+        yield key, *own, problem.transmission_over
+    same = problem.transmission_over == required
+    floor = -math.inf if same and abs(own[0] + most) <= SAME else -most
+    ceiling = math.inf if same and abs(own[1] - most) <= SAME else most
+    if floor > -math.inf or ceiling < math.inf:
+        yield "limits.alignment", floor, ceiling, required
 
 
 def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
     """The transmission angle at its exact extremes, as cosines: rational in the lengths, finite even without assembly."""
-    limits = problem.limits
-    if limits.transmission_angle is not None:
-        key, interval = "limits.transmission_angle", limits.transmission_angle
-        low = -1.0 if interval.high is None else math.cos(interval.high)
-        high = 1.0 if interval.low is None else math.cos(interval.low)
-    elif limits.transmission_cosine is not None:
-        key, interval = "limits.transmission_cosine", limits.transmission_cosine
-        low = -1.0 if interval.low is None else interval.low
-        high = 1.0 if interval.high is None else interval.high
-    else:
-        return
     lengths = lengths_of(values)
-    if problem.transmission_over == "revolution":
-        yield Row(key, "smallest transmission angle", transmission_cosine(*lengths, 1.0), -math.inf, high, COSINE)
-        yield Row(key, "largest transmission angle", transmission_cosine(*lengths, -1.0), low, math.inf, COSINE)
-        return
-    for phi in turning_points(reach.start, reach.span):
-        yield Row(
-            key,
-            "transmission angle over the span",
-            transmission_cosine(*lengths, np.cos(phi)),
-            low,
-            high,
-            COSINE,
-        )
+    for key, low, high, over in sides(problem):
+        aligned = key == "limits.alignment"
+        if over == "revolution":
+            names = (ALIGNED, ALIGNED) if aligned else ("smallest transmission angle", "largest transmission angle")
+            if high < math.inf:
+                yield Row(key, names[0], transmission_cosine(*lengths, 1.0), -math.inf, high, COSINE)
+            if low > -math.inf:
+                yield Row(key, names[1], transmission_cosine(*lengths, -1.0), low, math.inf, COSINE)
+            continue
+        label = ALIGNED if aligned else "transmission angle over the span"
+        for phi in turning_points(reach.start, reach.span):
+            yield Row(key, label, transmission_cosine(*lengths, np.cos(phi)), low, high, COSINE)
 
 
 def _within(interval: Interval | None) -> tuple[float, float]:
@@ -223,7 +251,7 @@ def pivots(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size:
                 yield Row("limits.pivots", f"{name}.{axis}", coordinate / size, low / size, high / size, Scale("mm", 1e3 * size))
 
 
-FOUR_BAR: tuple[Term, ...] = (crank, transmission, stroke, proportions)
+FOUR_BAR: tuple[Term, ...] = (crank, dead_centres, transmission, stroke, proportions)
 GENERAL: tuple[Term, ...] = (pivots,)
 
 
@@ -233,19 +261,31 @@ def rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: f
     return [row for term in terms for row in term(problem, values, reach, size)]
 
 
-LEAST_MARGIN = 1e-4
-"""Assembly margin that every group keeps: at zero its assembly modes meet."""
-
-
 def position_rows(problem: GenerationProblem, pose: Pose) -> list[Row]:
-    """Limits at one crank angle of any mechanism: every group closes, with the transmission angle asked for."""
-    found = []
-    interval = problem.limits.transmission_angle
+    """Limits at one crank angle of any mechanism: transmission angles, and every group off the meeting of its assembly modes."""
+    found, limited = [], list(sides(problem))
+    aligned = any(key == "limits.alignment" for key, *_ in limited)
     for group in problem.linkage.groups:
-        found.append(Row("limits.crank", f"{group.joint} closes", pose.margins[group.joint], LEAST_MARGIN, math.inf, PLAIN))
-        if interval is not None and isinstance(group, RRR):
-            low = -1.0 if interval.high is None else math.cos(interval.high)
-            high = 1.0 if interval.low is None else math.cos(interval.low)
-            cosine = joint_cosine(pose, group)
-            found.append(Row("limits.transmission_angle", f"transmission angle at {group.joint}", cosine, low, high, COSINE))
+        if isinstance(group, RRR):
+            own = ((key, low, high) for key, low, high, _ in limited if key != "limits.alignment")
+            label, cosine = f"transmission angle at {group.joint}", group.cosine(pose)
+            found += [Row(key, label, cosine, low, high, COSINE) for key, low, high in own]
+        if aligned or not isinstance(group, RRR):
+            found.append(alignment_row(problem.limits, group, group.alignment(pose)))
+        square = group.apart(pose)
+        if square is not None:
+            found.append(apart_row(problem.limits, group, square, problem.longest))
     return found
+
+
+def alignment_row(limits: Margins, group: Group, value: Value) -> Row:
+    """A group off the position where its assembly modes meet; `value` is its squared sine."""
+    low = math.sin(limits.alignment.value) ** 2
+    return Row("limits.alignment", f"{group.joint} not aligned", value, low, math.inf, SINE_SQUARED)
+
+
+def apart_row(limits: Margins, group: Group, square: Value, longest: float) -> Row:
+    """The outer joints of a group apart; `square` of their distance, `longest` link of the problem [m]."""
+    scale = Rooted("mm", 1e3 * longest)
+    low = limits.length_margin**2
+    return Row("limits.length_margin", f"pins apart at {group.joint}", square / longest**2, low, math.inf, scale)

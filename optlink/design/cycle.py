@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
+from optlink.design.limits import Margins
 from optlink.design.linkages import sizes_of
 from optlink.design.machines import Problem
 from optlink.design.quantity import Interval, Unusable
@@ -31,13 +32,26 @@ class Bound:
         return f"limits.{self.name}"
 
 
+class CycleLimits(Margins):
+    """Limits under names of the user's choice, beside those that every design problem has."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[Name, Limit] = Field(init=False)
+
+    @property
+    def named(self) -> dict[str, Limit]:
+        """The limits of the user by their names."""
+        return dict(self.__pydantic_extra__ or {})
+
+
 class CycleProblem(Problem):
     """A problem file with an objective over the cycle: what `solve` takes. Immutable."""
 
     objective: Objective
     """What is minimised over the cycle."""
-    limits: dict[Name, Limit] = Field(default_factory=dict)
-    """Terms of the cycle that must stay within bounds, each under a name of your choice."""
+    limits: CycleLimits = CycleLimits()
+    """Terms of the cycle that must stay within bounds, each under a name of your choice, and how far the mechanism keeps from
+    positions where it locks."""
 
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
@@ -48,7 +62,7 @@ class CycleProblem(Problem):
     def bounds(self) -> tuple[Bound, ...]:
         """The limits with their bounds."""
         found = []
-        for name, limit in self.limits.items():
+        for name, limit in self.limits.named.items():
             try:
                 found.append(Bound(name, limit, limit.interval(self.linkage, self.quantities)))
             except Unusable as error:
@@ -101,14 +115,14 @@ def cross_check_cycle(problem: CycleProblem) -> None:
         except Unusable as error:
             error.key = f"{place}.{error.key}"
             raise
-    for name, limit in problem.limits.items():
+    for name, limit in problem.limits.named.items():
         try:
             check_term(limit, mechanism, problem.quantities)
         except Unusable as error:
             error.key = f"limits.{name}.{error.key}"
             raise
     _ = problem.bounds
-    if problem.mechanism.friction and any(_forced(term) for term in (*problem.goals, *problem.limits.values())):
+    if problem.mechanism.friction and any(_forced(term) for term in (*problem.goals, *problem.limits.named.values())):
         guide = next(iter(problem.mechanism.friction))
         raise Unusable(
             "where a normal force changes its sign friction has a corner that no derivative sees",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Mapping
@@ -12,8 +13,8 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.constraints import DEGREES, LEAST_MARGIN, PLAIN, Row, Scale
-from optlink.design.cycle import Bound, CycleProblem
+from optlink.design.constraints import DEGREES, PLAIN, Rooted, Row, Scale, alignment_row, apart_row
+from optlink.design.cycle import Bound
 from optlink.design.cycle_trace import TURN, Structure, Trace
 from optlink.design.nlp import Variable
 from optlink.design.problem import EPIGRAPH
@@ -29,23 +30,6 @@ EVENT = "end of a stroke"
 FEWEST = 4  # positions per stroke
 ROOM = 1.01  # of the least difference of slow and quick stroke, which a programme keeps
 APART = 1e-3  # rad, least crank rotation between two events
-
-
-@dataclass(frozen=True)
-class Rooted(Scale):
-    """A row that holds the square of what people read: smooth also where a force vanishes."""
-
-    def people(self, value: float) -> float:
-        """The figure in `unit`."""
-        return math.sqrt(max(value, 0.0)) * self.factor
-
-    def own(self, people: float) -> float:
-        """The row's own value."""
-        return (people / self.factor) ** 2
-
-    def slope(self, value: float) -> float:
-        """d people / d value."""
-        return 0.5 * self.factor / math.sqrt(max(value, 1e-300))
 
 
 @dataclass(frozen=True)
@@ -83,12 +67,6 @@ def variable_of(name: str, quantity: Quantity, size: float) -> Variable:
     return Variable(name, size, Scale("mm", 1e3 * size))
 
 
-def size_of(problem: CycleProblem) -> float:
-    """The longest length of the machine at its start [m]."""
-    lengths = [q.value for q in problem.quantities.values() if q.kind == "length"]
-    return max([*lengths, *(abs(q.value) for q in problem.quantities.values() if q.kind == "coordinate"), 1e-9])
-
-
 def people_scale(kind: str, unit: str, size: float) -> Scale:
     """From multiples of `size` [SI] to a unit of people."""
     return Scale(unit, size / factor(unit or KINDS[kind].people, kind)) if kind else Scale("", size)
@@ -115,7 +93,7 @@ class Parts:
     ) -> None:
         self.trace, self.structure, self.problem = trace, structure, trace.problem
         problem = self.problem
-        self.size = size_of(problem) if size is None else size
+        self.size = problem.longest if size is None else size
         self.free = problem.free
         self.fixed = tuple(name for name in problem.quantities if name not in self.free)
         self.goals = problem.goals
@@ -312,12 +290,13 @@ class Parts:
     # --- rows ------------------------------------------------------------------------------------------------------------
 
     def close(self) -> Iterator[Watched]:
-        """Every group closes at every position."""
-        first = sum(self.trace.widths)
-        for k, group in enumerate(self.trace.mechanism.groups):
-            for _, _, signals in self.at:
-                self.rows.append(Row("mechanism", f"{group.joint} closes", signals[first + k], LEAST_MARGIN, math.inf, PLAIN))
-            yield Watched(first + k, 1, False, -1.0, 1.0, None, -LEAST_MARGIN)
+        """Every group keeps off the position where its assembly modes meet, and pins apart that must not meet, everywhere."""
+        first, groups, limits = sum(self.trace.widths), self.trace.mechanism.groups, self.problem.limits
+        made = [functools.partial(alignment_row, limits, group) for group in groups]
+        made += [functools.partial(apart_row, limits, group, longest=self.problem.longest) for group in self.trace.apart]
+        for k, row in enumerate(made):
+            self.rows += [row(signals[first + k]) for *_, signals in self.at]
+            yield Watched(first + k, 1, False, -1.0, 1.0, None, -row(0.0).low)
 
     def limit(self, bound: Bound) -> Watched | None:
         """The rows of a limit."""

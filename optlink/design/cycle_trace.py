@@ -134,7 +134,12 @@ class Trace:
             for signal in self._signals(moving):
                 self.widths.append(len(signal))
                 outputs += signal
-            outputs += [parts(moving.pose.margins[group.joint])[0] - group.least for group in self.mechanism.groups]
+            begin = len(outputs)
+            outputs += [parts(group.alignment(moving.pose))[0] - group.least for group in self.mechanism.groups]
+            margins = outputs[begin:]
+            pins = [(group, group.apart(moving.pose)) for group in self.mechanism.groups]
+            self.apart = [group for group, square in pins if square is not None]
+            outputs += [parts(square)[0] / self.problem.longest**2 for _, square in pins if square is not None]
             ends = [part for term in self.ended for part in self._output(term, moving)]
             found = [event.value(moving) for event in self.events]
             senses = [self.direction * sign(of(moving)[0] / self.speed) for of, _ in moving.asked]
@@ -145,7 +150,6 @@ class Trace:
         self.at = casadi.Function("at", [inputs, symbols], [self._outputs])
         self.sensed = casadi.Function("sensed", [inputs], [casadi.vertcat(*senses)])
         self.at_event = casadi.Function("event", [inputs], [casadi.vertcat(*found, *ends)])
-        margins = outputs[len(outputs) - len(self.mechanism.groups) :]
         self._inputs, self._found, self._margins = inputs, found, margins
 
     # --- the machine in symbols ------------------------------------------------------------------------------------------

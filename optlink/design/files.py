@@ -14,12 +14,14 @@ from typing import Any
 
 import pydantic
 
-from optlink.design.cycle import CycleProblem, cross_check_cycle
+from optlink.design.cycle import CycleLimits, CycleProblem, cross_check_cycle
 from optlink.design.generation import GenerationProblem
 from optlink.design.generation_checks import cross_check_generation, foreign
+from optlink.design.limits import MARGINS, Margins
 from optlink.design.machines import Problem, cross_check
 from optlink.design.problem import DesignProblem, cross_check_design
 from optlink.design.quantity import Unusable, nearest
+from optlink.design.terms import Limit
 from optlink.design.tolerances import assigned
 from optlink.errors import Fault, InputError, shown
 
@@ -80,7 +82,7 @@ class ProblemFile:
         law = getattr(task, "law", getattr(task, "points", None))
         read = [repr(part) for part in (self.model.loads, self.model.drive)] if self._tabled else []  # from files beside this
         read += [repr(deviation.values) for deviation in self.model.deviations if deviation.values]
-        stated = {key: value for key, value in self.raw.items() if key not in _WORDS}
+        stated = _stated({key: value for key, value in self.raw.items() if key not in _WORDS})
         text = json.dumps([stated, repr(law), *read], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -104,6 +106,15 @@ class ProblemFile:
 
 
 _WORDS = ("title", "source", "about", "expected")
+
+
+def _stated(raw: dict[str, Any]) -> dict[str, Any]:
+    """Without limits that say what holds by default anyhow."""
+    limits = raw.get("limits")
+    if not isinstance(limits, dict) or not any(limits.get(key) == value for key, value in MARGINS.items()):
+        return raw
+    own = {key: value for key, value in limits.items() if key not in MARGINS or value != MARGINS[key]}
+    return {key: value for key, value in {**raw, "limits": own}.items() if key != "limits" or value}
 
 
 def problems_folder() -> Path:
@@ -217,6 +228,14 @@ def dump(problem: ProblemFile) -> str:
     import tomli_w
 
     return tomli_w.dumps(problem.raw)
+
+
+def complete(problem: ProblemFile) -> dict[str, Any]:
+    """The problem as nested tables, with the limits that hold by default."""
+    raw = copy.deepcopy(dict(problem.raw))
+    if isinstance(getattr(problem.model, "limits", None), Margins):
+        raw["limits"] = {**raw.get("limits", {}), **{k: v for k, v in MARGINS.items() if k not in raw.get("limits", {})}}
+    return raw
 
 
 def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
@@ -359,9 +378,11 @@ def _fixed(path: tuple[str, ...]) -> bool:
 
 
 def _models(annotation: Any) -> Iterator[Any]:
-    """The sections that a key may hold."""
+    """The sections that a key may hold; of the limits of a cycle also what is named there."""
     if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
         yield annotation
+        if annotation is CycleLimits:
+            yield Limit
     for inner in getattr(annotation, "__args__", ()):
         yield from _models(inner)
 

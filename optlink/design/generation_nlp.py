@@ -13,7 +13,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.constraints import DEGREES, LEAST_MARGIN, PLAIN, Row, Scale, position_rows
+from optlink.design.constraints import DEGREES, PLAIN, Row, Scale, position_rows
 from optlink.design.constraints import rows as limit_rows
 from optlink.design.generation import START, STEP, TURN, GenerationProblem
 from optlink.design.limits import Reach
@@ -99,15 +99,16 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
         rows = limit_rows(problem, values, Reach(angles[0], span), size)
         asked: list[Any] = []
         four_bar = isinstance(problem.mechanism, FourBarSection)
-        if problem.limits.crank == "span":
+        if four_bar:
+            pass  # its extremes are known
+        elif problem.limits.crank == "span":
             asked = [a + (b - a) * (k / (BETWEEN + 1)) for a, b in itertools.pairwise(angles) for k in range(BETWEEN + 1)]
             asked.append(angles[-1])
-        elif not four_bar:
+        else:
             asked = list(np.linspace(0.0, TURN, GRID, endpoint=False) if grid is None else grid)
-        if asked and not (four_bar and problem.limits.crank != "span"):
-            for angle in asked:
-                found = at_angle[0](casadi.vertcat(*names, angle))
-                rows += [Row(r.limit, r.label, found[k], r.low, r.high, r.scale) for k, r in enumerate(at_angle[1])]
+        for angle in asked:
+            found = at_angle[0](casadi.vertcat(*names, angle))
+            rows += [Row(r.limit, r.label, found[k], r.low, r.high, r.scale) for k, r in enumerate(at_angle[1])]
         if own:
             steps = [(b - a) * direction for a, b in itertools.pairwise(angles)]
             rows += [
@@ -174,4 +175,4 @@ def _traced(problem: GenerationProblem, values: dict[str, Any]) -> tuple[Any, tu
     return residual, (limits, rows)
 
 
-__all__ = ["LEAST_MARGIN", "angle_name", "build_generation", "measure_of", "variable_of"]
+__all__ = ["angle_name", "build_generation", "measure_of", "variable_of"]

@@ -3,16 +3,51 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import AfterValidator
 
-from optlink.design.quantity import AngleInterval, LengthInterval, NumberInterval, Unusable
+from optlink.design.quantity import AngleInterval, FixedAngle, LengthInterval, Number, NumberInterval, Quantity, Unusable
 from optlink.design.section import Section
 from optlink.linkage.elementwise import Value
+from optlink.linkage.margins import LEAST_ALIGNMENT, LEAST_LENGTH_MARGIN, SMALLEST_ALIGNMENT, SMALLEST_LENGTH_MARGIN
+
+MARGINS: dict[str, str | float] = {"alignment": f"{np.degrees(LEAST_ALIGNMENT):g} deg", "length_margin": LEAST_LENGTH_MARGIN}
+"""Limits that every design problem has, as the file would state their defaults."""
+MARGIN_KEYS = frozenset(f"limits.{key}" for key in MARGINS)
+MOST_ALIGNMENT, MOST_LENGTH_MARGIN = np.radians(45.0), 0.1
 
 
-class Limits(Section):
+def _alignment(value: Quantity) -> Quantity:
+    if not SMALLEST_ALIGNMENT * (1.0 - 1e-9) <= value.value <= MOST_ALIGNMENT:
+        raise Unusable(
+            "the least angle from alignment lies between 0.1 and 45 deg", 'Write "1 deg", the default, or leave it out'
+        )
+    return value
+
+
+def _length_margin(value: float) -> float:
+    if not SMALLEST_LENGTH_MARGIN <= value <= MOST_LENGTH_MARGIN:
+        raise Unusable(
+            "the length margin, a share of the longest link, lies between 1e-5 and 0.1",
+            "Write 1e-4, the default, or leave it out",
+        )
+    return value
+
+
+class Margins(Section):
+    """How far a mechanism keeps from positions where it locks or its assembly modes meet (see `optlink.linkage.margins`)."""
+
+    alignment: Annotated[FixedAngle, AfterValidator(_alignment)] = Quantity(LEAST_ALIGNMENT, "angle", "deg")
+    """Least angle of two links at their joint from alignment, 0 and 180 deg, over the required motion; of a link at a slider
+    from the slider's line and its normal alike. A tighter transmission limit replaces it."""
+    length_margin: Annotated[Number, AfterValidator(_length_margin)] = LEAST_LENGTH_MARGIN
+    """Least difference of lengths that must not be equal (Grashof's sums; crank and coupler at an inner dead centre), as a share
+    of the longest link."""
+
+
+class Limits(Margins):
     """What must hold beside the requirement."""
 
     crank: Literal["full rotation", "double-crank", "span"] = "full rotation"

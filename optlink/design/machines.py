@@ -102,6 +102,13 @@ class Problem(Section):
         return tuple(name for name, quantity in self.quantities.items() if quantity.free)
 
     @cached_property
+    def longest(self) -> float:
+        """The longest length of the file [m], of the start where it is free: what length margins are a share of."""
+        lengths = [q.value for q in self.mechanism.quantities.values() if q.kind == "length"]
+        coordinates = [abs(q.value) for q in self.mechanism.quantities.values() if q.kind == "coordinate"]
+        return max([*lengths, *coordinates, 1e-9])
+
+    @cached_property
     def linkage(self) -> Mechanism:
         """The mechanism as data."""
         return self.mechanism.linkage(self.title, self.drive.body)

@@ -37,3 +37,9 @@ It is far above rounding (double precision leaves about 1e-6 deg) and far below 
 
 NEAR_ALIGNMENT = math.radians(5.0)
 """Angle [rad] of a joint from alignment below which an analysis says where forces and accelerations peak."""
+
+SMALLEST_ALIGNMENT = math.radians(0.1)
+"""Least value [rad] that a problem may set for the alignment: below it a solver's accuracy would decide."""
+
+SMALLEST_LENGTH_MARGIN = 1e-5
+"""Least value that a problem may set for the length margin."""

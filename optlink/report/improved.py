@@ -41,6 +41,10 @@ def asked(task: CycleProblem) -> Table:
         table.add_row(f"{goal.sense}", goal.words, share)
     for bound in task.bounds:
         table.add_row(bound.name, bound.term.words, str(bound.interval))
+    limits = task.limits
+    for key, words in (("alignment", "every joint off alignment"), ("length_margin", "pins of a swinging guide apart, share")):
+        default = "" if key in limits.model_fields_set else ", default"
+        table.add_row(key, words, f"at least {getattr(limits, key)}{default}")
     return table
 
 

@@ -253,7 +253,8 @@ def law_figure(task: DesignProblem, aim: Aim, design: Mapping[str, float]) -> fl
     if above.startswith("mechanism."):
         return design[name] / factor(aim.unit, task.quantities[name].kind)
     values = task.design(design)
-    rows = [row for row in limit_rows(task, values, task.reach(values), values["frame"]) if row.limit == above]
+    keys = {above} | ({"limits.alignment"} if name.startswith("transmission") else set())  # which may be the tighter one
+    rows = [row for row in limit_rows(task, values, task.reach(values), values["frame"]) if row.limit in keys]
     held = [row for row in rows if math.isfinite(row.high if (side == "max") != row.scale.cosine else row.low)]
     figures = [row.scale.people(float(row.value)) for row in held]
     return max(figures) if side == "max" else min(figures)
@@ -274,7 +275,7 @@ def _of_machine(problem: ProblemFile, name: str, number: int) -> Aim:
             return Aim(name, "sum of the objective", "", 1)
         own = {key: value for key, value in problem.raw["objective"].items() if key != "sense"}
         return _termed(problem, own, -1 if task.goals[0].sense == "maximise" else 1, number, name)
-    limited = task.limits.get(name.removeprefix("limits."))
+    limited = task.limits.named.get(name.removeprefix("limits."))
     if limited is not None:
         sense = -1 if limited.max is None and limited.exactly is None else 1
         if limited.exactly is not None or (limited.min is not None and limited.max is not None):
@@ -286,7 +287,7 @@ def _of_machine(problem: ProblemFile, name: str, number: int) -> Aim:
         return _termed(problem, {"quantity": "length", "of": name}, 1, number, name)
     match = _TERM.fullmatch(name)
     if match is None:
-        known = [*get_args(What), *(f"limits.{key}" for key in task.limits), *task.free, OWN]
+        known = [*get_args(What), *(f"limits.{key}" for key in task.limits.named), *task.free, OWN]
         raise InputError(Fault("unknown objective", nearest(name, known), problem.file, OPTION, name))
     raw = {key: value for key, value in match.groupdict().items() if value is not None}
     for key in ("quantity", "measure", "stroke"):
@@ -321,7 +322,7 @@ def walked(problem: ProblemFile, aims: Sequence[Aim], goals: Mapping[int, float]
     """
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
     given = _model(problem)
-    way = {name for name, limit in given.limits.items() if any(_gives_way(limit, aim) for aim in aims)}
+    way = {name for name, limit in given.limits.named.items() if any(_gives_way(limit, aim) for aim in aims)}
     limits = {name: value for name, value in raw.get("limits", {}).items() if name not in way}
     for name in way:
         rest = _rest(problem, name, aims)
@@ -359,7 +360,7 @@ def _gives_way(limit: Limit, aim: Aim) -> bool:
 
 def _rest(problem: ProblemFile, name: str, aims: Sequence[Aim]) -> dict[str, Any] | None:
     """What stays of a limit that gives way: its other side."""
-    limit, raw = _model(problem).limits[name], dict(problem.raw["limits"][name])
+    limit, raw = _model(problem).limits.named[name], dict(problem.raw["limits"][name])
     raw.pop("exactly", None)
     for aim in aims:
         if _gives_way(limit, aim):

@@ -20,6 +20,7 @@ from optlink.design.constraints import Scale
 from optlink.design.cycle_nlp import CycleNLP, build_cycle
 from optlink.design.cycle_trace import Trace
 from optlink.design.files import ProblemFile
+from optlink.design.limits import MARGIN_KEYS
 from optlink.design.settled import place
 from optlink.designed import task_of
 from optlink.errors import Fault, InputError, Status
@@ -80,7 +81,7 @@ class Givens:
         side = "" if parameter.constant >= 0 else ".max" if parameter.upper else ".min"
         if parameter.constant < 0 and entry >= len(self.nlp.variables):
             limit = self.nlp.rows[entry - len(self.nlp.variables)].limit
-            if not limit.startswith("limits."):
+            if not limit.startswith("limits.") or limit in MARGIN_KEYS:
                 return ""
             stated = raw_at(self.problem, limit)
             exactly = isinstance(stated, Mapping) and "exactly" in stated

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from optlink.design.constraints import Scale
+from optlink.design.limits import MARGIN_KEYS
 from optlink.design.nlp import NLP
 from optlink.solvers.solution import key_of
 
@@ -87,7 +88,7 @@ def parameters(nlp: NLP) -> list[Parameter]:
             if mark in limits:
                 limits[mark] = replace(limits[mark], entries=(*limits[mark].entries, entry))
                 continue
-            stated = entry < n or (key.startswith("limits.") and key != "limits.crank")
+            stated = entry < n or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
             bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if entry < n else name
             whole = f"{key}.{side}" if side and stated else key
             limits[mark] = Parameter(whole, bounds, _told(bound, scale), scale.unit, scale, -1, (entry,), upper, not side, stated)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from optlink.design.constraints import rows as limit_rows
 from optlink.design.files import ProblemFile
-from optlink.design.limits import Reach
+from optlink.design.limits import MARGIN_KEYS, Reach
 from optlink.design.nlp import NLP, build
 from optlink.design.problem import DesignProblem
 from optlink.design.quantity import Quantity, nearest
@@ -61,7 +61,7 @@ def buildable(problem: ProblemFile, keys: tuple[str, ...]) -> bool:
     task = problem.model
     if not isinstance(task, DesignProblem) or task.everywhere or task.mechanism.assembly == EITHER:
         return False
-    return all(key.startswith(NUMBERS) and key not in ("limits.crank", "limits.transmission_over") for key in keys)
+    return all(key.startswith(NUMBERS) and key not in ("limits.crank", "limits.transmission_over", *MARGIN_KEYS) for key in keys)
 
 
 @dataclass(frozen=True)

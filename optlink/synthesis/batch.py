@@ -15,7 +15,7 @@ from optlink.design.constraints import position_rows
 from optlink.design.constraints import rows as limit_rows
 from optlink.design.generation import START, TURN, GenerationProblem
 from optlink.design.generation_nlp import variable_of
-from optlink.design.limits import Reach
+from optlink.design.limits import MARGIN_KEYS, Reach
 from optlink.design.linkages import FourBarSection
 from optlink.linkage.elementwise import unit
 from optlink.symbolic import Tape, tracing
@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 GRID = 24  # crank angles at which a mechanism that is no four-bar is asked whether it closes
 INSIDE = 1e-3  # aim this far inside the crank condition: on it the linkage can no longer be told from a change-point linkage
+STRUCTURAL = {"limits.crank", *MARGIN_KEYS}
 WEIGHT = 10.0  # of a limit that is missed, against the residuals; the programme that polishes knows limits exactly
 
 
@@ -80,7 +81,7 @@ class Batch:
             self._residual = Tape([*inputs, t, *(more[k] for k in range(width + 1))], [residual, slopes])
             span = casadi.SX.sym("span")
             rows = limit_rows(problem, values, Reach(t, span), problem.size) if self.turns or not self.four_bar else []
-            self.bounds = np.array([(row.low + INSIDE * (row.limit == "limits.crank"), row.high) for row in rows]).reshape(-1, 2)
+            self.bounds = np.array([(row.low + INSIDE * (row.limit in STRUCTURAL), row.high) for row in rows]).reshape(-1, 2)
             g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
             self._limits = Tape([*inputs, t, span], [g, casadi.jacobian(g, x)]) if rows else None
             self._grid = None

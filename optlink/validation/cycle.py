@@ -27,6 +27,7 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.refine import extremes
 from optlink.units import KINDS, factor
 from optlink.validation.check import LENGTH_TOLERANCE, POSITIONS, Check, Validation, bound, nan_last
+from optlink.validation.margins import margin_checks
 
 Array = NDArray[np.float64]
 
@@ -360,14 +361,13 @@ def _motion(tested: Cycle) -> Iterator[Check]:
     if not tested.full:
         return
     grid = np.linspace(0.0, TURN, POSITIONS + 1)
-    joints = [group.joint for group in tested.mechanism.groups]
-
-    def margins(angles: Array) -> Array:
-        motion = sweep(tested.mechanism, tested.design, angles)
-        return np.array([motion.margin(joint) for joint in joints])
-
-    least = float(np.min(extremes(margins, grid)[1][:, 0])) if joints else 1.0
-    yield Check("every group closes over the revolution", bool(least > 0.0), least, "> 0", "")
+    yield from margin_checks(
+        lambda angles: sweep(tested.mechanism, tested.design, angles),
+        grid,
+        tested.problem.limits,
+        tested.problem.longest,
+        "the revolution",
+    )
     record = Record(tested.machine.moving(grid, tested.speed))
     good = not np.any(record.singular | record.jammed | record.undefined)
     yield Check("finite forces over the revolution", bool(good), float(good), "= 1", "")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from optlink.design.generation import MARK, STEP, TURN, ZERO, GenerationProblem
 from optlink.design.linkages import FourBarSection
-from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
+from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.groups import RRR
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
@@ -27,10 +27,10 @@ from optlink.validation.check import (
     limit_checks,
     nan_last,
 )
+from optlink.validation.margins import grashof_check, margin_checks
 
 Array = NDArray[np.float64]
 
-MEETING = 1e-3  # sine of the angle between two links at which the assembly modes count as meeting
 ROUNDING = 1e-11  # of the size of the curve; two routes to a deviation that is all but zero need not agree more closely
 
 
@@ -171,22 +171,14 @@ def _sizes(tested: _Tested) -> Iterator[Check]:
 
 def _closure(tested: _Tested) -> Iterator[Check]:
     """The crank condition from the lengths, and every loop closed at every position."""
-    if tested.turns and isinstance(tested.problem.mechanism, FourBarSection):
-        kind = grashof(*(tested.design[name] for name in LENGTHS))
-        wanted = Inversion.DOUBLE_CRANK if tested.problem.limits.crank == "double-crank" else Inversion.CRANK_ROCKER
-        yield Check(f"Grashof: {kind.inversion.value}", kind.inversion is wanted, kind.slack * 1e3, "> 0", "mm")
+    problem = tested.problem
+    if tested.turns and isinstance(problem.mechanism, FourBarSection):
+        yield grashof_check(tested.design, problem.limits)
     where = "the whole revolution" if tested.turns else "the range of the points"
     grid = np.sort(tested.required.crank_angle)
     if tested.turns:
         grid = np.append(grid, grid[0] + TURN)
-    joints = [group.joint for group in tested.mechanism.groups]
-
-    def margins(angles: Array) -> Array:
-        motion = tested.sweep(angles)
-        return np.array([motion.margin(joint) for joint in joints])
-
-    least = float(np.min(extremes(margins, grid)[1][:, 0])) if np.all(np.isfinite(margins(grid))) else math.nan
-    yield Check(f"assembled over {where}", bool(least > 0.0), least, "> 0", "")
+    yield from margin_checks(tested.sweep, grid, problem.limits, problem.longest, where)
 
 
 def _circuit(tested: _Tested) -> Iterator[Check]:
@@ -194,9 +186,8 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
     motion = tested.required
     groups = [group for group in tested.mechanism.groups if isinstance(group, RRR)]
     if groups:
-        yield Check(
-            "one branch: every joint on one side", (least := _least_sine(tested, groups)) > MEETING, least, f"> {MEETING:g}", ""
-        )
+        least = _least_height(tested, groups) * 1e3
+        yield Check("one branch: every joint on one side", bool(least > 0.0), least, "> 0", "mm")
     step = abs(motion.crank_angle[1] - motion.crank_angle[0])
     worst, allowed = 0.0, 1.0
     for name in dict.fromkeys((*(group.joint for group in tested.mechanism.groups), tested.problem.requirement.point)):
@@ -214,34 +205,15 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
     yield Check("one circuit: no point jumps", bool(worst <= allowed), worst, "<= 1 step at its speed", "")
 
 
-def _least_sine(tested: _Tested, groups: Sequence[RRR]) -> float:
-    """Least sine of the angle between the two links of a group, negative on the wrong side; -inf where it is not assembled.
-
-    On the side by the positions swept; between them by the distance of the outer pins, which, other than the sine, is smooth
-    where the assembly modes meet.
-    """
-
-    def cosines(angles: Array) -> Array:
-        motion = tested.sweep(angles)
-        found = []
-        for group in groups:
-            p, q = (motion.position(name) for name in group.pins)
-            one, other = (np.linalg.norm(motion.position(group.joint)[0] - pin[0]) for pin in (p, q))
-            found.append((one * one + other * other - np.sum((q - p) ** 2, axis=-1)) / (2.0 * one * other))
-        return np.array(found)
-
+def _least_height(tested: _Tested, groups: Sequence[RRR]) -> float:
+    """Least distance [m] of a joint from the line of its outer pins, negative on the wrong side; NaN where not assembled."""
     motion, least = tested.required, math.inf
     for group in groups:
         p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
         line, arm = q - p, c - p
-        cross = group.side * (line[:, 0] * arm[:, 1] - line[:, 1] * arm[:, 0])
-        least = min(least, float(np.min(cross))) if np.all(np.isfinite(cross)) else -math.inf
-    if not least > 0.0:
-        return -1.0 if math.isfinite(least) else -math.inf
-    grid = np.sort(motion.crank_angle)
-    grid = np.append(grid, grid[0] + TURN) if tested.turns else grid
-    largest = np.max(np.abs(extremes(cosines, grid)[1]))
-    return math.sqrt(max(1.0 - float(largest) ** 2, 0.0)) if largest < 1.0 else -math.sqrt(float(largest) ** 2 - 1.0)
+        height = group.side * (line[:, 0] * arm[:, 1] - line[:, 1] * arm[:, 0]) / np.linalg.norm(line, axis=-1)
+        least = min(least, float(np.min(height))) if np.all(np.isfinite(height)) else math.nan
+    return least
 
 
 def _order(tested: _Tested) -> Iterator[Check]:

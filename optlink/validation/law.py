@@ -18,7 +18,7 @@ from optlink.design.problem import DEAD_CENTRES, DesignProblem
 from optlink.design.quantity import Interval
 from optlink.design.robust import EXPECTED, WORST
 from optlink.linkage.elementwise import Vector, cross, dot, minus, unit
-from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
+from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.refine import extremes
@@ -33,6 +33,7 @@ from optlink.validation.check import (
     limit_checks,
     nan_last,
 )
+from optlink.validation.margins import at_least, grashof_check, margin_checks
 
 Array = NDArray[np.float64]
 
@@ -253,32 +254,27 @@ def _sizes(tested: _Tested) -> Iterator[Check]:
 
 def _crank(tested: _Tested) -> Iterator[Check]:
     """The crank condition from the lengths, and the loop closed at every position."""
-    lengths = [tested.design[name] for name in LENGTHS]
+    limits, longest = tested.problem.limits, max(tested.design[name] for name in LENGTHS)
     if tested.turns:
-        kind = grashof(*lengths)
-        wanted = Inversion.CRANK_ROCKER if tested.problem.limits.crank == "full rotation" else Inversion.DOUBLE_CRANK
-        yield Check(
-            f"Grashof: {kind.inversion.value}",
-            kind.inversion is wanted,
-            kind.slack * 1e3,
-            "> 0",
-            "mm",
-        )
-    margin = float(np.min(tested.required.margin("C")))
+        yield grashof_check(tested.design, limits)
+    grid = np.sort(tested.required.crank_angle)
+    if tested.turns:
+        grid = np.append(grid, grid[0] + 2.0 * np.pi)
     where = "the whole revolution" if tested.turns else "the span"
-    yield Check(f"assembled over {where}", bool(margin > 0.0), margin, "> 0", "")
+    yield from margin_checks(tested._sweep, grid, limits, longest, where)
+    if "phi0" not in tested.problem.quantities and tested.problem.requirement.start == DEAD_CENTRES[1]:
+        gap = abs(tested.design["coupler"] - tested.design["crank"])
+        yield at_least("inner dead centre: C apart from A", gap * 1e3, limits.length_margin * longest * 1e3, "mm")
 
 
 def _circuit(tested: _Tested) -> Iterator[Check]:
-    """One branch: C stays on its side of B-D. One circuit: C moves without a jump, and comes back to where it was."""
+    """One branch: C stays on its side of the line B-D. One circuit: C moves without a jump, and comes back to where it was."""
     motion = tested.required
     b, c, d = (motion.position(name) for name in "BCD")
     diagonal, coupler = d - b, c - b
-    sine = (diagonal[:, 0] * coupler[:, 1] - diagonal[:, 1] * coupler[:, 0]) / (
-        np.linalg.norm(diagonal, axis=-1) * tested.design["coupler"]
-    )
-    least = float(np.min(tested.problem.side * sine))
-    yield Check("one branch: C on one side of B-D", bool(least > 0.0), least, "> 0", "")
+    height = (diagonal[:, 0] * coupler[:, 1] - diagonal[:, 1] * coupler[:, 0]) / np.linalg.norm(diagonal, axis=-1)
+    least = float(np.min(tested.problem.side * height)) * 1e3
+    yield Check("one branch: C on one side of B-D", bool(least > 0.0), least, "> 0", "mm")
     step = abs(motion.crank_angle[1] - motion.crank_angle[0])
     closed = np.concatenate([c, c[:1]]) if tested.turns else c
     speed = np.linalg.norm(motion.velocity("C"), axis=-1)
