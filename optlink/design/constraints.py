@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.design.generation import GenerationProblem
-from optlink.design.limits import Margins, Reach
+from optlink.design.limits import Alignment, Reach
 from optlink.design.linkages import FourBarSection
 from optlink.design.problem import DEAD_CENTRES, DesignProblem
 from optlink.design.quantity import Interval
@@ -56,29 +56,12 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class Rooted(Scale):
-    """A row that holds the square of what people read: smooth also where a force vanishes."""
-
-    def people(self, value: float) -> float:
-        """The figure in `unit`."""
-        return math.sqrt(max(value, 0.0)) * self.factor
-
-    def own(self, people: float) -> float:
-        """The row's own value."""
-        return (people / self.factor) ** 2
-
-    def slope(self, value: float) -> float:
-        """d people / d value."""
-        return 0.5 * self.factor / math.sqrt(max(value, 1e-300))
-
-
-@dataclass(frozen=True)
 class SineSquared(Scale):
     """A row that holds the squared sine of the angle that people read."""
 
     def people(self, value: float) -> float:
-        """The angle [deg]; NaN where the group cannot close."""
-        return math.degrees(math.asin(math.sqrt(value))) if 0.0 <= value <= 1.0 else math.nan
+        """The angle [deg], 90 at most; NaN where the group cannot close."""
+        return math.degrees(math.asin(math.sqrt(min(value, 1.0)))) if value >= 0.0 else math.nan
 
     def own(self, people: float) -> float:
         """The row's own value."""
@@ -272,20 +255,10 @@ def position_rows(problem: GenerationProblem, pose: Pose) -> list[Row]:
             found += [Row(key, label, cosine, low, high, COSINE) for key, low, high in own]
         if aligned or not isinstance(group, RRR):
             found.append(alignment_row(problem.limits, group, group.alignment(pose)))
-        square = group.apart(pose)
-        if square is not None:
-            found.append(apart_row(problem.limits, group, square, problem.longest))
     return found
 
 
-def alignment_row(limits: Margins, group: Group, value: Value) -> Row:
+def alignment_row(limits: Alignment, group: Group, value: Value) -> Row:
     """A group off the position where its assembly modes meet; `value` is its squared sine."""
     low = math.sin(limits.alignment.value) ** 2
     return Row("limits.alignment", f"{group.joint} not aligned", value, low, math.inf, SINE_SQUARED)
-
-
-def apart_row(limits: Margins, group: Group, square: Value, longest: float) -> Row:
-    """The outer joints of a group apart; `square` of their distance, `longest` link of the problem [m]."""
-    scale = Rooted("mm", 1e3 * longest)
-    low = limits.length_margin**2
-    return Row("limits.length_margin", f"pins apart at {group.joint}", square / longest**2, low, math.inf, scale)

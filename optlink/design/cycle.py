@@ -8,7 +8,7 @@ from functools import cached_property
 
 from pydantic import ConfigDict, Field
 
-from optlink.design.limits import Margins
+from optlink.design.limits import Alignment
 from optlink.design.linkages import sizes_of
 from optlink.design.machines import Problem
 from optlink.design.quantity import Interval, Unusable
@@ -32,7 +32,7 @@ class Bound:
         return f"limits.{self.name}"
 
 
-class CycleLimits(Margins):
+class CycleLimits(Alignment):
     """Limits under names of the user's choice, beside those that every design problem has."""
 
     model_config = ConfigDict(extra="allow")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Iterator, Mapping
@@ -13,7 +12,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.constraints import DEGREES, PLAIN, Rooted, Row, Scale, alignment_row, apart_row
+from optlink.design.constraints import DEGREES, PLAIN, Row, Scale, alignment_row
 from optlink.design.cycle import Bound
 from optlink.design.cycle_trace import TURN, Structure, Trace
 from optlink.design.nlp import Variable
@@ -30,6 +29,23 @@ EVENT = "end of a stroke"
 FEWEST = 4  # positions per stroke
 ROOM = 1.01  # of the least difference of slow and quick stroke, which a programme keeps
 APART = 1e-3  # rad, least crank rotation between two events
+
+
+@dataclass(frozen=True)
+class Rooted(Scale):
+    """A row that holds the square of what people read: smooth also where a force vanishes."""
+
+    def people(self, value: float) -> float:
+        """The figure in `unit`."""
+        return math.sqrt(max(value, 0.0)) * self.factor
+
+    def own(self, people: float) -> float:
+        """The row's own value."""
+        return (people / self.factor) ** 2
+
+    def slope(self, value: float) -> float:
+        """d people / d value."""
+        return 0.5 * self.factor / math.sqrt(max(value, 1e-300))
 
 
 @dataclass(frozen=True)
@@ -290,13 +306,11 @@ class Parts:
     # --- rows ------------------------------------------------------------------------------------------------------------
 
     def close(self) -> Iterator[Watched]:
-        """Every group keeps off the position where its assembly modes meet, and pins apart that must not meet, everywhere."""
-        first, groups, limits = sum(self.trace.widths), self.trace.mechanism.groups, self.problem.limits
-        made = [functools.partial(alignment_row, limits, group) for group in groups]
-        made += [functools.partial(apart_row, limits, group, longest=self.problem.longest) for group in self.trace.apart]
-        for k, row in enumerate(made):
-            self.rows += [row(signals[first + k]) for *_, signals in self.at]
-            yield Watched(first + k, 1, False, -1.0, 1.0, None, -row(0.0).low)
+        """Every group keeps off the position where its assembly modes meet, everywhere."""
+        first, limits = sum(self.trace.widths), self.problem.limits
+        for k, group in enumerate(self.trace.mechanism.groups):
+            self.rows += [alignment_row(limits, group, signals[first + k]) for *_, signals in self.at]
+            yield Watched(first + k, 1, False, -1.0, 1.0, None, -self.rows[-1].low)
 
     def limit(self, bound: Bound) -> Watched | None:
         """The rows of a limit."""

@@ -137,9 +137,6 @@ class Trace:
             begin = len(outputs)
             outputs += [parts(group.alignment(moving.pose))[0] - group.least for group in self.mechanism.groups]
             margins = outputs[begin:]
-            pins = [(group, group.apart(moving.pose)) for group in self.mechanism.groups]
-            self.apart = [group for group, square in pins if square is not None]
-            outputs += [parts(square)[0] / self.problem.longest**2 for _, square in pins if square is not None]
             ends = [part for term in self.ended for part in self._output(term, moving)]
             found = [event.value(moving) for event in self.events]
             senses = [self.direction * sign(of(moving)[0] / self.speed) for of, _ in moving.asked]

@@ -16,8 +16,8 @@ import pydantic
 
 from optlink.design.cycle import CycleLimits, CycleProblem, cross_check_cycle
 from optlink.design.generation import GenerationProblem
-from optlink.design.generation_checks import cross_check_generation, foreign
-from optlink.design.limits import MARGINS, Margins
+from optlink.design.generation_checks import FOUR_BAR_LIMITS, cross_check_generation, foreign
+from optlink.design.limits import MARGINS, Alignment
 from optlink.design.machines import Problem, cross_check
 from optlink.design.problem import DesignProblem, cross_check_design
 from optlink.design.quantity import Unusable, nearest
@@ -233,8 +233,13 @@ def dump(problem: ProblemFile) -> str:
 def complete(problem: ProblemFile) -> dict[str, Any]:
     """The problem as nested tables, with the limits that hold by default."""
     raw = copy.deepcopy(dict(problem.raw))
-    if isinstance(getattr(problem.model, "limits", None), Margins):
-        raw["limits"] = {**raw.get("limits", {}), **{k: v for k, v in MARGINS.items() if k not in raw.get("limits", {})}}
+    limits = getattr(problem.model, "limits", None)
+    if isinstance(limits, Alignment):
+        four_bar = not _dyads(problem.raw)
+        own = {
+            key: value for key, value in MARGINS.items() if key in type(limits).model_fields and (four_bar or key == "alignment")
+        }
+        raw["limits"] = {**own, **raw.get("limits", {})}
     return raw
 
 

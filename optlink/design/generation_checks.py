@@ -22,7 +22,7 @@ BELONGS = {
 }
 """What only some kinds of task have."""
 
-FOUR_BAR_LIMITS = ("frame_length", "link_ratio", "swing_angle", "time_ratio", "transmission_cosine")
+FOUR_BAR_LIMITS = ("length_margin", "frame_length", "link_ratio", "swing_angle", "time_ratio", "transmission_cosine")
 """Limits that only a four-bar has."""
 
 
@@ -136,7 +136,7 @@ def _check_points(problem: GenerationProblem, mechanism: Mechanism) -> None:
 def _check_limits(problem: GenerationProblem, mechanism: Mechanism) -> None:
     limits, four_bar = problem.limits, isinstance(problem.mechanism, FourBarSection)
     for key in FOUR_BAR_LIMITS:
-        if getattr(limits, key) is not None and not four_bar:
+        if key in limits.model_fields_set and not four_bar:
             raise Unusable("only a four-bar has it", "Leave it out, and bound the lengths themselves", f"limits.{key}")
     if limits.crank == "double-crank" and not four_bar:
         raise Unusable("only a four-bar can be one", 'Write crank = "full rotation"', "limits.crank", limits.crank)

@@ -36,12 +36,17 @@ def _length_margin(value: float) -> float:
     return value
 
 
-class Margins(Section):
+class Alignment(Section):
     """How far a mechanism keeps from positions where it locks or its assembly modes meet (see `optlink.linkage.margins`)."""
 
     alignment: Annotated[FixedAngle, AfterValidator(_alignment)] = Quantity(LEAST_ALIGNMENT, "angle", "deg")
-    """Least angle of two links at their joint from alignment, 0 and 180 deg, over the required motion; of a link at a slider
-    from the slider's line and its normal alike. A tighter transmission limit replaces it."""
+    """Least angle of two links at their joint from alignment, 0 and 180 deg, over the required motion; likewise of a link
+    at a slider from the normal of its line. A tighter transmission limit governs where there is one."""
+
+
+class Margins(Alignment):
+    """The same of a four-bar: also how far from a change point."""
+
     length_margin: Annotated[Number, AfterValidator(_length_margin)] = LEAST_LENGTH_MARGIN
     """Least difference of lengths that must not be equal (Grashof's sums; crank and coupler at an inner dead centre), as a share
     of the longest link."""

@@ -103,7 +103,7 @@ class Problem(Section):
 
     @cached_property
     def longest(self) -> float:
-        """The longest length of the file [m], of the start where it is free: what length margins are a share of."""
+        """The longest length of the file [m], of the start where it is free."""
         lengths = [q.value for q in self.mechanism.quantities.values() if q.kind == "length"]
         coordinates = [abs(q.value) for q in self.mechanism.quantities.values() if q.kind == "coordinate"]
         return max([*lengths, *coordinates, 1e-9])

@@ -26,19 +26,6 @@ class _Pair:
         """The bodies that the group adds."""
         return self.first, self.second
 
-    @property
-    def joint(self) -> str:
-        """Name of the inner joint."""
-        raise NotImplementedError
-
-    def alignment(self, pose: Pose) -> Value:
-        """Squared sine of the angle from the position where the assembly modes meet; negative where the group cannot close."""
-        return pose.margins[self.joint]
-
-    def apart(self, pose: Pose) -> Value | None:
-        """Squared distance [m^2] of the outer joints, where the group has no direction if they meet; None of other groups."""
-        return None
-
 
 @dataclass(frozen=True)
 class RRR(_Pair):
@@ -79,11 +66,6 @@ class RRR(_Pair):
         a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
         between = minus(pose.point(q), pose.point(p))
         return (a * a + b * b - dot(between, between)) / (2.0 * (a * b))
-
-    def alignment(self, pose: Pose) -> Value:
-        """Squared sine of the transmission angle; negative where the links cannot close."""
-        cosine = self.cosine(pose)
-        return 1.0 - cosine * cosine
 
     def gap(self, pose: Pose) -> Value:
         """Distance of the outer joints beyond what the links span, or below what they leave [m]."""
@@ -163,11 +145,6 @@ class RPR(_Pair):
         for link, pin in zip(self.links, self.outer, strict=True):
             pose.place(link, turn_back(line, pose.local_line(self.guide, link.body)[1]), pin)
         return margin
-
-    def apart(self, pose: Pose) -> Value:
-        """Squared distance of the two pins [m^2]."""
-        between = minus(*(pose.point(name) for name in self.outer))
-        return dot(between, between)
 
     def gap(self, pose: Pose) -> Value:
         """Offset of the pins across the guide beyond their distance [m]."""

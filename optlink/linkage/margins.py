@@ -16,16 +16,16 @@ LEAST_ALIGNMENT = math.radians(1.0)
 """Least angle [rad] of a joint between two bodies from alignment, so a transmission angle from 1 to 179 deg.
 
 Between two links it is their transmission angle, or 180 deg less it; of a link and a slider the angle of the link from the normal
-of the slider's line, likewise; of two guides the angle between their lines. At 1 deg a force is passed on 57 times as large, and
+of the slider's line, likewise; of two guides the angle between their lines; of a swinging guide the angle whose sine is its
+slide over the crank. At 1 deg a force is passed on 57 times as large, and
 lengths that are 1.5e-4 off (grade IT5) bring the joint into alignment: closer, no drawing could be built.
 """
 
 LEAST_LENGTH_MARGIN = 1e-4
 """Least difference of lengths, as a share of the longest link, where equal ones mean a change point or a point of no direction.
 
-It holds for Grashof's sums (longest + shortest link below the other two), for coupler and crank where the motion starts at its
-inner dead centre (the coupler pin would lie on the crank pivot), and for the distance of the two pins of a slider and its guide.
-It is about what the finest usual tolerance of a link allows.
+It holds for Grashof's sums (longest + shortest link below the other two), and for coupler and crank where the motion starts at
+its inner dead centre (the coupler pin would lie on the crank pivot).
 """
 
 SINGULAR_ALIGNMENT = math.radians(0.001)

@@ -113,14 +113,6 @@ class Group(Protocol):
         """Add what the group adds to `pose`; return the assembly margin."""
         ...
 
-    def alignment(self, pose: Pose) -> Value:
-        """Squared sine of the angle from the position where the assembly modes meet."""
-        ...
-
-    def apart(self, pose: Pose) -> Value | None:
-        """Squared distance [m^2] of outer joints that must not meet."""
-        ...
-
     def gap(self, pose: Pose) -> Value:
         """By how much the group fails to close [m]: negative where it closes."""
         ...

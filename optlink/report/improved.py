@@ -42,9 +42,8 @@ def asked(task: CycleProblem) -> Table:
     for bound in task.bounds:
         table.add_row(bound.name, bound.term.words, str(bound.interval))
     limits = task.limits
-    for key, words in (("alignment", "every joint off alignment"), ("length_margin", "pins of a swinging guide apart, share")):
-        default = "" if key in limits.model_fields_set else ", default"
-        table.add_row(key, words, f"at least {getattr(limits, key)}{default}")
+    default = "" if "alignment" in limits.model_fields_set else ", default"
+    table.add_row("alignment", "every joint off alignment", f"at least {limits.alignment}{default}")
     return table
 
 

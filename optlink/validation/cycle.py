@@ -23,11 +23,11 @@ from optlink.dynamics.work import NODES, WEIGHTS, Work
 from optlink.linkage.cycle import TURN, Travel, reachable, travels
 from optlink.linkage.elementwise import Value, turn
 from optlink.linkage.groups import RRP, RRR
-from optlink.linkage.motion import sweep
+from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.refine import extremes
 from optlink.units import KINDS, factor
 from optlink.validation.check import LENGTH_TOLERANCE, POSITIONS, Check, Validation, bound, nan_last
-from optlink.validation.margins import margin_checks
+from optlink.validation.margins import alignment_checks
 
 Array = NDArray[np.float64]
 
@@ -361,13 +361,11 @@ def _motion(tested: Cycle) -> Iterator[Check]:
     if not tested.full:
         return
     grid = np.linspace(0.0, TURN, POSITIONS + 1)
-    yield from margin_checks(
-        lambda angles: sweep(tested.mechanism, tested.design, angles),
-        grid,
-        tested.problem.limits,
-        tested.problem.longest,
-        "the revolution",
-    )
+
+    def placed(angles: Array) -> Motion:
+        return sweep(tested.mechanism, tested.design, angles)
+
+    yield from alignment_checks(placed, grid, tested.problem.limits, "the revolution")
     record = Record(tested.machine.moving(grid, tested.speed))
     good = not np.any(record.singular | record.jammed | record.undefined)
     yield Check("finite forces over the revolution", bool(good), float(good), "= 1", "")

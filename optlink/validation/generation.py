@@ -27,7 +27,7 @@ from optlink.validation.check import (
     limit_checks,
     nan_last,
 )
-from optlink.validation.margins import grashof_check, margin_checks
+from optlink.validation.margins import alignment_checks, grashof_check
 
 Array = NDArray[np.float64]
 
@@ -178,7 +178,7 @@ def _closure(tested: _Tested) -> Iterator[Check]:
     grid = np.sort(tested.required.crank_angle)
     if tested.turns:
         grid = np.append(grid, grid[0] + TURN)
-    yield from margin_checks(tested.sweep, grid, problem.limits, problem.longest, where)
+    yield from alignment_checks(tested.sweep, grid, problem.limits, where)
 
 
 def _circuit(tested: _Tested) -> Iterator[Check]:

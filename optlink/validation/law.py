@@ -33,7 +33,7 @@ from optlink.validation.check import (
     limit_checks,
     nan_last,
 )
-from optlink.validation.margins import at_least, grashof_check, margin_checks
+from optlink.validation.margins import alignment_checks, at_least, grashof_check
 
 Array = NDArray[np.float64]
 
@@ -261,7 +261,7 @@ def _crank(tested: _Tested) -> Iterator[Check]:
     if tested.turns:
         grid = np.append(grid, grid[0] + 2.0 * np.pi)
     where = "the whole revolution" if tested.turns else "the span"
-    yield from margin_checks(tested._sweep, grid, limits, longest, where)
+    yield from alignment_checks(tested._sweep, grid, limits, where)
     if "phi0" not in tested.problem.quantities and tested.problem.requirement.start == DEAD_CENTRES[1]:
         gap = abs(tested.design["coupler"] - tested.design["crank"])
         yield at_least("inner dead centre: C apart from A", gap * 1e3, limits.length_margin * longest * 1e3, "mm")

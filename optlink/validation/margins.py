@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.limits import Limits, Margins
+from optlink.design.limits import Alignment, Limits
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.groups import RPR, RRR
 from optlink.linkage.motion import Motion
@@ -41,8 +41,13 @@ def grashof_check(design: Mapping[str, float], limits: Limits) -> Check:
 
 def squared_sines(motion: Motion) -> Array:
     """Squared sine of every group's angle from alignment (groups, positions); negative or NaN where it cannot close."""
-    found = []
+    found, crank = [], motion.mechanism.crank
     for group in motion.mechanism.groups:
+        if isinstance(group, RPR):  # the slide, in lengths of the crank
+            places = [motion.position(name) for name in (*group.outer, crank.start, crank.end)]
+            apart, arm = (np.sum((places[k] - places[k + 1]) ** 2, axis=-1) for k in (0, 2))
+            found.append(motion.margin(group.joint) * apart / arm)
+            continue
         if not isinstance(group, RRR):
             found.append(motion.margin(group.joint))
             continue
@@ -54,17 +59,15 @@ def squared_sines(motion: Motion) -> Array:
     return np.array(found).reshape(-1, len(motion.crank_angle))
 
 
-def margin_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Margins, longest: float, where: str) -> Iterator[Check]:
-    """Whether every group keeps its least angle from alignment, and pins that must not meet their least distance.
+def alignment_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Alignment, where: str) -> Iterator[Check]:
+    """Whether every group keeps its least angle from alignment.
 
     Parameters
     ----------
     sweep : crank angles (n,) [rad] -> the mechanism in motion
     grid : array (n,) [rad], rising
         The required motion; extremes are refined between its positions.
-    limits : Margins
-    longest : float [m]
-        Length that the length margin is a share of.
+    limits : Alignment
     where : str
         Name of the required motion.
     """
@@ -75,12 +78,3 @@ def margin_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Margins
         joint = "coupler and rocker" if group.joint == "C" and len(groups) == 1 and isinstance(group, RRR) else group.joint
         angle = math.degrees(math.asin(math.sqrt(min(value, 1.0)))) if whole and value >= 0.0 else math.nan
         yield at_least(f"{joint} off alignment over {where}", angle, math.degrees(limits.alignment.value), "deg")
-    for group in groups:
-        if isinstance(group, RPR):
-
-            def square(angles: Array, group: RPR = group) -> Array:
-                one, other = (sweep(angles).position(name) for name in group.outer)
-                return np.asarray(np.sum((one - other) ** 2, axis=-1), dtype=float)[None, :]
-
-            apart = math.sqrt(max(float(extremes(square, grid)[1][0, 0]), 0.0)) * 1e3
-            yield at_least(f"pins apart at {group.joint} over {where}", apart, limits.length_margin * longest * 1e3, "mm")
