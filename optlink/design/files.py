@@ -236,9 +236,8 @@ def complete(problem: ProblemFile) -> dict[str, Any]:
     limits = getattr(problem.model, "limits", None)
     if isinstance(limits, Alignment):
         four_bar = not _dyads(problem.raw)
-        own = {
-            key: value for key, value in MARGINS.items() if key in type(limits).model_fields and (four_bar or key == "alignment")
-        }
+        held = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in FOUR_BAR_LIMITS)}
+        own = {key: value for key, value in MARGINS.items() if key in held}
         raw["limits"] = {**own, **raw.get("limits", {})}
     return raw
 
