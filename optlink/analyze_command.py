@@ -33,7 +33,7 @@ def analyze(
 
         file = console.load(problem, changes)
         given = console.given(file, design)
-        console.places(csv, out)
+        console.places(csv, out, "analyze", problem)
         turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
         result = run(file, points, turn, rate, given)
         console.told(result, "machine.analysis", "cycle", csv, as_json, out)
@@ -62,7 +62,7 @@ def balance(
 
         file = console.load(problem, changes)
         given = console.given(file, design)
-        console.places(csv, out)
+        console.places(csv, out, "balance", problem)
         with console.share("balancing") as progress:
             result = run(file, minimise, trade, points, progress, given)
         console.told(result, "balance.balance", "counterweights", csv, as_json, out)

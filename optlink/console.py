@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 FEW = 8  # starts that are done before anybody looks at a bar
 
 printed = False  # whether the one JSON document is out
+_kept: list[contextlib.ExitStack] = []  # what the command at work keeps until its end
 
 
 # --- what is told ------------------------------------------------------------------------------------------------------------
@@ -30,7 +31,12 @@ printed = False  # whether the one JSON document is out
 def reported(as_json: bool) -> Iterator[None]:
     """Turn an error that optlink raises on purpose into a message on standard error (and JSON, if asked) and its exit code."""
     try:
-        yield
+        with contextlib.ExitStack() as stack:
+            _kept.append(stack)
+            try:
+                yield
+            finally:
+                _kept.remove(stack)
     except OptlinkError as error:
         faults = error.faults if isinstance(error, InputError) else ()
         for line in [str(fault) for fault in faults] or [str(error)]:
@@ -162,18 +168,45 @@ def refuse(options: Mapping[str, object], message: str, remedy: str, file: str |
 # --- where it goes -----------------------------------------------------------------------------------------------------------
 
 
-def places(csv: Path | None, out: Path | None) -> None:
-    """Make sure that results can be written before any work is done, and that they replace nothing of a sweep or a front."""
-    from optlink.report.store import folder
+def places(csv: Path | None, out: Path | None, command: str, problem: str) -> None:
+    """Make sure that results can be written before any work is done, and keep their folder until the command ends.
 
+    Parameters
+    ----------
+    csv, out : Path, optional
+    command : str
+    problem : str
+        Name of the problem, or its file.
+
+    Raises
+    ------
+    InputError
+        where nothing can be written, or the folder holds or takes the results of something else.
+    """
+    _table(csv)
+    if out is not None:
+        kept(out, command, problem)
+    if csv is not None:
+        from optlink.storage import folder
+
+        folder(csv.parent, "--csv")
+
+
+def _table(csv: Path | None) -> None:
     if csv is not None and csv.is_dir():
         remedy = "Give the name of a file, for example motion.csv"
         raise InputError(Fault("this is a folder", remedy, key="--csv", value=str(csv)))
-    if out is not None:
+
+
+def kept(out: Path, command: str, problem: str, *, study: bool = False) -> None:
+    """Make a folder and keep it for this command until that ends; see `optlink.run_folder`. `study`: it may hold a study."""
+    from optlink.run_folder import run_folder
+    from optlink.storage import folder
+
+    if not study:
         _no_study(out)
-        folder(out)
-    if csv is not None:
-        folder(csv.parent, "--csv")
+    folder(out)
+    _kept[-1].enter_context(run_folder(out, command, problem))
 
 
 def _no_study(out: Path) -> None:
@@ -195,12 +228,20 @@ def _no_study(out: Path) -> None:
 
 
 @contextlib.contextmanager
-def made(out: Path | None) -> Iterator[None]:
-    """The folder of the results; gone again where it is new and the input is refused."""
-    new = [] if out is None else [place for place in (out, *out.parents) if not place.exists()]
-    places(None, out)
-    try:
+def made(out: Path | None, command: str, problem: str) -> Iterator[None]:
+    """The folder of the results, kept for this command; gone again where it is new and the input is refused."""
+    if out is None:
         yield
+        return
+    from optlink.run_folder import run_folder
+    from optlink.storage import folder
+
+    new = [place for place in (out, *out.parents) if not place.exists()]
+    _no_study(out)
+    folder(out)
+    try:
+        with run_folder(out, command, problem):
+            yield
     except InputError:
         for place in new:
             with contextlib.suppress(OSError):

@@ -111,7 +111,7 @@ def simulate(
             message = "a comparison of all kinds of control has no use for it"
             remedy = "Leave it out, or name one kind: --control inverse+pid"
             console.refuse({"--csv": csv, "--flywheel": flywheel, "--resume": resume}, message, remedy, file.file)
-        console.places(csv, out)
+        console.places(csv, out, "simulate", problem)
         asked = Run(
             file,
             given,

@@ -39,7 +39,7 @@ def solve(
     out: Out = None,
 ) -> None:
     """Find the design, prove it, and say what each active limit costs."""
-    with console.reported(as_json), console.made(out):
+    with console.reported(as_json), console.made(out, "solve", problem):
         if design:
             _validate(problem, design, changes, as_json, out)
             return
@@ -63,7 +63,7 @@ def solve(
 
 def validate(problem: Problem, design: Design = None, changes: Set = None, as_json: Json = False, out: Out = None) -> None:
     """Prove a given design, or show where it fails."""
-    with console.reported(as_json), console.made(out):
+    with console.reported(as_json), console.made(out, "validate", problem):
         _validate(problem, design or [], changes, as_json, out)
 
 

@@ -5,12 +5,18 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import sys
 import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from optlink.errors import Fault, InputError
+
+LOCK = ".optlink.lock"
+_records: list[set[Path]] = []
+_locked: set[tuple[str, int]] = set()
 
 
 def folder(path: Path, option: str = "--out") -> Path:
@@ -54,6 +60,8 @@ def whole(path: Path) -> Iterator[Path]:
         yield temporary
         temporary.chmod(0o644)
         temporary.replace(path)
+        for record in _records:
+            record.add(path)
     except OSError as error:
         raise InputError(
             Fault(f"cannot write the file: {error.strerror}", "Free some space or choose another folder", str(path))
@@ -67,3 +75,95 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
     """Write a JSON document."""
     with whole(path) as temporary:
         temporary.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+@contextlib.contextmanager
+def recorded() -> Iterator[set[Path]]:
+    """Collect the paths of all files that are written by `whole` meanwhile."""
+    record: set[Path] = set()
+    _records.append(record)
+    try:
+        yield record
+    finally:
+        _records.remove(record)
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keep an existing folder for one run: a second one, of this or of another process, is refused.
+
+    The lock is one of the operating system on a file in the folder. The system releases it when the process ends, however it
+    ends; the file alone, which a crash leaves behind, locks nothing. A file system without locks gives no protection. The same
+    thread may take the lock again.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        when another run has the folder.
+    """
+    key = (os.path.realpath(path), threading.get_ident())
+    if key in _locked:
+        yield
+        return
+    place = path / LOCK
+    handle = _opened(path, place)
+    _locked.add(key)
+    try:
+        yield
+    finally:
+        _locked.discard(key)
+        with contextlib.suppress(OSError):  # Windows removes no open file; it stays there, and locks nothing
+            place.unlink()
+        os.close(handle)
+
+
+def _opened(path: Path, place: Path) -> int:
+    """An open lock file whose lock this process has."""
+    while True:
+        try:
+            handle = os.open(place, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+        except OSError as error:
+            raise InputError(
+                Fault(
+                    f"cannot write there: {error.strerror}", "Give a folder that you may write to", key="--out", value=str(path)
+                )
+            ) from None
+        if not _taken(handle):
+            number = ""
+            with contextlib.suppress(OSError, UnicodeDecodeError):
+                number = os.read(handle, 20).decode()
+            os.close(handle)
+            who = f" (process {number})" if number.isdigit() else ""
+            message = f"another run of optlink{who} is writing into this folder"
+            raise InputError(Fault(message, "Wait until it has ended, or choose another folder", key="--out", value=str(path)))
+        with contextlib.suppress(OSError):
+            if os.path.samestat(os.fstat(handle), os.stat(place)):  # not one that its owner has just removed
+                os.ftruncate(handle, 0)
+                os.write(handle, str(os.getpid()).encode())
+                return handle
+        os.close(handle)
+
+
+def _taken(handle: int) -> bool:
+    """Try to lock an open file; whether it is this one's now."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True

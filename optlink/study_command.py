@@ -66,7 +66,7 @@ def sensitivity(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and the tornado.")] = None,
 ) -> None:
     """At the optimum: what each fixed size and each limit costs, how the design moves with it, and how far that holds."""
-    with console.reported(as_json), console.made(out):
+    with console.reported(as_json), console.made(out, "sensitivity", problem):
         from optlink.studies.reoptimise import check_backend
 
         file = console.load(problem, changes)
@@ -190,6 +190,7 @@ def sweep(
 
         file = console.load(problem, changes)
         _resumable(resume, out)
+        _owned(out, "sweep", problem)
         given = None
         if design:
             from optlink.workflow import read_design
@@ -269,7 +270,7 @@ def tolerance(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and pictures.")] = None,
 ) -> None:
     """How exact it must be built: worst case, scatter and yield for given tolerances, and the loosest that will do."""
-    with console.reported(as_json), console.made(out):
+    with console.reported(as_json), console.made(out, "tolerance", problem):
         from optlink.errors import Fault, InputError
         from optlink.studies.sampling import read_costs, read_sigmas, read_yield
         from optlink.studies.tolerance import tolerance as run
@@ -335,6 +336,7 @@ def pareto(
 
         file = console.load(problem, changes)
         _resumable(resume, out)
+        _owned(out, "pareto", problem)
         with _points("walking along the front") as progress, _interruptible(out):
             result = run(
                 file,
@@ -359,6 +361,12 @@ def _resumable(resume: bool, out: Path | None) -> None:
 
     if resume and out is None:
         raise InputError(Fault("which run is to go on is not said", "Name its folder: --out DIR", key="--resume"))
+
+
+def _owned(out: Path | None, command: str, problem: str) -> None:
+    """Refuse a folder that holds the result of another command, and keep one that is there until this command ends."""
+    if out is not None and out.is_dir():
+        console.kept(out, command, problem, study=True)
 
 
 @contextlib.contextmanager

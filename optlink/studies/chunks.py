@@ -14,10 +14,10 @@ import shutil
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from optlink.errors import Fault, InputError
-from optlink.storage import folder, whole, write_json
+from optlink.storage import LOCK, folder, locked, whole, write_json
 from optlink.studies.engine import run
 from optlink.studies.worker import Task
 
@@ -55,8 +55,31 @@ class Store:
         self.path, self.chunks = folder(path), path / CHUNKS
         self.count = 0
         self.sizes: Callable[[int], int] = int
-        known = self._known()
-        if known is None and resume and not any(path.iterdir()):
+        try:
+            with contextlib.ExitStack() as taken:
+                taken.enter_context(locked(path))
+                self._begin(about, resume)
+                self._lock = taken.pop_all()
+        except InputError:
+            if self._made:
+                with contextlib.suppress(OSError):
+                    path.rmdir()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the folder to other runs."""
+        self._lock.close()
+
+    def _begin(self, about: dict[str, Any], resume: bool) -> None:
+        """Make sure that the folder holds this study or none; note what it is."""
+        path, known = self.path, self._known()
+        if known is None and resume and all(one.name == LOCK for one in path.iterdir()):
             raise _nothing(path)
         if known is None and self.table.exists():
             raise InputError(Fault("the folder holds a table of another study", "Choose another folder", str(path), "--out"))
@@ -71,7 +94,7 @@ class Store:
             try:
                 self.keep(ABOUT, about)
             except InputError:
-                self.withdraw()
+                self._withdraw()
                 raise
 
     def divide(self, sizes: Callable[[int], int], count: int) -> None:
@@ -123,12 +146,16 @@ class Store:
     def withdraw(self) -> None:
         """Leave the folder as it was, if it was this run that began the study."""
         if self._begun:
-            for path in self._mine:
-                path.unlink(missing_ok=True)
-            self.drop()
-            if self._made:
-                with contextlib.suppress(OSError):  # somebody else's files are there
-                    self.path.rmdir()
+            self._withdraw()
+        self.close()
+        if self._begun and self._made:
+            with contextlib.suppress(OSError):  # somebody else's files are there
+                self.path.rmdir()
+
+    def _withdraw(self) -> None:
+        for path in self._mine:
+            path.unlink(missing_ok=True)
+        self.drop()
 
     # --- chunks ------------------------------------------------------------------------------------------------------------
 

@@ -189,57 +189,59 @@ def pareto(
     check(engine, workers, scheduler)
     keep = Folder() if out is None else None
     place = keep.path if keep is not None else Path(str(out))
-    store = Store(place, _about(problem, aims, count, backend), resume=resume)
-    ahead = walks.searches
-    once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(walks.shape)))
-    try:
-        base, grid, anchors = walks.found(once)
-    except NoEnd:
-        store.withdraw()
-        raise
-    once.progress = None
-    task = _task(base, grid, backend, anchors)
-    store.divide(task.size, task.chunks)
-    mine, cpu = store.fill(
-        task,
-        engine,
-        workers,
-        scheduler,
-        None if progress is None else lambda done, total: progress(ahead + done, ahead + total),
-    )
-    if not store.finished:
-        store.finish(task.columns, store.rows())
-    store.drop()
-    rows = [dict(zip(task.columns, row, strict=True)) for row in store.finished_rows(task.columns)]
-    found = [point for row in rows if row["valid"] == "true" for point in [_point(base, task, aims, row)] if point is not None]
-    costs = np.array([p.values for p in found]).reshape(-1, len(aims)) * [aim.sense for aim in aims]
-    kept = np.flatnonzero(undominated(costs))
-    kept = kept[np.lexsort(costs[kept].T[::-1])]
-    corner, bend = (ends(costs[kept]), knee(costs[kept])) if len(kept) else ((), None)
-    front = tuple(_marked(found[i], j, aims, corner, bend) for j, i in enumerate(kept))
-    words, given = _given(problem, base, aims, backend, once)
-    return Pareto(
-        problem=problem,
-        aims=aims,
-        minimised=first,
-        points=front,
-        ends=corner,
-        knee=bend,
-        given=given,
-        given_words=words,
-        solved=len(rows),
-        valid=len(found),
-        infeasible=sum(row["status"] == Status.INFEASIBLE.value for row in rows),
-        dominated=len(found) - len(front),
-        grid=grid,
-        path=store.table,
-        done=mine,
-        seconds=time.perf_counter() - begin,
-        cpu=cpu,
-        engine=engine,
-        workers=workers,
-        keep=keep,
-    )
+    with Store(place, _about(problem, aims, count, backend), resume=resume) as store:
+        ahead = walks.searches
+        once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(walks.shape)))
+        try:
+            base, grid, anchors = walks.found(once)
+        except NoEnd:
+            store.withdraw()
+            raise
+        once.progress = None
+        task = _task(base, grid, backend, anchors)
+        store.divide(task.size, task.chunks)
+        mine, cpu = store.fill(
+            task,
+            engine,
+            workers,
+            scheduler,
+            None if progress is None else lambda done, total: progress(ahead + done, ahead + total),
+        )
+        if not store.finished:
+            store.finish(task.columns, store.rows())
+        store.drop()
+        rows = [dict(zip(task.columns, row, strict=True)) for row in store.finished_rows(task.columns)]
+        found = [
+            point for row in rows if row["valid"] == "true" for point in [_point(base, task, aims, row)] if point is not None
+        ]
+        costs = np.array([p.values for p in found]).reshape(-1, len(aims)) * [aim.sense for aim in aims]
+        kept = np.flatnonzero(undominated(costs))
+        kept = kept[np.lexsort(costs[kept].T[::-1])]
+        corner, bend = (ends(costs[kept]), knee(costs[kept])) if len(kept) else ((), None)
+        front = tuple(_marked(found[i], j, aims, corner, bend) for j, i in enumerate(kept))
+        words, given = _given(problem, base, aims, backend, once)
+        return Pareto(
+            problem=problem,
+            aims=aims,
+            minimised=first,
+            points=front,
+            ends=corner,
+            knee=bend,
+            given=given,
+            given_words=words,
+            solved=len(rows),
+            valid=len(found),
+            infeasible=sum(row["status"] == Status.INFEASIBLE.value for row in rows),
+            dominated=len(found) - len(front),
+            grid=grid,
+            path=store.table,
+            done=mine,
+            seconds=time.perf_counter() - begin,
+            cpu=cpu,
+            engine=engine,
+            workers=workers,
+            keep=keep,
+        )
 
 
 def _points(points: int | None, held: int) -> int:

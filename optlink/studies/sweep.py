@@ -222,37 +222,37 @@ def sweep(
     task = _task(problem, grid, analyze, columns, points, design, backend)
     run(task, (), engine, workers, scheduler)  # raises if it cannot
     holder = Folder() if out is None else None
-    store = Store(holder.path if holder is not None else Path(str(out)), _about(task), resume=resume)
-    store.divide(task.size, task.chunks)
-    mine, cpu = store.fill(task, engine, workers, scheduler, progress)
-    names = [*task.columns, *(() if analyze else (CHANGED,))]
-    summary = _Summary(None if analyze else next(name for name in names if name.startswith("objective")))
-    if store.finished:
-        store.drop()
-        rows = store.finished_rows(names)
-        for _ in _marked(rows if analyze else (row[:-1] for row in rows), grid, names, summary):
-            pass  # for the sake of the summary
-    else:
-        store.finish(names, _marked(store.rows(), grid, names, summary))
-    return Sweep(
-        problem=problem,
-        grid=grid,
-        mode=mode_of(task),
-        path=store.table,
-        names=tuple(names),
-        valid=summary.valid,
-        statuses=summary.statuses,
-        searched=summary.searched,
-        changed=summary.changed,
-        best=summary.best,
-        changes=tuple(summary.changes),
-        done=mine,
-        seconds=time.perf_counter() - begin,
-        cpu=cpu,
-        engine=engine,
-        workers=workers,
-        keep=holder,
-    )
+    with Store(holder.path if holder is not None else Path(str(out)), _about(task), resume=resume) as store:
+        store.divide(task.size, task.chunks)
+        mine, cpu = store.fill(task, engine, workers, scheduler, progress)
+        names = [*task.columns, *(() if analyze else (CHANGED,))]
+        summary = _Summary(None if analyze else next(name for name in names if name.startswith("objective")))
+        if store.finished:
+            store.drop()
+            rows = store.finished_rows(names)
+            for _ in _marked(rows if analyze else (row[:-1] for row in rows), grid, names, summary):
+                pass  # for the sake of the summary
+        else:
+            store.finish(names, _marked(store.rows(), grid, names, summary))
+        return Sweep(
+            problem=problem,
+            grid=grid,
+            mode=mode_of(task),
+            path=store.table,
+            names=tuple(names),
+            valid=summary.valid,
+            statuses=summary.statuses,
+            searched=summary.searched,
+            changed=summary.changed,
+            best=summary.best,
+            changes=tuple(summary.changes),
+            done=mine,
+            seconds=time.perf_counter() - begin,
+            cpu=cpu,
+            engine=engine,
+            workers=workers,
+            keep=holder,
+        )
 
 
 def _task(
