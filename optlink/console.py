@@ -198,15 +198,23 @@ def _table(csv: Path | None) -> None:
         raise InputError(Fault("this is a folder", remedy, key="--csv", value=str(csv)))
 
 
-def kept(out: Path, command: str, problem: str, *, study: bool = False) -> None:
-    """Make a folder and keep it for this command until that ends; see `optlink.run_folder`. `study`: it may hold a study."""
+def kept(out: Path, command: str, problem: str) -> None:
+    """Make a folder and keep it for this command until that ends; see `optlink.run_folder`."""
     from optlink.run_folder import run_folder
     from optlink.storage import folder
 
-    if not study:
-        _no_study(out)
+    _no_study(out)
     folder(out)
     _kept[-1].enter_context(run_folder(out, command, problem))
+
+
+def kept_for_study(out: Path, command: str, problem: str) -> None:
+    """Keep a folder that exists for a study until the command ends; it may hold the study that is to be resumed."""
+    from optlink.run_folder import check_owner
+    from optlink.storage import locked
+
+    _kept[-1].enter_context(locked(out))
+    check_owner(out, command, problem)
 
 
 def _no_study(out: Path) -> None:

@@ -366,7 +366,7 @@ def _resumable(resume: bool, out: Path | None) -> None:
 def _owned(out: Path | None, command: str, problem: str) -> None:
     """Refuse a folder that holds the result of another command, and keep one that is there until this command ends."""
     if out is not None and out.is_dir():
-        console.kept(out, command, problem, study=True)
+        console.kept_for_study(out, command, problem)
 
 
 @contextlib.contextmanager
