@@ -243,6 +243,21 @@ def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) 
         raise InputError(Fault(error.message, error.remedy, problem.file, error.key, error.value)) from None
 
 
+def crank_speed(problem: ProblemFile) -> float:
+    """The constant speed of the crank [rad/s].
+
+    Raises
+    ------
+    InputError
+        where it is zero, as in a file that is simulated from rest.
+    """
+    speed = problem.model.drive.speed
+    if speed.value == 0.0:
+        remedy = "Give another one: a revolution at constant speed is asked for"
+        raise InputError(Fault("the crank stands still", remedy, problem.file, "drive.speed", str(speed)))
+    return speed.value
+
+
 def with_flywheel(machine: Machine, inertia: float) -> Machine:
     """The machine with a flywheel [kg m^2] on its crank, balanced on the crank's pivot.
 
@@ -321,7 +336,7 @@ def analyze(
         when the mechanism cannot be assembled, or an argument is out of range.
     """
     model = problem.model
-    speed = model.drive.speed.value if speed is None else speed
+    speed = crank_speed(problem) if speed is None else speed
     _check(points, step, speed)
     machine, start = machine_of(problem, design), model.drive.start.value
     ranges, low, high = motion_range(problem, machine, start)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.analysis import machine_of, motion_range, sampled
+from optlink.analysis import crank_speed, machine_of, motion_range, sampled
 from optlink.balanced import ACTIVE, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
 from optlink.design.balance import check_measure, read_measure
 from optlink.design.files import ProblemFile
@@ -46,7 +46,7 @@ class _Task:
             )
         self.problem, self.section = problem, section
         self.machine = machine_of(problem)
-        self.speed = problem.model.drive.speed.value
+        self.speed = crank_speed(problem)
         self.angles = self._angles()
         self.counterweights, self.springs = section.build(self.machine)
         self.about = section.place(self.machine)

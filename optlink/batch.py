@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.analysis import GRID, machine_of
+from optlink.analysis import GRID, crank_speed, machine_of
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import nearest
 from optlink.dynamics.machine import Machine
@@ -63,7 +63,7 @@ def analyze_batch(
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive
-    way = drive.speed.value if speed is None else speed
+    way = crank_speed(problem) if speed is None else speed
     angles = drive.start.value + np.copysign(TURN, way) * np.arange(points) / points
     known = Record(machine_of(problem).moving(angles[:1], way)).columns
     for name in columns:
@@ -123,7 +123,7 @@ def batch_extremes(
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive
-    way, start = drive.speed.value, drive.start.value
+    way, start = crank_speed(problem), drive.start.value
     step = TURN / GRID
     grid = np.asarray(min(start, start + math.copysign(TURN, way)) + step * np.arange(-1, GRID + 2), dtype=float)
     found = {name: np.full((count, 2), np.nan) for name in columns}

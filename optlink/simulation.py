@@ -132,6 +132,9 @@ def simulate(
         given = drive.initial_speed if torque is not None else None
         speed = given.value if given is not None else 0.0 if torque is not None else drive.speed.value
     if duration is None:
+        if drive.duration is None and drive.speed.value == 0.0:
+            message = "how long the machine is simulated does not follow from a speed of zero"
+            raise InputError(Fault(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration"))
         duration = drive.duration.value if drive.duration is not None else TURN / abs(drive.speed.value)
     _check(duration, rows, speed, torque is not None)
     ranges, low, high = motion_range(problem, machine, start)

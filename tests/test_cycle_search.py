@@ -185,6 +185,17 @@ def test_more_starting_points_are_never_worse(seed):
     assert usual.objective == found[-1].objective
 
 
+def test_without_a_feasible_point_no_objective_is_searched(monkeypatch):
+    """A stroke longer than any crank makes: the conflict is named although no local search of the objective ran."""
+    from optlink.solvers import search
+
+    monkeypatch.setattr(search, "solve_from", lambda *_, **__: pytest.fail("an objective was searched"))
+    result = design_machine(problem(PUMP, limits__stroke__exactly="300 mm"), starts=3)
+    assert not result.valid
+    assert [item.key for item in result.conflict] == ["limits.stroke"]
+    assert 140.0 < result.conflict[0].relaxed < 300.0  # twice the longest crank, and a little more by the offset
+
+
 # --- distinct designs ------------------------------------------------------------------------------------------------------
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from optlink.design.control import ServoSection
 from optlink.design.magnitudes import Size, read_size
@@ -136,19 +136,19 @@ class DriveSection(Section):
             return None
         return read_size(raw, "torque", ("phi", "omega"), (info.context or {}).get("folder", Path()))
 
-    @field_validator("speed", mode="after")
-    @classmethod
-    def _turns(cls, speed: Quantity) -> Quantity:
-        if speed.value == 0.0:
-            raise Unusable("the crank stands still", 'Give a speed, for statics a low one such as "0.01 rpm"', "", str(speed))
-        return speed
-
     @field_validator("fluctuation", mode="after")
     @classmethod
     def _small(cls, share: float | None) -> float | None:
         if share is not None and not 0.0 < share < 2.0:
             raise Unusable("out of range", "Give the share of the mean speed by which it may vary, for example 0.02", "", share)
         return share
+
+    @model_validator(mode="after")
+    def _turns(self) -> Self:
+        if self.speed.value == 0.0 and self.torque is None:
+            remedy = 'Give a speed, for statics a low one such as "0.01 rpm"; from rest the drive needs a torque'
+            raise Unusable("the crank stands still", remedy, "speed", str(self.speed))
+        return self
 
 
 def read_gravity(raw: object) -> Any:

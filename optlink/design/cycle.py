@@ -106,6 +106,8 @@ def cross_check_cycle(problem: CycleProblem) -> None:
         with the full key that is to blame.
     """
     mechanism = problem.linkage
+    if problem.drive.speed.value == 0.0:
+        raise Unusable("the crank stands still", "Give the constant speed of the cycle", "drive.speed", str(problem.drive.speed))
     for k, goal in enumerate(problem.goals):
         place = "objective" if problem.single else f"objective.terms.{k}"
         try:

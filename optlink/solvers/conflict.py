@@ -11,6 +11,7 @@ Source: J. W. Chinneck and E. W. Dravnieks, Locating minimal infeasible constrai
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi
@@ -151,11 +152,12 @@ class _Search:
     Both back ends are asked, so that the answer does not depend on which one the user chose.
     """
 
-    def __init__(self, nlp: NLP, limits: list[Side], points: list[Array]) -> None:
+    def __init__(self, nlp: NLP, limits: list[Side], points: list[Array], names: Sequence[str] = BACKENDS) -> None:
         self.programme, self.n, self.k = elastic(nlp, limits), len(nlp.variables), len(limits)
         self.points = points
         self.last: list[Array] = []  # where the search before ended
-        self.solvers = [backend(name) for name in reversed(BACKENDS)]
+        self.solvers = [backend(name) for name in reversed(names)]
+        self.enough = ENOUGH
 
     def least(self, weights: Array, loose: Array) -> tuple[float, Array]:
         """The least weighted slack, and x with the slacks; `loose` (k,) are the upper bounds of the slacks."""
@@ -165,7 +167,8 @@ class _Search:
         ends: list[float] = []
         points = [*self.last, *self.points]
         most = len(points)  # as many searches without an end that counts mean that there is none
-        for point, solver in [(point, self.solvers[(i + turn) % 2]) for turn in (0, 1) for i, point in enumerate(points)]:
+        turns = range(len(self.solvers))
+        for point, solver in [(point, self.solvers[(i + k) % len(turns)]) for k in turns for i, point in enumerate(points)]:
             x = self._slackened(point, weights, loose)
             for run in (None, solver):  # the point itself may do already
                 end = x if run is None else run(nlp, x, weights).x
@@ -177,7 +180,7 @@ class _Search:
                 if best <= 1e-9:
                     return best, found
             ends.append(total)
-            settled = sum(total <= best * (1.0 + SAME) for total in ends) >= ENOUGH
+            settled = sum(total <= best * (1.0 + SAME) for total in ends) >= self.enough
             if settled if math.isfinite(best) else len(ends) >= most:
                 break
         return best, found
@@ -192,17 +195,28 @@ class _Search:
         return x
 
 
-def explain(nlp: NLP, seed: int = 0, points: list[Array] | None = None) -> Explanation | Array:
+def explain(nlp: NLP, seed: int = 0, points: list[Array] | None = None, *, quick: bool = False) -> Explanation | Array:
     """Name the conflict of an infeasible programme, or give the x of a feasible design where there is one after all.
 
     Local searches from several starts by both back ends (from `points`, or the start and Sobol points): a proof only in the sense
     that none of them found a design.
+
+    Parameters
+    ----------
+    nlp : NLP
+    seed : int
+        Of the Sobol points.
+    points : list of arrays (n,), optional
+        Where to search from.
+    quick : bool
+        For large programmes: by the interior-point method alone, and after the first verdict by one search for each question.
     """
     limits = sides(nlp)
     k = len(limits)
-    search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points)
+    search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points, ("ipopt",) if quick else BACKENDS)
     free = np.full(k, FREE)
     total, x = search.least(np.ones(k), free)
+    search.enough = 1 if quick else ENOUGH
     if total <= MET:
         return np.clip(x[: search.n], nlp.x_low, nlp.x_high)
     if not math.isfinite(total):
@@ -225,7 +239,7 @@ def _begin(nlp: NLP, seed: int) -> list[Array]:
 def _irreducible(search: _Search, free: Array, giving: NDArray[np.bool_]) -> list[int]:
     """Indices of limits that cannot hold together while every part of them can; `giving` (k,): those that gave way at first."""
     k = len(free)
-    for i in range(k):  # a limit that nothing can meet is the clearest of all conflicts
+    for i in np.argsort(~giving, kind="stable").tolist():  # a limit that nothing can meet is the clearest of all conflicts
         if MET < search.least(np.eye(k)[i], free)[0] < math.inf:
             return [i]
     kept = _conflicting(search, free, giving)

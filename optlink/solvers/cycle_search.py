@@ -7,6 +7,7 @@ from what the searches before it left, and the best of all designs is taken.
 from __future__ import annotations
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -147,6 +148,7 @@ class OrderSearch:
     nlp: CycleNLP
     begin: Begin
     names: tuple[str, ...]
+    insists: bool = True  # whether its first search begins even where no feasible point is found beside the start
     runs: dict[str, list[Solution]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -161,7 +163,7 @@ class OrderSearch:
         for name in self.names:
             self.nlp.roam(self._places[name])
             best = self.best(name)
-            found = self._from(self.nlp.x_of(self.begin.starts[k]), name, insist=k < TRIED)
+            found = self._from(self.nlp.x_of(self.begin.starts[k]), name, insist=self.insists and k == 0)
             worse = best is not None and found.status is not Status.OPTIMAL and rank(best) < rank(found)
             if found.usable and not worse:
                 found = level(self.nlp, found)
@@ -170,11 +172,16 @@ class OrderSearch:
                 self._places[name] = self._roaming()
 
     def _from(self, x: Array, name: str, *, insist: bool) -> Solution:
-        """A local search, from a feasible point alone unless it shall insist."""
-        if not insist and repair(self.nlp, x, self.nlp.p) is None:
-            missed = search.given(self.nlp, x, "no feasible point was found beside the start")
-            return missed if not missed.usable else search.solve_from(self.nlp, x, name)
-        return search.solve_from(self.nlp, x, name)
+        """A local search from a feasible point beside x; `insist`: from where one run of the back end ends if there is none."""
+        nlp = self.nlp
+        start = repair(nlp, x, nlp.p)
+        if start is None and insist and math.isfinite(nlp.values(x, nlp.p)[0]):
+            x = search.backend(name)(nlp, nlp.lifted(x), search.scaled(nlp, x)).x
+            start = repair(nlp, x, nlp.p, inside=0.0)
+        if start is None:
+            missed = search.given(nlp, x, "no feasible point was found beside the start")
+            return replace(missed, status=Status.INFEASIBLE) if missed.status is Status.NON_FINITE else missed
+        return search.solve_from(nlp, start, name)
 
     def best(self, name: str) -> Solution | None:
         """The best design of a back end so far."""
@@ -246,7 +253,7 @@ def searched(
             _round(orders, k)
             if not any(order.usable for order in orders):
                 if more is None:
-                    more = [OrderSearch(programme(trace, begin), begin, own) for begin in further()]
+                    more = [OrderSearch(programme(trace, begin), begin, own, False) for begin in further()]
                 _round(more, k)
             count = k + 1
             done()
@@ -296,7 +303,7 @@ def explained(found: Searched, names: Sequence[str]) -> Searched:
     kept = coarse.states.union(coarse.free, {row.limit for row in coarse.rows} - asked - {EPIGRAPH})
     ends = [nlp.design(solution.x) for solution in next(iter(order.runs.values()))[:TRIED]]
     points = [coarse.x_of(values) for values in (*order.begin.starts[:TRIED], *ends)]
-    reason = explain(replace(coarse, states=kept), points=points)
+    reason = explain(replace(coarse, states=kept), points=points, quick=True)
     if isinstance(reason, Explanation):
         miss = replace(search.given(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design"), status=Status.INFEASIBLE)
         return replace(found, nlp=nlp, found=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)

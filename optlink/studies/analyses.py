@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.analysis import Analysis, analyze, machine_of
+from optlink.analysis import Analysis, analyze, crank_speed, machine_of
 from optlink.batch import analyze_batch, batch_extremes, reaction_parts
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import nearest
@@ -159,7 +159,7 @@ def known_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str, ...
     """Columns of the analysis, whose extremes and rms values can be columns of a sweep; and its other figures."""
     machine, drive = machine_of(problem), problem.model.drive
     mechanism = machine.mechanism
-    columns = list(Record(machine.moving(np.array([drive.start.value]), drive.speed.value)).columns)
+    columns = list(Record(machine.moving(np.array([drive.start.value]), crank_speed(problem))).columns)
     for point, bodies in mechanism.pins.items():
         columns += [f"{point}.f_N"] if len(bodies) == 2 else [f"{point}.{body}.f_N" for body in bodies]
     sliders = set(slider_names(machine).values())
