@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from optlink.design.files import ProblemFile
 
 OUTPUT_SCHEMA = "optlink/output-sensitivity/1"
+SIMULATED = ("the option is one of simulations", "Add --simulate")
 AROUND = "0..330 deg:12"  # crank angles of an output where none are said
 
 Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="slsqp or ipopt.")]
@@ -159,6 +160,11 @@ def sweep(
         typer.Option("--vary", metavar="KEY=VALUES", help='mechanism.frame="450..550 mm:101", or a list of values. Repeatable.'),
     ] = None,
     analyze: Annotated[bool, typer.Option("--analyze", help="Only analyse the designs, no optimisation.")] = False,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Only simulate the designs, with their clearance.")] = False,
+    revolutions: Annotated[
+        int | None, typer.Option(parser=whole_number, metavar="N", help="With --simulate, of joints with clearance; 20.")
+    ] = None,
+    control: Annotated[str | None, typer.Option(metavar="HOW", help="With --simulate: none, inverse, pid, inverse+pid.")] = None,
     column: Annotated[
         list[str] | None,
         typer.Option(
@@ -199,7 +205,10 @@ def sweep(
             given = read_design(file, design, varied)
         if column and not analyze:
             raise InputError(Fault("columns are those of the analysis", "Add --analyze", key="--column", value=column[0]))
-        if not analyze:
+        if analyze and simulate:
+            raise InputError(Fault("designs are analysed or simulated", "Give --analyze or --simulate", key="--simulate"))
+        console.refuse({} if simulate else {"--revolutions": revolutions, "--control": control}, *SIMULATED, file.file)
+        if not analyze and not simulate:
             remedy = "Add --analyze; how many values are swept is said in --vary KEY=LOW..HIGH UNIT:N"
             console.refuse({"--points": points}, "crank angles are those of the analysis", remedy, file.file)
         with _points() as progress, _interruptible(out):
@@ -212,6 +221,7 @@ def sweep(
                 columns=column or ("input.torque_Nm",),
                 points=360 if points is None else points,
                 design=given,
+                simulate=_options(revolutions=revolutions, control=control, points=points) if simulate else None,
                 backend=backend,
                 engine=engine,
                 workers=workers,
@@ -221,6 +231,11 @@ def sweep(
         console.told(result, "whatif.sweep", "sweeps", None, as_json, out)
         if not result.successful:
             raise typer.Exit(1)
+
+
+def _options(**options: Any) -> dict[str, Any]:
+    """The options of a simulation that are stated."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
 @study.command()

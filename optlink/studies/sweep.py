@@ -27,6 +27,7 @@ from optlink.studies.chunks import Progress, Store
 from optlink.studies.engine import run
 from optlink.studies.machines import Designing
 from optlink.studies.reoptimise import CHUNK, SEARCHED, SLOW_CHUNK, Reoptimising, buildable, check_backend
+from optlink.studies.simulations import Simulating, is_loose, simulated
 from optlink.studies.tasks import Sweeping
 
 SCHEMA = "optlink/sweep/1"
@@ -187,6 +188,7 @@ def sweep(
     columns: Sequence[str] = ("input.torque_Nm",),
     points: int = 360,
     design: Mapping[str, float] | None = None,
+    simulate: Mapping[str, Any] | None = None,
     backend: str = "ipopt",
     engine: str = "local",
     workers: int | None = None,
@@ -207,6 +209,9 @@ def sweep(
     analyze : bool
         No optimisation: `columns` of the analysis, their exact least and largest value and their rms at `points` crank angles, or
         single figures such as "slider.stroke_m"; `design` [SI] of what is free and not varied, its start if left out.
+    simulate : mapping, optional
+        No optimisation: the figures of a simulation with these options (revolutions, points, control, tolerance or duration, as
+        far as they are stated) of the machine at every point.
     backend : "slsqp" or "ipopt"
     engine, workers, scheduler
         See `optlink.studies.engine.run`.
@@ -219,18 +224,22 @@ def sweep(
     """
     begin = time.perf_counter()
     grid = read_grid(problem, vary)
-    task = _task(problem, grid, analyze, columns, points, design, backend)
+    if simulate is not None:
+        task: Sweeping = _simulating(problem, grid, simulate, design)
+    else:
+        task = _task(problem, grid, analyze, columns, points, design, backend)
+    evaluated = mode_of(task) != OPTIMISE
     run(task, (), engine, workers, scheduler)  # raises if it cannot
     holder = Folder() if out is None else None
     with Store(holder.path if holder is not None else Path(str(out)), _about(task), resume=resume) as store:
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(task, engine, workers, scheduler, progress)
-        names = [*task.columns, *(() if analyze else (CHANGED,))]
-        summary = _Summary(None if analyze else next(name for name in names if name.startswith("objective")))
+        names = [*task.columns, *(() if evaluated else (CHANGED,))]
+        summary = _Summary(None if evaluated else next(name for name in names if name.startswith("objective")))
         if store.finished:
             store.drop()
             rows = store.finished_rows(names)
-            for _ in _marked(rows if analyze else (row[:-1] for row in rows), grid, names, summary):
+            for _ in _marked(rows if evaluated else (row[:-1] for row in rows), grid, names, summary):
                 pass  # for the sake of the summary
         else:
             store.finish(names, _marked(store.rows(), grid, names, summary))
@@ -291,6 +300,17 @@ def _task(
     return replace(task, chunk=SLOW_CHUNK)
 
 
+def _simulating(problem: ProblemFile, grid: Grid, options: Mapping[str, Any], design: Mapping[str, float] | None) -> Simulating:
+    """The task that simulates; the names of its figures are those of a short run at the first point."""
+    first = problem.override(grid.changes(0))
+    short = {**options, "revolutions": 1} if is_loose(first) else options
+    figures, _, _ = simulated(first, short, design, loose=is_loose(first))
+    own = tuple((design or {}).items())
+    return Simulating(
+        **Sweeping.stated(problem), grid=grid, chunk=1, figures=tuple(figures), options=tuple(options.items()), design=own
+    )
+
+
 def _with_something_free(task: Designing | Reoptimising, problem: ProblemFile) -> Sweeping:
     """The task, if there is something to find."""
     if not task.free:
@@ -300,7 +320,7 @@ def _with_something_free(task: Designing | Reoptimising, problem: ProblemFile) -
 
 def mode_of(task: Sweeping) -> str:
     """What a sweep does at every point."""
-    return "analyse" if isinstance(task, Analysing) else OPTIMISE
+    return "analyse" if isinstance(task, Analysing) else "simulate" if isinstance(task, Simulating) else OPTIMISE
 
 
 def _about(task: Sweeping) -> dict[str, Any]:
@@ -317,6 +337,8 @@ def _about(task: Sweeping) -> dict[str, Any]:
     }
     if isinstance(task, Analysing):
         about |= {"crank_angles": task.points, "design": dict(task.design)}
+    if isinstance(task, Simulating):
+        about |= {"options": dict(task.options), "design": dict(task.design)}
     if isinstance(task, Designing | Reoptimising):
         about["backend"] = task.backend
     return about
