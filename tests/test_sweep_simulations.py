@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 import optlink
-from optlink.cli import app
 from optlink.clearances import simulate_clearance
+from optlink.cli import app
 from optlink.errors import InputError
 from optlink.studies.sweep import sweep
 
