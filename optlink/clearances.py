@@ -250,7 +250,7 @@ def simulate_clearance(
     account, pair = Account(plant), None
     if twin:
         pair = Twin(setting.plant(tolerance * COARSER))
-    skipped = SETTLED if revolutions > 2 * SETTLED else 0
+    skipped = revolutions - counted(revolutions)
     label = {
         "schema": CHECKPOINT,
         "problem_hash": problem.hash,
@@ -343,6 +343,39 @@ def simulate_clearance(
         tuple(notes),
         tolerance,
     )
+
+
+def counted(revolutions: int) -> int:
+    """How many of the revolutions of a run the statistics count: the last ones."""
+    return revolutions - SETTLED if revolutions > 2 * SETTLED else revolutions
+
+
+def checked_output(
+    problem: ProblemFile,
+    control: str,
+    *,
+    revolutions: int,
+    points: int,
+    tolerance: float,
+    speed: float | None = None,
+    design: Mapping[str, float] | None = None,
+) -> Output:
+    """The output whose deviation a simulation with these options measures.
+
+    Parameters
+    ----------
+    problem, control, revolutions, points, tolerance, speed, design
+        As in `simulate_clearance`.
+
+    Raises
+    ------
+    InputError
+        when such a simulation is not possible.
+    """
+    setting = _setting(problem, points, speed, control, None, design, 0.0)
+    _check(revolutions, points, tolerance)
+    setting.plant(tolerance)
+    return setting.output
 
 
 @contextlib.contextmanager

@@ -9,14 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.analysis import machine_of
 from optlink.clearance.control import Control
-from optlink.clearances import LooseSimulation, simulate_clearance
+from optlink.clearance.output import Output
+from optlink.clearances import LooseSimulation, checked_output
 from optlink.design.files import ProblemFile
 from optlink.documents import finite, head
 from optlink.errors import Fault, InputError
+from optlink.runs import Ran, job_of, perform_all
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/compensation/1"
+TRIALS = "optlink/trials/1"
+TUNING = "optlink/tuning/1"
 TURN = 2.0 * np.pi
 KINDS = tuple(str(kind) for kind in Control)
 
@@ -96,34 +101,12 @@ def starts_of(count: int, seed: int) -> Array:
     return np.random.default_rng(seed).uniform(0.0, TURN, count)
 
 
-def trials(
-    problem: ProblemFile,
-    kind: str,
-    starts: Array,
-    revolutions: int,
-    *,
-    speed: float | None = None,
-    points: int = 200,
-    tolerance: float = 1e-8,
-    design: Mapping[str, float] | None = None,
-    done: Callable[[], None] | None = None,
-) -> tuple[Trials, LooseSimulation]:
-    """One kind of control from several starts, and the simulation from the first."""
-    found = []
-    for start in starts:
-        found.append(
-            simulate_clearance(
-                problem, revolutions, points, speed, kind, start=float(start), design=design, tolerance=tolerance, twin=False
-            )
-        )
-        if done is not None:
-            done()
-    unit = found[0].output.unit
-    table = np.array(
-        [[run.figures[name] for name in (f"rms_{unit}", f"peak_{unit}", "correction_rms_rad", "torque_rms_Nm")] for run in found]
-    )
-    rms, peak, correction, torque = table.T
-    return Trials(rms, peak, correction, torque, all(run.finished for run in found)), found[0]
+def _trials(runs: Sequence[Ran]) -> Trials:
+    """One kind of control from its runs."""
+    unit = runs[0].unit
+    names = (f"rms_{unit}", f"peak_{unit}", "correction_rms_rad", "torque_rms_Nm")
+    rms, peak, correction, torque = np.array([[run.figures[name] for name in names] for run in runs]).T
+    return Trials(rms, peak, correction, torque, all(run.finished for run in runs))
 
 
 def compare(
@@ -137,7 +120,10 @@ def compare(
     points: int = 200,
     tolerance: float = 1e-8,
     design: Mapping[str, float] | None = None,
+    workers: int | None = None,
     progress: Callable[[float], None] | None = None,
+    checkpoint: Callable[[dict[str, Any]], None] | None = None,
+    resume: Mapping[str, Any] | None = None,
 ) -> Comparison:
     """Run every kind of control from several random starts of the crank.
 
@@ -151,28 +137,101 @@ def compare(
         Number of crank angles at the start, and the seed that they are drawn with.
     kinds : sequence of str
         Which kinds of control.
+    workers : int, optional
+        Processes to begin, which share the runs; left out: this process does all. Results are the same for any number. A script
+        that begins processes must keep its own work below `if __name__ == "__main__":`.
+    progress : function of the share that is done, optional
+        All kinds run from the first start first, so that what is left takes about as long as the share says.
+    checkpoint : function of a document, optional
+        Called after every run with all that are complete; plain numbers, fit for JSON.
+    resume : mapping, optional
+        Such a document: runs that are in it are not repeated.
 
     Raises
     ------
     InputError
+    KeyboardInterrupt
+        when it is interrupted; the last checkpoint has what is complete.
     """
     angles = starts_of(starts, seed)
-    count, done = len(kinds) * len(angles), 0
-
-    def tick() -> None:
-        nonlocal done
-        done += 1
+    common: dict[str, Any] = {
+        "revolutions": revolutions,
+        "points": points,
+        "tolerance": tolerance,
+        "speed": speed,
+        "design": design,
+    }
+    label = {**common, "schema": TRIALS, "problem_hash": problem.hash, "kinds": list(kinds), "starts": starts, "seed": seed}
+    label["design"] = None if design is None else dict(design)
+    _check_options(problem, kinds, common)
+    kept = {} if resume is None else _kept(resume, label)
+    # start by start, so that what is done says how long the rest takes; pictures need the first start of each kind whole
+    order = [(kind, k) for k in range(starts) for kind in kinds]
+    runs: dict[tuple[str, int], Ran] = {key: kept[key] for key in order if key in kept and key[1] > 0}
+    todo = [key for key in order if key not in runs]
+    jobs = [job_of(problem, control=kind, start=float(angles[k]), whole=k == 0, **common) for kind, k in todo]
+    if progress is not None:
+        progress(len(runs) / len(order))
+    for index, ran in perform_all(jobs, workers):
+        runs[todo[index]] = kept[todo[index]] = ran
+        if checkpoint is not None:
+            checkpoint(
+                {
+                    **label,
+                    "complete": len(kept),
+                    "of": len(order),
+                    "runs": [_document(key, kept[key]) for key in order if key in kept],
+                }
+            )
         if progress is not None:
-            progress(done / count)
+            progress(len(runs) / len(order))
+    every = {kind: _trials([runs[kind, k] for k in range(starts)]) for kind in kinds}
+    examples = {kind: runs[kind, 0].simulation(problem, design) for kind in kinds}
+    return Comparison(problem, every, angles, seed, revolutions, examples, runs[kinds[0], 0].unit)
 
-    every: dict[str, Trials] = {}
-    examples: dict[str, LooseSimulation] = {}
+
+def _check_options(problem: ProblemFile, kinds: Sequence[str], options: Mapping[str, Any]) -> None:
+    """Refuse what no run can be made of before any process is begun."""
     for kind in kinds:
-        every[kind], examples[kind] = trials(
-            problem, kind, angles, revolutions, speed=speed, points=points, tolerance=tolerance, design=design, done=tick
-        )
-    unit = next(iter(examples.values())).output.unit
-    return Comparison(problem, every, angles, seed, revolutions, examples, unit)
+        checked_output(problem, control=kind, **options)
+
+
+def _document(key: tuple[str, int], ran: Ran) -> dict[str, Any]:
+    figures = {name: value for name, value in ran.figures.items() if np.isfinite(value)}
+    return {"control": key[0], "start": key[1], "unit": ran.unit, "finished": ran.finished, "figures": figures}
+
+
+def _kept(resume: Mapping[str, Any], label: Mapping[str, Any]) -> dict[tuple[str, int], Ran]:
+    """The runs of a checkpoint.
+
+    Raises
+    ------
+    InputError
+        when it is damaged, or that of other options.
+    """
+    _same(resume, label)
+    try:
+        found = {}
+        for one in resume["runs"]:
+            figures = {str(name): float(value) for name, value in one["figures"].items()}
+            ran = Ran(figures, str(one["unit"]), one["finished"] is True)
+            _trials([ran])
+            found[str(one["control"]), int(one["start"])] = ran
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise _damaged() from None
+    return found
+
+
+def _same(resume: Mapping[str, Any], label: Mapping[str, Any]) -> None:
+    for name, value in label.items():
+        if resume.get(name) != value:
+            message = f"the checkpoint is that of another command: its {name} is {resume.get(name)!r}, not {value!r}"
+            remedy = "Resume with the options of the interrupted command, or choose another folder"
+            raise InputError(Fault(message, remedy, key="resume"))
+
+
+def _damaged() -> InputError:
+    return InputError(Fault("the checkpoint is damaged", "Start again without --resume", key="resume"))
 
 
 RANGES: dict[str, tuple[float, float]] = {
@@ -190,7 +249,8 @@ class Tuning:
     """A search for the parameters of a controller: `tried` values by name (evaluations,), their costs and scatters [m, rad].
 
     `problem`: the one with the `best` values, which are empty where its own were better. A cost is the mean root mean square of
-    the error over the starts; of two costs that differ by less than the scatter neither is better.
+    the error over the starts; of two costs that differ by less than the scatter neither is better. It is infinite where a run
+    stalled, or was stopped because its error alone made the mean exceed the best so far.
     """
 
     problem: ProblemFile
@@ -201,6 +261,27 @@ class Tuning:
     tried: Mapping[str, Array]
     costs: Array
     scatters: Array
+    control: str = "inverse+pid"
+    starts: int = 1
+    seed: int = 0
+    revolutions: int = 11
+    unit: str = "m"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The search as a JSON document (SI)."""
+        return finite(  # type: ignore[no-any-return]
+            {
+                **head(TUNING, self.problem, "finished", self.seed),
+                **{
+                    name: getattr(self, name)
+                    for name in ("control", "starts", "revolutions", "unit", "before", "cost", "scatter")
+                },
+                "best": dict(self.best),
+                "tried": dict(self.tried),
+                "costs": self.costs,
+                "scatters": self.scatters,
+            }
+        )
 
 
 def tune(
@@ -213,26 +294,38 @@ def tune(
     seed: int = 0,
     revolutions: int = 11,
     speed: float | None = None,
+    points: int = 200,
     tolerance: float = 1e-8,
     design: Mapping[str, float] | None = None,
+    workers: int | None = None,
     progress: Callable[[float], None] | None = None,
+    checkpoint: Callable[[dict[str, Any]], None] | None = None,
+    resume: Mapping[str, Any] | None = None,
 ) -> Tuning:
     """Find parameters of a controller that make the mean error over several starts small.
 
     Half of the evaluations are Sobol points over `RANGES`, the others draw nearer and nearer to the best so far: the cost of a
-    chaotic machine is noisy, so no slope is trusted. Every value is compared from the same starts. Where none is better than the
-    problem's own parameters, these stay.
+    chaotic machine is noisy, so no slope is trusted. Every value is compared from the same starts. A run stops as soon as its
+    error alone makes the mean exceed the best so far. Where none is better than the problem's own parameters, these stay.
 
     Parameters
     ----------
+    problem : ProblemFile
+        With clearance, a servo and a controller.
+    control : str
+        Kind of control: "inverse", "pid" or "inverse+pid".
     names : sequence of str
         Of `RANGES`.
     evaluations, starts, revolutions : int
         What the search may cost: their product, in revolutions.
+    workers, progress, checkpoint, resume
+        As in `compare`; the checkpoint has every evaluation that is complete.
 
     Raises
     ------
     InputError
+    KeyboardInterrupt
+        when it is interrupted; the last checkpoint has what is complete.
     """
     from scipy.stats import qmc
 
@@ -245,46 +338,86 @@ def tune(
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))
     generator = np.random.default_rng(seed)
     sobol = qmc.Sobol(len(names), seed=seed).random(1 << int(np.ceil(np.log2(max(2, evaluations // 2)))))
-    options: dict[str, Any] = {"speed": speed, "tolerance": tolerance, "design": design}
-    before, first = trials(problem, control, angles, revolutions, **options)
-    size = _sizes(first)
+    common: dict[str, Any] = {
+        "revolutions": revolutions,
+        "points": points,
+        "tolerance": tolerance,
+        "speed": speed,
+        "design": design,
+    }
+    output = checked_output(problem, control=control, **common)
+    label = {**common, "schema": TUNING, "problem_hash": problem.hash, "control": control, "names": list(names)}
+    label |= {"evaluations": evaluations, "starts": starts, "seed": seed, "design": None if design is None else dict(design)}
+    kept = [] if resume is None else _kept_costs(resume, label)
+    done: list[tuple[float, float]] = []  # cost and scatter: of the problem's own parameters, then of every evaluation
+
+    def cost(changed: ProblemFile) -> float:
+        if len(done) < len(kept):
+            done.append(kept[len(done)])
+        else:
+            limit = starts * min((one for one, _ in done), default=np.inf)
+            jobs = [job_of(changed, control=control, start=float(start), limit=limit, **common) for start in angles]
+            runs = dict(perform_all(jobs, workers))
+            useless = any(run.hopeless or not run.finished for run in runs.values())
+            found = None if useless else _trials([runs[k] for k in range(starts)])
+            done.append((np.inf, np.nan) if found is None else (found.mean, found.scatter))
+            if checkpoint is not None:
+                checkpoint(
+                    {**label, "complete": len(done) - 1, "of": evaluations, "costs": [[finite(x) for x in one] for one in done]}
+                )
+        if progress is not None:
+            progress(len(done) / (evaluations + 1))
+        return done[-1][0]
+
+    before, size = cost(problem), _sizes(problem, output, design)
     tried: list[Array] = []
     costs: list[float] = []
-    scatters: list[float] = []
     for k in range(evaluations):
         if k < evaluations // 2:
             share = sobol[k]
         else:
             width = 0.3 * 0.5 ** (4.0 * (k - evaluations // 2) / max(1, evaluations - evaluations // 2))
             share = np.clip(tried[int(np.argmin(costs))] + width * generator.standard_normal(len(names)), 0.0, 1.0)
-        changed = problem.override(_values(names, np.exp(low + share * (high - low)), size, first.output.unit))
-        found, _ = trials(changed, control, angles, revolutions, **options)
         tried.append(share)
-        costs.append(found.mean if found.finished else np.inf)
-        scatters.append(found.scatter)
-        if progress is not None:
-            progress((k + 1) / evaluations)
+        costs.append(cost(problem.override(_values(names, np.exp(low + share * (high - low)), size, output.unit))))
     values = np.exp(low + np.array(tried) * (high - low)) * np.array([size.get(name, 1.0) for name in names])
     best = int(np.argmin(costs))
-    better = costs[best] < before.mean
-    chosen = _values(names, np.exp(low + tried[best] * (high - low)), size, first.output.unit) if better else {}
+    better = costs[best] < before
+    chosen = _values(names, np.exp(low + tried[best] * (high - low)), size, output.unit) if better else {}
     return Tuning(
         problem.override(chosen) if better else problem,
         {key.partition(".")[2]: value for key, value in chosen.items()},
-        float(costs[best]) if better else before.mean,
-        float(scatters[best]) if better else before.scatter,
-        before.mean,
+        done[best + 1 if better else 0][0],
+        done[best + 1 if better else 0][1],
+        before,
         dict(zip(names, values.T, strict=True)),
         np.array(costs),
-        np.array(scatters),
+        np.array([scatter for _, scatter in done[1:]]),
+        control,
+        starts,
+        seed,
+        revolutions,
+        output.unit,
     )
 
 
-def _sizes(run: LooseSimulation) -> dict[str, float]:
+def _kept_costs(resume: Mapping[str, Any], label: Mapping[str, Any]) -> list[tuple[float, float]]:
+    """The costs and scatters of a checkpoint."""
+    _same(resume, label)
+    try:
+        return [
+            (np.inf if cost is None else float(cost), np.nan if scatter is None else float(scatter))
+            for cost, scatter in resume["costs"]
+        ]
+    except (KeyError, TypeError, ValueError):
+        raise _damaged() from None
+
+
+def _sizes(problem: ProblemFile, output: Output, design: Mapping[str, float] | None) -> dict[str, float]:
     """What the relative parameters are measured by [SI]."""
-    servo = run.problem.model.drive.servo
+    servo = problem.model.drive.servo
     return {
-        "regularisation": float(np.max(run.machine.size)) if run.output.guide else 1.0,
+        "regularisation": float(np.max(machine_of(problem, design).size)) if output.guide else 1.0,
         "bandwidth": servo.bandwidth.value if servo is not None else 1.0,
     }
 

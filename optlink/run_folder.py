@@ -24,6 +24,7 @@ WRITERS = {
     "simulation": ("simulate",),
     "clearance": ("simulate",),
     "compensation": ("simulate",),
+    "tuning": ("simulate",),
     "balance": ("balance",),
     "sensitivity": ("sensitivity",),
     "output-sensitivity": ("sensitivity",),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,7 +59,7 @@ def simulate(
         typer.Option(
             parser=whole_number,
             metavar="N",
-            help="Steps of the table: 1000; with clearance of a revolution: 360, to compare 200.",
+            help="Steps of the table: 1000; with clearance of a revolution: 360, to compare or tune 200.",
         ),
     ] = None,
     speed: Speed = None,
@@ -71,15 +72,32 @@ def simulate(
         str | None,
         typer.Option(metavar="HOW", help="With clearance: none, inverse, pid, inverse+pid; compare: all, from several starts."),
     ] = None,
+    tune: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Tune this parameter of the control: proportional, integral, derivative, regularisation, bandwidth. Repeatable.",
+        ),
+    ] = None,
+    evaluations: Annotated[
+        int | None, typer.Option(parser=whole_number, metavar="N", help="With --tune: number of parameter sets to try; 24.")
+    ] = None,
     starts: Annotated[
         int | None,
-        typer.Option(parser=whole_number, metavar="N", help="With --control compare: number of crank angles at the start; 5."),
+        typer.Option(
+            parser=whole_number, metavar="N", help="To compare or tune: number of crank angles at the start; compare 5, tune 3."
+        ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(parser=whole_number, metavar="S", help="With --control compare: of these crank angles; 0.")
+        int | None, typer.Option(parser=whole_number, metavar="S", help="To compare or tune: of these crank angles; 0.")
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(parser=whole_number, metavar="N", help="To compare or tune: processes that share the runs; all cores."),
     ] = None,
     tolerance: Annotated[
-        float | None, typer.Option(metavar="X", help="With clearance: relative, of the integrator; 1e-10, to compare 1e-8.")
+        float | None,
+        typer.Option(metavar="X", help="With clearance: relative, of the integrator; 1e-10, to compare or tune 1e-8."),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="With clearance: go on with the run that was interrupted in --out DIR.")
@@ -99,18 +117,30 @@ def simulate(
         given = console.given(file, design)
         loose = file.model.loose and not ideal
         if not loose:
-            of_gaps = {"--revolutions": revolutions, "--control": control, "--tolerance": tolerance, "--resume": resume}
+            of_gaps: dict[str, Any] = {
+                "--revolutions": revolutions,
+                "--control": control,
+                "--tolerance": tolerance,
+                "--resume": resume,
+            }
+            of_gaps["--tune"] = tune
             message = f"{'joints count as ideal' if ideal else 'no joint has clearance'}, so the option does nothing"
             console.refuse(of_gaps, message, "Leave --ideal out" if ideal else f'Give one: --set "{GAP}"', file.file)
         comparing = control == COMPARE
-        if not comparing:
-            remedy = "Leave it out" if not loose else f"Add --control {COMPARE}, or leave it out"
+        if comparing and tune:
+            message, remedy = "a comparison of all kinds of control tunes none", "Name the kind to tune: --control inverse+pid"
+            raise InputError(Fault(message, remedy, file.file, "--tune"))
+        if not tune:
+            message, remedy = "only a search for parameters has evaluations", "Add --tune NAME, or leave it out"
+            console.refuse({"--evaluations": evaluations}, message, remedy, file.file)
+        if not comparing and not tune:
+            remedy = "Leave it out" if not loose else f"Add --control {COMPARE} or --tune NAME, or leave it out"
             message = "there is one start, so the option does nothing"
-            console.refuse({"--starts": starts, "--seed": seed}, message, remedy, file.file)
+            console.refuse({"--starts": starts, "--seed": seed, "--workers": workers}, message, remedy, file.file)
         else:
-            message = "a comparison of all kinds of control has no use for it"
-            remedy = "Leave it out, or name one kind: --control inverse+pid"
-            console.refuse({"--csv": csv, "--flywheel": flywheel, "--resume": resume}, message, remedy, file.file)
+            message = "a comparison of all kinds of control, or a search for parameters, has no use for it"
+            remedy = "Leave it out, or simulate one kind: --control inverse+pid"
+            console.refuse({"--csv": csv, "--flywheel": flywheel}, message, remedy, file.file)
         console.places(csv, out, "simulate", problem)
         asked = Run(
             file,
@@ -126,7 +156,16 @@ def simulate(
         if not loose:
             _ideal(asked)
         elif comparing:
-            _compared(asked, revolutions, starts, seed, tolerance)
+            _compared(asked, revolutions, resume, starts=starts, seed=seed, workers=workers, tolerance=tolerance)
+        elif tune:
+            given_options = {
+                "evaluations": evaluations,
+                "starts": starts,
+                "seed": seed,
+                "workers": workers,
+                "tolerance": tolerance,
+            }
+            _tuned(asked, revolutions, control or "inverse+pid", tune, resume, **given_options)
         else:
             _loose(asked, revolutions, control or "none", tolerance, resume)
 
@@ -177,32 +216,90 @@ def _loose(asked: Run, revolutions: int | None, control: str, tolerance: float |
         raise typer.Exit(3 if found.ending.value == "stalled" else 1)
 
 
-def _compared(asked: Run, revolutions: int | None, starts: int | None, seed: int | None, tolerance: float | None) -> None:
+def _compared(asked: Run, revolutions: int | None, resume: bool, **options: Any) -> None:
     """All kinds of control in one table."""
     from optlink.compensation import compare
 
-    with console.share("simulating") as progress:
-        found = compare(
-            asked.file,
-            _revolutions(asked, revolutions),
-            speed=asked.speed,
-            design=asked.design,
-            progress=progress,
-            **_said(points=asked.points, starts=starts, seed=seed, tolerance=tolerance),
-        )
+    turns = _revolutions(asked, revolutions)
+    with _kept(asked, resume, "runs", "comparing") as common:
+        found = compare(asked.file, turns, **common, **_many(options))
     if asked.out is not None:
         from optlink.report.play import write_comparison
 
         with console.working(f"Drawing into {asked.out}"):
             write_comparison(found, asked.out)
-    if asked.as_json:
-        console.print_json(found.to_dict())
-    else:
-        from optlink.report import loose, terminal
-
-        terminal.console().print(loose.comparison(found))
+    _shown(asked, found, "comparison")
     if not found.finished:
         raise typer.Exit(3)
+
+
+def _tuned(asked: Run, revolutions: int | None, control: str, names: list[str], resume: bool, **options: Any) -> None:
+    """Parameters of a controller."""
+    from optlink.compensation import tune
+
+    turns: dict[str, Any] = (
+        {} if revolutions is None and asked.duration is None else {"revolutions": _revolutions(asked, revolutions)}
+    )
+    with _kept(asked, resume, "evaluations", "tuning") as common:
+        found = tune(asked.file, control, tuple(names), **turns, **common, **_many(options))
+    if asked.out is not None:
+        from optlink.report.store import write_json
+
+        write_json(asked.out / "result.json", found.to_dict())
+    _shown(asked, found, "tuning")
+
+
+def _many(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of many runs: as many processes as there are cores, if nothing else is stated."""
+    from optlink.runs import cores
+
+    return {"workers": cores(), **_said(**options)}
+
+
+def _shown(asked: Run, found: Any, table: str) -> None:
+    if asked.as_json:
+        console.print_json(found.to_dict())
+        return
+    from optlink.report import loose, terminal
+
+    terminal.console().print(getattr(loose, table)(found))
+
+
+@contextlib.contextmanager
+def _kept(asked: Run, resume: bool, parts: str, what: str) -> Iterator[dict[str, Any]]:
+    """What a comparison and a search for parameters share: a bar, a checkpoint, and what to say when it is interrupted."""
+    from optlink.report.store import checkpoint, write_json
+
+    place = None if asked.out is None else asked.out / "checkpoint.json"
+    begun = checkpoint(asked.out) if resume else None
+    done, of = (0, 0) if begun is None else (begun.get("complete", 0), begun.get("of", 0))
+
+    def keep(document: dict[str, Any]) -> None:
+        nonlocal done, of
+        done, of = document["complete"], document["of"]
+        if place is not None:
+            write_json(place, document)
+
+    try:
+        with console.share(what) as progress:
+            yield {
+                "speed": asked.speed,
+                "design": asked.design,
+                "progress": progress,
+                "checkpoint": keep,
+                "resume": begun,
+                **_said(points=asked.points),
+            }
+    except KeyboardInterrupt:
+        message = f"interrupted: {done} of {of} {parts} are complete" if of else f"interrupted: no {parts} are complete"
+        if done and place is not None:
+            message += f" and kept in {place}; add --resume to continue"
+        elif place is None:
+            message += "; nothing is kept without --out DIR"
+        print(message, file=sys.stderr)
+        raise typer.Exit(130) from None
+    if place is not None:
+        place.unlink(missing_ok=True)
 
 
 def _said(**options: Any) -> dict[str, Any]:

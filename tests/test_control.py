@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import optlink
-from optlink import compensation
+from optlink import compensation, runs
 from optlink.clearance.command import Command, even
 from optlink.clearance.control import PID, Controller, Gains
 from optlink.clearance.inverse import POINTS, Inverse, leverage, predicted
@@ -209,6 +214,95 @@ def test_tuning_never_ends_worse_than_it_says(problem):
     assert again.figures["rms_m"] == pytest.approx(found.cost, rel=1e-12)
     with pytest.raises(InputError, match="no such parameter"):
         optlink.tune(problem, names=("gain",))
+
+
+def test_shipped_gains_are_better_than_either_part_alone(problem):
+    """The PID on top of the inverse model takes away more than the inverse model."""
+    kinds = ("inverse", "inverse+pid")
+    found = optlink.compare(problem, 4, 1, seed=5, kinds=kinds, tolerance=1e-7)
+    assert found.trials["inverse+pid"].mean < 0.97 * found.trials["inverse"].mean
+
+
+SHORT = {"revolutions": 2, "points": 60, "tolerance": 1e-6}
+
+
+def rocker():
+    return optlink.load("crank-rocker-clearance", {"drive.speed": "400 rpm", "joints.C.friction": 0.2})
+
+
+def test_comparison_in_processes_is_the_same_to_the_bit():
+    alone, shared = (optlink.compare(rocker(), starts=2, seed=7, kinds=("none", "pid"), workers=n, **SHORT) for n in (None, 2))
+    for kind in ("none", "pid"):
+        for name in ("rms", "peak", "correction", "torque"):
+            np.testing.assert_array_equal(getattr(alone.trials[kind], name), getattr(shared.trials[kind], name))
+        np.testing.assert_array_equal(alone.examples[kind]["rocker.error_rad"], shared.examples[kind]["rocker.error_rad"])
+
+
+def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
+    kept: list[dict] = []
+    options = {"starts": 3, "seed": 2, "kinds": ("none", "inverse"), **SHORT}
+    whole = optlink.compare(rocker(), **options)
+
+    def stop(document: dict) -> None:
+        kept.append(json.loads(json.dumps(document, allow_nan=False)))
+        if document["complete"] == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        optlink.compare(rocker(), checkpoint=stop, **options)
+    assert (kept[-1]["complete"], kept[-1]["of"]) == (4, 6)
+    performed = []
+    perform = runs.perform
+    monkeypatch.setattr(runs, "perform", lambda job: performed.append((job.control, job.start)) or perform(job))
+    on = optlink.compare(rocker(), resume=kept[-1], **options)
+    assert len(performed) == 4  # the first start of each kind, for the pictures, and the two that were missing
+    for kind, trials in whole.trials.items():
+        np.testing.assert_array_equal(on.trials[kind].rms, trials.rms)
+    with pytest.raises(InputError, match="another command"):
+        optlink.compare(rocker(), resume=kept[-1], **{**options, "seed": 3})
+    with pytest.raises(InputError, match="damaged"):
+        optlink.compare(rocker(), resume={**kept[-1], "runs": [{"control": "none"}]}, **options)
+
+
+def test_tuning_resumes_and_stops_runs_that_cannot_win():
+    kept: list[dict] = []
+    options = {"evaluations": 5, "starts": 2, "seed": 4, **SHORT}
+    whole = optlink.tune(rocker(), "pid", ("proportional",), checkpoint=kept.append, **options)
+    middle = json.loads(json.dumps(kept[2], allow_nan=False))
+    on = optlink.tune(rocker(), "pid", ("proportional",), resume=middle, **options)
+    np.testing.assert_array_equal(on.costs, whole.costs)
+    assert dict(on.best) == dict(whole.best)
+    job = runs.job_of(rocker(), control="none", start=0.3, limit=1e-9, **SHORT)
+    assert runs.perform(job).hopeless
+    assert not runs.perform(replace(job, limit=1.0)).hopeless
+
+
+def test_interrupt_ends_a_comparison_at_once_and_keeps_what_is_complete(tmp_path):
+    """One sentence, exit code 130, no result that looks whole; the runs that are complete stay for --resume."""
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from optlink.cli import main; main()"
+    options = ["--control", "compare", "--starts", "200", "--revolutions", "2", "--points", "60", "--tolerance", "1e-6"]
+    command = [
+        sys.executable,
+        "-c",
+        code,
+        "simulate",
+        "crank-rocker-clearance",
+        *options,
+        "--workers",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not (tmp_path / "checkpoint.json").exists() and process.poll() is None:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "of 800 runs are complete and kept in" in err
+    assert not [*tmp_path.glob("*.png"), *tmp_path.glob("result*")]
 
 
 @pytest.mark.slow

@@ -907,11 +907,12 @@ def test_slow_machine_under_load_is_not_stepped_by_its_contact(monkeypatch):
     assert imbalance(found) < 1e-5
 
 
+@pytest.mark.slow
 def test_slow_machine_moves_as_an_explicit_method_at_a_tight_tolerance_says(monkeypatch):
-    raw = brake(25.0, 15.0)
+    raw = brake(25.0, 60.0)
     found = simulate(raw, 1, 90, 1e-9)
     monkeypatch.setattr(plant_module, "SLOW", math.inf)
-    true = simulate(raw, 1, 90, 1e-12)
+    true = simulate(raw, 1, 90, 1e-11)
     assert found.figures["rms_rad"] == pytest.approx(true.figures["rms_rad"], rel=1e-5)
     assert largest(found["rocker.error_rad"] - true["rocker.error_rad"]) < 1e-4 * true.figures["peak_rad"]
     assert len(found.impacts) == len(true.impacts)

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from optlink.clearances import LooseSimulation
-from optlink.compensation import Comparison
+from optlink.compensation import Comparison, Tuning
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
 
 TO_PEOPLE = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg")}
@@ -116,3 +116,29 @@ def comparison(outcome: Comparison) -> RenderableType:
         sizes = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, float(np.max(trials.peak)))]
         table.add_row(kind, *sizes, gain, fixed(effort, 3), fixed(torque, 3), style="" if trials.finished else BAD)
     return Group(title, Text(), table)
+
+
+def tuning(outcome: Tuning) -> RenderableType:
+    """What a search for parameters tried, and the best."""
+    factor, people = TO_PEOPLE[outcome.unit]
+    title = Text(outcome.problem.model.title, style=HEAD)
+    starts = "one crank angle" if outcome.starts == 1 else f"{outcome.starts} crank angles"
+    title.append(
+        f"\n{outcome.control}: {outcome.revolutions} revolutions from each of {starts} at the start (seed {outcome.seed})"
+    )
+    stopped = int(np.sum(~np.isfinite(outcome.costs)))
+    title.append(
+        f"\n{len(outcome.costs)} parameter sets tried" + (f", {stopped} of them stopped early as worse" if stopped else "")
+    )
+    table = grid("Mean root mean square of the deviation", [("", "left"), (people, "right")], header=True)
+    table.add_row("parameters of the problem", fixed(outcome.before * factor, 4))
+    if outcome.best:
+        table.add_row("best parameters", fixed(outcome.cost * factor, 4))
+        table.add_row("scatter between starts", fixed(outcome.scatter * factor, 4))
+        options = " ".join(f'--set control.{name}="{value}"' for name, value in outcome.best.items())
+        words = Text(f"Use them: {options}", style=GOOD)
+        if outcome.before - outcome.cost < 2.0 * outcome.scatter:
+            words.append("\nNote: the gain is less than twice the scatter; check it with other seeds and more starts", style=BAD)
+    else:
+        words = Text("None is better than the parameters of the problem; these stay")
+    return Group(title, Text(), table, Text(), words)
