@@ -60,8 +60,8 @@ Starts = Annotated[
         "--starts",
         parser=whole_number,
         metavar="N",
-        help="Number of starts. Of a law: the given one (the default) and Sobol points; "
-        "of points: at least N, by default until a better design is unlikely.",
+        help="Number of starts; more are never worse. Of a law or function: N per assembly mode, by default the given one of a "
+        "law; of points: at least N. By default of functions and points: until a better design is unlikely.",
     ),
 ]
 Seed = Annotated[int, typer.Option("--seed", parser=whole_number, metavar="S", help="Seed of the starts.")]

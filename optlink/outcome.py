@@ -18,11 +18,12 @@ People = Callable[[Mapping[str, float]], dict[str, float]]
 
 @dataclass(frozen=True)
 class Optimum:
-    """A distinct optimum of a search from many starts: design [SI], objective, number of searches that ended there."""
+    """A distinct optimum of a multistart search: design [SI], objective, number of searches that ended there, assembly mode."""
 
     design: Mapping[str, float]
     objective: float
     count: int
+    assembly: str = ""
 
 
 class Sought(Protocol):
@@ -141,11 +142,16 @@ def proof(outcome: Single, people: People) -> dict[str, Any]:
     if outcome.backends:
         document["backends"] = {name: _searched(found, people) for name, found in outcome.backends.items()}
     if outcome.optima:
-        document["optima"] = [{"design": people(o.design), "objective": o.objective, "count": o.count} for o in outcome.optima]
+        document["optima"] = [_listed(optimum, people) for optimum in outcome.optima]
     if outcome.conflict:
         document["conflict"] = [vars(item) | {} for item in outcome.conflict]
         document["relax_together"] = [vars(item) | {} for item in outcome.together]
     return document
+
+
+def _listed(optimum: Optimum, people: People) -> dict[str, Any]:
+    document = {"design": people(optimum.design), "objective": optimum.objective, "count": optimum.count}
+    return document | ({"assembly": optimum.assembly} if optimum.assembly else {})
 
 
 def _searched(solution: Solution, people: People) -> dict[str, Any]:

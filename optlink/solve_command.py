@@ -54,10 +54,11 @@ def solve(
         console.refuse({"--designs": designs}, "only points and poses have several designs", remedy, file.file)
         from optlink.workflow import solve as search
 
-        with console.counted((1 if starts is None else starts) * _searches(backend)) as progress:
+        modes = 2 if file.spec.mechanism.assembly == "either" else 1
+        with console.counted((1 if starts is None else starts) * _searches(backend) * modes) as progress:
             result = search(file, str(backend), starts, seed, progress, track=out is not None)
-        if starts is not None and result.starts < starts:
-            _interrupted(result.starts, starts)
+        if result.interrupted:
+            _interrupted(result.starts, None if starts is None else starts * modes)
         _law(result, as_json, out)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import time
@@ -19,10 +20,11 @@ from optlink.design.quantity import Quantity, Unusable, nearest, read_quantity
 from optlink.documents import finite
 from optlink.errors import Fault, InputError, Status
 from optlink.fit import Fit, law_fit
+from optlink.levelling import ALONG, error_at, judged
 from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.motion import sweep
 from optlink.linkage.structure import EITHER
-from optlink.outcome import Optimum, heading, optimality, proof, proven
+from optlink.outcome import Optimum, heading, proof, proven
+from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.solution import Solution
 from optlink.units import show
 from optlink.validation import Check, Validation
@@ -30,7 +32,6 @@ from optlink.validation import validate as prove
 
 if TYPE_CHECKING:
     from optlink.design.nlp import NLP
-    from optlink.design.problem import DesignProblem
     from optlink.solvers.freudenstein import FirstStep
     from optlink.solvers.search import Agreement
 
@@ -38,9 +39,6 @@ Start = NDArray[np.float64]
 SCHEMA = "optlink/result/1"
 MAX_STARTS = 100_000
 SAME_DESIGN = 1e-6  # of the frame
-ALONG = 2001  # positions along the span at which an error curve is followed
-EXCHANGES, LEVELLED = 12, 1e-8  # rounds, and the share by which an error may exceed those that the programme knows
-APART = 1e-4  # rad; nearer than that two positions are one
 LEVEL = 0.99  # share of the largest error that counts as reaching it
 FLAT = 1e-7  # least curvature, for an objective scaled to 1, that singles out one design
 PEOPLE = {"length": (1e3, "mm"), "angle": (math.degrees(1.0), "deg")}
@@ -83,7 +81,9 @@ class Result:
     optima: tuple[Optimum, ...] = ()
     conflict: tuple[Relaxed, ...] = ()
     together: tuple[Relaxed, ...] = ()
-    first: FirstStep | None = None  # the convex first step that the search of a function began with
+    first: FirstStep | None = None  # the best convex first step of a function
+    interrupted: bool = False
+    counts: tuple[int, ...] = ()  # random starts that reached each value of the objective, that of the design first
 
     @property
     def valid(self) -> bool:
@@ -101,6 +101,16 @@ class Result:
         )
 
     @property
+    def evidence(self) -> Evidence | None:
+        """What the random starts of the search tell about optima that it did not find; None where there were none."""
+        return evidence(self.counts) if self.counts else None
+
+    @property
+    def assembly(self) -> str:
+        """Assembly mode of the design."""
+        return self.problem.spec.mechanism.assembly
+
+    @property
     def sizes(self) -> dict[str, float]:
         """The four lengths of the design [m]."""
         return {name: self.design[name] for name in LENGTHS}
@@ -112,7 +122,7 @@ class Result:
         """
         problem = self.problem.spec
         at = problem.law.offsets if offsets is None else np.asarray(offsets, dtype=float)
-        return _error(problem, self.design, at)
+        return error_at(problem, self.design, at)
 
     @property
     def fit(self) -> Fit | None:
@@ -129,7 +139,7 @@ class Result:
         A minimax optimum of k free quantities has k + 1 of them where no limit holds it.
         """
         begin, end = self.problem.spec.law.offsets[[0, -1]]
-        error = _judged(self.problem.spec)(self.design, np.linspace(begin, end, ALONG))
+        error = judged(self.problem.spec)(self.design, np.linspace(begin, end, ALONG))
         peaks = error[np.abs(error) >= LEVEL * np.max(np.abs(error))]
         return 1 + int(np.sum(np.diff(np.sign(peaks)) != 0.0)) if len(peaks) else 0
 
@@ -148,6 +158,7 @@ class Result:
         """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
         document = heading(SCHEMA, self) | {
             "design": _design(self.design),
+            "assembly": self.assembly,
             "objective": {
                 "value": self.objective,
                 "unit": self.unit,
@@ -158,6 +169,9 @@ class Result:
         }
         document["fit"] = None if self.fit is None else self.fit.to_dict()
         document |= proof(self, lambda design: _design(self.problem.spec.design(design)))
+        if self.evidence is not None:
+            document["evidence"] = vars(self.evidence) | {}
+            document["starts_that_reached_each_value"] = list(self.counts)
         if self.first is not None:
             document["first_step"] = vars(self.first) | {"gap": self.first.gap}
         if self.problem.spec.requirement.measure == "max":
@@ -167,29 +181,6 @@ class Result:
             counted = {d.name: d.tolerance for d in self.problem.spec.deviations}
             document["objective"] |= {"robust": robust.text, "tolerances_SI": counted}
         return finite(document)  # type: ignore[no-any-return]
-
-
-def _error(problem: DesignProblem, design: Mapping[str, float], offsets: Start) -> Start:
-    """Wanted minus generated rocker angle [rad], in (-pi, pi], at crank rotations [rad] from the start."""
-    wanted = problem.law.curve(offsets, design["phi0"], design["psi0"])
-    motion = sweep(problem.linkage, problem.sizes(design), design["phi0"] + offsets)
-    angle = np.asarray(motion.body_angle("rocker").value, dtype=float)
-    return np.asarray(np.remainder(wanted - angle + np.pi, 2.0 * np.pi) - np.pi, dtype=float)
-
-
-def _judged(problem: DesignProblem) -> Callable[[Mapping[str, float], Start], Start]:
-    """Function of a design and crank rotations: the error, larger by what tolerances add to its size if they count [rad]."""
-    if problem.requirement.robust is None or problem.requirement.measure != "max":
-        return lambda design, offsets: _error(problem, design, offsets)
-    from optlink.design.slopes import Judge
-
-    judge = Judge(problem)
-
-    def judged(design: Mapping[str, float], offsets: Start) -> Start:
-        lower, upper = judge.band(design, offsets)
-        return np.where(np.abs(upper) >= np.abs(lower), upper, lower)
-
-    return judged
 
 
 def _design(design: Mapping[str, float]) -> dict[str, float]:
@@ -215,8 +206,10 @@ def solve(
     backend : "slsqp", "ipopt" or "both"
         Both: each searches for itself, the better design is taken, and they must agree.
     starts : int, optional
-        1: the start given in the problem; more: Sobol points over the bounds as well. Left out: 1, and for a function that
-        crank, coupler and rocker are free for the convex first steps (`optlink.solvers.freudenstein`).
+        Number of starts per assembly mode; the starts of a smaller number are the first ones of a larger one, so that more are
+        never worse. Of a law: the start given in the problem, then Sobol points over the bounds; left out: 1. Of a function: the
+        convex first steps (`optlink.solvers.convex`) and the given start, always, then fits at random start angles; left out:
+        until the estimated chance of a missed better optimum is small (`optlink.function_search`).
     seed : int
         Of the Sobol points.
     progress : function of the number of starts done, optional
@@ -231,6 +224,7 @@ def solve(
         when nothing is free, or an argument is out of range.
     """
     from optlink.design.nlp import build
+    from optlink.function_search import Search, starts_of
     from optlink.solvers import search
 
     if backend not in (*search.BACKENDS, "both"):
@@ -242,8 +236,21 @@ def solve(
     if not problem.spec.free:
         example = 'Free one: coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
         raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
+    done = 0
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(done)
+
     if problem.spec.mechanism.assembly == EITHER:
-        return _either(problem, backend, starts, seed, progress, track=track, begin=begin)
+        found: list[Result] = []
+        for variant in _variants(problem):
+            found.append(solve(variant, backend, starts, seed, lambda _: advance(), track=track, begin=begin))
+            if found[-1].interrupted:
+                break
+        return _merged(found)
     names = search.BACKENDS if backend == "both" else (backend,)
     for name in names:
         search.backend(name)  # imports are nobody's solving time
@@ -251,135 +258,91 @@ def solve(
     nlp = build(problem.spec)
     for name in names:
         search.prepare(nlp, name)
-    first, points = _begin(problem.spec, nlp, starts, seed) if begin is None else (None, [nlp.x_of(dict(begin))])
-    starts = len(points)
     clock.append(time.perf_counter())
-    done = 0
-
-    def advance(_: int) -> None:
-        nonlocal done
-        done += 1
-        if progress:
-            progress(done)
-
-    runs: dict[str, list[Solution]] = {}
-    for name in names:
-        runs[name] = search.multistart(nlp, name, points, advance, track=track)
-        points = points[: len(runs[name])]  # fewer if interrupted; the other back end then searches from as many
-    starts = len(points)
-    found = {name: search.best(run) for name, run in runs.items()}
-    conflict: tuple[Relaxed, ...] = ()
-    together: tuple[Relaxed, ...] = ()
-    if not any(solution.usable for solution in found.values()):
-        from optlink.solvers.conflict import Explanation, explain
-
-        reason = explain(nlp, seed)
-        if isinstance(reason, Explanation):
-            conflict = tuple(Relaxed(**vars(item)) for item in reason.conflict)
-            together = tuple(Relaxed(**vars(item)) for item in reason.together)
-            nearest_design = replace(search.given(nlp, reason.x, "nearest design"), status=Status.INFEASIBLE)
-            found = dict.fromkeys(names, nearest_design)
-        else:
-            found = {name: search.solve_from(nlp, reason, name, track=track) for name in names}
-    if len(found) > 1:
-        found = search.reconcile(nlp, found)
-    if problem.spec.everywhere:
-        found = _level(problem.spec, nlp, found)
-    winner = search.best(list(found.values()))
-    chosen = next(name for name, solution in found.items() if solution is winner)
+    points = starts_of(problem.spec, nlp, seed, begin)
+    reason = functools.cache(lambda: _explained(nlp, seed))
+    searches = {name: Search(problem.spec, nlp, name, track=track) for name in names}
+    count, interrupted = starts, False
+    for one in searches.values():
+        if one.run(points, count, lambda: reason()[0], advance):
+            count, interrupted = one.starts, True  # the other back end then searches from as many
+    conflict: Conflict = ((), ())
+    chosen = min(searches.values(), key=lambda one: one.result.rank)
+    winner = chosen.result
+    if not chosen.usable:
+        _, miss, conflict = reason()
+        winner = winner if miss is None else chosen.judge(miss)
+    nlp.p[1:] = winner.solution.p[1:]
+    backends = {name: one.result.solution if one.usable else winner.solution for name, one in searches.items()}
+    checks: tuple[Check, ...] = ()
+    if len(names) > 1:
+        backends = search.reconcile(nlp, backends)
+        winner = min([winner, *(chosen.judge(solution) for solution in backends.values())], key=lambda candidate: candidate.rank)
+        checks = _agreement(search.compare(*backends.values()))
     clock.append(time.perf_counter())
-    design = problem.spec.design(winner.design)
-    proof = prove(problem.spec, design, winner.objective)
-    checks = (*proof.checks, *optimality(winner))
-    if len(found) > 1:
-        checks += _agreement(search.compare(*found.values()))
-    clock.append(time.perf_counter())
-    clusters = search.cluster(nlp, [s for run in runs.values() for s in run]) if starts > 1 else []
+    seconds = dict(zip(("build", "solve"), np.diff(clock).tolist(), strict=True))
+    validating = sum(one.validating for one in searches.values())
     return Result(
         problem=problem,
-        status=winner.status,
-        backend=chosen,
-        design=design,
-        objective=winner.objective,
-        validation=Validation(checks, proof.objective),
-        seconds={name: b - a for name, a, b in zip(("build", "solve", "validate"), clock, clock[1:], strict=False)},
+        status=winner.solution.status,
+        backend=next(name for name, one in searches.items() if one is chosen),
+        design=winner.design,
+        objective=winner.solution.objective,
+        validation=replace(winner.validation, checks=(*winner.validation.checks, *checks)),
+        seconds=seconds | {"solve": seconds["solve"] - validating, "validate": validating},
         seed=seed,
-        starts=starts,
-        solution=winner,
-        backends=found if backend == "both" else {},
-        optima=tuple(Optimum(problem.spec.design(c.solution.design), c.solution.objective, c.count) for c in clusters),
-        conflict=conflict,
-        together=together,
-        first=first,
+        starts=chosen.starts,
+        solution=winner.solution,
+        backends=backends if backend == "both" else {},
+        optima=chosen.listed(problem.spec.mechanism.assembly) if begin is None else (),
+        counts=tuple(chosen.counts) if chosen.drawn else (),
+        interrupted=interrupted,
+        conflict=conflict[0],
+        together=conflict[1],
+        first=points.step,
     )
 
 
-def _level(problem: DesignProblem, nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:
-    """Put the largest errors between the design positions into the programme until none exceeds those it knows (E. Remez).
+Conflict = tuple[tuple[Relaxed, ...], tuple[Relaxed, ...]]
 
-    Those of earlier rounds stay as long as there is room: where the error is flat, two designs would exceed each other's in turn.
-    """
-    from optlink.linkage.refine import extremes
+
+def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conflict]:
+    """Where no start led to a feasible design: a feasible point, or the nearest design and the limits that conflict."""
     from optlink.solvers import search
+    from optlink.solvers.conflict import Explanation, explain
 
-    grid, judged = np.sort(np.linspace(0.0, problem.span, ALONG)), _judged(problem)
-    known: list[float] = []
-    ends = [0.0, problem.span]  # are positions already
-    for _ in range(EXCHANGES):
-        winner = search.best(list(found.values()))
-        if not winner.usable:
-            break
-        design = problem.design(winner.design)
-
-        size = np.abs(judged(design, grid))
-        peaks = np.flatnonzero((size >= np.append(size[1:], 0.0)) & (size >= np.insert(size[:-1], 0, 0.0)))
-        peaks = peaks[np.argsort(-size[peaks])][: nlp.roaming]
-        near = [np.linspace(grid[max(int(k) - 1, 0)], grid[min(int(k) + 1, ALONG - 1)], 9) for k in peaks]
-        exact = [extremes(lambda at: np.abs(judged(design, at))[None, :], brackets) for brackets in near]  # noqa: B023
-        largest = max(float(values[0, 1]) for _, values in exact)
-        if largest <= winner.objective * (1.0 + LEVELLED) + 1e-12:
-            break
-        new = [at for at in (float(angles[0, 1]) for angles, _ in exact) if _apart(at, ends)]
-        if not new:
-            break
-        known = [at for at in sorted(known, key=lambda at: -(judged(design, np.array([at]))[0] ** 2)) if _apart(at, new)]
-        known = (new + known)[: nlp.roaming]
-        nlp.roam(np.array(known))
-        found = {name: search.solve_from(nlp, solution.x, name) for name, solution in found.items()}
-    return found
+    nlp.roam(np.zeros(nlp.roaming))
+    reason = explain(nlp, seed)
+    if not isinstance(reason, Explanation):
+        return reason, None, ((), ())
+    conflict, together = (tuple(Relaxed(**vars(item)) for item in items) for items in (reason.conflict, reason.together))
+    miss = replace(search.given(nlp, reason.x, "nearest design"), status=Status.INFEASIBLE)
+    return None, miss, (conflict, together)
 
 
-def _apart(at: float, others: list[float]) -> bool:
-    """Whether a position [rad] says something that none of the others does."""
-    return min((abs(at - other) for other in others), default=math.inf) > APART
+def _variants(problem: ProblemFile) -> list[ProblemFile]:
+    """The problem with each assembly mode that it leaves open."""
+    changes = problem.model.mechanism.variants(problem.model.linkage)
+    return [problem.override(change) if change else problem for change in changes]
 
 
-def _begin(problem: DesignProblem, nlp: NLP, starts: int | None, seed: int) -> tuple[FirstStep | None, list[Start]]:
-    """Starts of the search: as many as are asked for; else the given one, or a function's convex first steps, best first."""
-    from optlink.solvers import convex, search
-
-    if starts is not None or not convex.applies(problem):
-        return None, search.starts(nlp, starts or 1, seed)
-    steps = convex.steps(problem)
-    if not steps:
-        return None, search.starts(nlp, convex.ENOUGH, seed)
-    return steps[0], [nlp.x_of(convex.values(problem, step)) for step in steps]
+def _better(result: Result) -> tuple[bool, bool, float]:
+    """Valid before not valid before infeasible, then by objective."""
+    return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective
 
 
-def _either(
-    problem: ProblemFile,
-    backend: str,
-    starts: int | None,
-    seed: int,
-    progress: Callable[[int], None] | None,
-    *,
-    track: bool,
-    begin: Mapping[str, float] | None,
-) -> Result:
-    """The better one of both assembly modes."""
-    variants = [problem.override(change) for change in problem.model.mechanism.variants(problem.model.linkage)]
-    found = [solve(variant, backend, starts, seed, progress, track=track, begin=begin) for variant in variants]
-    return min(found, key=lambda result: (not result.valid, result.objective))
+def _merged(found: list[Result]) -> Result:
+    """The best of the assembly modes, with the evidence of all."""
+    best = min(found, key=_better)
+    optima = sorted((optimum for result in found for optimum in result.optima), key=lambda optimum: optimum.objective)
+    return replace(
+        best,
+        starts=sum(result.starts for result in found),
+        interrupted=any(result.interrupted for result in found),
+        seconds={key: sum(result.seconds[key] for result in found) for key in best.seconds},
+        optima=tuple(optima),
+        counts=best.counts + tuple(count for result in found if result is not best for count in result.counts),
+    )
 
 
 def _agreement(agreement: Agreement) -> tuple[Check, ...]:
@@ -393,7 +356,7 @@ def _agreement(agreement: Agreement) -> tuple[Check, ...]:
 
 
 def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
-    """Prove a given design, or show where it fails.
+    """Prove a given design, or show where it fails; where the file leaves the assembly mode open, in the better one.
 
     Parameters
     ----------
@@ -401,10 +364,13 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
     design : mapping of every free quantity to its value [m, rad]; see `read_design`
     """
     begin = time.perf_counter()
-    full = problem.spec.design(design)
-    proof = prove(problem.spec, full)
-    seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-    return Result(problem, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds)
+    results = []
+    for variant in _variants(problem):
+        full = variant.spec.design(design)
+        proof = prove(variant.spec, full)
+        seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
+        results.append(Result(variant, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds))
+    return min(results, key=_better)
 
 
 def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, object]]:

@@ -23,13 +23,12 @@ def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | No
     """The optimum of a motion law at a design [SI]; None where the design is none."""
     from optlink.design.nlp import build
     from optlink.solvers import search
-    from optlink.studies.keys import begun
     from optlink.workflow import solve
 
     if not file.spec.everywhere:
         return _at(build(file.spec), dict(design))
     # the positions of its largest errors belong to the programme: it is searched from the optimum, and must stay there
-    found = solve(begun(file, {name: design[name] for name in file.spec.free}), search.BACKENDS[-1], 1).solution
+    found = solve(file, search.BACKENDS[-1], begin={name: design[name] for name in file.spec.free}).solution
     return None if found is None else _same(found, found.nlp.x_of(dict(design)))
 
 

@@ -122,6 +122,7 @@ def _design(outcome: Result) -> Table:
             remark = f"free, {low:g} ... {high:g}" if quantity.free else "given"
         bold = quantity is not None and quantity.free
         table.add_row(name, Text(fixed(shown), style=HEAD if bold else ""), unit, Text(remark, style=QUIET))
+    table.add_row("assembly", Text(outcome.assembly), "", Text(f"joint C lies to the {outcome.assembly} of B -> D", style=QUIET))
     return table
 
 
@@ -140,7 +141,8 @@ def _objective(outcome: Result) -> Table:
     if outcome.first is not None:
         error, bound = (number(math.degrees(value), 4) for value in (outcome.first.error, outcome.first.bound))
         proof = f"; {bound} deg is the least at its start angles, proven" if outcome.first.proven else ""
-        table.add_row("convex first step", Text(error), "deg", Text(f"found without a start{proof}", style=QUIET))
+        remark = f"a starting point: its error at the design positions alone, transmission angle 2 deg beyond its limits{proof}"
+        table.add_row("convex first step", Text(error), "deg", Text(remark, style=QUIET))
     return table
 
 
@@ -200,23 +202,23 @@ def _given(item: Relaxed) -> str:
     return f"{item.sense} {item.relaxed:.6g} {item.unit} ({item.amount:.4g} {item.unit})"
 
 
-def _optima(outcome: Result) -> Table:
-    searches = outcome.starts * max(1, len(outcome.backends))
-    reached = sum(optimum.count for optimum in outcome.optima)
+def _optima(outcome: Result) -> RenderableType:
+    """Evidence of a multistart search and its distinct optima; those of a function over its whole range, like the design."""
     free = outcome.problem.spec.free
-    table = grid(
-        f"Distinct optima: {len(outcome.optima)}, reached by {reached} of {searches} searches",
-        [
-            ("objective", "right"),
-            *((name, "right") for name in free),
-            ("searches", "right"),
-        ],
-        header=True,
-    )
+    modes = len({optimum.assembly for optimum in outcome.optima}) > 1
+    range_ = ", largest error over the whole range" if outcome.problem.spec.everywhere else ""
+    parts: list[RenderableType] = []
+    if outcome.evidence is not None:
+        told = outcome.evidence
+        hits = f"{told.hits} of {told.starts} random starts reached the best value, {told.optima} distinct values; {told.chance}"
+        parts = [Text.assemble(("Multistart search", HEAD), f"\n{hits}"), Text()]
+    columns = [("objective", "right"), *((name, "right") for name in free), *([("assembly", "left")] if modes else [])]
+    table = grid(f"Distinct optima{range_}", [*columns, ("starts", "right")], header=True)
     for optimum in outcome.optima[:12]:
         values = [fixed(people(name, optimum.design[name])[0]) for name in free]
-        table.add_row(number(optimum.objective, 8), *values, str(optimum.count))
-    return table
+        mode = [optimum.assembly] if modes else []
+        table.add_row(number(optimum.objective, 6 if modes else 8), *values, *mode, str(optimum.count))
+    return Group(*parts, table)
 
 
 def _backends(outcome: Result) -> Table:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,14 +14,14 @@ from optlink.design.problem import FULL_TURN, DesignProblem
 from optlink.design.quantity import Quantity
 from optlink.linkage.elementwise import unit
 from optlink.linkage.fourbar import LENGTHS, transmission_cosine
-from optlink.solvers.freudenstein import FirstStep, first_steps
+from optlink.solvers.freudenstein import FirstStep, first_steps, fitted
 
 Array = NDArray[np.float64]
 
 COUNT = 5  # first steps that are followed
+BLOCK, BLOCKS = 1024, 8  # random start angles that are fitted at once, and how often
 GRID = 36  # start angles of crank and rocker that are scanned, each over half a turn
 WIDER = 2.0 * math.pi / 180.0  # transmission angles a little beyond the limit: the nearest start may just miss it
-ENOUGH = 24  # Sobol starts where no first step exists
 
 
 def applies(problem: DesignProblem) -> bool:
@@ -32,17 +32,50 @@ def applies(problem: DesignProblem) -> bool:
 
 def steps(problem: DesignProblem, count: int = COUNT) -> list[FirstStep]:
     """The best first steps with the problem's assembly mode, least error first."""
+    free, ranges = _ranges(problem)
+    phi0, psi0 = (_grid(low, high, free) for low, high in ranges)
+    return first_steps(*_rotations(problem), phi0, psi0, **_options(problem, free), count=count)
+
+
+def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
+    """Fitted linkages at random start angles (Sobol points scrambled by the seed), as quantities of the problem.
+
+    Only those that have the problem's assembly mode all along; at most `BLOCK` times `BLOCKS` points are tried.
+    """
+    from scipy.stats import qmc
+
+    free, ranges = _ranges(problem)
+    if all(low == high for low, high in ranges):
+        return
+    points = qmc.Sobol(2, rng=np.random.default_rng(seed))
+    low = np.array([start[0] for start in ranges])
+    size = np.array([math.pi if free else start[1] - start[0] for start in ranges])
+    for _ in range(BLOCKS):
+        phi0, psi0 = (low + size * points.random(BLOCK)).T
+        for step in fitted(*_rotations(problem), phi0, psi0, **_options(problem, free)):
+            yield values(problem, step)
+
+
+def _rotations(problem: DesignProblem) -> tuple[Array, Array]:
+    """Rotations of crank and rocker [rad] from their starts."""
     law = problem.requirement.law
     assert isinstance(law, Function)
     offsets = problem.law.offsets
-    wanted = np.asarray(law.rise(offsets), dtype=float)
+    return offsets, np.asarray(law.rise(offsets), dtype=float)
+
+
+def _ranges(problem: DesignProblem) -> tuple[bool, list[tuple[float, float]]]:
+    """Whether both start angles are free over half a turn at least, and their bounds [rad]."""
     starts = [problem.quantities[name] for name in ("phi0", "psi0")]
-    free = all(start.free and start.bounds[1] - start.bounds[0] >= math.pi for start in starts)
-    phi0, psi0 = (_grid(start, free) for start in starts)
+    return all(start.free and start.bounds[1] - start.bounds[0] >= math.pi for start in starts), [s.bounds for s in starts]
+
+
+def _options(problem: DesignProblem, free: bool) -> dict[str, Any]:
+    """Options of `first_steps`."""
     ratio = problem.limits.link_ratio
     ratios = None if ratio is None else (ratio.low or 1e-3, ratio.high or 1e3)
-    measure, keep = problem.requirement.measure, _keep(problem, offsets)
-    return first_steps(offsets, wanted, phi0, psi0, measure, ratios, count, shift=free, keep=keep)
+    keep = _keep(problem, problem.law.offsets)
+    return {"measure": problem.requirement.measure, "ratios": ratios, "shift": free, "keep": keep}
 
 
 def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:
@@ -53,8 +86,7 @@ def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:
     return {**lengths, "frame": frame, **angles}
 
 
-def _grid(start: Quantity, whole: bool) -> Array:
-    low, high = start.bounds
+def _grid(low: float, high: float, whole: bool) -> Array:
     if low == high:
         return np.array([low])
     if whole:

@@ -94,7 +94,7 @@ def _on_edges(normal: Array, right: Array, corners: Array) -> Array:
     return np.asarray(points[np.arange(len(points)), np.argmin(value, axis=-1)])
 
 
-def _fit(task: Task, x0: Array, y0: Array) -> Cells:
+def fit(task: Task, x0: Array, y0: Array) -> Cells:
     """Fit a linkage to every start position (m,): weighted least squares, the weights those of the output error."""
     chain = task.chain
     x, y = x0[:, None] + task.x, y0[:, None] + task.y
@@ -136,7 +136,7 @@ def scan(task: Task, x0: Array, y0: Array) -> Cells:
     blocks = min(first.size, math.ceil(first.size * task.x.size / BLOCK))
     found = []
     for one, other in zip(np.array_split(first, blocks), np.array_split(second, blocks), strict=True):
-        cells = _fit(task, one, other)
+        cells = fit(task, one, other)
         found.append(cells[np.isfinite(cells.error)])
     return _together(found)
 
@@ -173,7 +173,7 @@ def zoom(task: Task, cells: Cells, grids: tuple[Array, Array]) -> Cells:
     for _ in range(ZOOMS):
         x0 = np.clip(cells.x0[:, None] + reach[0] * first, *task.range_x)
         y0 = np.clip(cells.y0[:, None] + reach[1] * second, *task.range_y)
-        found = _fit(task, x0.ravel(), y0.ravel())
+        found = fit(task, x0.ravel(), y0.ravel())
         best = np.argmin(found.error.reshape(x0.shape), axis=-1) + first.size * np.arange(len(x0))
         better = np.flatnonzero(found.error[best] < cells.error)
         both = _together([cells, found[best]])

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.solvers.first_fits import Cells, Keep, Task, apart, scan, step_of, zoom
+from optlink.solvers.first_fits import Cells, Keep, Task, apart, fit, scan, step_of, zoom
 from optlink.solvers.first_optima import CLOSE, Refinement
 from optlink.solvers.loops import EXACT, linear, rocker_chain, slider_chain
 
@@ -183,12 +183,38 @@ def first_steps(
     grids = _grid(phi0, "phi0"), _grid(psi0, "psi0")
     ranges = (ANYWHERE, ANYWHERE) if shift else (_range(grids[0]), _range(grids[1]))
     task = Task(rocker_chain(ratios or UNLIMITED), x, y, measure == "max", 1.0, shift, keep, *ranges)
-    steps = []
-    for cell, own in _search(task, *grids, count):
-        crank, coupler, rocker = (float(size) for size in task.chain.sizes(cell.k))
-        start = [_wrapped(float(angle)) if shift else float(angle) for angle in (cell.x0, cell.y0)]
-        steps.append(FirstStep(**own, crank=crank, coupler=coupler, rocker=rocker, phi0=start[0], psi0=start[1]))
-    return steps
+    return [_step(task, cell, own) for cell, own in _search(task, *grids, count)]
+
+
+def fitted(
+    phi: ArrayLike,
+    psi: ArrayLike,
+    phi0: ArrayLike,
+    psi0: ArrayLike,
+    measure: str = "max",
+    ratios: tuple[float, float] | None = None,
+    *,
+    shift: bool = True,
+    keep: Keep | None = None,
+) -> list[FirstStep]:
+    """The fit at each pair of start angles (phi0, psi0), (m,) each, that gives a linkage; in their order, nothing proven.
+
+    Parameters and errors as of `first_steps`.
+    """
+    x, y = _read(phi, psi, "psi", measure, ratios, 1)
+    task = Task(rocker_chain(ratios or UNLIMITED), x, y, measure == "max", 1.0, shift, keep, ANYWHERE, ANYWHERE)
+    cells = fit(task, np.asarray(phi0, dtype=float), np.asarray(psi0, dtype=float))
+    cells = cells[np.isfinite(cells.error)]
+    own = {"residual": math.nan, "bound": 0.0, "proven": False, "status": "fit"}
+    return [
+        _step(task, cells[i], own | {"side": int(cells.side[i]), "error": float(cells.error[i])}) for i in range(len(cells.error))
+    ]
+
+
+def _step(task: Task, cell: Cells, own: dict[str, Any]) -> FirstStep:
+    crank, coupler, rocker = (float(size) for size in task.chain.sizes(cell.k))
+    start = [_wrapped(float(angle)) if task.shift else float(angle) for angle in (cell.x0, cell.y0)]
+    return FirstStep(**own, crank=crank, coupler=coupler, rocker=rocker, phi0=start[0], psi0=start[1])
 
 
 def first_steps_slider(

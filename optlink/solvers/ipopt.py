@@ -40,6 +40,8 @@ OPTIONS: dict[str, Any] = {
 
 TIGHT = {f"ipopt.{name}": 1e-11 for name in ("tol", "constr_viol_tol", "compl_inf_tol", "dual_inf_tol")}
 
+NEAR = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-4}
+
 
 class _Recorder(casadi.Callback):
     """Keeps the iterates."""
@@ -76,18 +78,24 @@ def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
     return casadi.nlpsol("ipopt", "ipopt", programme, {**OPTIONS, **extra})
 
 
-def compiled(nlp: NLP, tight: bool = False) -> Any:
+def compiled(nlp: NLP, tight: bool = False, close: bool = False) -> Any:
     """The solver of a programme, made once."""
-    key = "ipopt, tight" if tight else "ipopt"
+    key = f"ipopt, {tight}, {close}"
     if key not in nlp.cache:
-        nlp.cache[key] = _solver(nlp, TIGHT if tight else {})
+        nlp.cache[key] = _solver(nlp, (TIGHT if tight else {}) | (NEAR if close else {}))
     return nlp.cache[key]
 
 
-def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
+def ipopt_close(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
+    """Minimise from an x that is nearly optimal, without leaving its neighbourhood for another optimum."""
+    return ipopt(nlp, x, p, track=track, tight=tight, close=True)
+
+
+def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False, close: bool = False) -> Attempt:
     """Minimise from x; the compiled solver is kept as long as the programme lives."""
     recorder = _Recorder(nlp) if track else None
-    solver = compiled(nlp, tight) if recorder is None else _solver(nlp, {"iteration_callback": recorder})
+    own = {"iteration_callback": recorder} | (NEAR if close else {})
+    solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, own)
     result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)
     statistics = solver.stats()
     end = np.asarray(result["x"], dtype=float).ravel()

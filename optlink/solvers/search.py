@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,11 +20,13 @@ Array = NDArray[np.float64]
 
 BACKENDS = ("slsqp", "ipopt")
 MINIMAX = "minimax"  # knows programmes of the largest of many deviations only
+CLOSE = "ipopt, close"  # IPOPT with a small barrier, which does not leave the neighbourhood of a start that is nearly optimal
 SAME_OBJECTIVE = 1e-6  # relative
 SAME_ERROR = 1e-8  # rad; half a millionth of a degree is no difference
 SAME_DESIGN = 1e-5  # in scaled units
 CONTINUATIONS = 3  # an end that is no optimum is searched on from, more tightly
 NEARLY = 1e-3  # a violation up to this, in scaled units, is a solver's tolerance rather than another design
+SOBOL_BLOCK = 64
 RESCALE = 1e-3  # an optimum this far below its start is searched again from there, on its own scale
 
 
@@ -37,7 +40,10 @@ def backend(name: str) -> Backend:
         from optlink.solvers.minimax import minimax
 
         return minimax
-    from optlink.solvers.ipopt import ipopt
+    from optlink.solvers.ipopt import ipopt, ipopt_close
+
+    if name == CLOSE:
+        return ipopt_close
 
     return ipopt
 
@@ -99,15 +105,17 @@ def _ended(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
 
 def starts(nlp: NLP, count: int, seed: int) -> list[Array]:
     """The given start, then count - 1 Sobol points over the bounds (scrambled by the seed)."""
-    points = [nlp.x_start]
-    if count > 1:
-        from scipy.stats import qmc
+    return [nlp.lifted(x) for x in (np.clip(nlp.x_start, nlp.x_low, nlp.x_high), *itertools.islice(sobol(nlp, seed), count - 1))]
 
-        sobol = qmc.Sobol(len(nlp.variables), rng=np.random.default_rng(seed))
-        unit = sobol.random_base2(max(1, math.ceil(math.log2(count - 1))))[: count - 1] if count > 2 else sobol.random(1)
-        high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
-        points += list(nlp.x_low + unit * (high - nlp.x_low))
-    return [nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)) for x in points]
+
+def sobol(nlp: NLP, seed: int) -> Iterator[Array]:
+    """Sobol points over the bounds, without end, scrambled by the seed."""
+    from scipy.stats import qmc
+
+    points = qmc.Sobol(len(nlp.variables), rng=np.random.default_rng(seed))
+    high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
+    while True:
+        yield from nlp.x_low + points.random(SOBOL_BLOCK) * (high - nlp.x_low)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from optlink.documents import finite, head
 from optlink.errors import Fault, InputError, Status
 from optlink.solvers.levels import sharpened
 from optlink.solvers.solution import Solution
-from optlink.studies.keys import begun, text
+from optlink.studies.keys import text
 from optlink.studies.machine_givens import Givens, searched_again
 from optlink.studies.optimality import End, System
 from optlink.studies.parameters import Parameter, parameters
@@ -300,7 +300,7 @@ def _rebuilt(
     from optlink.workflow import solve
 
     other = problem.override({parameter.key: text(value, parameter.unit)})
-    found = solve(other, backend) if other.spec.everywhere else solve(begun(other, solution.design), backend, 1)
+    found = solve(other, backend, begin=solution.design)
     assert found.solution is not None
     nlp = found.solution.nlp
     return found.objective, {v.name: v.scale.people(x) for v, x in _shown(nlp, found.solution.x)}
