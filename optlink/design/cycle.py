@@ -9,7 +9,7 @@ from functools import cached_property
 from pydantic import ConfigDict, Field
 
 from optlink.design.limits import Alignment
-from optlink.design.linkages import sizes_of
+from optlink.design.linkages import check_one_mode, sizes_of
 from optlink.design.machines import Problem
 from optlink.design.quantity import Interval, Unusable
 from optlink.design.section import Name
@@ -105,6 +105,7 @@ def cross_check_cycle(problem: CycleProblem) -> None:
     Unusable
         with the full key that is to blame.
     """
+    check_one_mode(problem.mechanism)
     mechanism = problem.linkage
     if problem.drive.speed.value == 0.0:
         raise Unusable("the crank stands still", "Give the constant speed of the cycle", "drive.speed", str(problem.drive.speed))

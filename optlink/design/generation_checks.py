@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from optlink.design.generation import SLIDES, GenerationProblem
 from optlink.design.limits import check_ranges
-from optlink.design.linkages import FourBarSection
+from optlink.design.linkages import FourBarSection, check_one_mode
 from optlink.design.quantity import Unusable, nearest
 from optlink.linkage.mechanism import FRAME, Mechanism
 
@@ -34,6 +34,7 @@ def cross_check_generation(problem: GenerationProblem) -> None:
     Unusable
         with the full key that is to blame.
     """
+    check_one_mode(problem.mechanism)
     task, mechanism = problem.requirement, problem.linkage
     for key, kinds in BELONGS.items():
         if getattr(task, key) is not None and task.kind not in kinds:

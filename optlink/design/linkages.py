@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -12,7 +13,7 @@ from optlink.design.quantity import Angle, Coordinate, Length, Number, Quantity,
 from optlink.design.section import RESERVED, Name, Section
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
-from optlink.linkage.structure import EITHER, StructureError, assemble, modes_of
+from optlink.linkage.structure import CONTINUE, EITHER, StructureError, assemble, modes_of
 
 
 def _read_place(raw: object) -> tuple[Quantity, Quantity]:
@@ -28,6 +29,10 @@ def _read_place(raw: object) -> tuple[Quantity, Quantity]:
 
 
 Place = Annotated[Any, BeforeValidator(_read_place)]
+
+
+EQUAL = 1e-10
+"""Share of their length by which opposite links of a parallelogram may differ."""
 
 
 class FourBarSection(Section):
@@ -52,13 +57,42 @@ class FourBarSection(Section):
     """Place of the crank pivot A; left out: the origin."""
     direction: Angle | None = None
     """Angle of the frame A -> D, from +x; left out: 0."""
-    assembly: Literal["left", "right", "either"] = "left"
-    """On which side of B -> D the joint C lies; `either`: both are searched."""
+    assembly: Literal[
+        "left",
+        "right",
+        "either",
+        "continue",
+        "left, continue",
+        "right, continue",
+        "parallelogram",
+        "antiparallelogram",
+    ] = "left"
+    """On which side of B -> D the joint C lies; `either`: both are searched. With `continue` it lies there at the start and moves on
+    smoothly through change points; a parallelogram or antiparallelogram stays one."""
 
     @property
     def side(self) -> int:
-        """Assembly mode: +1 left, -1 right of B -> D."""
-        return -1 if self.assembly == "right" else 1
+        """Assembly mode: +1 left, -1 right of B -> D; of parallelograms at a crank angle of 90 deg."""
+        return -1 if self.assembly in ("right", "right, continue", "antiparallelogram") else 1
+
+    @property
+    def follows(self) -> bool:
+        """Whether the motion is followed through change points."""
+        return self.assembly not in ("left", "right", "either")
+
+    def check_mode(self, sizes: Mapping[str, Any]) -> None:
+        """Refuse an assembly mode that four-bars of these lengths do not have.
+
+        Raises
+        ------
+        Unusable
+        """
+        crank, coupler, rocker, frame = (sizes[name] for name in LENGTHS)
+        if "parallelogram" in self.assembly:
+            for one, other, names in ((crank, rocker, "crank and rocker"), (coupler, frame, "coupler and frame")):
+                if abs(one - other) > EQUAL * max(one, other):
+                    message = f"{names} of a parallelogram are equally long, and these differ by {abs(one - other) * 1e3:.6g} mm"
+                    raise Unusable(message, 'Change the lengths, or write "left" or "right"', "mechanism.assembly", self.assembly)
 
     @property
     def placed(self) -> bool:
@@ -84,7 +118,8 @@ class FourBarSection(Section):
         for point in self.points:
             if point in RESERVED or point in "ABCD" or point in LENGTHS:
                 raise Unusable(f"{point} is a name of the four-bar itself", "Choose another", "mechanism.points", point)
-        return four_bar(self.side, self.points, placed=self.placed)
+        upright = 0.5 * math.pi if "parallelogram" in self.assembly else None
+        return four_bar(self.side, self.points, placed=self.placed, follow=self.follows, holds_at=upright)
 
     def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
         """Changes of the file that settle what the search shall choose, one per combination of assembly modes."""
@@ -158,7 +193,16 @@ class DyadsSection(Section):
     """Sliding joints."""
     assembly: dict[str, str] = Field(default_factory=dict)
     """Which way each group closes: at an RRR joint `left of B-D` or `right of B-D`, at an RRP pin or an RPR guide `forward` or
-    `backward`; in a design problem also `either`."""
+    `backward`; `left of B-D, continue` is where it lies at the start, and then it moves smoothly through change points; in a design
+    problem also `either`."""
+
+    @property
+    def follows(self) -> bool:
+        """Whether the motion is followed through change points anywhere."""
+        return any(mode.rpartition(",")[2].strip() == CONTINUE for mode in self.assembly.values())
+
+    def check_mode(self, sizes: Mapping[str, Any]) -> None:
+        """Any lengths have the assembly modes of a dyad."""
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
@@ -283,6 +327,21 @@ class DyadsSection(Section):
             raise Unusable("nothing is fixed on the ground", 'Add A = ["0 mm", "0 mm"]', "mechanism.ground")
         if not self.links:
             raise Unusable("no link is given", 'Add crank = { joints = ["A", "B"], length = "100 mm" }', "mechanism.links")
+
+
+def check_one_mode(mechanism: FourBarSection | DyadsSection) -> None:
+    """Refuse to design a linkage that changes its assembly mode in motion.
+
+    Raises
+    ------
+    Unusable
+    """
+    if mechanism.follows:
+        message = "a linkage is designed for one assembly mode, without change points"
+        if isinstance(mechanism, FourBarSection):
+            raise Unusable(message, 'Write "left", "right" or "either"', "mechanism.assembly", mechanism.assembly)
+        joint, mode = next((joint, mode) for joint, mode in mechanism.assembly.items() if CONTINUE in mode)
+        raise Unusable(message, f'Take "{CONTINUE}" out', f"mechanism.assembly.{joint}", mode)
 
 
 def sizes_of(quantities: Mapping[str, Quantity]) -> dict[str, float]:

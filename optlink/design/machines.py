@@ -23,8 +23,9 @@ from optlink.design.tolerances import Deviation, Tolerances, deviations, loosene
 from optlink.dynamics.loads import Force, Load
 from optlink.dynamics.machine import Machine, Moving
 from optlink.dynamics.strokes import slow_stroke_of
+from optlink.linkage.continuation import follow
 from optlink.linkage.cycle import LEAST_DIFFERENCE, Direction
-from optlink.linkage.elementwise import Value, cross, dot, unit
+from optlink.linkage.elementwise import Value, cross, dot
 from optlink.linkage.mechanism import FRAME, Mechanism
 
 Array = NDArray[np.float64]
@@ -160,6 +161,9 @@ class Problem(Section):
         for name, body in self.bodies.items():
             with _below(f"bodies.{name}"):
                 inertias[name] = body.inertia_of(name, mechanism, sizes)
+        if self.mechanism.follows and all(np.ndim(size) == 0 for size in sizes.values()):
+            self.mechanism.check_mode(sizes)
+            mechanism = follow(mechanism, sizes, self.drive.start.value)
         motion = Revolution(Machine(mechanism, sizes), slow or {})
         loads = []
         for name, section_ in self.loads.items():
@@ -241,13 +245,13 @@ class Revolution:
     @cached_property
     def moving(self) -> Moving:
         """The machine at evenly spaced crank angles."""
-        return self.machine.moving(np.linspace(0.0, 2.0 * np.pi, STROKES, endpoint=False) + 1e-4)
+        return self.machine.moving(np.linspace(0.0, self.machine.mechanism.cycle, STROKES, endpoint=False) + 1e-4)
 
     def check_holds(self, gaps: Sequence[Gap]) -> None:
         """Refuse clearances that let a group of the mechanism come apart, or turn over into its other assembly mode."""
         mechanism, assembled = self.machine.mechanism, self.moving.motion.assembled
         with np.errstate(all="ignore"):
-            pose = mechanism.pose(self.machine.sizes, unit(self.moving.motion.crank_angle))
+            pose = mechanism.at(self.machine.sizes, self.moving.motion.crank_angle)
         for group in mechanism.groups if np.all(assembled) else ():
             own = {link.body for link in group.links}
             loose = [gap for gap in gaps if own & {gap.journal, gap.bearing}]

@@ -15,7 +15,7 @@ from optlink.design.expression import Expression
 from optlink.design.function import Function
 from optlink.design.law import Law, Table, read_law
 from optlink.design.limits import Limits, Reach, check_ranges
-from optlink.design.linkages import FourBarSection
+from optlink.design.linkages import FourBarSection, check_one_mode
 from optlink.design.machines import Expected, Problem
 from optlink.design.quantity import (
     Angle,
@@ -210,6 +210,7 @@ def cross_check_design(problem: DesignProblem) -> None:
     """
     requirement, limits = problem.requirement, problem.limits
     function = requirement.law if isinstance(requirement.law, Function) else None
+    check_one_mode(problem.mechanism)
     if problem.mechanism.placed:
         raise Unusable("a motion law has no place in the plane", "Leave pivot and direction out", "mechanism.pivot")
     if problem.mechanism.assembly == EITHER and function is None:

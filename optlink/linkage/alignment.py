@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.elementwise import Value, unit
+from optlink.linkage.elementwise import Value
 from optlink.linkage.jet import Jet
 from optlink.linkage.margins import NEAR_ALIGNMENT, SINGULAR_ALIGNMENT
 from optlink.linkage.mechanism import Group, Mechanism, Pose
@@ -43,6 +43,11 @@ class Aligned(NamedTuple):
         """Whether the assembly modes meet there."""
         return self.angle <= SINGULAR_ALIGNMENT * (1.0 + 1e-9)
 
+    @property
+    def followed(self) -> bool:
+        """Whether the group is led through, so that its motion is determined."""
+        return self.group.course is not None
+
     def __str__(self) -> str:
         return f"{math.degrees(self.crank_angle):.6g} deg ({self.group.kind} group of {self.group.joint})"
 
@@ -69,7 +74,9 @@ def slack(pose: Pose) -> Array:
     return least
 
 
-def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], low: float = 0.0, high: float = TURN) -> list[Aligned]:
+def least_alignments(
+    mechanism: Mechanism, sizes: Mapping[str, Value], low: float = 0.0, high: float | None = None
+) -> list[Aligned]:
     """Positions in which a group comes within `NEAR_ALIGNMENT` of alignment, each at the least angle from it.
 
     Parameters
@@ -77,18 +84,19 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], low: floa
     mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
     low, high : float [rad]
-        Range of the crank angle.
+        Range of the crank angle; one cycle of the motion from 0 on if left out.
 
     Returns
     -------
     list of Aligned, in the order of the groups and of the crank angle
     """
+    high = low + mechanism.cycle if high is None else high
     step = TURN / GRID
     grid = np.arange(low - 0.37 * step, high + step, step)  # so that round crank angles lie between its points
 
     def moving(angles: Array) -> Pose:
         with np.errstate(all="ignore"):
-            return mechanism.pose(sizes, unit(Jet(angles, 1.0)))
+            return mechanism.at(sizes, Jet(angles, 1.0))
 
     def rates(angles: Array) -> Array:
         pose = moving(angles)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.alignment import Aligned, least_alignments, slack
-from optlink.linkage.elementwise import Value, unit
+from optlink.linkage.elementwise import Value
 from optlink.linkage.groups import PRP
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Group, Mechanism, Pose
@@ -61,8 +61,16 @@ class Ranges:
 
     @property
     def singular(self) -> tuple[Aligned, ...]:
-        """Positions in which the assembly modes of a group meet, in the order of the crank angle."""
-        found = [position for position in self.aligned if position.singular]
+        """Positions beyond which the motion is not determined, in the order of the crank angle."""
+        return self._meeting(followed=False)
+
+    @property
+    def followed(self) -> tuple[Aligned, ...]:
+        """Singular positions through which a group is led, in the order of the crank angle."""
+        return self._meeting(followed=True)
+
+    def _meeting(self, *, followed: bool) -> tuple[Aligned, ...]:
+        found = [position for position in self.aligned if position.singular and position.followed == followed]
         return tuple(sorted(found, key=lambda position: position.crank_angle))
 
     def holding(self, crank_angle: float) -> tuple[float, float] | None:
@@ -77,7 +85,7 @@ class Ranges:
 def closing(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Array) -> Array:
     """Least assembly margin of all groups [-] at crank angles (n,); negative (never NaN) where one fails to close."""
     with np.errstate(all="ignore"):
-        return _closing(mechanism.pose(sizes, unit(crank_angle)))
+        return _closing(mechanism.at(sizes, crank_angle))
 
 
 def _closing(pose: Pose) -> Array:
@@ -98,27 +106,28 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     """
     aligned = least_alignments(mechanism, sizes)
     lowest = [position.crank_angle for position in aligned if not position.singular]
-    grid = np.unique(np.concatenate([np.linspace(0.0, TURN, GRID + 1), lowest]))
+    cycle = mechanism.cycle
+    grid = np.unique(np.concatenate([np.linspace(0.0, cycle, GRID * round(cycle / TURN) + 1), lowest]))
     crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel in passing
 
     def function(angles: Array) -> Array:
         with np.errstate(all="ignore"):
-            pose = mechanism.pose(sizes, unit(angles))
+            pose = mechanism.at(sizes, angles)
         sines = [np.broadcast_to(np.asarray(group.sine(pose), dtype=float), angles.shape) for group in crossing]
         return np.array([_closing(pose), *sines])
 
     def closed(angles: Array) -> bool:
         with np.errstate(all="ignore"):
-            return bool(np.all(slack(mechanism.pose(sizes, unit(angles))) >= 0.0))
+            return bool(np.all(slack(mechanism.at(sizes, angles)) >= 0.0))
 
     failing = not closed(grid)
     margin, *sines = zeros(function, grid)
     ends = np.unique(np.concatenate([margin if failing else [], *sines]))  # a margin that but touches zero is no end
     if len(ends) == 0:
-        return Ranges((), False) if failing else Ranges(((0.0, TURN),), True, tuple(aligned))
+        return Ranges((), False) if failing else Ranges(((0.0, cycle),), True, tuple(aligned))
     ranges = [
         (_inside(function, a, 1.0), _inside(function, b, -1.0))
-        for a, b in zip(ends, [*ends[1:], ends[0] + TURN], strict=True)
+        for a, b in zip(ends, [*ends[1:], ends[0] + cycle], strict=True)
         if function(np.array([0.5 * (a + b)]))[0, 0] >= 0.0
     ]
     if not sines:
@@ -159,7 +168,7 @@ def _inside(function: Callable[[Array], Array], end: float, way: float) -> float
 def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float) -> Failure | None:
     """What fails to close at a crank angle [rad], if anything."""
     with np.errstate(all="ignore"):
-        pose = mechanism.pose(sizes, unit(np.array([crank_angle])))
+        pose = mechanism.at(sizes, np.array([crank_angle]))
         for group in mechanism.groups:
             margin = float(np.asarray(pose.margins[group.joint]).ravel()[0])
             if not margin >= group.least:

@@ -14,7 +14,7 @@ import numpy as np
 from optlink.linkage.elementwise import Value, Vector, cross, dot, root
 
 
-def rrr(p: Vector, q: Vector, a: Value, b: Value, side: int) -> tuple[Vector, Value]:
+def rrr(p: Vector, q: Vector, a: Value, b: Value, side: Value) -> tuple[Vector, Value]:
     """Joint of two links pinned at p and q (RRR dyad).
 
     Parameters
@@ -23,7 +23,7 @@ def rrr(p: Vector, q: Vector, a: Value, b: Value, side: int) -> tuple[Vector, Va
         The two outer joints.
     a, b : Value [m]
         Link lengths from p and from q, positive.
-    side : int
+    side : int or array of int
         +1: the joint lies to the left of p -> q; -1: to the right.
 
     Returns
@@ -46,7 +46,7 @@ def rrr(p: Vector, q: Vector, a: Value, b: Value, side: int) -> tuple[Vector, Va
         return (p[0] + foot * dx - height * dy, p[1] + foot * dy + height * dx), margin
 
 
-def rrp(p: Vector, g: Vector, w: Vector, a: Value, offset: Value, side: int) -> tuple[Vector, Value]:
+def rrp(p: Vector, g: Vector, w: Vector, a: Value, offset: Value, side: Value) -> tuple[Vector, Value]:
     """Joint of a link pinned at p and a slider on a known line (RRP dyad).
 
     Parameters
@@ -59,7 +59,7 @@ def rrp(p: Vector, g: Vector, w: Vector, a: Value, offset: Value, side: int) -> 
         Link length from p to the joint, positive.
     offset : Value [m]
         Distance of the joint to the left of the line, fixed on the slider.
-    side : int
+    side : int or array of int
         +1: the joint lies forward (along w) of the foot of p on the line; -1: backward.
 
     Returns
@@ -81,7 +81,7 @@ def rrp(p: Vector, g: Vector, w: Vector, a: Value, offset: Value, side: int) -> 
         return (g[0] + along * w[0] - offset * w[1], g[1] + along * w[1] + offset * w[0]), margin
 
 
-def rpr(p: Vector, q: Vector, offset: Value, side: int) -> tuple[Vector, Value]:
+def rpr(p: Vector, q: Vector, offset: Value, side: Value) -> tuple[Vector, Value]:
     """Direction of the line along which two bodies slide that are pinned at p and q (RPR dyad).
 
     Parameters
@@ -90,7 +90,7 @@ def rpr(p: Vector, q: Vector, offset: Value, side: int) -> tuple[Vector, Value]:
         Outer pins of the body that carries the line (p) and of the slider (q).
     offset : Value [m]
         How much further to the left of the line q lies than p, fixed on the two bodies.
-    side : int
+    side : int or array of int
         +1: q lies forward (along the line) of p; -1: backward.
 
     Returns

@@ -25,7 +25,9 @@ def lengths_of(values: Mapping[str, Value]) -> tuple[Value, Value, Value, Value]
     return values["crank"], values["coupler"], values["rocker"], values["frame"]
 
 
-def four_bar(side: int = 1, points: Iterable[str] = (), *, placed: bool = False) -> Mechanism:
+def four_bar(
+    side: int = 1, points: Iterable[str] = (), *, placed: bool = False, follow: bool = False, holds_at: float | None = None
+) -> Mechanism:
     """The four-bar A-B-C-D as data, its sizes the parameters of `LENGTHS`.
 
     Parameters
@@ -37,12 +39,17 @@ def four_bar(side: int = 1, points: Iterable[str] = (), *, placed: bool = False)
     placed : bool
         False: A lies in the origin and D on the x axis. True: the parameters "A.x", "A.y" and "direction" place the frame, and
         crank angles count from A -> D.
+    follow : bool
+        Lead it smoothly through change points.
+    holds_at : float [rad], optional
+        Crank angle at which `side` holds then; left out: where the drive starts.
     """
+    coupler, rocker = Link("coupler", "B", "C", "coupler"), Link("rocker", "D", "C", "rocker")
     return Mechanism(
         name="four-bar",
         ground={"A": ("A.x", "A.y"), "D": Arm("A", "frame", "direction")} if placed else {"A": (0.0, 0.0), "D": ("frame", 0.0)},
         crank=Link("crank", "A", "B", "crank"),
-        groups=(RRR(Link("coupler", "B", "C", "coupler"), Link("rocker", "D", "C", "rocker"), side),),
+        groups=(RRR(coupler, rocker, side, follow=follow, holds_at=holds_at),),
         points=tuple(BodyPoint(name, "coupler", f"{name}.along", f"{name}.across") for name in points),
         datum="direction" if placed else 0.0,
     )

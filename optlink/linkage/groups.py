@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from optlink.linkage.dyads import prp, rpp, rpr, rrp, rrr
-from optlink.linkage.elementwise import Value, cross, dot, minus, plus, turn, turn_back
+from optlink.linkage.elementwise import Value, Vector, cross, dot, minus, plus, turn, turn_back
 from optlink.linkage.mechanism import Guide, Link, Pose
+from optlink.linkage.passage import Course
 
 PARALLEL = 1e-12
 """Squared sine of the angle between two lines below which they count as parallel and meet nowhere."""
@@ -28,7 +29,28 @@ class _Pair:
 
 
 @dataclass(frozen=True)
-class RRR(_Pair):
+class _Modal(_Pair):
+    """A dyad with two assembly modes; `side` is one of them.
+
+    `follow`: lead it smoothly through its singular positions, from the mode `side` on, which holds at the crank angle `holds_at`
+    [rad], else where the drive starts. `course`: its way through them, once sizes are known (`continuation.follow`).
+    """
+
+    follow: bool = field(default=False, kw_only=True)
+    holds_at: float | None = field(default=None, kw_only=True)
+    course: Course | None = field(default=None, kw_only=True, compare=False)
+
+    def mode(self, pose: Pose) -> Value:
+        """Assembly mode at the crank angles of a pose."""
+        return self.side if self.course is None else self.course.side(pose.angle)  # type: ignore[attr-defined]
+
+    def through(self, pose: Pose, new: Vector, margin: Value) -> tuple[Vector, Value]:
+        """What the formula adds, or near singular positions what continues it."""
+        return (new, margin) if self.course is None else self.course.through(pose.angle, new, margin)
+
+
+@dataclass(frozen=True)
+class RRR(_Modal):
     """Two links pinned to known joints and to one another.
 
     Where nothing else is said the outer joints are the starts of the links and the joint is their common end.
@@ -55,7 +77,8 @@ class RRR(_Pair):
         """Add the new joint and both links; return the assembly margin."""
         p, q = self.pins
         a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
-        pose.points[self.joint], margin = rrr(pose.point(p), pose.point(q), a, b, self.side)
+        joint, margin = rrr(pose.point(p), pose.point(q), a, b, self.mode(pose))
+        pose.points[self.joint], margin = self.through(pose, joint, margin)
         pose.fit(self.first, p, self.joint)
         pose.fit(self.second, q, self.joint)
         return margin
@@ -85,7 +108,7 @@ class RRR(_Pair):
 
 
 @dataclass(frozen=True)
-class RRP(_Pair):
+class RRP(_Modal):
     """A link pinned to a known joint, and to a slider on a known line."""
 
     guide: Guide
@@ -106,7 +129,8 @@ class RRP(_Pair):
         begin, line = pose.line(self.guide, self.guide.other(self.second.body))
         offset = pose.offset(self.guide, self.second, self.joint)
         length = pose.distance(self.first, self.outer, self.joint)
-        pose.points[self.joint], margin = rrp(pose.point(self.outer), begin, line, length, offset, self.side)
+        joint, margin = rrp(pose.point(self.outer), begin, line, length, offset, self.mode(pose))
+        pose.points[self.joint], margin = self.through(pose, joint, margin)
         pose.fit(self.first, self.outer, self.joint)
         pose.place(self.second, turn_back(line, pose.local_line(self.guide, self.second.body)[1]), self.joint)
         return margin
@@ -123,7 +147,7 @@ class RRP(_Pair):
 
 
 @dataclass(frozen=True)
-class RPR(_Pair):
+class RPR(_Modal):
     """A slider (first) and the body that carries its line (second), each pinned to a known joint."""
 
     guide: Guide
@@ -141,7 +165,7 @@ class RPR(_Pair):
     def solve(self, pose: Pose) -> Value:
         """Add both bodies; return the assembly margin."""
         q, p = (pose.point(name) for name in self.outer)
-        line, margin = rpr(p, q, self._offset(pose), self.side)
+        line, margin = self.through(pose, *rpr(p, q, self._offset(pose), self.mode(pose)))
         for link, pin in zip(self.links, self.outer, strict=True):
             pose.place(link, turn_back(line, pose.local_line(self.guide, link.body)[1]), pin)
         return margin
@@ -172,6 +196,7 @@ class RPP(_Pair):
 
     kind = "RPP"
     least = PARALLEL
+    course = None
 
     @property
     def joint(self) -> str:
@@ -211,6 +236,7 @@ class PRP(_Pair):
 
     kind = "PRP"
     least = PARALLEL
+    course = None
 
     @property
     def joint(self) -> str:

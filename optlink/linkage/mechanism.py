@@ -13,7 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from optlink.linkage.elementwise import Value, Vector, cross, dot, minus, plus, turn, turn_back, unit
+from optlink.linkage.elementwise import Value, Vector, angle, cross, dot, minus, plus, turn, turn_back, unit
+from optlink.linkage.passage import Course
 
 Size = str | float
 """The name of a parameter, or a number in SI."""
@@ -117,6 +118,11 @@ class Group(Protocol):
         """By how much the group fails to close [m]: negative where it closes."""
         ...
 
+    @property
+    def course(self) -> Course | None:
+        """Its way through singular positions, if it is led through them."""
+        ...
+
     def alignment(self, pose: Pose) -> Value:
         """Squared sine of the angle by which the group is out of alignment: zero at a singular position, negative beyond it."""
         ...
@@ -125,10 +131,10 @@ class Group(Protocol):
 class Pose:
     """Where everything is. Filled group by group; `points` in [m], `directions` of bodies as unit vectors, `margins` by joint."""
 
-    __slots__ = ("directions", "margins", "mechanism", "points", "sizes")
+    __slots__ = ("angle", "directions", "margins", "mechanism", "points", "sizes")
 
-    def __init__(self, mechanism: Mechanism, sizes: Mapping[str, Value]) -> None:
-        self.mechanism, self.sizes = mechanism, sizes
+    def __init__(self, mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Value = None) -> None:
+        self.mechanism, self.sizes, self.angle = mechanism, sizes, crank_angle
         self.points: dict[str, Vector] = {}
         self.directions: dict[str, Vector] = {FRAME: (1.0, 0.0)}
         self.margins: dict[str, Value] = {}
@@ -241,7 +247,8 @@ class Pose:
 class Mechanism:
     """Ground + driving crank + ordered dyads (+ points fixed on bodies, + guides).
 
-    `datum` [rad] is the direction that crank angles are counted from, itself counted from +x.
+    `datum` [rad] is the direction that crank angles are counted from, itself counted from +x. `cycle` [rad] is the crank rotation
+    after which the motion repeats: more than a revolution where groups are led through change points.
     """
 
     name: str
@@ -251,6 +258,12 @@ class Mechanism:
     points: tuple[BodyPoint, ...] = field(default=())
     guides: tuple[Guide, ...] = field(default=())
     datum: Size = 0.0
+    cycle: float = 2.0 * np.pi
+
+    @cached_property
+    def followed(self) -> bool:
+        """Whether a group is led through change points."""
+        return any(group.course is not None for group in self.groups)
 
     @cached_property
     def links(self) -> tuple[Link, ...]:
@@ -287,7 +300,11 @@ class Mechanism:
         """The link of that name; KeyError if there is none."""
         return self.bodies[body]
 
-    def pose(self, sizes: Mapping[str, Value], crank: Vector) -> Pose:
+    def at(self, sizes: Mapping[str, Value], crank_angle: Value) -> Pose:
+        """Positions of every point at crank angles [rad], see `pose`; velocities and accelerations where they are jets."""
+        return self.pose(sizes, unit(crank_angle), crank_angle)
+
+    def pose(self, sizes: Mapping[str, Value], crank: Vector, crank_angle: Value = None) -> Pose:
         """Positions of every point.
 
         Parameters
@@ -296,12 +313,14 @@ class Mechanism:
             Broadcast against the crank: (designs, 1) against (angles,) gives (designs, angles).
         crank : pair of Value
             Unit vector of the crank, against the datum of the crank angle.
+        crank_angle : Value [rad], optional
+            Its angle, which a mechanism that is led through change points depends on; left out: within the first revolution.
 
         Returns
         -------
         Pose, coordinates in [m], NaN from the first group on that cannot be assembled (its margin is negative).
         """
-        pose = Pose(self, sizes)
+        pose = Pose(self, sizes, angle(crank) if crank_angle is None and self.followed else crank_angle)
         for name, place in self.ground.items():
             pose.points[name] = pose.fixed(place)
         if isinstance(self.datum, str) or self.datum != 0.0:

@@ -160,7 +160,7 @@ def positions(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Arr
         part = slice(first, first + step)
         portion = {name: size[part] if size.ndim == 2 and len(size) > 1 else size for name, size in arrays.items()}
         with np.errstate(all="ignore"):
-            pose = mechanism.pose(portion, crank)
+            pose = mechanism.pose(portion, crank, angles)
         for i, name in enumerate(wanted):
             points[i, 0, part], points[i, 1, part] = pose.points[name]
         for i, group in enumerate(mechanism.groups):
@@ -187,5 +187,5 @@ def sweep(
     """
     angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
     with np.errstate(all="ignore"):  # at a dead position of a group its speeds are infinite or NaN, as they are
-        pose = mechanism.pose(sizes, unit(Jet(angles, speed, acceleration)))
+        pose = mechanism.at(sizes, Jet(angles, speed, acceleration))
     return Motion(mechanism, sizes, angles, speed, pose, acceleration)

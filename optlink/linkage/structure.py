@@ -15,6 +15,9 @@ from optlink.linkage.mechanism import FRAME, BodyPoint, Ground, Group, Guide, Li
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
 FORWARD = {"forward": 1, "backward": -1}
+CONTINUE = "continue"
+"""Follow the motion smoothly through change points; alone, or behind the assembly mode at the start: "left of B-D, continue"."""
+
 EITHER = "either"
 """An assembly mode that a search shall choose; until then it counts as left, or forward."""
 
@@ -44,7 +47,8 @@ def assemble(
     links, points, guides : every moving body, its further points, the prismatic joints
     driver : name of the body that is driven; its start is its pivot on the frame
     modes : mapping of joint name to assembly mode
-        Of RRR groups "left of B-D" or "right of B-D", of RRP and RPR groups "forward" or "backward" along the guide.
+        Of RRR groups "left of B-D" or "right of B-D", of RRP and RPR groups "forward" or "backward" along the guide; with
+        ", continue" behind it the group is led smoothly through its singular positions.
 
     Raises
     ------
@@ -60,6 +64,12 @@ def modes_of(group: Group) -> tuple[str, ...]:
         p, q = group.pins
         return f"left of {p}-{q}", f"right of {p}-{q}"
     return tuple(FORWARD) if isinstance(group, RRP | RPR) else ()
+
+
+def _split(words: str) -> tuple[str, bool]:
+    """An assembly mode and whether it is followed through change points; no mode counts as left, or forward."""
+    mode, _, last = words.rpartition(",")
+    return (mode.strip(), True) if last.strip() == CONTINUE else (words, False)
 
 
 def _list(names: Iterable[str]) -> str:
@@ -206,28 +216,33 @@ class _Assembly:
             raise self.one_body(first, second, [a, joint if isinstance(joint, str) else joint.name])
         if isinstance(joint, str):
             if isinstance(a, str) and isinstance(b, str):
-                return RRR(one, two, self.side(joint, a, b), (a, b), joint)
+                return RRR(one, two, self.side(joint, a, b), (a, b), joint, follow=self.follows(joint))
             if isinstance(a, Guide) and isinstance(b, Guide):
                 return PRP(one, two, (a, b), joint)
             if isinstance(a, str) and isinstance(b, Guide):
-                return RRP(one, two, b, a, joint, self.way(joint, b))
+                return RRP(one, two, b, a, joint, self.way(joint, b), follow=self.follows(joint))
             if isinstance(a, Guide) and isinstance(b, str):
-                return RRP(two, one, a, b, joint, self.way(joint, a))
+                return RRP(two, one, a, b, joint, self.way(joint, a), follow=self.follows(joint))
         elif isinstance(a, str) and isinstance(b, str):
+            way, follow = self.way(joint.name, joint), self.follows(joint.name)
             if joint.slider == first:
-                return RPR(one, two, joint, (a, b), self.way(joint.name, joint))
-            return RPR(two, one, joint, (b, a), self.way(joint.name, joint))
+                return RPR(one, two, joint, (a, b), way, follow=follow)
+            return RPR(two, one, joint, (b, a), way, follow=follow)
         elif isinstance(a, str) and isinstance(b, Guide):
             return RPP(one, two, joint, a, b)
         elif isinstance(a, Guide) and isinstance(b, str):
             return RPP(two, one, joint, b, a)
         return None  # three prismatic joints place nothing
 
+    def follows(self, joint: str) -> bool:
+        """Whether a group is to be led through its singular positions."""
+        return _split(self.modes[joint])[1]
+
     def side(self, joint: str, p: str, q: str) -> int:
         """Assembly mode of an RRR group."""
         options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
         words = self.mode(joint, options)
-        if words == EITHER:
+        if words in (EITHER, ""):
             return 1
         match = _SIDE.fullmatch(words)
         if match is None or {match[2], match[3]} != {p, q} or p == q:
@@ -238,7 +253,7 @@ class _Assembly:
         """Assembly mode of a group with one slider."""
         options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
         words = self.mode(joint, options).strip()
-        if words == EITHER:
+        if words in (EITHER, ""):
             return 1
         if words not in FORWARD:
             raise StructureError("not an assembly mode of this group", f"Write {options}", f"assembly.{joint}", words)
@@ -252,7 +267,7 @@ class _Assembly:
                 f"Add {options}",
                 f"assembly.{joint}",
             )
-        return self.modes[joint]
+        return _split(self.modes[joint])[0]
 
     def one_body(self, first: str, second: str, both: list[str]) -> StructureError:
         """Two bodies that cannot move against one another."""

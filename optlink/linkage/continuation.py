@@ -1,0 +1,152 @@
+"""Following a mechanism through its singular positions by analytic continuation, group by group.
+
+On a small circle about a singular position in the complex plane of the crank angle the two assembly modes are well apart. The one
+that comes from the left is followed round the circle; Cauchy's integral turns it into a power series about the centre.
+
+Source: L. N. Trefethen, J. A. C. Weideman, The exponentially convergent trapezoidal rule, SIAM Review 56 (2014).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.alignment import Aligned, least_alignments
+from optlink.linkage.cycle import reachable
+from optlink.linkage.elementwise import Value, turn
+from optlink.linkage.groups import RPR, RRP, RRR
+from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.passage import Course, Passage
+
+Array = NDArray[np.float64]
+TURN = 2.0 * math.pi
+NODES = 64
+"""Points of a circle; the series has half as many terms."""
+
+LARGEST, LEAST = 0.3, 1e-3
+"""Radii [rad] of the circles: halved until the series converges."""
+
+CONVERGED, ROUNDED = 1e-10, 1e-8
+"""Shares of the motion on the circle that the last terms and those of negative powers may have."""
+
+SAME = 1e-6
+"""Crank rotation [rad] within which a start counts as the singular position itself."""
+
+MOST_TURNS = 8
+"""Revolutions after which a motion that does not close is given up."""
+
+
+class _Crossing(NamedTuple):
+    """How a group goes through a singular position: whether it changes its side, and the series if it comes from side +1 or -1."""
+
+    flips: bool
+    series: dict[int, Passage]
+
+
+def follow(mechanism: Mechanism, sizes: Mapping[str, Value], start: float, *, every: bool = False) -> Mechanism:
+    """The mechanism with its groups led smoothly through their singular positions.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float [m, rad]
+    start : float [rad]
+        Crank angle at which the assembly modes hold (just beyond it, counter-clockwise, where it is a singular position), unless a
+        group names another.
+    every : bool
+        Lead every group, not only those with `follow`.
+
+    Returns
+    -------
+    Mechanism, its `cycle` the crank rotation after which the motion repeats; a group that no smooth motion leads through a
+    singular position stays as it is
+    """
+    for k, group in enumerate(mechanism.groups):
+        if isinstance(group, RRR | RRP | RPR) and (every or group.follow):
+            bodies = {link.body for g in mechanism.groups[: k + 1] for link in g.links} | {mechanism.crank.body}
+            points = tuple(point for point in mechanism.points if point.body in bodies)
+            part = replace(mechanism, groups=mechanism.groups[: k + 1], points=points)
+            course = _course(part, sizes, group, start if group.holds_at is None else group.holds_at)
+            if course is not None:
+                groups = (*mechanism.groups[:k], replace(group, course=course), *mechanism.groups[k + 1 :])
+                mechanism = replace(mechanism, groups=groups, cycle=max(mechanism.cycle, course.cycle))
+    return mechanism
+
+
+def _course(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, start: float) -> Course | None:
+    """Sides and passages of the last group of a mechanism, from the crank angle on at which its mode holds."""
+    ranges, cycle = reachable(part, sizes), part.cycle
+    aligned = [p for p in least_alignments(part, sizes) if p.group is group and p.singular]
+    holding = (start, start + cycle) if ranges.full else ranges.holding(start)
+    if not aligned or holding is None:
+        return None
+    crossings = [_crossing(part, sizes, group, p) for p in aligned]
+    known = [(p.crank_angle, crossing) for p, crossing in zip(aligned, crossings, strict=True) if crossing is not None]
+    if len(known) < len(aligned):
+        return None
+    origin = start if ranges.full else 0.5 * (holding[0] + holding[1]) - 0.5 * cycle
+    ahead = sorted(
+        ((_ahead(at, origin, cycle, closed=ranges.full), crossing) for at, crossing in known), key=lambda pair: pair[0]
+    )
+    turns = 2 if ranges.full and sum(crossing.flips for _, crossing in ahead) % 2 else 1
+    if turns * cycle > MOST_TURNS * TURN:
+        return None
+    ahead = [(at + turn * cycle, crossing) for turn in range(turns) for at, crossing in ahead]
+    breaks = np.array([origin + at for at, _ in ahead])
+    flips = np.cumprod([1, *(-1 if crossing.flips else 1 for _, crossing in ahead)])
+    sides = flips * (group.side * flips[np.searchsorted(breaks, start + SAME, side="right") if not ranges.full else 0])
+    passages = tuple(
+        replace(crossing.series[int(side)], crank_angle=float(at))
+        for at, (_, crossing), side in zip(breaks, ahead, sides[:-1], strict=True)
+    )
+    return Course(origin, turns * cycle, breaks, sides, passages)
+
+
+def _ahead(at: float, origin: float, cycle: float, *, closed: bool) -> float:
+    """How far a crank angle is ahead of the origin; a cycle, not nothing, where it is the origin of a closed motion."""
+    found = (at - origin) % cycle
+    return cycle if closed and (found < SAME or found > cycle - SAME) else found
+
+
+def _crossing(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, at: Aligned) -> _Crossing | None:
+    """Follow a group through a singular position, on the largest circle on which its motion is a power series."""
+    theta = math.pi + TURN * np.arange(NODES) / NODES
+    circle = np.exp(1j * theta)
+    powers = np.arange(-NODES // 2, NODES // 2)
+    transform = np.exp(-1j * np.outer(theta, powers)) / NODES
+    radius = LARGEST
+    while radius >= LEAST:
+        places = [_places(part, sizes, replace(group, side=side), at.crank_angle + radius * circle) for side in (1, -1)]
+        middle, half = 0.5 * (places[0] + places[1]), 0.5 * (places[0] - places[1])
+        sense = np.sign(np.real(np.sum(np.conj(half) * np.roll(half, -1, axis=1), axis=0)))  # from each point to the next
+        ways = np.cumprod([1.0, *sense[:-1]])
+        if np.all(np.isfinite(half)) and sense[-1] * ways[-1] > 0.0:
+            series, size = {}, np.max(np.abs([half, middle - np.mean(middle, axis=1, keepdims=True)]))
+            for side in (1, -1):
+                terms = (middle + side * ways * half) @ transform
+                last, negative = np.abs(terms[:, -NODES // 8 :]), np.abs(terms[:, powers < 0])
+                if np.max(last) <= CONVERGED * size and np.max(negative) <= ROUNDED * size:
+                    scale = radius ** powers[powers >= 0].astype(float)
+                    series[side] = Passage(at.crank_angle, 0.5 * radius, np.real(terms[:, powers >= 0]) / scale)
+            if len(series) == 2:
+                return _Crossing(bool(ways[NODES // 2] < 0.0), series)
+        radius *= 0.5
+    return None
+
+
+def _places(
+    part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, angles: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
+    """What the group adds at complex crank angles: the coordinates of its joint, or the direction of its guide."""
+    with np.errstate(all="ignore"):
+        pose = replace(part, groups=(*part.groups[:-1], group)).at(sizes, angles)
+        if isinstance(group, RPR):
+            found = turn(pose.direction(group.first.body), pose.local_line(group.guide, group.first.body)[1])
+        else:
+            found = pose.point(group.joint)
+    return np.array([np.broadcast_to(x, angles.shape) for x in found], dtype=complex)

@@ -1,0 +1,94 @@
+"""The way of a group through singular positions: on which side its joint lies where, and Taylor series about them.
+
+At a singular position the formulas of a dyad are 0/0. The joint itself moves on smoothly: there its place is a power series in the
+crank angle, whose derivatives are the velocities and accelerations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.elementwise import Value, Vector
+from optlink.linkage.jet import Jet
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Passage:
+    """Power series (2, terms) of two coordinates in crank angle - `crank_angle` [rad], good within `window` [rad]."""
+
+    crank_angle: float
+    window: float
+    series: Array
+
+    def place(self, angle: Value, delta: Value) -> Vector:
+        """The two coordinates; jets where the crank angle is one."""
+        values = [np.polynomial.polynomial.polyval(delta, row) for row in self.series]
+        if not isinstance(angle, Jet):
+            return values[0], values[1]
+        powers = np.arange(self.series.shape[1])
+        first = [np.polynomial.polynomial.polyval(delta, (row * powers)[1:]) for row in self.series]
+        second = [np.polynomial.polynomial.polyval(delta, (row * powers * (powers - 1))[2:]) for row in self.series]
+        square = angle.rate * angle.rate
+        x, y = (
+            Jet(v, a * angle.rate, b * square + a * angle.acceleration) for v, a, b in zip(values, first, second, strict=True)
+        )
+        return x, y
+
+
+@dataclass(frozen=True)
+class Course:
+    """Sides and passages of a group over the crank angle.
+
+    Parameters
+    ----------
+    origin, cycle : float [rad]
+        The crank angles from `origin` on, `cycle` of them, are what sides and passages are stated for; then they repeat.
+    breaks : array (n,) [rad]
+        Crank angles at which the side may change, rising.
+    sides : array (n + 1,)
+        Assembly mode before, between and behind them: +1 or -1.
+    passages : one for each break
+    """
+
+    origin: float
+    cycle: float
+    breaks: Array
+    sides: Array
+    passages: tuple[Passage, ...]
+
+    def side(self, angle: Value) -> Value:
+        """Assembly mode at a crank angle."""
+        value = np.real(angle.value if isinstance(angle, Jet) else angle)
+        within = self.origin + np.remainder(value - self.origin, self.cycle)
+        return self.sides[np.searchsorted(self.breaks, within, side="right")]
+
+    def through(self, angle: Value, new: Vector, margin: Value) -> tuple[Vector, Value]:
+        """Replace by their series what the formulas give near the singular positions, and margins that are rounding by zero."""
+        value = angle.value if isinstance(angle, Jet) else angle
+        for passage in self.passages:
+            turns = np.round((np.real(value) - passage.crank_angle) / self.cycle)
+            delta = value - passage.crank_angle - self.cycle * turns
+            near = np.abs(delta) < passage.window
+            if np.any(near):
+                place = passage.place(angle, np.where(near, delta, 0.0))
+                new = _either(near, place[0], new[0]), _either(near, place[1], new[1])
+                margin = _either(near & ~(np.real(_value(margin)) >= 0.0), 0.0, margin)
+        return new, margin
+
+
+def _value(x: Value) -> Value:
+    return x.value if isinstance(x, Jet) else x
+
+
+def _either(which: Value, one: Value, other: Value) -> Value:
+    """One or the other, elementwise, of jets too."""
+    if not isinstance(one, Jet) and not isinstance(other, Jet):
+        return np.where(which, one, other)
+    a, b = (x if isinstance(x, Jet) else Jet(x) for x in (one, other))
+    parts = ((a.value, b.value), (a.rate, b.rate), (a.acceleration, b.acceleration))
+    return Jet(*(np.where(which, x, y) for x, y in parts))
