@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import Unusable
 from optlink.documents import finite, head
+from optlink.dynamics.change_points import pin_columns, unbounded_reactions
 from optlink.dynamics.flywheel import Flywheel, flywheel
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
@@ -23,7 +24,7 @@ from optlink.dynamics.strokes import Acting, acting_loads, use_of, working_strok
 from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
 from optlink.linkage.alignment import Aligned, listed
-from optlink.linkage.cycle import TURN, Ranges, Travel, failure, reachable, travels
+from optlink.linkage.cycle import TURN, Ranges, Travel, failure, reachable, travels, within_cycle
 from optlink.linkage.elementwise import Value
 from optlink.linkage.refine import extremes, zeros
 
@@ -31,12 +32,16 @@ Array = NDArray[np.float64]
 SCHEMA = "optlink/analysis/1"
 MAX_POINTS = 1_000_000
 GRID = 720  # positions among which extremes are bracketed
+ROUNDED = 1e-5  # rad from a change point that is passed: reactions there have lost their digits
 BESIDE = 1e-6  # rad from a singular position: rates and forces there are rounding
 MARGIN = 1e-3  # share of a limited range that is left out at either end: speeds are infinite at a dead position
 
 
 class Extreme(NamedTuple):
-    """Least and largest value of a column over the motion, and the crank angles [rad] at which they are met."""
+    """Least and largest value of a column over the motion, and the crank angles [rad] at which they are met.
+
+    Where the crank turns fully they lie from 0 to below the cycle, a revolution; else within the range.
+    """
 
     least: float
     least_at: float
@@ -49,7 +54,8 @@ class Analysis:
     """A machine over its cycle.
 
     `columns` by name (unit at the end), each an array over the sampled crank angles; `meanings` of them; `extremes` refined to
-    their exact crank angles, one-sided where a load jumps; `swings` of bodies and `strokes` of sliders (by slider name).
+    their exact crank angles, one-sided where a load jumps; `unbounded`: columns of reactions that grow without bound towards
+    change points which the motion is led through; `swings` of bodies and `strokes` of sliders (by slider name).
     """
 
     problem: ProblemFile
@@ -70,6 +76,7 @@ class Analysis:
     undefined: Array
     notes: tuple[str, ...]
     flywheel: Flywheel | None = None
+    unbounded: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Array:
         return self.columns[name]
@@ -78,6 +85,23 @@ class Analysis:
     def full(self) -> bool:
         """Whether the crank turns fully."""
         return self.ranges.full
+
+    @property
+    def cycle(self) -> float:
+        """Crank rotation [rad] after which the motion repeats, if the crank turns fully."""
+        return self.machine.mechanism.cycle
+
+    @property
+    def extent(self) -> str:
+        """What works and strokes are counted over, in words."""
+        if not self.full:
+            return "over the range"
+        return "per revolution" if self.cycle == TURN else "per cycle"
+
+    def _within(self, crank_angles: Array) -> list[float]:
+        """Crank angles [deg], each once within the cycle if the crank turns fully."""
+        angles = [within_cycle(at, self.cycle) if self.full else float(at) for at in crank_angles]
+        return sorted({round(math.degrees(at), 9) for at in angles})
 
     @property
     def sound(self) -> bool:
@@ -89,7 +113,9 @@ class Analysis:
         """The verdict in a few words."""
         if self.ranges.singular:
             return "motion not determined beyond a singular position"
-        return "analysed" if self.sound else "no finite reactions at some positions"
+        if not self.sound:
+            return "no finite reactions at some positions"
+        return "analysed, but for reactions at change points" if self.unbounded else "analysed"
 
     @property
     def figures(self) -> dict[str, float]:
@@ -103,7 +129,7 @@ class Analysis:
         for name, travel in self.swings.items():
             found[f"{name}.swing_rad"] = travel.span
             found[f"{name}.swing_time_ratio" if name in self.strokes else f"{name}.time_ratio"] = travel.time_ratio
-        found["input.work_per_revolution_J" if self.full else "input.work_over_range_J"] = self.work
+        found[f"input.work_{self.extent.replace('the ', '').replace(' ', '_')}_J"] = self.work
         return {name: value for name, value in found.items() if math.isfinite(value)}
 
     @cached_property
@@ -143,15 +169,22 @@ class Analysis:
                 name: {"min": e.least, "min_at_deg": deg(e.least_at), "max": e.largest, "max_at_deg": deg(e.largest_at)}
                 for name, e in self.extremes.items()
             },
-            "load_jumps_deg": np.degrees(self.jumps),
+            "load_jumps_deg": self._within(self.jumps),
             "work_J": self.work,
-            "singular_deg": np.degrees(self.singular),
+            "singular_deg": self._within(self.singular),
             "singular_positions": [
-                {"crank_angle_deg": deg(p.crank_angle), "joint": p.group.joint, "alignment_deg": deg(p.angle)}
-                for p in self.ranges.singular
+                {
+                    "crank_angle_deg": deg(p.crank_angle),
+                    "joint": p.group.joint,
+                    "alignment_deg": deg(p.angle),
+                    "followed": p.followed,
+                }
+                for p in (*self.ranges.singular, *self.ranges.followed)
             ],
-            "jammed_deg": np.degrees(self.jammed),
-            "undefined_deg": np.degrees(self.undefined),
+            "cycle_deg": deg(self.cycle) if self.full else None,
+            "unbounded": list(self.unbounded),
+            "jammed_deg": self._within(self.jammed),
+            "undefined_deg": self._within(self.undefined),
             "meanings": dict(self.meanings),
             "columns": dict(self.columns),
         }
@@ -282,7 +315,7 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
     """
     ranges = reachable(machine.mechanism, machine.sizes)
     if ranges.full:
-        return ranges, start, start + TURN
+        return ranges, start, start + machine.mechanism.cycle
     holding = ranges.holding(start)
     if holding is None:
         failed = failure(machine.mechanism, machine.sizes, start)
@@ -294,6 +327,20 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
     return ranges, low, high
 
 
+def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
+    """Refuse singular positions, followed or not: towards them reactions may grow without bound.
+
+    Raises
+    ------
+    InputError
+    """
+    positions = (*ranges.singular, *ranges.followed)
+    if positions:
+        message = f"singular position at crank angle {listed(positions)}, where reactions have no bound: {what}"
+        remedy = "Change the lengths so that coupler and rocker, or a link and the normal of its guide, are never in line"
+        raise InputError(Fault(message, remedy, problem.file, "mechanism"))
+
+
 def sampled(start: float, low: float, high: float, speed: float, full: bool, points: int, step: float | None) -> Array:
     """Crank angles [rad] of the table: from the start once round in the sense of the speed, or through the range."""
     way = 1.0 if speed > 0.0 else -1.0
@@ -303,8 +350,9 @@ def sampled(start: float, low: float, high: float, speed: float, full: bool, poi
         count = points if step is None else max(1, round((high - low) / step))
         return np.asarray(first + (last - first) * (np.arange(count + 1) / count), dtype=float)
     if step is None:
-        return np.asarray(start + way * TURN * np.arange(points + 1) / points, dtype=float)
-    count = math.floor(TURN / step * (1.0 + 1e-12))
+        rows = points * max(1, round((high - low) / TURN))
+        return np.asarray(start + way * TURN * np.arange(rows + 1) / points, dtype=float)
+    count = math.floor((high - low) / step * (1.0 + 1e-12))
     return np.asarray(start + way * step * np.arange(count + 1), dtype=float)
 
 
@@ -340,26 +388,31 @@ def analyze(
     _check(points, step, speed)
     machine, start = machine_of(problem, design), model.drive.start.value
     ranges, low, high = motion_range(problem, machine, start)
+    cycle = machine.mechanism.cycle
     angles = sampled(start, low, high, speed, ranges.full, points, step)
     if not ranges.full:
         edge = MARGIN * (high - low)
         low, high = low + edge, high - edge
         start = float(angles[0])
     elif speed < 0.0:
-        low, high = start - TURN, start
+        low, high = start - cycle, start
     work = Work(machine, start, low, high, speed)
     columns, meanings, (singular, jammed, undefined) = _table(machine, angles, speed, work)
     found: dict[str, Extreme] = {}
     swings: dict[str, Travel] = {}
     strokes: dict[str, Travel] = {}
+    unbounded: tuple[str, ...] = ()
     if ranges.singular:  # nothing is known of a whole motion that two branches continue
         singular = _undetermined(columns, singular, ranges.singular, low, high)
     else:
-        found = _extremes(machine, low, high, ranges.full, speed, work)
+        unbounded = unbounded_reactions(machine, ranges.followed, speed)
+        singular = _beyond(singular, ranges.followed, cycle)
+        found = _extremes(machine, low, high, ranges, speed, work)
+        found = {name: extreme for name, extreme in found.items() if name not in unbounded}
         swings, strokes = travels(machine.mechanism, machine.sizes, low, high, ranges.full)
     names = slider_names(machine)
     share = None if ranges.singular else model.drive.fluctuation
-    end = start + math.copysign(TURN, speed) if ranges.full else float(angles[-1])
+    end = start + math.copysign(cycle, speed) if ranges.full else float(angles[-1])
     return Analysis(
         problem,
         machine,
@@ -379,9 +432,11 @@ def analyze(
         undefined,
         (
             *_notes(problem, ranges, design, machine, columns, singular, jammed, undefined),
+            *_followed_notes(machine, ranges, unbounded),
             *(quick_stroke_notes(problem, machine, speed) if ranges.full else ()),
         ),
         flywheel(machine, speed, share, low) if share is not None and ranges.full else None,
+        unbounded,
     )
 
 
@@ -398,6 +453,7 @@ def _check(points: int, step: float | None, speed: float) -> None:
 PLACES = ("_deg", "_rad", "_m", "time_s", "energy.potential_J")
 """Endings of the columns that a position alone determines, and time."""
 
+CONTINUED = 'assembly = "continue" (or ", continue" behind a mode)'
 FAULTS = ("singular", "jammed", "undefined")
 CHUNK = 20_000  # positions of the table that are worked on at a time
 
@@ -433,23 +489,38 @@ def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[Al
     return np.unique(np.concatenate([others, exact[exact <= high + BESIDE]]))
 
 
-def _extremes(machine: Machine, low: float, high: float, full: bool, speed: float, work: Work) -> dict[str, Extreme]:
+def _beyond(rows: Array, positions: Iterable[Aligned], cycle: float) -> Array:
+    """Crank angles [rad] of rows without finite reactions that are no position through which the motion is led."""
+    for position in positions:
+        rows = rows[np.abs(np.remainder(rows - position.crank_angle + 0.5 * cycle, cycle) - 0.5 * cycle) > BESIDE]
+    return rows
+
+
+def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: float, work: Work) -> dict[str, Extreme]:
     """Least and largest of every column over the motion, one-sided where a load jumps."""
-    pins = [(p, b) for p, bodies in machine.mechanism.pins.items() for b in (bodies[:1] if len(bodies) == 2 else bodies)]
+    pins, full, cycle = pin_columns(machine), ranges.full, machine.mechanism.cycle
+    passed = np.array([position.crank_angle for position in ranges.followed])
 
     def values(angles: Array, side: int = 1) -> Array:
         record = Record(machine.moving(angles, speed, side=side))
-        rows = [column.values for column in record.columns.values() if not column.name.endswith(".angle_rad")]
-        for point, body in pins:
+        apart = np.abs(np.remainder(angles[:, None] - passed + 0.5 * cycle, cycle) - 0.5 * cycle)
+        singular = record.singular | np.any(apart < ROUNDED, axis=1)
+        rows = [
+            np.where(singular, np.nan, column.values) if name in record.held else column.values
+            for name, column in record.columns.items()
+            if not name.endswith(".angle_rad")
+        ]
+        for _, point, body in pins:
             x, y = (record.full(part) for part in record.reactions.pins[point][body])
-            rows.append(np.where(record.singular, np.nan, np.hypot(x, y)))
+            rows.append(np.where(singular, np.nan, np.hypot(x, y)))
         return np.array(rows)
 
     first = Record(machine.moving(np.array([low]), speed))
     names = [name for name in first.columns if not name.endswith(".angle_rad")]
-    names += [f"{p}.f_N" if len(machine.mechanism.pins[p]) == 2 else f"{p}.{b}.f_N" for p, b in pins]
-    step, seam = (high - low) / GRID, int(full)  # a whole turn has no ends: one step further on either side
-    even = low + step * np.arange(-seam, GRID + 1 + seam)
+    names += [name for name, _, _ in pins]
+    count = GRID * (max(1, round(cycle / TURN)) if full else 1)
+    step, seam = (high - low) / count, int(full)  # a whole turn has no ends: one step further on either side
+    even = low + step * np.arange(-seam, count + 1 + seam)
     grid = np.unique(np.concatenate([even, work.jumps]))
     at, best = extremes(values, grid, tuple(work.jumps), [name.rpartition("_")[2] for name in names])
     if work.jumps.size:
@@ -460,8 +531,12 @@ def _extremes(machine: Machine, low: float, high: float, full: bool, speed: floa
             other = before[np.arange(len(before)), place]
             better = np.isfinite(other) & ~(best[:, k] * sign <= other * sign)
             best[:, k], at[:, k] = np.where(better, other, best[:, k]), np.where(better, work.jumps[place], at[:, k])
+
+    def placed(angle: float) -> float:
+        return within_cycle(angle, cycle) if full and math.isfinite(angle) else float(angle)
+
     found = {
-        name: Extreme(float(best[i, 0]), float(at[i, 0]), float(best[i, 1]), float(at[i, 1])) for i, name in enumerate(names)
+        name: Extreme(float(best[i, 0]), placed(at[i, 0]), float(best[i, 1]), placed(at[i, 1])) for i, name in enumerate(names)
     }
     inside = grid[(grid >= low) & (grid <= high)]
     turning = zeros(lambda angles: work.torque(angles)[None, :], inside)[0]
@@ -469,7 +544,7 @@ def _extremes(machine: Machine, low: float, high: float, full: bool, speed: floa
     amounts = work(places)
     if np.any(np.isfinite(amounts)):
         i, j = int(np.nanargmin(amounts)), int(np.nanargmax(amounts))
-        found["input.work_J"] = Extreme(float(amounts[i]), float(places[i]), float(amounts[j]), float(places[j]))
+        found["input.work_J"] = Extreme(float(amounts[i]), placed(places[i]), float(amounts[j]), placed(places[j]))
     return found
 
 
@@ -514,7 +589,8 @@ def _notes(
     if ranges.singular:
         notes.append(
             f"singular position at crank angle {listed(ranges.singular)}: the assembly modes meet, and the motion beyond it is "
-            "not determined, so extremes, strokes and work are left out. Change the lengths"
+            "not determined, so extremes, strokes and work are left out. Change the lengths, or follow the smooth motion: write "
+            f"{CONTINUED}"
         )
         singular = np.empty(0)
     guilty = {name.rpartition(".")[0] for name, column in columns.items() if not np.all(np.isfinite(column))}
@@ -533,6 +609,21 @@ def _notes(
     if loose:
         notes.append(f"joints count as ideal here; `optlink simulate` has the clearance of {', '.join(loose)}")
     return notes
+
+
+def _followed_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]) -> Iterator[str]:
+    """How the motion is led through change points, and what that leaves open."""
+    turns = round(machine.mechanism.cycle / TURN)
+    if ranges.followed:
+        yield f"the motion is followed smoothly through the change points at crank angle {listed(ranges.followed)}"
+    if turns > 1:
+        yield f"the motion repeats after {turns} revolutions of the crank, which are one cycle here"
+    if unbounded:
+        names = ", ".join(dict.fromkeys(name.split(".")[0] for name in unbounded))
+        yield (
+            f"reactions at {names} grow without bound towards the change points: links in line cannot hold a force across them "
+            "(their extremes are left out; the torque of the drive stays finite)"
+        )
 
 
 def _near(machine: Machine, position: Aligned) -> str:

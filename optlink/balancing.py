@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.analysis import crank_speed, machine_of, motion_range, sampled
+from optlink.analysis import check_regular, crank_speed, machine_of, motion_range, sampled
 from optlink.balanced import ACTIVE, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
 from optlink.design.balance import check_measure, read_measure
 from optlink.design.files import ProblemFile
@@ -66,6 +66,7 @@ class _Task:
     def _angles(self) -> Array:
         start, count = self.problem.model.drive.start.value, self.section.positions
         ranges, low, high = motion_range(self.problem, self.machine, start)
+        check_regular(self.problem, ranges, "nothing can be balanced")
         angles = sampled(start, low, high, self.speed, ranges.full, count, None)
         return angles[:-1] if ranges.full else angles  # the last of a revolution is the first again
 

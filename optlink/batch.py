@@ -15,7 +15,9 @@ from optlink.design.quantity import nearest
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.record import Record
 from optlink.errors import Fault, InputError
-from optlink.linkage.cycle import TURN
+from optlink.linkage.alignment import listed, near_singular
+from optlink.linkage.cycle import TURN, reachable
+from optlink.linkage.motion import sweep
 from optlink.linkage.refine import extremes_of_rows
 
 Array = NDArray[np.float64]
@@ -30,13 +32,25 @@ CLEAR = 0.1
 the samples."""
 
 
+SAMPLES = 360
+"""Crank angles per revolution, at least, at which designs are examined for singular positions."""
+
+
+class Columns(dict[str, Array]):
+    """Columns by name, arrays (designs, points); `singular`: why the motion of a design is not determined, by its number."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.singular: dict[int, str] = {}
+
+
 def analyze_batch(
     problem: ProblemFile,
     designs: Mapping[str, ArrayLike],
     columns: Sequence[str] = ("input.torque_Nm",),
     points: int = 360,
     speed: float | None = None,
-) -> dict[str, Array]:
+) -> Columns:
     """Columns of the analysis for many designs at once.
 
     Parameters
@@ -52,8 +66,9 @@ def analyze_batch(
 
     Returns
     -------
-    columns by name, arrays (designs, points); NaN where a design cannot be assembled, is singular, or has no slow stroke in which
-    a load should act. Memory beside these arrays does not grow with the number of designs.
+    columns by name, arrays (designs, points); NaN where a design cannot be assembled, or has no slow stroke in which a load
+    should act, and for designs whose motion is not determined beyond a singular position (`singular` says at which crank angle).
+    Memory beside these arrays does not grow with the number of designs.
 
     Raises
     ------
@@ -69,18 +84,36 @@ def analyze_batch(
     for name in columns:
         if name not in known:
             raise InputError(Fault("no such column", nearest(name, known), problem.file, "columns", name))
-    found = {name: np.empty((count, points)) for name in columns}
-    step = max(1, PORTION // points)
+    found = Columns()
+    found.update({name: np.empty((count, points)) for name in columns})
+    samples = angles if points >= SAMPLES else drive.start.value + TURN * np.arange(SAMPLES) / SAMPLES
+    step = 1 if problem.model.mechanism.follows else max(1, PORTION // points)
     for first in range(0, count, step):
         for part, defined in _alike(problem, arrays, np.arange(first, min(first + step, count))):
             if not defined:
                 for name in columns:
                     found[name][part] = np.nan
                 continue
-            machine = machine_of(problem, {name: values[part, None] for name, values in arrays.items()})
+            designs = {name: values[part, None] if step > 1 else values[first] for name, values in arrays.items()}
+            machine = machine_of(problem, designs)
             record = Record(machine.moving(angles, way), columns)
             for name in columns:
                 found[name][part] = record[name]
+            found.singular |= _singular(machine, part, samples)
+    for name in columns:
+        found[name][list(found.singular)] = np.nan
+    return found
+
+
+def _singular(machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[int, str]:
+    """Why the motion of some of these designs is not determined, by their numbers."""
+    suspects = near_singular(sweep(machine.mechanism, machine.sizes, angles).pose, angles)
+    found = {}
+    for k in np.flatnonzero(suspects):
+        sizes = {name: float(np.ravel(size)[k if np.size(size) > 1 else 0]) for name, size in machine.sizes.items()}
+        singular = reachable(machine.mechanism, sizes).singular
+        if singular:
+            found[int(part[k])] = f"singular position at crank angle {listed(singular)}: the motion beyond it is not determined"
     return found
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.analysis import machine_of, motion_range, with_flywheel
+from optlink.analysis import check_regular, machine_of, motion_range, with_flywheel
 from optlink.clearance.account import Account, Prediction, Twin, table
 from optlink.clearance.command import even
 from optlink.clearance.control import PID, Control, Controller, Gains
@@ -452,6 +452,7 @@ def _setting(
     drive, kind = model.drive, Control(control)
     begin = drive.start.value if start is None else start
     ranges, _, _ = motion_range(problem, machine, begin)
+    check_regular(problem, ranges, "clearance is not simulated there")
     if not ranges.full:
         message = "the crank cannot turn fully, and revolutions are what is simulated with clearance"
         raise InputError(Fault(message, "Change the sizes so that it can", name, "mechanism"))

@@ -17,6 +17,7 @@ from optlink.dynamics.drive import Ending, Run, reduced_inertia, run
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.record import Record
 from optlink.errors import Fault, InputError
+from optlink.linkage.continuation import follow
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/simulation/1"
@@ -145,9 +146,16 @@ def simulate(
             message = "the machine has no inertia, so no torque can govern its motion"
             raise InputError(Fault(message, "Give the bodies masses", problem.file, "bodies"))
     limits = None if ranges.full else (low, high)
-    found = run(machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress)
+    singular = [position.crank_angle for position in ranges.singular]
+    if singular:  # the same motion up to there, without the rounding of formulas that are 0/0
+        mechanism = follow(machine.mechanism, machine.sizes, start, every=True)
+        machine = machine.with_(mechanism=mechanism)
+    found = run(machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress, singular)
     if found.ending is not Ending.FINISHED:
-        notes.append(f"{found.ending.text} (at {found.stopped:.9g} s, crank angle {math.degrees(found.crank_angle[-1]):.6g} deg)")
+        last, cycle = float(found.crank_angle[-1]), machine.mechanism.cycle
+        if found.ending is Ending.SINGULAR:
+            last = min((at + cycle * round((last - at) / cycle) for at in singular), key=lambda at: abs(at - last))
+        notes.append(f"{found.ending.text} (at {found.stopped:.9g} s, crank angle {math.degrees(last):.6g} deg)")
     columns, meanings = _columns(machine, found)
     driven = "torque" if torque is not None else "constant speed"
     return Simulation(problem, machine, found, columns, meanings, driven, tuple(notes))

@@ -57,18 +57,21 @@ class FourBarSection(Section):
     """Place of the crank pivot A; left out: the origin."""
     direction: Angle | None = None
     """Angle of the frame A -> D, from +x; left out: 0."""
-    assembly: Literal[
-        "left",
-        "right",
-        "either",
-        "continue",
-        "left, continue",
-        "right, continue",
-        "parallelogram",
-        "antiparallelogram",
+    assembly: Annotated[
+        Literal[
+            "left",
+            "right",
+            "either",
+            "continue",
+            "left, continue",
+            "right, continue",
+            "parallelogram",
+            "antiparallelogram",
+        ],
+        BeforeValidator(lambda raw: ", ".join(part.strip() for part in raw.split(",")) if isinstance(raw, str) else raw),
     ] = "left"
-    """On which side of B -> D the joint C lies; `either`: both are searched. With `continue` it lies there at the start and moves on
-    smoothly through change points; a parallelogram or antiparallelogram stays one."""
+    """On which side of B -> D the joint C lies; `either`: both are searched. With `continue` it lies there at the start and
+    moves on smoothly through change points; a parallelogram or antiparallelogram stays one."""
 
     @property
     def side(self) -> int:
@@ -193,7 +196,7 @@ class DyadsSection(Section):
     """Sliding joints."""
     assembly: dict[str, str] = Field(default_factory=dict)
     """Which way each group closes: at an RRR joint `left of B-D` or `right of B-D`, at an RRP pin or an RPR guide `forward` or
-    `backward`; `left of B-D, continue` is where it lies at the start, and then it moves smoothly through change points; in a design
+    `backward`; `left of B-D, continue` is where it lies at the start, and it moves on smoothly through change points; in a design
     problem also `either`."""
 
     @property

@@ -10,7 +10,7 @@ Source: equation of motion of a machine with one degree of freedom (Eksergian's 
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,15 +20,16 @@ from numpy.typing import NDArray
 from optlink.dynamics.inertia import kinetic, potential
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, Moving
-from optlink.dynamics.reactions import Reactions, reactions, required
+from optlink.dynamics.reactions import Reactions, reactions, required, virtual_torque
 from optlink.dynamics.work import jumps
-from optlink.linkage.elementwise import Value, dot, unit
+from optlink.linkage.elementwise import Value
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
 
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
 RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances of the integrator
+STOP = 1e-6  # rad before a singular position at which a simulation ends
 EDGE = 1e-6  # share of a limited range, at its ends, that is not entered: speeds are infinite at a dead position
 LEAST, PATIENCE = 1e-4, 2000  # so many steps that bring the time on by a smaller share of the duration are a stall
 NEAR = 1e-9  # rad: a jump of a load nearer than this is behind us
@@ -41,6 +42,7 @@ class Ending(enum.Enum):
     FINISHED = "finished"
     AT_REST = "at rest"
     DEAD_POSITION = "dead position"
+    SINGULAR = "singular position"
     JAMMED = "jammed"
     STALLED = "stalled"
     INTERRUPTED = "interrupted"
@@ -55,6 +57,7 @@ _TEXT = {
     Ending.FINISHED: "the whole duration was simulated",
     Ending.AT_REST: "the machine came to rest: the drive cannot overcome loads and friction there",
     Ending.DEAD_POSITION: "the crank reached a position beyond which the mechanism cannot be assembled",
+    Ending.SINGULAR: "the crank reached a singular position: the assembly modes meet, and the motion beyond is not determined",
     Ending.JAMMED: "friction jams a guide: no finite force moves the machine",
     Ending.STALLED: "the integration stalled: a singular position, or forces and speeds that grow without bound; "
     "what was computed until then is kept. Start elsewhere, shorten the duration, or check loads and torque",
@@ -68,16 +71,7 @@ def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]
         moving = machine.moving(crank_angle, 1.0)
         weightless = required(moving, gravity=False, loads=False)
         inertia = np.broadcast_to(2.0 * np.asarray(moving.kinetic), crank_angle.shape)
-        return inertia, np.broadcast_to(2.0 * np.asarray(_virtual(weightless, moving)), crank_angle.shape)
-
-
-def _virtual(wrenches: Mapping[str, Any], geared: Moving) -> Value:
-    """Torque at the crank that wrenches on the bodies need, by virtual power."""
-    torque: Value = 0.0
-    for body, (force, moment) in wrenches.items():
-        state = geared.state(body)
-        torque = torque + dot(force, state.velocity) + moment * state.omega
-    return torque
+        return inertia, np.broadcast_to(2.0 * np.asarray(virtual_torque(weightless, moving)), crank_angle.shape)
 
 
 def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | None]:
@@ -85,7 +79,7 @@ def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | 
     if moving.machine.friction:
         found = reactions(moving)
         return found.torque, found
-    return _virtual(required(moving), geared), None
+    return virtual_torque(required(moving), geared), None
 
 
 def crank_acceleration(machine: Machine, crank_angle: Array, speed: Value, torque: Value, direction: Value = None) -> Array:
@@ -156,7 +150,7 @@ class _Plant:
 
     def __init__(self, machine: Machine, torque: Magnitude | None) -> None:
         self.machine, self.drive = machine, torque
-        self.bodies = tuple(machine.mechanism.bodies)
+        self.bodies, self.cycle = tuple(machine.mechanism.bodies), machine.mechanism.cycle
         self.names = ["input", *(load.name for load in machine.loads), *(["friction"] if machine.friction else [])]
         self.direction = 1.0
         self.functions: dict[float, Callable[..., list[Array]]] = {}
@@ -164,7 +158,7 @@ class _Plant:
 
     def geared(self, angle: Value) -> Moving:
         """The machine at one crank angle and 1 rad/s: plain floats, which are much faster than arrays of one, or symbols."""
-        pose = self.machine.mechanism.pose(self.machine.sizes, unit(Jet(angle, 1.0)))
+        pose = self.machine.mechanism.at(self.machine.sizes, Jet(angle, 1.0))
         return Moving(self.machine, Motion(self.machine.mechanism, self.machine.sizes, angle, 1.0, pose), 1, self.direction)
 
     def start(self, angle: float, speed: float) -> Array:
@@ -223,8 +217,9 @@ class _Plant:
     def __call__(self, time: float, state: Array) -> Array:
         self.evaluations += 1
         angle, speed, count = float(state[0]), float(state[1]), 3 * len(self.bodies)
-        # friction is solved for step by step, and where the crank rests the sense of every motion is looked up: not for symbols
-        by_numbers = bool(self.machine.friction) or speed == 0.0
+        # friction is solved for step by step, where the crank rests the sense of every motion is looked up, near change
+        # points there are series: not for symbols
+        by_numbers = bool(self.machine.friction) or speed == 0.0 or self.machine.mechanism.followed
         rates = _flat(self.rates(angle, speed)) if by_numbers else self.traced(state[:2])
         return np.concatenate([[speed], rates[:-count], state[-count:], rates[-count:]])
 
@@ -241,6 +236,7 @@ def run(
     torque: Magnitude | None = None,
     limits: tuple[float, float] | None = None,
     progress: Callable[[float], None] | None = None,
+    singular: Sequence[float] = (),
 ) -> Run:
     """Move a machine in time.
 
@@ -256,12 +252,13 @@ def run(
     limits : pair of float [rad], optional
         Reachable range of the crank angle, where it cannot turn fully.
     progress : function of the share that is done, optional
+    singular : crank angles [rad] at which the motion ends because it is not determined beyond, repeated every cycle
 
     Returns
     -------
     Run; shorter than asked for where the machine cannot go on (`ending`)
     """
-    journey = _Journey(_Plant(machine, torque), times, angle, speed, limits)
+    journey = _Journey(_Plant(machine, torque), times, angle, speed, limits, np.array(singular))
     with np.errstate(all="ignore"):
         journey.travel(progress)
         return journey.result()
@@ -270,10 +267,12 @@ def run(
 class _Journey:
     """A simulation on its way: leg by leg, each from one event to the next."""
 
-    def __init__(self, plant: _Plant, times: Array, angle: float, speed: float, limits: tuple[float, float] | None) -> None:
-        self.plant, self.times, self.limits = plant, times, limits
+    def __init__(
+        self, plant: _Plant, times: Array, angle: float, speed: float, limits: tuple[float, float] | None, singular: Array
+    ) -> None:
+        self.plant, self.times, self.limits, self.singular = plant, times, limits, singular
         plant.direction = float(np.sign(speed)) or 1.0
-        self.switches = jumps(plant.machine, 0.0, TURN) if plant.machine.switching else np.empty(0)
+        self.switches = jumps(plant.machine, 0.0, plant.cycle) if plant.machine.switching else np.empty(0)
         self.may_rest = plant.drive is not None and plant.machine.switching
         self.time, self.state = 0.0, plant.start(angle, speed)
         self.kept, self.ways = [self.state], [plant.direction]
@@ -283,11 +282,21 @@ class _Journey:
         """Go on until the end, or until the machine cannot."""
         if self.state[1] == 0.0 and self.plant.drive is not None and not _set_off(self.plant, float(self.state[0])):
             self.ending = Ending.AT_REST
+        if any(abs(at - float(self.state[0])) <= 2.0 * STOP for _, at in self.stops()):
+            self.ending = Ending.SINGULAR
         try:
             while self.ending is Ending.FINISHED and len(self.kept) < len(self.times):
                 self.leg(progress)
         except KeyboardInterrupt:
             self.ending = Ending.INTERRUPTED
+
+    def stops(self) -> list[tuple[str, float]]:
+        """The nearest singular position on either side, a little before it."""
+        angle = float(self.state[0])
+        return [
+            ("singular", at + way * STOP)
+            for way, at in zip((1.0, -1.0), _nearest(angle, self.singular, self.plant.cycle), strict=False)
+        ]
 
     def leg(self, progress: Callable[[float], None] | None) -> None:
         """Integrate to the next event."""
@@ -298,7 +307,7 @@ class _Journey:
             self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
             return
         solver = DOP853(self.plant, self.time, self.state, end, rtol=RELATIVE, atol=ABSOLUTE)
-        ahead = _ahead(float(self.state[0]), self.switches, self.limits)
+        ahead = [*_ahead(float(self.state[0]), self.switches, self.plant.cycle, self.limits), *self.stops()]
         event = None
         while event is None and solver.status == "running":
             solver.step()
@@ -317,6 +326,8 @@ class _Journey:
                 progress(upto / end)
         if event == "limit":
             self.ending = Ending.DEAD_POSITION
+        elif event == "singular":
+            self.ending = Ending.SINGULAR
         elif event == "rest":
             self.state[1] = 0.0
             if not _set_off(self.plant, float(self.state[0])):
@@ -358,13 +369,17 @@ def _jammed(plant: _Plant, state: Array) -> bool:
     return bool(np.any(reactions(moving).jammed))
 
 
-def _ahead(angle: float, switches: Array, limits: tuple[float, float] | None) -> list[tuple[str, float]]:
+def _nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> list[float]:
+    """The nearest below and above a crank angle of marks that repeat every cycle."""
+    if not len(marks):
+        return []
+    every = (marks[:, None] + cycle * (np.floor(angle / cycle) + np.arange(-2.0, 3.0))).ravel()
+    return [float(np.max(every[every <= angle - aside])), float(np.min(every[every >= angle + aside]))]
+
+
+def _ahead(angle: float, switches: Array, cycle: float, limits: tuple[float, float] | None) -> list[tuple[str, float]]:
     """Crank angles at which the integration is begun anew, or ends: the nearest on either side."""
-    found: list[tuple[str, float]] = []
-    if len(switches):
-        every = (switches[:, None] + TURN * (np.floor(angle / TURN) + np.arange(-1.0, 2.0))).ravel()
-        found.append(("switch", float(np.min(every[every > angle + NEAR]))))
-        found.append(("switch", float(np.max(every[every < angle - NEAR]))))
+    found = [("switch", at) for at in _nearest(angle, switches, cycle, NEAR)]
     if limits is not None:
         edge = EDGE * (limits[1] - limits[0])
         found += [("limit", limits[0] + edge), ("limit", limits[1] - edge)]

@@ -11,7 +11,6 @@ from optlink.dynamics.machine import Machine
 from optlink.dynamics.work import Work
 
 Array = NDArray[np.float64]
-TURN = 2.0 * np.pi
 POSITIONS = 2880
 
 
@@ -59,10 +58,11 @@ class Fluctuation:
 
     def __init__(self, machine: Machine, speed: float, start: float = 0.0) -> None:
         self.machine, self.mean_speed = machine, speed
-        low, high = (start, start + TURN) if speed > 0.0 else (start - TURN, start)
+        cycle = machine.mechanism.cycle
+        low, high = (start, start + cycle) if speed > 0.0 else (start - cycle, start)
         self.angles = np.linspace(low, high, POSITIONS, endpoint=False)
         work = Work(machine, start, low, high, speed)
-        self.mean_torque = float(work(np.array([high]))[0] - work(np.array([low]))[0]) / TURN
+        self.mean_torque = float(work(np.array([high]))[0] - work(np.array([low]))[0]) / cycle
         moving = machine.moving(self.angles, speed)
         self.inertia = np.broadcast_to(2.0 * moving.kinetic / speed**2, self.angles.shape)  # reduced to the crank [kg m^2]
         kinetic = np.broadcast_to(moving.kinetic, self.angles.shape)

@@ -168,7 +168,7 @@ class Moving:
         of : function of a machine in motion to the velocity in question and its acceleration
         size : of the machine [m] for the velocity of a point, 1 for an angular velocity
         """
-        source = self._geared if self._still else self
+        source = self.turning
         rate, acceleration = of(source)
         speed, turning = source.motion.speed, source.motion.crank_acceleration
         first = rate / speed  # per crank rotation, as is the second
@@ -176,6 +176,11 @@ class Moving:
         ahead = first + (self.side * INSTANT) * self.direction * second
         moves = sign(sign(magnitude(first) + INSTANT * magnitude(second) - NOISE * size) + 1.0)  # 0: it does not move at all
         return self.direction * sign(ahead) * moves
+
+    @property
+    def turning(self) -> Moving:
+        """The same positions with a crank that turns."""
+        return self._geared if self._still else self
 
     @cached_property
     def _still(self) -> bool:

@@ -133,10 +133,24 @@ def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Rea
 
     Returns
     -------
-    Reactions; infinite or NaN at a singular position of a group, where `singularity` is zero.
+    Reactions; infinite or NaN at a singular position of a group, where `singularity` is zero. The torque of a mechanism that is
+    led through singular positions is finite there.
     """
+    wrenches = required(moving) if needed is None else needed
     with np.errstate(all="ignore"):
-        return _Balance(moving, required(moving) if needed is None else needed).solve()
+        found = _Balance(moving, wrenches).solve()
+        if moving.machine.mechanism.followed and not moving.machine.friction:  # finite where reactions are not
+            found.torque = virtual_torque(wrenches, moving)
+        return found
+
+
+def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
+    """Torque at the crank that wrenches on the bodies need [N m], by virtual power."""
+    source, power = moving.turning, 0.0
+    for body, (force, moment) in wrenches.items():
+        state = source.state(body)
+        power = power + dot(force, state.velocity) + moment * state.omega
+    return power / source.motion.speed
 
 
 def two(row: Vector, right: Value, other: Vector, other_right: Value) -> Vector:

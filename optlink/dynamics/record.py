@@ -31,12 +31,13 @@ class Record:
     """A machine at crank angles (n,), or a batch of designs (designs, n): columns by name.
 
     `singular`: positions without finite reactions; `jammed`: where friction locks a guide; `undefined`: where a load has no
-    finite value. `wanted`: names of the columns that are needed, all if left out.
+    finite value; `held`: names of the columns of reactions. `wanted`: names of the columns that are needed, all if left out.
     """
 
     def __init__(self, moving: Moving, wanted: Collection[str] | None = None) -> None:
         self.moving, self.machine, self.wanted = moving, moving.machine, wanted
         self.shape = np.shape(moving.motion.assembled)
+        self.held: set[str] = set()
         with np.errstate(all="ignore"):
             self.reactions: Reactions = reactions(moving)
             near = [np.abs(self.full(sine)) < SINGULAR for sine in self.reactions.singularity.values()]
@@ -59,8 +60,12 @@ class Record:
     def _all(self) -> Iterator[Column]:
         for name, meaning, value in self._motion():
             yield Column(name, meaning, self.full(value))
-        for name, meaning, value in self._forces():
+        for name, meaning, value in self._reactions():
+            self.held.add(name)
             yield Column(name, meaning, np.where(self.singular, np.nan, self.full(value)))
+        unknown = self.singular & (not self.machine.mechanism.followed)
+        for name, meaning, value in self._forces():
+            yield Column(name, meaning, np.where(unknown, np.nan, self.full(value)))
 
     def _motion(self) -> Iterator[tuple[str, str, Value]]:
         moving, mechanism = self.moving, self.machine.mechanism
@@ -95,8 +100,8 @@ class Record:
                     np.arctan2(magnitude(cross(p, q)), dot(p, q)),
                 )
 
-    def _forces(self) -> Iterator[tuple[str, str, Value]]:
-        moving, machine, found = self.moving, self.machine, self.reactions
+    def _reactions(self) -> Iterator[tuple[str, str, Value]]:
+        machine, found = self.machine, self.reactions
         for point, (by, on) in acting_on(machine).items():
             bodies = machine.mechanism.pins[point]
             if len(bodies) == 2:
@@ -113,6 +118,9 @@ class Record:
             yield f"{guide.name}.moment_Nm", f"moment {what}", force.moment
             if guide.name in machine.friction:
                 yield f"{guide.name}.friction_N", f"friction {what}, along the line", force.friction
+
+    def _forces(self) -> Iterator[tuple[str, str, Value]]:
+        moving, machine, found = self.moving, self.machine, self.reactions
         for load in machine.loads:
             for k, acting in enumerate(act for act in load.act(moving) if act.body != FRAME):
                 name = f"{load.name}.{acting.body}" if k else load.name

@@ -10,7 +10,7 @@ from optlink.dynamics.reactions import reactions
 from optlink.linkage.refine import zeros
 
 Array = NDArray[np.float64]
-PANELS = 180  # per range: 2 degrees each in a revolution
+PANELS = 180  # per range or revolution: 2 degrees each in a revolution
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
@@ -62,8 +62,12 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
 
 
 def _grid(low: float, high: float) -> Array:
-    even: Array = low + (high - low) * np.linspace(0.0, 1.0, 8 * PANELS + 1)
+    even: Array = low + (high - low) * np.linspace(0.0, 1.0, 8 * _panels(low, high) + 1)
     return even
+
+
+def _panels(low: float, high: float) -> int:
+    return PANELS * max(1, round((high - low) / (2.0 * np.pi)))
 
 
 def _rising(found: list[Array], low: float, high: float) -> Array:
@@ -81,7 +85,7 @@ class Work:
         self.machine, self.speed = machine, speed
         self.jumps = jumps(machine, low, high)
         bends = corners(machine, low, high, speed)
-        self.knots = np.unique(np.concatenate([np.linspace(low, high, PANELS + 1), self.jumps, bends]))
+        self.knots = np.unique(np.concatenate([np.linspace(low, high, _panels(low, high) + 1), self.jumps, bends]))
         pieces = self._integral(self.knots[:-1], self.knots[1:])
         self._sum = np.concatenate([[0.0], np.cumsum(pieces)])
         self._start = 0.0

@@ -120,6 +120,34 @@ def least_alignments(
     return found
 
 
+def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:
+    """Designs (designs,) that may have a singular position, by the alignment of their groups at sampled crank angles.
+
+    Parameters
+    ----------
+    pose : Pose
+        Of designs (designs, 1) at these crank angles, moving at 1 rad/s.
+    crank_angle : array (angles,) [rad]
+        Evenly spaced over a revolution, the last one step before the first.
+
+    Notes
+    -----
+    Between two positions an alignment that has a minimum lies above the point where its two tangents meet, where it is convex.
+    """
+    step, count = crank_angle[1] - crank_angle[0], len(crank_angle)
+    shape = np.broadcast_shapes(*(np.shape(_value(margin)) for margin in pose.margins.values()), (1, count))
+    found = np.zeros(shape[0], dtype=bool)
+    with np.errstate(all="ignore"):
+        for group in pose.mechanism.groups:
+            alignment = group.alignment(pose)
+            sines, rates = (np.broadcast_to(part(alignment), shape) for part in (_value, _rate))
+            after, rates_after = np.roll(sines, -1, axis=1), np.roll(rates, -1, axis=1)
+            along = np.clip((after - sines - rates_after * step) / (rates - rates_after), min(0.0, step), max(0.0, step))
+            least = np.where(rates * step < 0.0, np.where(rates_after * step > 0.0, sines + rates * along, sines), sines)
+            found |= np.any((least <= TOUCHING) & (sines >= -TOUCHING) & (after >= -TOUCHING), axis=1)
+    return found
+
+
 def _value(x: Value) -> Value:
     return x.value if isinstance(x, Jet) else x
 

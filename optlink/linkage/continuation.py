@@ -42,7 +42,7 @@ MOST_TURNS = 8
 
 
 class _Crossing(NamedTuple):
-    """How a group goes through a singular position: whether it changes its side, and the series if it comes from side +1 or -1."""
+    """How a group goes through a singular position: whether its side changes, and the series if it comes from side +1 or -1."""
 
     flips: bool
     series: dict[int, Passage]
@@ -56,8 +56,8 @@ def follow(mechanism: Mechanism, sizes: Mapping[str, Value], start: float, *, ev
     mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
     start : float [rad]
-        Crank angle at which the assembly modes hold (just beyond it, counter-clockwise, where it is a singular position), unless a
-        group names another.
+        Crank angle at which the assembly modes hold, unless a group names another. Where it is a singular position itself they
+        hold just beyond it, counter-clockwise.
     every : bool
         Lead every group, not only those with `follow`.
 

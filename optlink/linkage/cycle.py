@@ -22,12 +22,20 @@ Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
 GRID = 1440
 """Positions per revolution among which everything is bracketed."""
+SEAM = 1e-6
+"""Crank rotation [rad] below a whole cycle that counts as one: as exactly as flat extremes are found."""
 LEAST_DIFFERENCE = math.radians(0.1)
 """Crank rotations [rad] of two strokes that differ by less count as equally long: neither is the slow one."""
 Direction = Literal["forward", "backward"]
 Pace = Literal["slow", "quick", "equal"]
 OTHER: dict[Direction, Direction] = {"forward": "backward", "backward": "forward"}
 """The opposite of each direction of motion."""
+
+
+def within_cycle(crank_angle: float, cycle: float = TURN) -> float:
+    """Crank angle [rad] of a motion that repeats, from 0 to below the cycle; what rounding leaves below the cycle is 0."""
+    found = float(crank_angle) % cycle
+    return 0.0 if cycle - found < SEAM else found
 
 
 @dataclass(frozen=True)
@@ -261,7 +269,7 @@ def travels(
     Parameters
     ----------
     low, high : float [rad]
-        The range; one revolution if `full`.
+        The range; one cycle if `full`.
 
     Returns
     -------
@@ -269,9 +277,14 @@ def travels(
     """
     outputs = [link.body for link in mechanism.links] + [guide.name for guide in mechanism.guides]
     is_body = [True] * len(mechanism.links) + [False] * len(mechanism.guides)
-    grid = low + (high - low) * np.linspace(0.0, 1.0, GRID + 1)
+    count = GRID * (max(1, round(mechanism.cycle / TURN)) if full else 1)
+    grid = low + (high - low) * np.linspace(0.0, 1.0, count + 1)
     if full:
         grid = grid + 0.37 * (grid[1] - grid[0])  # so that no dead centre at a round angle lies on the seam
+
+    def place(angle: float) -> float:
+        return within_cycle(angle, mechanism.cycle) if full else float(angle)
+
     motion = sweep(mechanism, sizes, grid)
     jets = [motion.body_angle(name) if body else motion.slide(name) for name, body in zip(outputs, is_body, strict=True)]
     moving = [
@@ -304,16 +317,16 @@ def travels(
         else:
             values = np.asarray(there.slide(outputs[k]).value)[own]
         ratio = math.nan
-        if full and len(centres) == 2:
+        if full and len(centres) == 2 and mechanism.cycle == TURN:
             one = float(centres[1] - centres[0])
             ratio = max(one, TURN - one) / min(one, TURN - one)
         first, last = int(np.argmin(values)), int(np.argmax(values))
         travel = Travel(
-            tuple(float(c) % TURN if full else float(c) for c in centres),
+            tuple(place(c) for c in centres),
             float(values[first]),
             float(values[last]),
-            float(ends[first]),
-            float(ends[last]),
+            place(ends[first]),
+            place(ends[last]),
             ratio,
         )
         (swings if is_body[k] else strokes)[outputs[k]] = travel

@@ -79,7 +79,7 @@ class Motion:
                 return x
             return Jet(x.value, speed * x.rate, speed * speed * x.acceleration + acceleration * x.rate)
 
-        pose = Pose(self.mechanism, self.sizes)
+        pose = Pose(self.mechanism, self.sizes, self.crank_angle)
         pose.points = {name: (scale(x), scale(y)) for name, (x, y) in self.pose.points.items()}
         pose.directions = {name: (scale(x), scale(y)) for name, (x, y) in self.pose.directions.items()}
         pose.margins = self.pose.margins

@@ -1,7 +1,7 @@
 """The way of a group through singular positions: on which side its joint lies where, and Taylor series about them.
 
-At a singular position the formulas of a dyad are 0/0. The joint itself moves on smoothly: there its place is a power series in the
-crank angle, whose derivatives are the velocities and accelerations.
+At a singular position the formulas of a dyad are 0/0. The joint itself moves on smoothly: there its place is a power series in
+the crank angle, whose derivatives are the velocities and accelerations.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from optlink.dynamics.record import Record
 from optlink.dynamics.work import Work
 from optlink.linkage.cycle import TURN, Travel
 from optlink.report.labels import Label
-from optlink.report.style import QUIET, SHADE, WANTED, Scale, degrees
+from optlink.report.style import LIMIT, QUIET, SHADE, WANTED, Scale, degrees
 
 Array = NDArray[np.float64]
 POINTS = 720
@@ -38,9 +38,9 @@ class Course:
         self.way = 1.0 if result.speed > 0.0 else -1.0
         table = np.radians(result["crank_angle_deg"])
         self.start = float(table[0])
-        self.end = self.start + self.way * TURN if result.full else float(table[-1])
+        self.end = self.start + self.way * result.cycle if result.full else float(table[-1])
         low, high = sorted((self.start, self.end))
-        marks = [at for extreme in result.extremes.values() for at in (extreme.least_at, extreme.largest_at)]
+        marks = [self.inside(at) for extreme in result.extremes.values() for at in (extreme.least_at, extreme.largest_at)]
         grid = np.concatenate([np.linspace(low, high, POINTS + 1), table if len(table) <= TABLE else [], marks])
         grid = np.unique(grid[(grid >= low) & (grid <= high)])
         jumps = np.asarray(result.jumps, dtype=float)
@@ -112,7 +112,7 @@ class Course:
     def inside(self, crank_angle: float) -> float:
         """The same crank angle [rad] shifted by whole turns into the course."""
         low = min(self.start, self.end)
-        return low + (crank_angle - low) % TURN if self.result.full else crank_angle
+        return low + (crank_angle - low) % self.result.cycle if self.result.full else crank_angle
 
     def in_order(self, crank_angles: Sequence[float]) -> list[float]:
         """Crank angles [rad] shifted into the course, in the order in which they are met."""
@@ -149,6 +149,14 @@ def crank_axis(axes: Axes, course: Course, *, named: bool = True) -> None:
     """The crank angle along x, to the right as time goes on."""
     first, last = math.degrees(course.start), math.degrees(course.end)
     axes.set_xlim(first, last)
+    for position in course.result.ranges.singular:
+        at = math.degrees(course.inside(position.crank_angle))
+        axes.axvline(at, color=LIMIT, linewidth=1.2, linestyle="--", zorder=1.5, gid="singular position")
+        if named:
+            words = "not determined beyond "
+            axes.text(
+                at, 1.0, words, transform=axes.get_xaxis_transform(), ha="right", va="top", rotation=90, fontsize=8, color=LIMIT
+            )
     if course.result.full:
         axes.xaxis.set_major_locator(MultipleLocator(60.0))
     if named:
@@ -181,7 +189,7 @@ def extremes(
     found = []
     low, high = axes.get_ylim()
     for value, at, way in ((extreme.least, extreme.least_at, -1.0), (extreme.largest, extreme.largest_at, 1.0)):
-        x, y = math.degrees(at), value * scale.factor
+        x, y = math.degrees(course.inside(at)), value * scale.factor
         held = min(max(y, low), high)
         marker = "o" if held == y else "^" if y > high else "v"
         axes.plot(

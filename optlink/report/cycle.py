@@ -122,7 +122,7 @@ def positions(course: Course) -> dict[str, float]:
         and course.has("input.torque_Nm")
         and torque.largest - torque.least > curves.NOTHING * course.peak("input.torque_Nm")
     ):
-        found += [("largest torque", torque.largest_at), ("least torque", torque.least_at)]
+        found += [("largest torque", course.inside(torque.largest_at)), ("least torque", course.inside(torque.least_at))]
     merged: dict[str, float] = {}
     for name, at in found:
         same = next((k for k, v in merged.items() if abs(math.remainder(v - at, TURN) if result.full else v - at) < 1e-6), None)
@@ -258,7 +258,9 @@ def _limits(course: Course, out: Output) -> Extreme | None:
     travel = out.travel
     if travel is None:
         return None
-    turn = TURN * round((course.at(travel.low_at, out.columns[0]) - travel.low) / TURN)  # the curve may be a turn away
+    turn = TURN * round(
+        (course.at(course.inside(travel.low_at), out.columns[0]) - travel.low) / TURN
+    )  # the curve may be a turn away
     return Extreme(travel.low + turn, travel.low_at, travel.high + turn, travel.high_at)
 
 
@@ -288,7 +290,7 @@ def frames(course: Course, count: int = FRAMES) -> list[Image.Image]:
     result = course.result
     machine = result.machine
     sketch = Sketch(sweep(machine.mechanism, machine.sizes, course.angles), machine)
-    once = course.start + course.way * TURN * np.arange(count) / count
+    once = course.start + course.way * result.cycle * np.arange(count) / count
     steps = once if result.full else there_and_back(course.start, course.end, count)
     out = output(course)
     name = "input.torque_Nm" if course.has("input.torque_Nm") else out.columns[0]

@@ -125,6 +125,7 @@ def reactions(course: Course) -> Figure | None:
         dashes = DASHES[k // (len(BODIES) + 1) % len(DASHES)]
         extreme = course.result.extremes.get(name)
         amount = f"{unit.text(extreme.largest)} at {degrees(extreme.largest_at)}" if extreme else ""
+        amount = "without bound" if name in course.result.unbounded else amount
         told = f"{label}:  {amount}" if len(label) < 25 else f"{textwrap.fill(label, 40)}:\n{amount}"
         width = 2.5 - 1.3 * k / max(1, len(shown) - 1)  # what lies on another stays in sight
         lines.append(curves.draw(bottom, course, name, unit, colour, told, width, dashes))
@@ -277,7 +278,7 @@ def work(course: Course) -> Figure | None:
     labels = curves.extremes(axes[0], course, name, unit)
     axes[0].set_ylabel(f"work of the drive [{unit.unit}]" + ("" if held else ", cut off"))
     total = course.result.work if abs(course.result.work) > NOTHING * course.peak(name) else 0.0
-    over = "per revolution" if course.result.full else "over the range"
+    over = course.result.extent
     title = heading(f"{course.result.problem.model.title}: work of the drive", 7.0, 10.5)
     told = f"{title}\n{unit.text(total) if total else '0 J'} {over}"
     axes[0].set_title(told if math.isfinite(total) else title, fontsize=10.5)

@@ -250,7 +250,7 @@ def _work(outcome: Analysis) -> Table:
     table = grid("Work of the drive", [("", "left"), ("", "right"), ("", "left")])
     scale = max((abs(v) for v in outcome.extremes.get("input.work_J", (0.0,))), default=0.0)
     work = 0.0 if abs(outcome.work) <= 1e-12 * scale else outcome.work  # rounding of what cancels
-    table.add_row("per revolution" if outcome.full else "over the range", number(work, 9), "J")
+    table.add_row(outcome.extent, number(work, 9), "J")
     if "input.work_J" in outcome.extremes:
         extreme = outcome.extremes["input.work_J"]
         table.add_row("least since the start", number(extreme.least, 9), f"J at {math.degrees(extreme.least_at):.4f} deg")

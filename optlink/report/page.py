@@ -116,7 +116,7 @@ def sensitivities_of(subject: Subject) -> Sensitivities | None:
 def verdict(subject: Subject) -> str:
     """Whether the design is valid, and which checks failed."""
     if isinstance(subject.outcome, Analysis):
-        return "Analysed" if subject.valid else "No finite reactions at some positions"
+        return f"{subject.outcome.status[0].upper()}{subject.outcome.status[1:]}"
     if subject.valid:
         outcome = subject.outcome.best if isinstance(subject.outcome, Generation) else subject.outcome
         fit = getattr(outcome, "fit", None)

@@ -97,8 +97,8 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene
     machine = cycle.machine
     way = math.copysign(1.0, cycle.speed)
     first = math.radians(float(cycle["crank_angle_deg"][0]))
-    last = first + way * TURN if cycle.full else math.radians(float(cycle["crank_angle_deg"][-1]))
-    count = steps if cycle.full else max(1, math.ceil(abs(last - first) / TURN * steps))
+    last = first + way * cycle.cycle if cycle.full else math.radians(float(cycle["crank_angle_deg"][-1]))
+    count = steps * round(cycle.cycle / TURN) if cycle.full else max(1, math.ceil(abs(last - first) / TURN * steps))
     angles = np.linspace(first, last, count + 1)
     whole = sweep(machine.mechanism, machine.sizes, angles, cycle.speed)
     sketch = Sketch(whole, machine)

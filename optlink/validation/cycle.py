@@ -111,7 +111,8 @@ class Cycle:
         self.design = {**sizes_of(problem.quantities), **design}
         self.machine = problem.machine(self.design)
         self.mechanism, self.speed = self.machine.mechanism, problem.drive.speed.value
-        self.full = reachable(self.mechanism, self.design).full
+        ranges = reachable(self.mechanism, self.design)
+        self.full, self.singular = ranges.full, ranges.singular
 
     @cached_property
     def work(self) -> Work:
@@ -360,6 +361,7 @@ def _motion(tested: Cycle) -> Iterator[Check]:
     yield Check("the crank turns fully", tested.full, float(tested.full), "= 1", "")
     if not tested.full:
         return
+    yield Check("no singular position in the revolution", not tested.singular, float(len(tested.singular)), "= 0", "")
     grid = np.linspace(0.0, TURN, POSITIONS + 1)
 
     def placed(angles: Array) -> Motion:
