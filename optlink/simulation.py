@@ -148,7 +148,8 @@ def simulate(
     limits = None if ranges.full else (low, high)
     singular = [position.crank_angle for position in ranges.singular]
     if singular:  # the same motion up to there, without the rounding of formulas that are 0/0
-        mechanism = follow(machine.mechanism, machine.sizes, start, every=True)
+        mechanism, cycle = follow(machine.mechanism, machine.sizes, start, every=True), machine.mechanism.cycle
+        singular = [at + k * cycle for at in singular for k in range(round(mechanism.cycle / cycle))]
         machine = machine.with_(mechanism=mechanism)
     found = run(machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress, singular)
     if found.ending is not Ending.FINISHED:
