@@ -498,7 +498,7 @@ def test_singular_start_ends_instead_of_looking_for_a_first_step():
         "drive": {"torque": "1 N*m", "duration": "1 s"},
     }
     result = optlink.simulate(optlink.read(raw), rows=5)
-    assert result.run.ending.value == "stalled"
+    assert result.run.ending.value == "singular position"
     assert not result.finished
 
 

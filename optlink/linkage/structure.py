@@ -69,7 +69,7 @@ def modes_of(group: Group) -> tuple[str, ...]:
 def _split(words: str) -> tuple[str, bool]:
     """An assembly mode and whether it is followed through change points; no mode counts as left, or forward."""
     mode, _, last = words.rpartition(",")
-    return (mode.strip(), True) if last.strip() == CONTINUE else (words, False)
+    return (mode.strip() or EITHER, True) if last.strip() == CONTINUE else (words, False)
 
 
 def _list(names: Iterable[str]) -> str:
@@ -242,7 +242,7 @@ class _Assembly:
         """Assembly mode of an RRR group."""
         options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
         words = self.mode(joint, options)
-        if words in (EITHER, ""):
+        if words == EITHER:
             return 1
         match = _SIDE.fullmatch(words)
         if match is None or {match[2], match[3]} != {p, q} or p == q:
@@ -253,7 +253,7 @@ class _Assembly:
         """Assembly mode of a group with one slider."""
         options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
         words = self.mode(joint, options).strip()
-        if words in (EITHER, ""):
+        if words == EITHER:
             return 1
         if words not in FORWARD:
             raise StructureError("not an assembly mode of this group", f"Write {options}", f"assembly.{joint}", words)
