@@ -514,3 +514,14 @@ def test_crank_angles_of_extremes_lie_in_the_range_of_a_crank_that_cannot_turn()
     assert not result.full
     for extreme in result.extremes.values():
         assert result.low - 1e-12 <= extreme.least_at <= result.high + 1e-12
+
+
+def test_crank_alone_has_no_change_points():
+    raw = {
+        "title": "pendulum",
+        "mechanism": {"ground": {"A": ["0 m", "0 m"]}, "links": {"crank": {"joints": ["A", "B"], "length": "0.2 m"}}},
+        "bodies": {"crank": {"mass": "1 kg", "inertia": "uniform bar"}},
+    }
+    problem = optlink.read(raw)
+    assert optlink.analyze(problem, points=12).sound
+    assert not optlink.analyze_batch(problem, {"crank.length": [0.1, 0.2]}, points=12).singular

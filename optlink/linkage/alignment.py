@@ -90,6 +90,8 @@ def least_alignments(
     -------
     list of Aligned, in the order of the groups and of the crank angle
     """
+    if not mechanism.groups:
+        return []
     high = low + mechanism.cycle if high is None else high
     step = TURN / GRID
     grid = np.arange(low - 0.37 * step, high + step, step)  # so that round crank angles lie between its points
@@ -104,7 +106,7 @@ def least_alignments(
             found = [_rate(group.alignment(pose)) for group in mechanism.groups]
         return np.array([np.broadcast_to(rate, angles.shape) for rate in found])
 
-    still = np.max(np.nan_to_num(np.abs(rates(grid)), posinf=0.0), axis=1, initial=0.0) <= _STILL if mechanism.groups else []
+    still = np.max(np.nan_to_num(np.abs(rates(grid)), posinf=0.0), axis=1, initial=0.0) <= _STILL
     found = []
     for k, angles in enumerate(zeros(rates, grid, still=True)):
         angles = angles[(angles >= low - 1e-9) & (angles < high - 1e-9)]
