@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import Unusable
+from optlink.design.settled import settled
 from optlink.documents import finite, head
 from optlink.dynamics.change_points import pin_columns, unbounded_reactions
 from optlink.dynamics.flywheel import Flywheel, flywheel
@@ -247,6 +248,17 @@ def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] |
         name: {"time_ratio": travel.time_ratio, **stroke_records(travel, speed, acting)}
         for name, travel in named_travels(machine)
     }
+
+
+def turning(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None:
+    """The machine of a design [SI] whose crank turns fully; None where there is none."""
+    if not all(math.isfinite(value) for value in design.values()):
+        return None
+    try:
+        machine = machine_of(settled(problem, design))
+    except InputError:
+        return None
+    return machine if reachable(machine.mechanism, machine.sizes).full else None
 
 
 def reactions_told(machine: Machine) -> dict[str, str]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.analysis import stroke_document, turning
 from optlink.design.files import ProblemFile
 from optlink.design.generation import START, TURN, GenerationProblem
 from optlink.design.linkages import FourBarSection
@@ -285,6 +286,8 @@ class Generation:
         }
         if self.best is not None:
             document["design"] = self.best.to_dict()["design"]
+            machine, angles = turning(self.best.problem, self.best.values), self.best.crank_angles
+            document["strokes"] = {} if machine is None else stroke_document(machine, float(angles[-1] - angles[0]))
             document["assembly"] = self.best.assembly
             document["fit"] = None if self.best.fit is None else self.best.fit.to_dict()
         document["designs"] = [design.to_dict() for design in self.designs]

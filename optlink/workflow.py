@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from optlink.analysis import stroke_document, turning
 from optlink.design.files import ProblemFile, parse_assignment
 from optlink.design.objectives import MEASURES
 from optlink.design.quantity import Quantity, Unusable, nearest, read_quantity
@@ -168,6 +169,8 @@ class Result:
             },
         }
         document["fit"] = None if self.fit is None else self.fit.to_dict()
+        machine = turning(self.problem, self.design)
+        document["strokes"] = {} if machine is None else stroke_document(machine, self.problem.spec.span)
         document |= proof(self, lambda design: _design(self.problem.spec.design(design)))
         if self.evidence is not None:
             document["evidence"] = vars(self.evidence) | {}

@@ -125,3 +125,18 @@ def test_each_design_of_a_batch_has_its_own_slow_stroke():
     for k in (0, 1, 3, 4):
         alone = optlink.analyze(file, 90, design={"G.offset": float(offsets[k])})["input.torque_Nm"][:-1]
         np.testing.assert_allclose(found[k], alone, rtol=1e-9, atol=1e-9 * np.max(np.abs(alone)))
+
+
+def test_solved_linkages_name_their_strokes():
+    """A four-bar for a law, its crank turning either way: the swing by the law of cosines, the slow stroke with the sense."""
+    result = optlink.solve(optlink.load("crank-rocker"))
+    (record,) = (own for name, own in result.to_dict()["strokes"].items() if name == "rocker swings")
+    r, a, b, f = (result.design[name] for name in ("crank", "coupler", "rocker", "frame"))
+
+    def at(reach: float) -> float:
+        return math.acos((reach**2 + f**2 - b**2) / (2.0 * reach * f))
+
+    theta = math.degrees(at(a - r) - at(a + r))
+    turned = sorted((record["forward"]["crank_rotation_deg"], record["backward"]["crank_rotation_deg"]))
+    assert turned == pytest.approx([180.0 - abs(theta), 180.0 + abs(theta)], abs=1e-6)
+    assert record["slow_stroke"] == max(("forward", "backward"), key=lambda name: record[name]["crank_rotation_deg"])

@@ -10,6 +10,7 @@ from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderR
 from rich.table import Table
 from rich.text import Text
 
+from optlink.analysis import turning
 from optlink.design.generation import TURN, GenerationProblem
 from optlink.generated import LEVEL, OUTPUT, Design, Generation, people_unit
 from optlink.linkage.cognates import Cognate, CouplerLinkage
@@ -45,6 +46,11 @@ def generation(outcome: Generation) -> RenderableType:
         title.append(f"\nNote: {note}")
     chosen = "either" in str(outcome.problem.model.mechanism.assembly)
     parts: list[RenderableType] = [title, Text(), _sizes(best, chosen), Text(), _objective(best)]
+    from optlink.report.machine import machine_strokes
+
+    machine = turning(best.problem, best.values)
+    strokes = None if machine is None else machine_strokes(machine, float(best.crank_angles[-1] - best.crank_angles[0]))
+    parts += [] if strokes is None else [Text(), strokes]
     if best.task.pointed:
         parts += [Text(), _points(best)]
     if best.solution is not None:

@@ -11,6 +11,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from optlink.analysis import turning
 from optlink.design.cycle import CycleProblem
 from optlink.design.files import ProblemFile
 from optlink.design.generation import MARK, START, ZERO, GenerationProblem
@@ -67,6 +68,7 @@ def fixed(value: float, digits: int = 3) -> str:
 def result(outcome: Result) -> RenderableType:
     """Everything about a result."""
     parts: list[RenderableType] = [_headline(outcome), Text(), _design(outcome)]
+    parts += _strokes(outcome)
     if outcome.conflict:
         parts += [Text(), _conflict(outcome)]
     else:
@@ -80,6 +82,15 @@ def result(outcome: Result) -> RenderableType:
         parts += [Text(), _backends(outcome)]
     parts += [Text(), _times(outcome)]
     return Group(*parts)
+
+
+def _strokes(outcome: Result) -> list[RenderableType]:
+    """Forward and backward stroke of the rocker, where the crank turns fully."""
+    from optlink.report.machine import machine_strokes
+
+    machine = turning(outcome.problem, outcome.design)
+    table = None if machine is None else machine_strokes(machine, outcome.problem.spec.span)
+    return [] if table is None else [Text(), table]
 
 
 def _headline(outcome: Result) -> Text:
