@@ -101,7 +101,16 @@ def test_out_writes_everything_and_can_be_validated_again(tmp_path):
     done = run("solve", "crank-rocker", "--backend", "both", "--out", str(out), "--json")
     assert done.exit_code == 0
     names = {path.name for path in out.iterdir()}
-    assert names == {"result.json", "mechanism.png", "law.png", "transmission.png", "map.png", "motion.gif", ".optlink-run.json"}
+    assert names == {
+        "result.json",
+        "design.toml",
+        "mechanism.png",
+        "law.png",
+        "transmission.png",
+        "map.png",
+        "motion.gif",
+        ".optlink-run.json",
+    }
     assert json.loads((out / "result.json").read_text()) == json.loads(done.stdout)
     again = run("validate", "crank-rocker", "--design", str(out / "result.json"), "--json")
     assert again.exit_code == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,3 +119,26 @@ def test_a_given_design_is_checked_in_the_assembly_mode_that_fits_it() -> None:
     checked = optlink.validate(either, {name: found.design[name] for name in either.spec.free})
     assert checked.assembly == found.assembly
     assert checked.objective == pytest.approx(found.objective, rel=1e-6)
+
+
+def test_the_machine_written_beside_a_result_moves_as_the_design_does(tmp_path: Path) -> None:
+    """Law and function: loaded by `analyze`, from the same crank angle, the rocker turns as the result says."""
+    from optlink.report import plot
+
+    for file in (optlink.load("crank-rocker"), short(**{"mechanism.assembly": "either"})):
+        result = optlink.solve(file, starts=1)
+        plot.PICTURES, pictures = {}, plot.PICTURES
+        try:
+            plot.write_all(result, tmp_path)
+        finally:
+            plot.PICTURES = pictures
+        machine = optlink.load(tmp_path / "design.toml")
+        found = optlink.analyze(machine)
+        assert machine.raw["mechanism"].get("assembly", "left") == result.assembly
+        crank, rocker = found.columns["crank_angle_deg"], found.columns["rocker.angle_rad"]
+        at = np.degrees(result.design["phi0"] + 0.5 * file.spec.span)
+        k = int(np.argmin(np.abs(np.remainder(crank - at + 180.0, 360.0) - 180.0)))
+        offset = math.remainder(math.radians(crank[k]) - result.design["phi0"], 2.0 * math.pi)
+        wanted = file.spec.law.curve(np.array([offset]), result.design["phi0"], result.design["psi0"])[0]
+        generated = wanted - result.error([offset])[0]
+        assert math.remainder(rocker[k] - generated, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)

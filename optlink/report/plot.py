@@ -13,6 +13,7 @@ from matplotlib.patches import Arc
 from numpy.typing import NDArray
 from PIL import Image
 
+from optlink.design.files import dump
 from optlink.design.slopes import Judge
 from optlink.linkage.fourbar import dead_centre, lengths_of, reachable
 from optlink.linkage.motion import Motion, sweep
@@ -20,7 +21,7 @@ from optlink.report.draw import Sketch
 from optlink.report.film import film, there_and_back
 from optlink.report.labels import settle
 from optlink.report.landscape import objective_map, unit_of
-from optlink.report.store import write_json
+from optlink.report.store import whole, write_json
 from optlink.report.style import (
     COUPLER,
     CRANK,
@@ -38,6 +39,7 @@ from optlink.report.style import (
     styled,
 )
 from optlink.report.style import figure as new_figure
+from optlink.report.subject import machine_found
 from optlink.workflow import Result
 
 Array = NDArray[np.float64]
@@ -61,9 +63,15 @@ __all__ = [
 
 
 def write_all(result: Result, folder: Path) -> list[Path]:
-    """Write result.json and every picture that the result has something for; return the files."""
+    """Write result.json, the linkage as design.toml and every picture there is something for; return the files."""
     written = [folder / "result.json"]
     write_json(written[0], result.to_dict())
+    machine = None if result.conflict else machine_found(result)
+    if machine is not None:
+        verdict = f"# {result.status.value}, valid" if result.valid else "# NOT VALID"
+        written.append(folder / "design.toml")
+        with whole(written[-1]) as temporary:
+            temporary.write_text(f"{verdict}\n{dump(machine)}", encoding="utf-8")
     for name, draw in PICTURES.items():
         figure = draw(result)
         if figure is not None:
