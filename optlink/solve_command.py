@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from optlink.design.files import ProblemFile
     from optlink.designed import MachineDesign
     from optlink.generated import Generation
+    from optlink.validation.check import Check
     from optlink.workflow import Result
 
 
@@ -77,14 +80,43 @@ def _validate(problem: str, design: list[str], changes: list[str] | None, as_jso
     if file.generated:
         from optlink.generation import validate as check
 
-        _generated(check(file, given), as_json, out)
+        found = check(file, given)
+        failed = _contradictions(design, file, found)
+        if failed:
+            flagged = [
+                replace(d, validation=replace(d.validation, checks=(*d.validation.checks, *failed))) for d in found.designs
+            ]
+            found = replace(found, designs=(), nearest=next(iter(flagged), found.nearest))
+        _generated(found, as_json, out)
+        if failed:
+            raise typer.Exit(1)
         return
     if file.machined:
         from optlink.machine_design import check_machine
 
-        _machine(check_machine(file, given), as_json, out)
+        machine = check_machine(file, given)
+        proof = machine.validation
+        failed = _contradictions(design, file, machine)
+        _machine(replace(machine, validation=replace(proof, checks=(*proof.checks, *failed))), as_json, out)
         return
-    _law(prove(file, given), as_json, out)
+    law = prove(file, given)
+    failed = _contradictions(design, file, law)
+    _law(replace(law, validation=replace(law.validation, checks=(*law.validation.checks, *failed))), as_json, out)
+
+
+def _contradictions(design: list[str], file: ProblemFile, found: Result | Generation | MachineDesign) -> tuple[Check, ...]:
+    """What a result file that is the design says and its design does not have; a file of another problem is named."""
+    from optlink.contradictions import contradictions
+
+    failed: list[Check] = []
+    for text in (text for text in design if text.endswith(".json")):
+        document = json.loads(Path(text).read_text(encoding="utf-8"))
+        if document.get("problem_hash", file.hash) != file.hash:
+            message = f"{text}: this is the result of another problem, or of this one before it was changed"
+            print(f"Warning: {message} (problem_hash {document['problem_hash']}, here {file.hash})", file=sys.stderr)
+        elif len(design) == 1:
+            failed += contradictions(document, found.to_dict())
+    return tuple(failed)
 
 
 # --- searches ----------------------------------------------------------------------------------------------------------------
