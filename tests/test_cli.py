@@ -264,7 +264,9 @@ COMPARED = (*GAPPED, "--control", "compare", "--revolutions", "1", "--starts", "
     [
         ((*COMPARED, "--csv", "a.csv"), "--csv", "has no use for it"),
         ((*COMPARED, "--flywheel", "0.1 kg*m^2"), "--flywheel", "has no use for it"),
-        ((*COMPARED, "--resume", "--out", "a"), "--resume", "has no use for it"),
+        ((*COMPARED, "--tune", "integral"), "--tune", "Name the kind to tune"),
+        ((*GAPPED, "--evaluations", "8"), "--evaluations", "--tune NAME"),
+        ((*GAPPED, "--workers", "2"), "--workers", "--tune NAME"),
         ((*GAPPED, "--starts", "3"), "--starts", "--control compare"),
         ((*GAPPED, "--seed", "0"), "--seed", "--control compare"),
         ((*GAPPED, "--ideal", "--tolerance", "1e-6"), "--tolerance", "joints count as ideal"),
@@ -290,7 +292,8 @@ def test_a_comparison_takes_its_tolerance_and_its_points(monkeypatch):
     taken = []
 
     def compare(*arguments, **options):
-        taken.append((arguments[1:], {key: value for key, value in options.items() if key != "progress"}))
+        own = ("progress", "checkpoint", "resume", "workers")  # of the command
+        taken.append((arguments[1:], {key: value for key, value in options.items() if key not in own}))
         raise optlink.InputError(Fault("enough", "Stop"))
 
     monkeypatch.setattr("optlink.compensation.compare", compare)
