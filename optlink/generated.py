@@ -24,7 +24,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.groups import RRR
 from optlink.linkage.motion import sweep
 from optlink.linkage.refine import extremes
-from optlink.outcome import heading, proven
+from optlink.outcome import Relaxed, heading, proven
 from optlink.solvers.evidence import Evidence
 from optlink.solvers.solution import LimitState, Solution
 from optlink.units import KINDS, factor
@@ -252,6 +252,8 @@ class Generation:
     seconds: dict[str, float]
     interrupted: bool = False
     notes: tuple[str, ...] = field(default=())
+    conflict: tuple[Relaxed, ...] = ()
+    together: tuple[Relaxed, ...] = ()
 
     @property
     def hits(self) -> int:
@@ -291,5 +293,8 @@ class Generation:
             document["assembly"] = self.best.assembly
             document["fit"] = None if self.best.fit is None else self.best.fit.to_dict()
         document["designs"] = [design.to_dict() for design in self.designs]
+        if self.conflict:
+            document["conflict"] = [vars(item) | {} for item in self.conflict]
+            document["relax_together"] = [vars(item) | {} for item in self.together]
         document["nearest_miss"] = None if self.nearest is None or self.designs else self.nearest.to_dict()
         return finite(document)  # type: ignore[no-any-return]

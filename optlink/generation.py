@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import nearest
 from optlink.errors import Fault, InputError, Status
 from optlink.generated import Design, Generation
+from optlink.outcome import Relaxed, shortest_link
 from optlink.path_designs import Collection, Polisher, model
 from optlink.solvers.evidence import evidence
 from optlink.validation.generation import validate_generation
+
+if TYPE_CHECKING:
+    from optlink.solvers.conflict import Explanation
 
 MAX_STARTS = 1_000_000
 MOST_DESIGNS = 50
@@ -77,6 +83,9 @@ def generate(
     found, told = search.collection, search.collection.evidence()
     task = model(problem)
     notes = [task.wanted.note] if task.wanted.note else []
+    reason = None if found.designs or search.interrupted else search.conflict(seed)
+    limits = () if reason is None else tuple(Relaxed(**vars(item)) for item in reason.conflict)
+    notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
     if found.designs and told.missed > SMALL:
         notes.append(f"{told.chance}; search on with --starts {min(4 * search.searcher.found.starts, MAX_STARTS)}")
     return Generation(
@@ -90,6 +99,8 @@ def generate(
         seconds={name: b - a for name, a, b in zip(("build", "search, polish and validate"), clock, clock[1:], strict=False)},
         interrupted=search.interrupted,
         notes=tuple(notes),
+        conflict=limits,
+        together=() if reason is None else tuple(Relaxed(**vars(item)) for item in reason.together),
     )
 
 
@@ -117,6 +128,19 @@ class _Search:
             if not self.collection.designs:
                 raise
             self.interrupted = True
+
+    def conflict(self, seed: int) -> Explanation | None:
+        """Limits of the linkage that cannot hold together; None where some linkage meets them, whatever it misses.
+
+        The order of the points and their tolerances hold while limits give way.
+        """
+        from optlink.solvers.conflict import Explanation, explain
+
+        nlp = self.collection.polisher.programme(0, 1)
+        near = self.collection.nearest
+        points = None if near is None or near.solution is None or near.solution.nlp is not nlp else [near.solution.x, nlp.x_start]
+        found = explain(replace(nlp, states=nlp.states | {"requirement.points"}), seed, points)
+        return found if isinstance(found, Explanation) and found.conflict else None
 
     def _enough(self, exact: int) -> bool:
         """Whether to stop; `exact` is the number of exact designs before the latest round."""

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from optlink.design.files import ProblemFile
+from optlink.design.quantity import Quantity
 from optlink.documents import head
 from optlink.errors import Status
+from optlink.linkage.fourbar import LENGTHS
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
 from optlink.validation.check import Check, Validation
 
@@ -24,6 +26,42 @@ class Optimum:
     objective: float
     count: int
     assembly: str = ""
+
+
+@dataclass(frozen=True)
+class Relaxed:
+    """A limit that would have to give (see `optlink.solvers.conflict.Relaxation`)."""
+
+    name: str
+    key: str
+    sense: str
+    bound: float
+    relaxed: float
+    amount: float
+    unit: str
+
+
+def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, ...]:
+    """Whether the bounds of a four-bar forbid its crank to turn fully: the shortest link cannot be the shortest.
+
+    Parameters
+    ----------
+    quantities : mapping of the four lengths to Quantity
+    crank : str
+        `limits.crank` of the problem.
+    """
+    name = {"full rotation": "crank", "double-crank": "frame"}.get(crank)
+    if name is None or name not in quantities:
+        return ()
+    least = quantities[name].bounds[0]
+    other = min((link for link in LENGTHS if link != name), key=lambda link: quantities[link].bounds[1])
+    most = quantities[other].bounds[1]
+    if least <= most:
+        return ()
+    return (
+        f"the {name}, at least {1e3 * least:.6g} mm, cannot be the shortest link, as the {other} is at most {1e3 * most:.6g} mm: "
+        f'the crank cannot turn fully; shorten the {name}, or write limits.crank = "span"',
+    )
 
 
 class Sought(Protocol):
@@ -113,8 +151,19 @@ def optimality(solution: Solution) -> tuple[Check, ...]:
     """What the programme itself says of an optimum."""
     return (
         Check("all limits met (scaled)", solution.violation <= FEASIBLE, solution.violation, f"<= {FEASIBLE:.0e}", ""),
-        Check("optimality (KKT residual)", solution.status is Status.OPTIMAL, solution.kkt, f"<= {STATIONARY:.0e}", ""),
+        _stationary(solution),
     )
+
+
+def _stationary(solution: Solution) -> Check:
+    """The first-order condition; where the residual alone does not decide, `limit` says what does."""
+    passed, small = solution.status is Status.OPTIMAL, solution.kkt <= STATIONARY
+    limit = f"<= {STATIONARY:.0e}"
+    if passed and not small:
+        limit = "no measurable improvement"
+    if small and not passed:
+        limit = "of a feasible design" if solution.violation > FEASIBLE else "of the design searched for"
+    return Check("optimality (KKT residual)", passed, solution.kkt, limit, "")
 
 
 def heading(schema: str, outcome: Sought) -> dict[str, Any]:

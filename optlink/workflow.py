@@ -24,7 +24,7 @@ from optlink.fit import Fit, law_fit
 from optlink.levelling import ALONG, error_at, judged
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.structure import EITHER
-from optlink.outcome import Optimum, heading, proof, proven
+from optlink.outcome import Optimum, Relaxed, heading, proof, proven, shortest_link
 from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.solution import Solution
 from optlink.units import show
@@ -49,19 +49,6 @@ def people(name: str, value: float) -> tuple[float, str]:
     """A quantity of a design in the unit that people read: mm or deg."""
     factor, unit = PEOPLE["angle" if name in ("phi0", "psi0") else "length"]
     return value * factor, unit
-
-
-@dataclass(frozen=True)
-class Relaxed:
-    """A limit that would have to give (see `optlink.solvers.conflict.Relaxation`)."""
-
-    name: str
-    key: str
-    sense: str
-    bound: float
-    relaxed: float
-    amount: float
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -95,6 +82,8 @@ class Result:
     def notes(self) -> tuple[str, ...]:
         """What a user should know beside the figures."""
         free = set(self.problem.spec.free)
+        if self.conflict:
+            return shortest_link(self.problem.spec.quantities, self.problem.spec.limits.crank)
         if self.solution is None or not free.issuperset(LENGTHS) or self.solution.curvature > FLAT:
             return ()
         return (

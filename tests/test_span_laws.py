@@ -92,7 +92,7 @@ def test_no_random_span_law_locks(seed: int) -> None:
 
 @pytest.mark.slow
 def test_no_random_span_law_of_many_locks() -> None:
-    """Every fifth of the `MANY` that were run when the margins were made."""
+    """Every fifteenth of the `MANY`."""
     wrong = {seed: found for seed in range(0, MANY, 15) if (found := faults(seed))}
     assert wrong == {}
 

@@ -14,7 +14,7 @@ from optlink.analysis import turning
 from optlink.design.generation import TURN, GenerationProblem
 from optlink.generated import LEVEL, OUTPUT, Design, Generation, people_unit
 from optlink.linkage.cognates import Cognate, CouplerLinkage
-from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, active, checks, fixed, graded, grid, number
+from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, active, checks, conflict, fixed, graded, grid, number
 from optlink.validation import Check
 
 ALIKE = 1e-3  # of the frame: difference of two four-bars that are the same
@@ -32,6 +32,8 @@ def generation(outcome: Generation) -> RenderableType:
         title.append(
             "\nno start could be assembled at all points within the bounds; widen them, or give more starts", style=QUIET
         )
+        if outcome.conflict:
+            return Group(title, Text(), conflict(outcome.conflict, outcome.together), Text(), _times(outcome))
         return Group(title, Text(), _times(outcome))
     given = outcome.starts == 0
     title.append("\ngiven design, " if given else f"\n{best.status.value}, ")
@@ -51,6 +53,8 @@ def generation(outcome: Generation) -> RenderableType:
     machine = turning(best.problem, best.values)
     strokes = None if machine is None else machine_strokes(machine, float(best.crank_angles[-1] - best.crank_angles[0]))
     parts += [] if strokes is None else [Text(), strokes]
+    if outcome.conflict:
+        parts += [Text(), conflict(outcome.conflict, outcome.together)]
     if best.task.pointed:
         parts += [Text(), _points(best)]
     if best.solution is not None:

@@ -24,6 +24,7 @@ from optlink.generated import SCHEMA as GENERATION
 from optlink.generated import Design, Generation
 from optlink.generation import variants_of
 from optlink.machine_design import check_machine
+from optlink.outcome import Relaxed
 from optlink.report.resolved import generated_optimum, law_optimum, machine_optimum
 from optlink.report.results.found import problem_of
 from optlink.report.results.record import AGAIN, Record, read
@@ -39,7 +40,7 @@ from optlink.validation.check import Validation
 from optlink.validation.generation import validate_generation
 from optlink.version import VERSION
 from optlink.workflow import SCHEMA as RESULT
-from optlink.workflow import Relaxed, Result, read_design, validate
+from optlink.workflow import Result, read_design, validate
 
 KNOWN = {RESULT: "solve", GENERATION: "solve", MACHINE: "solve", ANALYSIS: "analyze", SENSITIVITY: "study sensitivity"}
 """Schemas that can be shown, and the command that writes them."""

@@ -22,9 +22,10 @@ from optlink.design.quantity import Interval, Quantity
 from optlink.design.section import Section
 from optlink.errors import Status
 from optlink.fit import Fit
+from optlink.outcome import Relaxed
 from optlink.solvers.solution import LimitState
 from optlink.validation import Check
-from optlink.workflow import Relaxed, Result, people
+from optlink.workflow import Result, people
 
 GOOD, BAD, QUIET, HEAD = "green", "bold red", "dim", "bold"
 
@@ -70,7 +71,7 @@ def result(outcome: Result) -> RenderableType:
     parts: list[RenderableType] = [_headline(outcome), Text(), _design(outcome)]
     parts += _strokes(outcome)
     if outcome.conflict:
-        parts += [Text(), _conflict(outcome)]
+        parts += [Text(), conflict(outcome.conflict, outcome.together)]
     else:
         parts += [Text(), _objective(outcome)]
         if outcome.solution:
@@ -166,7 +167,7 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Rendera
     for limit in held:
         bound = f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip()
         gain = abs(limit.multiplier)
-        share = f" ({gain / objective:.2%})" if gain < 100.0 * objective else ""  # of an exact design a share says nothing
+        share = f" ({gain / objective:.2%})" if 5e-5 * objective <= gain < 100.0 * objective else ""  # else it says nothing
         buys = f"{gain:.4g} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "nothing"
         table.add_row(limit.name, bound, buys)
     return table
@@ -186,17 +187,18 @@ def checks(asked: Sequence[Check]) -> Table:
     return table
 
 
-def _conflict(outcome: Result) -> Table:
+def conflict(limits: Sequence[Relaxed], together: Sequence[Relaxed]) -> Table:
+    """Limits that cannot hold together, and by how much each would have to give."""
     table = grid(
         "These limits cannot hold together",
         [("limit", "left"), ("asked", "left"), ("feasible if it alone gave", "left")],
         header=True,
     )
-    for item in outcome.conflict:
+    for item in limits:
         table.add_row(item.name, _asked(item), _given(item) or "never: see below")
-    if any(not math.isfinite(item.amount) for item in outcome.conflict):
+    if any(not math.isfinite(item.amount) for item in limits):
         table.add_section()
-        for item in outcome.together:
+        for item in together:
             table.add_row(item.name, _asked(item), f"together: {_given(item) or 'dropped'}")
     return table
 

@@ -127,8 +127,9 @@ def elastic(nlp: NLP, limits: list[Side]) -> NLP:
     length = np.array([v.name in LENGTHS or v.name.endswith(".length") for v in nlp.variables])
     room = np.where(bounded, np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
     lowest = np.where(length, 1e-3 * nlp.x_low, nlp.x_low - room)  # a length gives way towards zero, never beyond
-    lowest = np.where(held, nlp.x_low, np.where(bounded, lowest, 0.0))
-    highest = np.where(held, nlp.x_high, np.where(bounded, nlp.x_high + room, 1.0))
+    # helpers keep their bounds, but for the largest error, which has no upper one
+    lowest = np.where(held, nlp.x_low, np.where(bounded, lowest, np.where(np.isfinite(nlp.x_low), nlp.x_low, 0.0)))
+    highest = np.where(held, nlp.x_high, np.where(bounded, nlp.x_high + room, np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)))
     return NLP(
         variables=(*nlp.variables, *(Variable(f"slack {i}", 1.0, PLAIN) for i in range(k))),
         fixed=(),

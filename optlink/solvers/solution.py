@@ -25,6 +25,9 @@ FEASIBLE = 1e-8  # largest violation, in scaled units, that counts as met
 STATIONARY = 1e-6  # largest KKT residual, for an objective scaled to 1 at the start, that counts as optimal
 NEXT_TO = 1e-9  # scaled units
 STEEPEST = 1e-3
+LEAST_PRICE = 1e-6
+"""Least change of the objective, as a share of its value, for a bound moved by one scaled unit (the frame, 1 rad): else it has no
+price. Multipliers are recomputed to about this accuracy."""
 ACTIVE = 1e-6  # distance, in scaled units, at which a limit counts as active
 
 
@@ -105,7 +108,12 @@ class Solution:
     @cached_property
     def limits(self) -> tuple[LimitState, ...]:
         """Every bound and limit as people read it."""
-        return tuple(_limit_states(self.nlp, self.x, self.g, self.proof.multipliers, self.price))
+        least = LEAST_PRICE * abs(self.nlp.values(self.x, self.p)[0])
+        residuals = np.abs(self.nlp.residuals(self.x))
+        met = bool(np.max(residuals, initial=0.0) <= self.nlp.exact)  # nothing is left to gain
+        multipliers = self.proof.multipliers
+        kept = np.where(met | (np.abs(multipliers) <= least), 0.0, multipliers)
+        return tuple(_limit_states(self.nlp, self.x, self.g, kept, self.price))
 
     @property
     def usable(self) -> bool:
