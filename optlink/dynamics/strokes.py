@@ -92,8 +92,7 @@ def _acting(machine: Machine, speed: float) -> Iterator[Acting]:
 def working_stroke(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> tuple[Direction | None, tuple[str, ...]]:
     """The working stroke of an output and the loads that make it so.
 
-    It is the stroke in which loads of the same dead centres act; where no load of the machine is limited to a stroke, the slow
-    one, as usual for quick-return mechanisms; None where loads act in both, or none says.
+    It is the stroke in which loads of the same dead centres act; None where no load is limited to one, or loads act in both.
 
     Parameters
     ----------
@@ -103,8 +102,7 @@ def working_stroke(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> 
     acting : tuple of Acting
     """
     found: dict[Direction, list[str]] = {}
-    strokes = travel.strokes(speed)
-    for stroke in strokes:
+    for stroke in travel.strokes(speed):
         begin, end = sorted((stroke.begin, stroke.end))
         for item in acting:
             if len(item.ranges) == 1 and _same(item.ranges[0], (begin, end)):
@@ -112,8 +110,6 @@ def working_stroke(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> 
     if len(found) == 1:
         ((name, loads),) = found.items()
         return name, tuple(loads)
-    if not found and not acting:
-        return next((stroke.name for stroke in strokes if stroke.pace == "slow"), None), ()
     return None, ()
 
 
