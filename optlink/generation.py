@@ -12,7 +12,7 @@ from optlink.design.quantity import nearest
 from optlink.errors import Fault, InputError, Status
 from optlink.generated import Design, Generation
 from optlink.outcome import Relaxed, shortest_link
-from optlink.path_designs import Collection, Polisher, model
+from optlink.path_designs import Collection, Polisher, compound, model
 from optlink.solvers.evidence import evidence
 from optlink.validation.generation import validate_generation
 
@@ -23,6 +23,9 @@ MAX_STARTS = 1_000_000
 MOST_DESIGNS = 50
 SMALL = 0.02  # estimated chance that a better design was missed at which a search ends
 LEAST_ROUNDS, MOST_ROUNDS = 3, 20
+COMPOUND_ROUNDS = 4  # of a linkage of several dyads, whose starts and limits take longer
+PART_STARTS = 400  # of the four-bar that a linkage contains
+NO_FOUR_BAR = "{} cannot trace the coupler curves of a four-bar within this linkage: the search had random starts only"
 MOST_IN_VAIN = 12  # rounds without a valid design
 OFTEN = 3  # starts per exact design after which a search expects no other one
 
@@ -82,7 +85,7 @@ def generate(
     clock.append(time.perf_counter())
     found, told = search.collection, search.collection.evidence()
     task = model(problem)
-    notes = [task.wanted.note] if task.wanted.note else []
+    notes = [*([task.wanted.note] if task.wanted.note else []), *search.notes]
     reason = None if found.designs or search.interrupted else search.conflict(seed)
     limits = () if reason is None else tuple(Relaxed(**vars(item)) for item in reason.conflict)
     notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
@@ -114,6 +117,8 @@ class _Search:
         self.searcher = Searcher([model(file) for file in files], seed)
         self.collection = Collection(Polisher(files, backend), requested)
         self.requested, self.interrupted = requested, False
+        self.problem, self.backend, self.seed = problem, backend, seed
+        self.notes: list[str] = []
 
     def run(self, starts: int | None, progress: Callable[[float], None] | None) -> None:
         """Search until `starts` are made; without a number, until a better design is unlikely."""
@@ -122,6 +127,8 @@ class _Search:
             while found.starts < starts if starts else not self._enough(exact):
                 exact = self.collection.exact
                 self.collection.add(self.searcher.advance())
+                if found.rounds == 1 and compound(model(self.problem)) and not self.collection.exact:
+                    self._grow()
                 if progress:
                     progress(min(found.starts / starts if starts else found.rounds / MOST_ROUNDS, 1.0))
         except KeyboardInterrupt:
@@ -142,6 +149,21 @@ class _Search:
         found = explain(replace(nlp, states=nlp.states | {"requirement.points"}), seed, points)
         return found if isinstance(found, Explanation) and found.conflict else None
 
+    def _grow(self) -> None:
+        """Add designs that begin as the best four-bars that the linkage contains."""
+        from optlink.grown import grow
+        from optlink.synthesis.growth import contained
+
+        part = contained(self.problem)
+        if part is None:
+            if model(self.problem).requirement.kind == "path":
+                self.notes.append(NO_FOUR_BAR.format(model(self.problem).requirement.point))
+            return
+        four_bars = generate(part.file, self.backend, PART_STARTS, self.seed).designs
+        polisher = self.collection.polisher
+        for design in grow(part, four_bars, polisher.files, polisher.polish, self.seed):
+            self.collection.insert(design)
+
     def _enough(self, exact: int) -> bool:
         """Whether to stop; `exact` is the number of exact designs before the latest round."""
         rounds, collection = self.searcher.found.rounds, self.collection
@@ -151,6 +173,7 @@ class _Search:
         if rounds < LEAST_ROUNDS:
             return False
         most = MOST_ROUNDS if collection.designs else MOST_IN_VAIN
+        most = min(most, COMPOUND_ROUNDS) if compound(model(self.problem)) else most
         return rounds >= most or collection.evidence().missed <= SMALL
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 TRIES = 6  # candidates of the first round that are polished per requested design, while too few are valid
 PER_ROUND = 10  # candidates polished in a later round
 REPAIRED = 2  # candidates of a round that were put in order, and those polished in vain, in a later round
+COMPOUND_TRIES = 4  # candidates of the first round that are polished in vain, of a linkage of several dyads: each takes seconds
 COMPARABLE = 1.5  # error, as a multiple of the least one, up to which optima are counted: a better one would be among them
 SAME = 1e-6  # relative difference of two objectives that are the same
 
@@ -32,6 +33,11 @@ def model(file: ProblemFile) -> GenerationProblem:
     """The model of a path or motion problem."""
     assert isinstance(file.model, GenerationProblem)
     return file.model
+
+
+def compound(task: GenerationProblem) -> bool:
+    """Whether a linkage has several dyads."""
+    return len(task.linkage.groups) > 1
 
 
 class Polisher:
@@ -50,9 +56,10 @@ class Polisher:
             self.programmes[key] = build_generation(model(self.files[variant]), key[1])
         return self.programmes[key]
 
-    def polish(self, candidate: Candidate) -> Design:
-        """The nearest optimum with every limit, proven."""
+    def polish(self, candidate: Candidate, *, near: bool = False) -> Design:
+        """The nearest optimum with every limit, validated; `near` where the candidate itself keeps its limits everywhere."""
         from optlink.solvers import search as local
+        from optlink.solvers.exchange import search_everywhere
 
         file = self.files[candidate.variant]
         task, nlp = model(file), self.programme(candidate.variant, candidate.direction)
@@ -61,11 +68,9 @@ class Polisher:
         if len(nlp.variables) > len(x):
             x = np.append(x, 0.0)  # the largest deviation; `given` lifts it
         start = local.given(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
-        if start.status is Status.OPTIMAL:
-            return proven(file, nlp, start)
-        solution = local.solve_from(nlp, start.x, local.MINIMAX if minimax else self.backend)
+        solution = search_everywhere(task, start, local.MINIMAX if minimax else self.backend, near=near)
         if minimax and solution.status is not Status.OPTIMAL:
-            solution = local.best([solution, local.solve_from(nlp, start.x, self.backend)])
+            solution = local.best([solution, search_everywhere(task, start, self.backend, near=near)])
         if minimax and start.usable and solution.objective > start.objective * (1.0 + 1e-9):
             solution = replace(solution, status=Status.STALLED)  # an optimum, but not the one beside the start
         return proven(file, nlp, solution)
@@ -102,6 +107,7 @@ class Collection:
         self.designs: list[Design] = []
         self.nearest: Design | None = None
         self._ends: dict[Candidate, Design] = {}
+        self._vain = (COMPOUND_TRIES, 1) if compound(model(polisher.files[0])) else (TRIES * requested, REPAIRED)
         self._first = True
 
     @property
@@ -111,10 +117,10 @@ class Collection:
 
     def add(self, found: Exploration) -> None:
         """Polish what the latest round found."""
-        vain = TRIES * self.requested if self._first else REPAIRED
+        vain = self._vain[0] if self._first else self._vain[1]
         self._follow(found.candidates, vain if self._first else PER_ROUND, vain)
         if not self.exact:
-            self._follow(found.repaired, REPAIRED if self.designs else vain, vain)
+            self._follow(found.repaired, self._vain[1] if self.designs else vain, vain)
         self._first = False
 
     def _follow(self, candidates: list[Candidate], tries: int, vain: int) -> None:
@@ -131,7 +137,7 @@ class Collection:
             design = self._ends[candidate] = self.polisher.polish(candidate)
             tries -= 1
             if design.valid:
-                self._insert(design)
+                self.insert(design)
             else:
                 vain -= 1
                 self.nearest = min(filter(None, (self.nearest, design)), key=_failing)
@@ -142,7 +148,8 @@ class Collection:
             return math.inf
         return max(_cost(self.designs[0]) * COMPARABLE**2, _cost(self.designs[-1]))
 
-    def _insert(self, design: Design) -> None:
+    def insert(self, design: Design) -> None:
+        """Add a valid design, unless a better one is alike."""
         alike = next((known for known in self.designs if design.alike(known)), None)
         if alike is not None:
             if _rank(design) >= _rank(alike):

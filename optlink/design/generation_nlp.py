@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import casadi
@@ -21,12 +22,14 @@ from optlink.design.linkages import FourBarSection
 from optlink.design.nlp import NLP, Variable
 from optlink.design.objectives import Measure, measures
 from optlink.design.problem import EPIGRAPH
-from optlink.linkage.elementwise import unit
+from optlink.linkage.elementwise import Value, unit
 from optlink.symbolic import tracing
 
 Array = NDArray[np.float64]
 
 GRID = 36  # crank angles at which a mechanism that is no four-bar is asked whether it closes
+ROAMING = 24  # further ones, which an exchange moves to where a limit is exceeded between them
+ROAMING_ROWS = "rows of the roaming positions"  # in a programme's cache: the first one, and how many belong to each position
 BETWEEN = 3  # positions between two points, where the crank need not turn fully
 EXACT = 1e-10  # of the size of the curve: a residual that leaves nothing to improve
 
@@ -51,7 +54,12 @@ def variable_of(problem: GenerationProblem, name: str) -> Variable:
     return Variable(name, problem.size, Scale("mm", 1e3 * problem.size, offset=1e3 * origin), origin)
 
 
-def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple[float, ...] | None = None) -> NLP:
+def positioned(problem: GenerationProblem) -> bool:
+    """Whether limits of single crank angles (`position_rows`) must hold: the extremes of a four-bar are known."""
+    return not isinstance(problem.mechanism, FourBarSection)
+
+
+def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
     """Trace a problem into a nonlinear programme.
 
     Parameters
@@ -60,8 +68,10 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
         With definite assembly modes.
     direction : int
         Which way the crank turns from point to point where the timing is free: +1 counter-clockwise, -1 clockwise.
-    grid : angles [rad], optional
-        Where a mechanism that is no four-bar is asked whether it closes.
+
+    Returns
+    -------
+    NLP; its roaming positions are shares of the motion over which position limits must hold, see `required_motion`
     """
     size, share, free, data = problem.size, problem.whole, problem.free, problem.data
     fixed = tuple(name for name in problem.quantities if name not in free)
@@ -76,7 +86,8 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
     constants = [variable_of(problem, name) for name in fixed]
 
     x = casadi.SX.sym("x", len(variables))
-    p = casadi.SX.sym("p", 1 + len(fixed))
+    many = ROAMING if positioned(problem) else 0
+    p = casadi.SX.sym("p", 1 + len(fixed) + many)
     values: dict[str, Any] = {v.name: v.origin + v.size * x[i] for i, v in enumerate(variables[: len(free)])}
     values |= {v.name: v.origin + v.size * p[1 + i] for i, v in enumerate(constants)}
     if own:
@@ -98,14 +109,16 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
             span = direction * TURN
         rows = limit_rows(problem, values, Reach(angles[0], span), size)
         asked: list[Any] = []
-        four_bar = isinstance(problem.mechanism, FourBarSection)
-        if four_bar:
-            pass  # its extremes are known
+        if not positioned(problem):
+            pass  # the extremes of a four-bar are known
         elif problem.limits.crank == "span":
             asked = [a + (b - a) * (k / (BETWEEN + 1)) for a, b in itertools.pairwise(angles) for k in range(BETWEEN + 1)]
             asked.append(angles[-1])
         else:
-            asked = list(np.linspace(0.0, TURN, GRID, endpoint=False) if grid is None else grid)
+            asked = list(np.linspace(0.0, TURN, GRID, endpoint=False))
+        begin, whole = required_motion(problem, angles)
+        asked += [begin + whole * p[1 + len(fixed) + k] for k in range(many)]
+        first = len(rows) + (len(asked) - many) * len(at_angle[1])
         for angle in asked:
             found = at_angle[0](casadi.vertcat(*names, angle))
             rows += [Row(r.limit, r.label, found[k], r.low, r.high, r.scale) for k, r in enumerate(at_angle[1])]
@@ -115,9 +128,9 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
                 Row("requirement.points", f"order of points {i + 1} and {i + 2}", step, STEP, math.inf, DEGREES)
                 for i, step in enumerate(steps)
             ]
-            whole = (angles[-1] - angles[0]) * direction
+            passed = (angles[-1] - angles[0]) * direction
             most = TURN - (0.0 if problem.meets_again else STEP)
-            rows.append(Row("requirement.points", "points within one revolution", whole, -math.inf, most, DEGREES))
+            rows.append(Row("requirement.points", "points within one revolution", passed, -math.inf, most, DEGREES))
         for i, (error, tolerance) in enumerate(zip(errors, data.tolerances, strict=True)):
             if math.isfinite(tolerance):
                 square = casadi.sumsqr(error[:2]) / (data.roots[i] * size) ** 2
@@ -131,6 +144,7 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
 
     quantities = [problem.quantities[name] for name in free]
+    between = (np.arange(ROAMING) + 0.5) / ROAMING  # half-way between two positions of the grid, until they are moved
     low = [(q.bounds[0] - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
     high = [(q.bounds[1] - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
     begin = [(q.value - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
@@ -148,7 +162,7 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
         x_start=np.array(begin),
         x_low=np.array(low),
         x_high=np.array(high),
-        p=np.array([1.0, *((problem.quantities[v.name].value - v.origin) / v.size for v in constants)]),
+        p=np.array([1.0, *((problem.quantities[v.name].value - v.origin) / v.size for v in constants), *between[:many]]),
         x_symbol=x,
         p_symbol=p,
         f_expression=f / p[0],
@@ -157,8 +171,35 @@ def build_generation(problem: GenerationProblem, direction: int = 1, grid: tuple
         exact=EXACT * share,
         factor=share if minimax else share**2,
         helpers=frozenset(helpers),
+        cache={ROAMING_ROWS: (first, len(at_angle[1]))},
         constants=tuple(constants),
     )
+
+
+def required_motion(problem: GenerationProblem, angles: Any) -> tuple[Any, Any]:
+    """Crank angle [rad] at which the motion begins over which position limits must hold, and the rotation from there."""
+    return (angles[0], angles[-1] - angles[0]) if problem.limits.crank == "span" else (0.0, TURN)
+
+
+def excesses(problem: GenerationProblem, values: Mapping[str, Value], angles: Array) -> Array:
+    """By how much every position limit is exceeded, in the rows' own units: negative where it holds, -inf where it has no value.
+
+    Parameters
+    ----------
+    values : mapping of every quantity [m, rad]
+        Each a number, or (designs, 1) for many designs.
+    angles : (n,) or (designs, n) float
+        Crank angles [rad].
+
+    Returns
+    -------
+    (rows, n) or (rows, designs, n) float; what does not close is exceeded by the row of its assembly margin
+    """
+    with np.errstate(all="ignore"):
+        rows = position_rows(problem, problem.linkage.pose(values, unit(angles)))
+        over = [np.maximum(row.low - row.value, row.value - row.high) for row in rows]
+        found = np.array(np.broadcast_arrays(*over, angles)[:-1])
+    return np.where(np.isfinite(found), found, -np.inf)
 
 
 def _traced(problem: GenerationProblem, values: dict[str, Any]) -> tuple[Any, tuple[Any, list[Row]]]:
@@ -175,4 +216,4 @@ def _traced(problem: GenerationProblem, values: dict[str, Any]) -> tuple[Any, tu
     return residual, (limits, rows)
 
 
-__all__ = ["angle_name", "build_generation", "measure_of", "variable_of"]
+__all__ = ["angle_name", "build_generation", "excesses", "measure_of", "required_motion", "variable_of"]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi
 import numpy as np
@@ -189,15 +190,27 @@ def _moving(nlp: CycleNLP, x: Array, found: Peaks) -> tuple[NLP, Array]:
 
 def following(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> NLP:
     """The programme with the places of inner peaks as unknowns: each where the slope of what is watched vanishes."""
-    n, first, count = len(nlp.variables), len(nlp.p) - nlp.slots, len(inner)
+    return with_places(nlp, nlp.slots, {slot: nlp.watched[index].height(nlp.roamed[slot]) for slot, index in inner})
+
+
+def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
+    """A programme with some of its roaming positions as unknowns, which come last: each where the slope of a height vanishes.
+
+    Parameters
+    ----------
+    nlp : NLP
+        Its last `slots` parameters are the roaming positions.
+    heights : mapping of the number of a roaming position to a casadi expression of the programme's x and p
+    """
+    n, first, count = len(nlp.variables), len(nlp.p) - slots, len(heights)
     x = casadi.SX.sym("x", n + count)
     slopes, p = [], casadi.vertsplit(nlp.p_symbol)
-    for k, (slot, index) in enumerate(inner):
-        slopes.append(casadi.gradient(nlp.watched[index].height(nlp.roamed[slot]), nlp.p_symbol[first + slot]))
+    for k, (slot, height) in enumerate(heights.items()):
+        slopes.append(casadi.gradient(height, nlp.p_symbol[first + slot]))
         p[first + slot] = x[n + k]
     given = [nlp.f_expression, nlp.g_expression, nlp.residual_expression, casadi.vertcat(*slopes)]
     f, g, residual, slope = casadi.substitute(given, [nlp.x_symbol, nlp.p_symbol], [x[:n], casadi.vertcat(*p)])
-    at = np.array([nlp.p[first + slot] for slot, _ in inner])
+    at = np.array([nlp.p[first + slot] for slot in heights])
     names = [f"{PEAK} {k + 1}" for k in range(count)]
     return NLP(
         variables=(*nlp.variables, *(Variable(label, 1.0, PLAIN) for label in names)),
@@ -214,6 +227,7 @@ def following(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> NLP:
         g_expression=casadi.vertcat(g, slope),
         residual_expression=residual,
         exact=nlp.exact,
+        factor=nlp.factor,
         helpers=nlp.helpers | {PEAK, *names},
         states=nlp.states | {PEAK, *names},
     )

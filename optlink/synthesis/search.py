@@ -119,7 +119,7 @@ class Searcher:
         Near-circular curves leave valleys that are curved and narrow; with what is linear put to its best at every step (the
         fit) they are short, and the last digits come from a step in everything at once.
         """
-        proper = self._ordered(batch, ends)[0] & (ends.missed <= MISSED)
+        proper = ordered(batch, ends)[0] & (ends.missed <= MISSED)
         order = np.argsort(np.where(proper, ends.cost, np.inf))[: max(1, FINISHED // len(self.batches))]
         order = order[np.isfinite(ends.cost[order]) & proper[order]]
         fit = self.fits[variant]
@@ -134,7 +134,7 @@ class Searcher:
 
     def _repair(self, variant: int, batch: Batch, ends: Ends) -> None:
         """Put the best of those that are out of order, or beyond a limit, in order: the nearest crank angles that are."""
-        proper, way = self._ordered(batch, ends)
+        proper, way = ordered(batch, ends)
         wrong = np.isfinite(ends.cost) & ~(proper & (ends.missed <= MISSED))
         for i in np.argsort(np.where(wrong, ends.cost, np.inf))[: min(REPAIRED, int(wrong.sum()))]:
             t, direction = (in_order(batch.problem, ends.t[i]), int(way[i])) if batch.own else (ends.t[i], int(way[i]))
@@ -148,20 +148,8 @@ class Searcher:
                 self.found.repaired.append(Candidate(variant, ends.x[i], t, cost, direction))
         self.found.repaired.sort(key=lambda c: c.cost)
 
-    def _ordered(self, batch: Batch, ends: Ends) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:
-        """Whether the points are met in order within one revolution, and which way the crank turns."""
-        angles = batch.crank_angles(ends.x, ends.t)
-        steps = np.diff(angles, axis=1)
-        whole = angles[:, -1] - angles[:, 0]
-        way = np.where(whole >= 0.0, 1, -1)
-        proper = np.all(steps * way[:, None] >= STEP, axis=1) & (np.abs(whole) <= TURN + 1e-9)
-        rotation = {"counter-clockwise": 1, "clockwise": -1}.get(batch.problem.requirement.rotation)
-        if rotation is not None and batch.own:
-            proper &= way == rotation
-        return proper if batch.own else np.ones(len(whole), dtype=bool), way
-
     def _keep(self, variant: int, batch: Batch, ends: Ends) -> None:
-        proper, way = self._ordered(batch, ends)
+        proper, way = ordered(batch, ends)
         known = self.found.candidates
         for i in np.argsort(ends.cost):
             if not proper[i] or ends.missed[i] > MISSED or not np.isfinite(ends.cost[i]):
@@ -175,6 +163,19 @@ class Searcher:
                 same[0].x, same[0].t, same[0].cost, same[0].direction = ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])
         known.sort(key=lambda c: c.cost)
         del known[KEPT:]
+
+
+def ordered(batch: Batch, ends: Ends) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:
+    """Whether the points are met in order within one revolution, and which way the crank turns."""
+    angles = batch.crank_angles(ends.x, ends.t)
+    steps = np.diff(angles, axis=1)
+    whole = angles[:, -1] - angles[:, 0]
+    way = np.where(whole >= 0.0, 1, -1)
+    proper = np.all(steps * way[:, None] >= STEP, axis=1) & (np.abs(whole) <= TURN + 1e-9)
+    rotation = {"counter-clockwise": 1, "clockwise": -1}.get(batch.problem.requirement.rotation)
+    if rotation is not None and batch.own:
+        proper &= way == rotation
+    return proper if batch.own else np.ones(len(whole), dtype=bool), way
 
 
 def in_order(problem: GenerationProblem, t: Array) -> Array:

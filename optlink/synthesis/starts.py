@@ -11,6 +11,7 @@ from optlink.design.generation import MARK, START, STEP, TURN
 from optlink.linkage.elementwise import unit
 from optlink.linkage.fourbar import LENGTHS
 from optlink.synthesis.batch import Batch
+from optlink.synthesis.loop import loops
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,27 @@ def designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
         for k, name in enumerate(LENGTHS):
             if name in batch.names:
                 x[:, batch.names.index(name)] = shape[:, k]
+    else:
+        _turning(batch, x, rng)
     return np.clip(x, batch.low, batch.high)
+
+
+def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
+    """Give half of the designs (count, n) a four-bar whose crank can turn, where all sizes of the first one are free."""
+    loop = next(loops(batch.problem.linkage), None)
+    if loop is None or not loop.plain or not batch.turns:
+        return
+    names = [str(link.length) for link in (loop.crank, loop.coupler, loop.rocker)] + list(loop.ground)
+    if not set(names) <= set(batch.names):
+        return
+    crank, coupler, rocker, ax, ay, dx, dy = (batch.names.index(name) for name in names)
+    half = len(x) // 2
+    shape = proportions(batch, half, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (half, 1)))
+    x[:half, [crank, coupler, rocker]] = shape[:, :3]
+    direction = rng.uniform(0.0, TURN, half)
+    x[:half, ax], x[:half, ay] = rng.standard_normal((2, half)) * 1.5
+    x[:half, dx] = x[:half, ax] + shape[:, 3] * np.cos(direction)
+    x[:half, dy] = x[:half, ay] + shape[:, 3] * np.sin(direction)
 
 
 def proportions(batch: Batch, count: int, rng: np.random.Generator) -> Array:

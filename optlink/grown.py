@@ -1,0 +1,65 @@
+"""Designs of a linkage that begin as designs of the four-bar within it, so that none is worse than the best four-bar."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from optlink.design.files import ProblemFile
+from optlink.design.generation import GenerationProblem
+from optlink.generated import Design
+from optlink.synthesis.batch import Batch
+from optlink.synthesis.growth import Contained, grown
+from optlink.synthesis.marquardt import descend
+from optlink.synthesis.search import MISSED, Candidate, ordered
+
+STARTS = 12  # per design of the four-bar and combination of assembly modes
+POLISHED = 6  # of what they lead to, all together
+STEPS = 120
+
+Polish = Callable[..., Design]
+
+
+def grow(part: Contained, four_bars: Sequence[Design], files: Sequence[ProblemFile], polish: Polish, seed: int) -> list[Design]:
+    """Valid designs that began as designs of the four-bar, best first; empty where its curve cannot be repeated.
+
+    Parameters
+    ----------
+    part : Contained
+    four_bars : valid designs of `part.file`
+    files : the problem with definite assembly modes
+    polish : function
+        From a candidate to the nearest optimum with every limit, validated.
+    seed : int
+    """
+    rng = np.random.default_rng([seed, len(files)])
+    begun: list[Candidate] = []
+    ended: list[Candidate] = []
+    for variant, file in enumerate(files):
+        task = file.model
+        assert isinstance(task, GenerationProblem)
+        batch = Batch(task)
+        for design in four_bars:
+            x, t = grown(part, batch, design.values, design.crank_angles, STARTS, rng)
+            if not len(x):
+                continue
+            begun += _candidates(variant, batch, x, t)
+            ends = descend(batch, x, t, STEPS, slow=1e-9)
+            good = ordered(batch, ends)[0] & (ends.missed <= MISSED)
+            ended += _candidates(variant, batch, ends.x[good], ends.t[good])
+    found: list[Design] = []
+    best = min((design.objective for design in four_bars), default=np.inf)
+    for near, candidates in ((False, ended), (True, begun)):
+        if not any(design.objective <= best for design in found):
+            candidates.sort(key=lambda candidate: candidate.cost)
+            found += [design for c in candidates[:POLISHED] if (design := polish(c, near=near)).valid]
+    return sorted(found, key=lambda design: design.objective)
+
+
+def _candidates(variant: int, batch: Batch, x: np.ndarray, t: np.ndarray) -> list[Candidate]:
+    angles = batch.crank_angles(x, t)
+    r = batch.residuals(x, angles)[0]
+    cost = np.einsum("bpk,bpk->b", r, r)
+    way = np.where(angles[:, -1] >= angles[:, 0], 1, -1)
+    return [Candidate(variant, x[i], t[i], float(cost[i]), int(way[i])) for i in range(len(x))]

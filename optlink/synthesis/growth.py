@@ -1,0 +1,281 @@
+"""A linkage that contains a simpler one: its crank and one dyad, the four-bar, may lead its point along a coupler curve.
+
+The point of a Stephenson III six-bar traces the curve of its four-bar where it lies in the joint with the coupler. That of a
+Watt I six-bar does where the second dyad and the two bodies that carry it form a parallelogram: a pantograph enlarges the coupler
+curve about the rocker's pivot. So a design of the four-bar is a design of the six-bar, whose remaining sizes are random.
+
+References
+----------
+E. A. Dijksman, Motion geometry of mechanisms, Cambridge University Press (1976), on pantographs and Watt's six-bar.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.design.constraints import rows as limit_rows
+from optlink.design.files import ProblemFile, read
+from optlink.design.generation import GenerationProblem
+from optlink.design.generation_nlp import excesses, required_motion
+from optlink.design.limits import Reach
+from optlink.linkage.elementwise import unit
+from optlink.linkage.groups import RRR
+from optlink.linkage.mechanism import FRAME, Link, Mechanism
+from optlink.synthesis import starts
+from optlink.synthesis.batch import Batch
+from optlink.synthesis.loop import Loop, loops
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Values = dict[str, Array]
+
+SAMPLES = 6000  # random choices of what is left over, per design of the four-bar and combination of assembly modes
+ALONG = 73  # crank angles at which limits are compared
+SAME = 1e-6  # of the size of the curve: difference of the two curves by rounding
+ENLARGED = (math.log(0.4), math.log(2.5))  # logarithms of the ratio by which a pantograph enlarges the curve
+AROUND = 0.15  # rad: how far a parallelogram's sides are turned from those of the four-bar
+
+
+@dataclass(frozen=True)
+class Contained:
+    """A four-bar within a linkage.
+
+    `file` is the problem of the four-bar alone, with the same limits. `coincident` are points (body, point, joint) that must lie
+    in a joint of their body, from the traced point on; of a pantograph `arms` are the links from coupler and rocker.
+    """
+
+    file: ProblemFile
+    loop: Loop
+    coincident: tuple[tuple[str, str, str], ...] = ()
+    arms: tuple[Link, Link] | None = None
+
+
+def contained(problem: ProblemFile) -> Contained | None:
+    """The four-bar whose coupler curves the point of a linkage can trace; None where there is none.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        A path problem of a linkage of dyads.
+    """
+    task = problem.model
+    if not isinstance(task, GenerationProblem) or task.requirement.kind != "path" or "links" not in problem.raw["mechanism"]:
+        return None
+    mechanism, point = task.linkage, task.requirement.point
+    for loop in loops(mechanism):
+        if task.body in (loop.coupler.body, loop.rocker.body, loop.crank.body) and len(mechanism.groups) == 1:
+            return None  # it is the four-bar itself
+        chain = _chain(mechanism, task.body, point, loop)
+        if chain is not None:
+            traced = chain[-1][2] if chain else point
+            return Contained(_part(problem, loop, traced, None), loop, chain)
+        arms = _pantograph(task, loop)
+        if arms is not None:
+            return Contained(_part(problem, loop, point, _reach(task, arms[1])), loop, (), arms)
+    return None
+
+
+def _chain(
+    mechanism: Mechanism, body: str, point: str, loop: Loop, seen: tuple[str, ...] = ()
+) -> tuple[tuple[str, str, str], ...] | None:
+    """Points that must lie in a joint of their body for the point of a body to be one of the coupler; None where it cannot be."""
+    if body == loop.coupler.body:
+        return () if (body, point) in mechanism.marks and point not in (loop.joint, loop.pin) else None
+    if body in (loop.crank.body, loop.rocker.body):
+        return None
+    for joint, bodies in mechanism.pins.items():
+        if body not in bodies or (joint != point and (body, point) not in mechanism.marks):
+            continue
+        for other in bodies:
+            if other in (FRAME, body, *seen):
+                continue
+            rest = _chain(mechanism, other, joint, loop, (*seen, body))
+            if rest is not None:
+                return ((body, point, joint), *rest)
+    return None
+
+
+def _pantograph(task: GenerationProblem, loop: Loop) -> tuple[Link, Link] | None:
+    """The links from coupler and rocker to their common joint, if they can be the parallelogram of a pantograph."""
+    mechanism = task.linkage
+    quantities = task.quantities
+    lengths = [str(link.length) for link in (loop.crank, loop.coupler, loop.rocker)]
+    if not loop.plain or not all(quantities[name].free for name in (*lengths, *loop.ground)):
+        return None  # a four-bar whose size is fixed cannot be that of an enlarged curve
+    for group in mechanism.groups:
+        if not isinstance(group, RRR) or group is loop.group:
+            continue
+        for (arm, e), (leg, f) in (pair := tuple(zip(group.links, group.pins, strict=True)), pair[::-1]):
+            marked = (loop.coupler.body, e) in mechanism.marks and (loop.rocker.body, f) in mechanism.marks
+            whole = {arm.start, arm.end} == {e, group.joint} and {leg.start, leg.end} == {f, group.joint}
+            if leg.body == task.body and (leg.body, task.requirement.point) in mechanism.marks and marked and whole:
+                return arm, leg
+    return None
+
+
+def _reach(task: GenerationProblem, leg: Link) -> float:
+    """Largest distance [m] of the point from the pin of its link that bounds and the coupler's length allow."""
+    mark = task.linkage.marks[leg.body, task.requirement.point]
+    own = [max(map(abs, task.quantities[str(name)].bounds)) for name in (mark.along, mark.across)]
+    return min(math.hypot(*own) + 2.0 * task.size, 1e3 * task.size)
+
+
+def _part(problem: ProblemFile, loop: Loop, point: str, reach: float | None) -> ProblemFile:
+    """The problem of the four-bar alone; `reach` bounds the coordinates [m] of a point that the coupler does not have yet."""
+    kept = {loop.pin, loop.joint, loop.crank.start, loop.ground_pin, point}
+    raw: dict[str, Any] = copy.deepcopy(
+        {
+            key: value
+            for key, value in problem.raw.items()
+            if key in ("title", "source", "about", "requirement", "limits", "drive")
+        }
+    )
+    whole = problem.raw["mechanism"]
+    links = {link.body: copy.deepcopy(whole["links"][link.body]) for link in (loop.crank, loop.coupler, loop.rocker)}
+    for link in links.values():
+        link["points"] = {name: place for name, place in link.get("points", {}).items() if name in kept}
+    if reach is not None:
+        links[loop.coupler.body]["points"][point] = [{"bounds": [f"{-1e3 * reach!r} mm", f"{1e3 * reach!r} mm"]}] * 2
+    raw["requirement"]["point"] = point
+    raw["mechanism"] = {
+        "type": "dyads",
+        "ground": {name: place for name, place in whole["ground"].items() if name in kept},
+        "links": links,
+        "assembly": {loop.joint: whole["assembly"][loop.joint]},
+    }
+    return read(raw, problem.name, problem.file, problem.folder)
+
+
+def grown(
+    part: Contained, batch: Batch, values: Mapping[str, float], t: Array, count: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Designs of the linkage whose point repeats the curve of a design of its four-bar, within all bounds and limits.
+
+    Parameters
+    ----------
+    part : Contained
+    batch : Batch
+        Of the linkage with definite assembly modes.
+    values : mapping
+        Every quantity [m, rad] of the four-bar.
+    t : (points,) float
+        Crank angles [rad] of the four-bar at the points.
+    count : int
+        Most designs that are returned; those that keep farthest from their limits come first.
+
+    Returns
+    -------
+    x, t : arrays (designs, n) scaled, (designs, points) [rad]
+    """
+    x = starts.designs(batch, SAMPLES, rng)
+    sizes = batch.values(x)
+    for name, value in values.items():
+        if name in sizes:
+            sizes[name] = np.full((SAMPLES, 1), value)
+    angles = np.tile(t, (SAMPLES, 1))
+    if part.arms is None:
+        mechanism = batch.problem.linkage
+        for body, point, joint in reversed(part.coincident):
+            if point != joint:
+                place = _local(mechanism, sizes, body, joint)
+                mark = mechanism.marks[body, point]
+                sizes[str(mark.along)], sizes[str(mark.across)] = place.real, place.imag
+    else:
+        name = f"{part.loop.coupler.body}.{batch.problem.requirement.point}"
+        traced = complex(values[f"{name}.along"], values[f"{name}.across"])
+        angles = angles - _enlarge(part.loop, part.arms, traced, batch, sizes, rng)
+    x = np.concatenate([(sizes[name] - batch.origin[i]) / batch.scale[i] for i, name in enumerate(batch.names)], axis=1)
+    inside = np.all((x >= batch.low - 1e-12) & (x <= batch.high + 1e-12), axis=1)
+    for name, quantity in batch.problem.quantities.items():
+        if not quantity.free:
+            inside &= np.abs(sizes[name][:, 0] - quantity.value) <= 1e-12
+    x, angles = np.clip(x[inside], batch.low, batch.high), angles[inside]
+    if not len(x):
+        return x, angles
+    slack = _slack(batch, x, angles)
+    slack[_apart(part.file, values, t, batch, x, angles) > SAME] = -np.inf  # the other assembly mode
+    order = np.argsort(-slack)[:count]
+    order = order[slack[order] > 0.0]
+    return x[order], angles[order]
+
+
+def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batch, x: Array, angles: Array) -> Array:
+    """Largest distance (designs,) of the traced points from those of the four-bar, as a share of the size of the curve."""
+    small, task = part.model, batch.problem
+    assert isinstance(small, GenerationProblem)
+    with np.errstate(all="ignore"):
+        px, py = small.linkage.pose(values, unit(t)).point(small.requirement.point)
+        qx, qy = task.linkage.pose(batch.values(x), unit(batch.crank_angles(x, angles))).point(task.requirement.point)
+        far = np.max(np.hypot(qx - px, qy - py), axis=1) / task.size
+    return np.where(np.isfinite(far), far, np.inf)
+
+
+def _slack(batch: Batch, x: Array, angles: Array) -> Array:
+    """By how much designs keep their limits at least (designs,), in the rows' own units; negative where one is missed."""
+    task, values, at = batch.problem, batch.values(x), batch.crank_angles(x, angles)
+    begin, whole = required_motion(task, at.T[..., None])
+    found = [-np.max(excesses(task, values, begin + whole * np.linspace(0.0, 1.0, ALONG)), axis=(0, 2))]
+    for row in limit_rows(task, values, Reach(at[:, :1], at[:, -1:] - at[:, :1]), task.size):
+        found += [np.minimum(row.value - row.low, row.high - row.value)[:, 0]]
+    return np.asarray(np.min(found, axis=0))
+
+
+def _local(mechanism: Mechanism, sizes: Mapping[str, Any], body: str, point: str) -> Complex:
+    """Coordinates of a point on a body (designs, 1) [m]."""
+    link = mechanism.bodies[body]
+    zero: Complex = np.zeros((SAMPLES, 1), dtype=complex)
+    if point == link.start:
+        return zero
+    if point == link.end:
+        return np.asarray(zero + (sizes[link.length] if isinstance(link.length, str) else link.length))
+    mark = mechanism.marks[body, point]
+    along, across = (sizes[name] if isinstance(name, str) else name for name in (mark.along, mark.across))
+    return np.asarray(zero + along + 1j * across)
+
+
+def _enlarge(
+    loop: Loop, arms: tuple[Link, Link], traced: complex, batch: Batch, sizes: Values, rng: np.random.Generator
+) -> Array:
+    """Write a four-bar as the drive of a pantograph that enlarges its curve back; return by how much (designs, 1) it is turned.
+
+    With O the rocker's pivot and J its joint with the coupler, F = O + s (J - O) on the rocker and E on the coupler, the
+    parallelogram J-E-G-F leads P = F + v u along O + s (Q - O), where u is the coupler's direction and Q = J + v u / s its point.
+    """
+    mechanism, point = batch.problem.linkage, batch.problem.requirement.point
+    arm, leg = arms
+    free = 1.0 if batch.own else 0.0
+    turned = free * AROUND * rng.standard_normal((SAMPLES, 1)) * (rng.random((SAMPLES, 1)) < 0.5)
+    ratio = np.exp(rng.uniform(*ENLARGED, (SAMPLES, 1)))
+    s = ratio * np.exp(1j * turned)
+    a, o = (sizes[f"{name}.x"] + 1j * sizes[f"{name}.y"] for name in (loop.crank.start, loop.ground_pin))
+    moved = o + (a - o) / s
+    sizes[f"{loop.crank.start}.x"], sizes[f"{loop.crank.start}.y"] = moved.real, moved.imag
+    for link in (loop.crank, loop.coupler, loop.rocker):
+        sizes[str(link.length)] = sizes[str(link.length)] / ratio
+    joint, pin = (_local(mechanism, sizes, loop.coupler.body, name) for name in (loop.joint, loop.pin))
+    j, pivot = (_local(mechanism, sizes, loop.rocker.body, name) for name in (loop.joint, loop.ground_pin))
+    side = (pin - joint) / np.abs(pin - joint) * (s - 1.0) / np.abs(s - 1.0)  # parallel to the four-bar's: the same angles
+    side = side * np.where(rng.random((SAMPLES, 1)) < 0.5, -1.0, 1.0) * np.exp(1j * AROUND * rng.standard_normal((SAMPLES, 1)))
+    side = side * np.abs(pin - joint) * np.exp(rng.uniform(math.log(0.2), math.log(5.0), (SAMPLES, 1)))
+    f = pivot + s * (j - pivot)
+    e_name, f_name = (next(name for name in (link.start, link.end) if name != _common(arm, leg)) for link in arms)
+    for body, name, place in ((loop.coupler.body, e_name, joint + side), (loop.rocker.body, f_name, f)):
+        mark = mechanism.marks[body, name]
+        sizes[str(mark.along)], sizes[str(mark.across)] = place.real, place.imag
+    sizes[str(leg.length)], sizes[str(arm.length)] = np.abs(side), np.abs(f - j)
+    v = s * (traced / ratio - joint) * np.abs(side) / side  # in axes along F-G
+    place = v if leg.start == f_name else np.abs(side) - v
+    mark = mechanism.marks[leg.body, point]
+    sizes[str(mark.along)], sizes[str(mark.across)] = place.real, place.imag
+    return np.asarray(turned)
+
+
+def _common(arm: Link, leg: Link) -> str:
+    return next(name for name in (arm.start, arm.end) if name in (leg.start, leg.end))

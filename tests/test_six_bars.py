@@ -1,0 +1,72 @@
+"""Six-bars for paths: limits hold between the positions of the programme, and none is worse than the best four-bar."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from optlink.design.generation import GenerationProblem
+from optlink.generation import PART_STARTS, generate, variants_of
+from optlink.solvers.exchange import Peak, peaks
+from optlink.synthesis.batch import Batch
+from optlink.synthesis.growth import contained, grown
+from tests.random_six_bars import SixBarTask, faults_of_six_bar, random_six_bar
+
+
+def test_peaks_are_found_between_positions_of_the_grid() -> None:
+    grid = np.linspace(0.0, 1.0, 41)
+    found = peaks(lambda at: np.array([np.sin(7.0 * at), -1.0 - at * (1.0 - at)]), grid)
+    assert [(peak.row, round(peak.at, 6)) for peak in found] == [(0, 0.224399), (0, 1.0)]
+    assert found[0].height == pytest.approx(1.0, abs=1e-12)
+    assert isinstance(found[0], Peak)
+
+
+@pytest.mark.parametrize("watt", [False, True])
+def test_a_six_bar_contains_the_curve_of_its_four_bar(watt: bool) -> None:
+    """Starts that grow from a four-bar repeat its curve exactly and keep all limits: a coincident joint, and a pantograph."""
+    task = SixBarTask(watt, 0.03 * np.exp(2j * math.pi * np.arange(12) / 12) * np.array([1.0, 1.3] * 6), math.radians(25.0))
+    part = contained(task.file)
+    assert part is not None and (part.arms is not None) is watt
+    four_bar = generate(part.file, starts=60).designs[0]
+    made = 0
+    for file in variants_of(task.file):
+        assert isinstance(file.model, GenerationProblem)
+        batch = Batch(file.model)
+        x, t = grown(part, batch, four_bar.values, four_bar.crank_angles, 5, np.random.default_rng(0))
+        r = batch.residuals(x, t)[0]
+        made += len(x)
+        whole = np.sum(r * r, axis=(1, 2)) * file.model.size**2
+        assert whole == pytest.approx(np.full(len(x), four_bar.objective), rel=1e-6)
+    assert made >= 3
+
+
+def judge(seed: int) -> tuple[float, float]:
+    """Errors [m^2] of the six-bar and of the best four-bar of a random path; the six-bar's designs are without fault."""
+    task = random_six_bar(seed)
+    result = generate(task.file)
+    assert result.valid
+    for design in result.designs:
+        assert faults_of_six_bar(design, task) == []
+    part = contained(task.file)
+    assert part is not None
+    four_bar = generate(task.four_bar, starts=PART_STARTS)
+    return result.objective, four_bar.objective
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_random_six_bars_are_without_fault_and_no_worse_than_the_best_four_bar(seed: int) -> None:
+    six, four = judge(seed)
+    assert six <= four * (1.0 + 1e-9)
+
+
+def test_a_linkage_without_coupler_curves_says_so() -> None:
+    """The point of a lever on the frame moves on a circle."""
+    raw = dict(random_six_bar(1).file.raw)
+    raw["requirement"] = raw["requirement"] | {"point": "G"}
+    from optlink.design.files import read
+
+    result = generate(read(raw), starts=1)
+    assert any("cannot trace the coupler curves" in note for note in result.notes)
