@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from optlink.synthesis.marquardt import descend
 from optlink.synthesis.search import MISSED, Candidate, ordered
 
 STARTS = 12  # per design of the four-bar and combination of assembly modes
-POLISHED = 6  # of what they lead to, all together
+POLISHED = 4  # of what they lead to, all together
 STEPS = 120
 
 Polish = Callable[..., Design]
@@ -41,7 +42,7 @@ def grow(part: Contained, four_bars: Sequence[Design], files: Sequence[ProblemFi
         assert isinstance(task, GenerationProblem)
         batch = Batch(task)
         for design in four_bars:
-            x, t = grown(part, batch, design.values, design.crank_angles, STARTS, rng)
+            x, t = grown(replace(part, file=design.problem), batch, design.values, design.crank_angles, STARTS, rng)
             if not len(x):
                 continue
             begun += _candidates(variant, batch, x, t)

@@ -107,6 +107,7 @@ class Collection:
         self.designs: list[Design] = []
         self.nearest: Design | None = None
         self._ends: dict[Candidate, Design] = {}
+        self._tries = COMPOUND_TRIES if compound(model(polisher.files[0])) else PER_ROUND
         self._vain = (COMPOUND_TRIES, 1) if compound(model(polisher.files[0])) else (TRIES * requested, REPAIRED)
         self._first = True
 
@@ -118,7 +119,7 @@ class Collection:
     def add(self, found: Exploration) -> None:
         """Polish what the latest round found."""
         vain = self._vain[0] if self._first else self._vain[1]
-        self._follow(found.candidates, vain if self._first else PER_ROUND, vain)
+        self._follow(found.candidates, vain if self._first else self._tries, vain)
         if not self.exact:
             self._follow(found.repaired, self._vain[1] if self.designs else vain, vain)
         self._first = False

@@ -161,6 +161,7 @@ def grown(
     Parameters
     ----------
     part : Contained
+        Its file with the definite assembly mode of the four-bar's design.
     batch : Batch
         Of the linkage with definite assembly modes.
     values : mapping
