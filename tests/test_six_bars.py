@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from optlink.generation import PART_STARTS, generate, variants_of
 from optlink.solvers.exchange import Peak, peaks
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.growth import contained, grown
-from tests.random_six_bars import SixBarTask, faults_of_six_bar, random_six_bar
+from tests.random_six_bars import faults_of_six_bar, random_six_bar
 
 
 def test_peaks_are_found_between_positions_of_the_grid() -> None:
@@ -27,22 +27,21 @@ def test_peaks_are_found_between_positions_of_the_grid() -> None:
 @pytest.mark.parametrize("watt", [False, True])
 def test_a_six_bar_contains_the_curve_of_its_four_bar(watt: bool) -> None:
     """Starts that grow from a four-bar repeat its curve exactly and keep all limits: a coincident joint, and a pantograph."""
-    task = SixBarTask(watt, 0.03 * np.exp(2j * math.pi * np.arange(12) / 12) * np.array([1.0, 1.3] * 6), math.radians(25.0))
+    task = random_six_bar(10 + (not watt), 12)
     part = contained(task.file)
     assert part is not None
     assert (part.arms is not None) is watt
-    four_bar = generate(part.file, starts=60).designs[0]
+    four_bars = generate(part.file, starts=60).designs
     made = 0
-    for file in variants_of(task.file):
+    for file, four_bar in itertools.product(variants_of(task.file), four_bars):
         assert isinstance(file.model, GenerationProblem)
         batch = Batch(file.model)
-        x, t = grown(
-            replace(part, file=four_bar.problem), batch, four_bar.values, four_bar.crank_angles, 5, np.random.default_rng(0)
-        )
+        own = replace(part, file=four_bar.problem)
+        x, t = grown(own, batch, four_bar.values, four_bar.crank_angles, 5, np.random.default_rng(0))
         r = batch.residuals(x, t)[0]
         made += len(x)
         whole = np.sum(r * r, axis=(1, 2)) * file.model.size**2
-        assert whole == pytest.approx(np.full(len(x), four_bar.objective), rel=1e-6)
+        assert whole == pytest.approx(np.full(len(x), four_bar.objective), rel=1e-5)
     assert made >= 3
 
 

@@ -40,6 +40,7 @@ SAMPLES = 6000  # random choices of what is left over, per design of the four-ba
 ALONG = 73  # crank angles at which limits are compared
 SAME = 1e-6  # of the size of the curve: difference of the two curves by rounding
 ENLARGED = (math.log(0.4), math.log(2.5))  # logarithms of the ratio by which a pantograph enlarges the curve
+NEARBY = {"length": (math.log(0.5), math.log(10.0)), "coordinate": (0.0, math.log(8.0))}  # of remaining sizes, logarithms
 AROUND = 0.15  # rad: how far a parallelogram's sides are turned from those of the four-bar
 
 
@@ -176,6 +177,12 @@ def grown(
     x, t : arrays (designs, n) scaled, (designs, points) [rad]
     """
     x = starts.designs(batch, SAMPLES, rng)
+    for i, name in enumerate(batch.names):  # of the size of the curve, whatever their bounds
+        kind, near = batch.problem.quantities[name].kind, slice(SAMPLES // 4, SAMPLES)
+        if kind in NEARBY:
+            size = np.exp(rng.uniform(*NEARBY[kind], SAMPLES))
+            x[near, i] = (size if kind == "length" else size * rng.standard_normal(SAMPLES))[near]
+    x = np.clip(x, batch.low, batch.high)
     sizes = batch.values(x)
     for name, value in values.items():
         if name in sizes:
@@ -203,7 +210,7 @@ def grown(
     slack = _slack(batch, x, angles)
     slack[_apart(part.file, values, t, batch, x, angles) > SAME] = -np.inf  # the other assembly mode
     order = np.argsort(-slack)[:count]
-    order = order[slack[order] > 0.0]
+    order = order[slack[order] > -SAME]  # the limits of the four-bar itself may be active
     return x[order], angles[order]
 
 
