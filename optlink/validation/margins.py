@@ -56,7 +56,7 @@ def squared_sines(motion: Motion) -> Array:
         one, other = (np.median(length[np.isfinite(length)]) if np.any(np.isfinite(length)) else math.nan for length in lengths)
         cosine = (one * one + other * other - np.sum((q - p) ** 2, axis=-1)) / (2.0 * one * other)
         found.append(1.0 - cosine * cosine)
-    return np.array(found).reshape(-1, len(motion.crank_angle))
+    return np.array(found).reshape(len(motion.mechanism.groups), len(motion.crank_angle))
 
 
 def alignment_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Alignment, where: str) -> Iterator[Check]:
