@@ -1,6 +1,7 @@
 """The command line: every command made known, and its entry point.
 
-0: done and valid. 1: solved, but not valid or not feasible. 2: bad input. 3: the solver failed.
+0: done and valid. 1: solved, but not valid or not feasible. 2: bad input. 3: the solver failed. 130: interrupted. 141: nobody
+reads the output any more.
 """
 
 from __future__ import annotations

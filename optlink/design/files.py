@@ -172,6 +172,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
         with one fault per thing to mend.
     """
     where = folder or Path()
+    _check_integers(raw, file)
     raw = _typed(raw)
     task = raw.get("requirement")
     dyads = _dyads(raw)
@@ -207,6 +208,19 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     except Unusable as error:
         raise InputError(Fault(error.message, error.remedy, file, error.key, error.value)) from None
     return ProblemFile(name, file, where, raw, problem)
+
+
+def _check_integers(raw: Mapping[str, Any], file: str) -> None:
+    """Refuse integers beyond the 64 bits of TOML, wherever they stand: no float holds them."""
+    todo: list[tuple[str, object]] = [("", raw)]
+    while todo:
+        key, value = todo.pop()
+        if isinstance(value, int) and value.bit_length() > 64:
+            raise InputError(Fault("the number is too large", "Write a number of at most 19 digits", file, key, value))
+        if isinstance(value, Mapping):
+            todo += [(f"{key}.{name}" if key else str(name), item) for name, item in value.items()]
+        elif isinstance(value, list | tuple):
+            todo += [(f"{key}[{place}]", item) for place, item in enumerate(value)]
 
 
 def _dyads(raw: Mapping[str, Any]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from optlink.design.expression import Expression, LawError, parse
 from optlink.design.function import Function, read_function
 from optlink.design.quantity import Unusable, nearest, read_scalar
+from optlink.design.wanted import csv_text
 from optlink.linkage.elementwise import Value
 from optlink.units import factor
 
@@ -137,10 +139,8 @@ def _read_table(raw: Mapping[str, Any], folder: Path) -> Table:
         phi, psi = (_read_angles(raw.get(name), name) for name in ("phi", "psi"))
     elif "phi" in raw or "psi" in raw:
         raise Unusable("the table is given twice", "Give csv, or phi and psi, not both", "csv", raw["csv"])
-    elif not isinstance(raw["csv"], str) or "\0" in raw["csv"]:
-        raise Unusable("expected the name of a CSV file", 'Write csv = "law.csv"', "csv", raw["csv"])
     else:
-        phi, psi = read_csv(folder / raw["csv"])
+        phi, psi = read_columns(raw, folder, {"phi": "angle", "psi": "angle"})
     return Table(tuple(phi), tuple(psi), origin == "start")
 
 
@@ -153,28 +153,14 @@ def _read_angles(column: object, name: str) -> list[float]:
     return [read_scalar(cell, "angle", f"{name}[{row}]")[0] for row, cell in enumerate(column)]
 
 
-def read_csv(path: Path) -> tuple[list[float], list[float]]:
-    """Read a law from a CSV file whose header names the columns phi_deg or phi_rad, psi_deg or psi_rad.
-
-    Returns
-    -------
-    phi, psi : lists [rad]
-
-    Raises
-    ------
-    Unusable
-        naming the file, and the row where a row is at fault.
-    """
-    phi, psi = read_columns(path, {"phi": "angle", "psi": "angle"})
-    return phi, psi
-
-
-def read_columns(path: Path, kinds: Mapping[str, str]) -> list[list[float]]:
+def read_columns(raw: Mapping[str, Any], folder: Path, kinds: Mapping[str, str]) -> list[list[float]]:
     """Read columns of a CSV file whose header names them with their units: phi_deg, s_mm, force_N.
 
     Parameters
     ----------
-    path : Path
+    raw : mapping
+        Its key csv names the file, relative to the folder. Devices, pipes and files that are too large are refused.
+    folder : Path
     kinds : mapping of column name to the kind of its unit
 
     Returns
@@ -186,17 +172,13 @@ def read_columns(path: Path, kinds: Mapping[str, str]) -> list[list[float]]:
     Unusable
         naming the file, and the row where a row is at fault.
     """
+    title, text = csv_text(raw, folder)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except OSError as error:
-        raise Unusable(
-            f"cannot read the file: {error.strerror}", "Give the path relative to the problem file", "csv", str(path)
-        ) from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise Unusable(f"not a CSV text file: {error}", "Save it as CSV, UTF-8", "csv", str(path)) from None
+        rows = [row for row in csv.reader(io.StringIO(text, newline="")) if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise Unusable(f"{title} is not a CSV text file: {error}", "Save it as CSV, UTF-8", "csv", title) from None
     header = [cell.strip() for cell in rows[0]] if rows else []
-    return [_column(rows, header, name, kind, path) for name, kind in kinds.items()]
+    return [_column(rows, header, name, kind, title) for name, kind in kinds.items()]
 
 
 _UNITS = {
@@ -208,17 +190,17 @@ _UNITS = {
 }  # as they may end the name of a column
 
 
-def _column(rows: Sequence[Sequence[str]], header: list[str], name: str, kind: str, path: Path) -> list[float]:
+def _column(rows: Sequence[Sequence[str]], header: list[str], name: str, kind: str, file: str) -> list[float]:
     titles = {f"{name}_{ending}": unit for ending, unit in _UNITS[kind].items()}
     title = next((title for title in header if title in titles), None)
     if title is None:
         raise Unusable(
-            f"{path.name} has no column {' or '.join(titles)}",
+            f"{file} has no column {' or '.join(titles)}",
             f"Name the columns in the first row, one of them {next(iter(titles))}",
             "csv",
         )
     if len(rows) - 1 > MAX_ROWS:
-        raise Unusable(f"{path.name} has {len(rows) - 1:,} rows, more than {MAX_ROWS:,}", "Thin them out", "csv")
+        raise Unusable(f"{file} has {len(rows) - 1:,} rows, more than {MAX_ROWS:,}", "Thin them out", "csv")
     index, size = header.index(title), factor(titles[title], kind)
     values = []
     for number, row in enumerate(rows[1:], start=2):
@@ -229,7 +211,7 @@ def _column(rows: Sequence[Sequence[str]], header: list[str], name: str, kind: s
         if not math.isfinite(value):
             found = row[index] if index < len(row) else "nothing"
             raise Unusable(
-                f"row {number} of {path.name} has no finite number in column {title}",
+                f"row {number} of {file} has no finite number in column {title}",
                 "Correct or remove the row",
                 "csv",
                 found,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.design.quantity import LONGEST, SHORTEST, Unusable, nearest, read_scalar
-from optlink.design.wanted import COINCIDENT, HEAVIEST, MAX_POINTS, Wanted, contents, cut, diagonal, pairs
+from optlink.design.wanted import COINCIDENT, HEAVIEST, MAX_POINTS, Wanted, csv_text, cut, diagonal, pairs
 from optlink.units import factor, show
 
 Array = NDArray[np.float64]
@@ -129,11 +129,7 @@ _TITLES = {
 
 def tabled(raw: Mapping[str, Any], folder: Path) -> Rows:
     """Rows of a CSV file, read here because some columns may be missing and cells be empty, which `law.read_columns` refuses."""
-    name, data = contents(raw, "csv", folder)
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise Unusable(f"{name} is not a CSV text file: {error.reason}", "Save it as CSV, UTF-8", "csv", name) from None
+    name, text = csv_text(raw, folder)
     first = text[:10_000].lstrip().partition("\n")[0]
     delimiter = next((sign for sign in ";\t" if sign in first and "," not in first), ",")
     read: list[tuple[str, str, int, float | None, array[float]]] = []

@@ -121,9 +121,7 @@ def read_size(raw: object, kind: str, names: Iterable[str], folder: Path) -> Siz
     if "csv" in raw and ("at" in raw or "values" in raw):
         raise Unusable("the table is given twice", "Give csv, or at and values, not both", "csv", raw["csv"])
     if "csv" in raw:
-        if not isinstance(raw["csv"], str) or "\0" in raw["csv"]:
-            raise Unusable("expected the name of a CSV file", 'Write csv = "force.csv"', "csv", raw["csv"])
-        at, values = read_columns(folder / raw["csv"], {str(over): OVER[str(over)], kind: kind})
+        at, values = read_columns(raw, folder, {str(over): OVER[str(over)], kind: kind})
     else:
         columns = []
         for key, of in (("at", OVER[str(over)]), ("values", kind)):

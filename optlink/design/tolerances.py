@@ -290,14 +290,11 @@ def deviations(
 
 def _deviation(said: Stated, name: str, size: str, kind: str, shape: str) -> Deviation:
     if said.measured:
-        path = said.folder / said.text
-        if not path.is_file():
-            where = "the working folder" if said.folder == Path() else "the problem file"
-            raise Unusable("no such file", f"Give its path from {where}", name, said.text)
         try:
-            (values,) = read_columns(path, {name: "angle" if kind == "angle" else "coordinate"})
+            (values,) = read_columns({"csv": said.text}, said.folder, {name: "angle" if kind == "angle" else "coordinate"})
         except Unusable as error:
-            raise Unusable(error.message, error.remedy, name, said.text if error.value is None else error.value) from None
+            remedy = error.remedy.replace("the problem file", "the working folder") if said.folder == Path() else error.remedy
+            raise Unusable(error.message, remedy, name, said.text if error.value is None else error.value) from None
         if len(values) < 2:
             raise Unusable("one deviation is no distribution", "Give at least two rows", name, said.text)
         return Deviation(name, size, kind, max(map(abs, values)), MEASURED, tuple(values), said.cost)

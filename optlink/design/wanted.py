@@ -105,6 +105,15 @@ def contents(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes
     return cut(name), data
 
 
+def csv_text(raw: Mapping[str, Any], folder: Path) -> tuple[str, str]:
+    """Name, for messages, and text of the file that `raw["csv"]` names."""
+    name, data = contents(raw, "csv", folder)
+    try:
+        return name, data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise Unusable(f"{name} is not a CSV text file: {error.reason}", "Save it as CSV, UTF-8", "csv", name) from None
+
+
 def pairs(points: Array) -> tuple[tuple[float, float], ...]:
     """Points (n, 2) as plain numbers."""
     return tuple((x, y) for x, y in points.tolist())
