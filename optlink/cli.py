@@ -6,21 +6,31 @@ reads the output any more.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import io
+import os
 import sys
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import typer
 
 from optlink import (
     analyze_command,
     console,
+    interrupts,
     page_command,
     problem_command,
     simulate_command,
     solve_command,
     study_command,
 )
+
+CLOSED = 141
+"""Exit code where the reader of a pipe has left: 128 and the number of SIGPIPE, as shells have it."""
+
+NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
+"""What makes standard output or standard error unusable."""
 
 app = typer.Typer(
     name="optlink",
@@ -54,12 +64,38 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a terminal that lacks a letter is no reason to break down
+    interrupts.listen()
+    output = sys.stdout
     try:
-        app()
+        try:
+            app()
+        finally:
+            if sys.stdout is not output:  # typer has seen that the pipe is closed
+                raise BrokenPipeError(errno.EPIPE, "the pipe is closed")
+            output.flush()
     except SystemExit as end:
         if end.code == 2 and "--json" in sys.argv and not console.printed:
             console.print_failure("the command line cannot be used; the reason is on standard error", [])
         raise
+    except OSError as error:
+        if error.filename is not None or error.errno not in NO_OUTPUT:
+            raise
+        _discard(output)
+        if error.errno == errno.EPIPE:
+            _discard(sys.__stderr__)
+            raise SystemExit(CLOSED) from None
+        with contextlib.suppress(OSError):
+            print(
+                f"Error: cannot write the output: {error.strerror}. Choose another place for it", file=sys.__stderr__, flush=True
+            )
+        _discard(sys.__stderr__)
+        raise SystemExit(2) from None
+
+
+def _discard(stream: TextIO | None) -> None:
+    """Send what a stream still has to write to nowhere: Python writes it when it ends."""
+    if stream is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from optlink import interrupts
 from optlink.errors import Fault, InputError, OptlinkError, shown
 
 if TYPE_CHECKING:
@@ -29,7 +30,10 @@ _kept: list[contextlib.ExitStack] = []  # what the command at work keeps until i
 
 @contextlib.contextmanager
 def reported(as_json: bool) -> Iterator[None]:
-    """Turn an error that optlink raises on purpose into a message on standard error (and JSON, if asked) and its exit code."""
+    """Turn an error that optlink raises on purpose into a message on standard error (and JSON, if asked) and its exit code.
+
+    An interrupted command ends with the exit code 130, also where it has shown what was complete.
+    """
     try:
         with contextlib.ExitStack() as stack:
             _kept.append(stack)
@@ -37,6 +41,14 @@ def reported(as_json: bool) -> Iterator[None]:
                 yield
             finally:
                 _kept.remove(stack)
+    except KeyboardInterrupt:
+        message = "interrupted before there was a result"
+        print(f"Error: {message}", file=sys.stderr)
+        if as_json and not printed:
+            print_failure(message, [])
+        raise typer.Exit(interrupts.EXIT_CODE) from None
+    except typer.Exit as end:
+        raise typer.Exit(interrupts.EXIT_CODE if interrupts.interrupted() else end.exit_code) from None
     except OptlinkError as error:
         faults = error.faults if isinstance(error, InputError) else ()
         for line in [str(fault) for fault in faults] or [str(error)]:
@@ -48,6 +60,8 @@ def reported(as_json: bool) -> Iterator[None]:
             ]
             print_failure(str(error), listed)
         raise typer.Exit(error.exit_code) from None
+    if interrupts.interrupted():
+        raise typer.Exit(interrupts.EXIT_CODE)
 
 
 def print_json(document: dict[str, Any]) -> None:

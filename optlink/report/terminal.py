@@ -355,8 +355,16 @@ NARROWEST = 79
 """Columns that a table needs; a narrower terminal breaks its lines rather than lose digits."""
 
 
+class _Console(Console):
+    """A console that leaves a closed pipe to the command line, which ends with the exit code for it."""
+
+    def on_broken_pipe(self) -> None:
+        """Pass the error on."""
+        raise  # noqa: PLE0704  (rich calls this while it handles the error)
+
+
 def console(*, stderr: bool = False) -> Console:
     """A console that prints texts as they are: no guessed colours, and nothing in a file is markup."""
-    made = Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+    made = _Console(stderr=stderr, highlight=False, markup=False, emoji=False)
     made.width = max(made.width, NARROWEST)
     return made

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.design.nlp import NLP
+from optlink.interrupts import check
 from optlink.solvers.solution import Attempt
 
 Array = NDArray[np.float64]
@@ -97,6 +98,7 @@ def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
     own = {"iteration_callback": recorder} | (NEAR if close else {})
     solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, own)
     result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)
+    check()  # casadi stops at Ctrl-C, but returns
     statistics = solver.stats()
     end = np.asarray(result["x"], dtype=float).ravel()
     if not np.all(np.isfinite(end)):

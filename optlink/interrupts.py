@@ -1,0 +1,58 @@
+"""Ctrl-C: the first one stops the work in order, a second one at once; compiled code has two seconds to return."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+from types import FrameType
+
+PATIENCE = 2.0  # s
+EXIT_CODE = 130
+"""That of a command that was interrupted: 128 and the number of the signal, as shells have it."""
+
+_pressed = False
+
+
+def listen() -> None:
+    """Let Ctrl-C end this process as described above; for the main thread of a command."""
+    global _pressed  # noqa: PLW0603
+    _pressed = False
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, _press)
+
+
+def interrupted() -> bool:
+    """Whether Ctrl-C was pressed."""
+    return _pressed
+
+
+def check() -> None:
+    """Raise the interrupt that compiled code has swallowed.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        when Ctrl-C was pressed.
+    """
+    if _pressed:
+        raise KeyboardInterrupt
+
+
+def _press(number: int, frame: FrameType | None) -> None:
+    global _pressed  # noqa: PLW0603
+    if _pressed:
+        _kill("killed: what was not written yet is lost")
+    _pressed = True
+    timer = threading.Timer(PATIENCE, _kill, ["interrupted while compiled code was running: no result was written"])
+    timer.daemon = True
+    timer.start()
+    raise KeyboardInterrupt
+
+
+def _kill(message: str) -> None:
+    """End the process without tidying up: files are written under temporary names, so none is half written."""
+    with contextlib.suppress(OSError):
+        os.write(2, f"\nError: {message}\n".encode())
+    os._exit(EXIT_CODE)
