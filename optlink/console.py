@@ -85,7 +85,12 @@ def told(result: Any, table: str, files: str, csv: Path | None, as_json: bool, o
         from optlink.report.store import write_csv
 
         write_csv(csv, result.columns)
-    if out is not None:
+    if out is not None and interrupts.interrupted():
+        from optlink.storage import write_json
+
+        write_json(out / "result.json", {**result.to_dict(), "interrupted": True})
+        print(f"Interrupted: {out} has result.json alone, no pictures", file=sys.stderr)
+    elif out is not None:
         with working(f"Drawing into {out}"):
             importlib.import_module(f"optlink.report.{files}").write_all(result, out)
     if as_json:

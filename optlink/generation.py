@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from optlink import interrupts
 from optlink.design.files import ProblemFile
 from optlink.design.quantity import nearest
 from optlink.errors import Fault, InputError, Status
@@ -66,6 +67,7 @@ def generate(
     """
     from optlink.solvers import search as local
 
+    interrupts.check()
     if backend not in local.BACKENDS:
         raise InputError(Fault("unknown back end", nearest(backend, local.BACKENDS), key="backend", value=backend))
     if starts is not None and not 1 <= starts <= MAX_STARTS:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from optlink import interrupts
 from optlink import console
 from optlink.errors import Fault, InputError
 from optlink.options import Backend, Design, Json, Of, Searcher, Seed, Set, Starts, Subjected, whole_number
@@ -44,6 +45,7 @@ def report(
         target(output, (".html", ".htm"), "report.html")
         with console.working("Reading or solving the problem"):
             about = _subject(subject, output, problem, backend, starts, seed, changes, design)
+            interrupts.check()
         from optlink.report.studied import Studied, write_studied
 
         with console.working(f"Writing {output}"):
@@ -91,6 +93,7 @@ def export(
         options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
         with console.working("Reading or solving the problem"):
             about = _subject(subject, output, problem, backend, starts, seed, changes, design)
+            interrupts.check()
         from optlink.report.studied import Studied
 
         if isinstance(about, Studied):

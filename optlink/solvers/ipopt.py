@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.design.nlp import NLP
-from optlink.interrupts import check
+from optlink.interrupts import interrupted
 from optlink.solvers.solution import Attempt
 
 Array = NDArray[np.float64]
@@ -97,8 +97,10 @@ def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
     recorder = _Recorder(nlp) if track else None
     own = {"iteration_callback": recorder} | (NEAR if close else {})
     solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, own)
+    before = interrupted()
     result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)
-    check()  # casadi stops at Ctrl-C, but returns
+    if interrupted() and not before:  # casadi stops at Ctrl-C, but returns
+        raise KeyboardInterrupt
     statistics = solver.stats()
     end = np.asarray(result["x"], dtype=float).ravel()
     if not np.all(np.isfinite(end)):

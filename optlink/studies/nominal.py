@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink import interrupts
 from optlink.design.files import ProblemFile
 from optlink.design.generation import GenerationProblem
 from optlink.design.linkages import sizes_of
@@ -135,6 +136,7 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
         from optlink.generation import generate, validate
 
         made = generate(problem) if given is None and model.free else validate(problem, given or {})
+        interrupts.check()
         best = made.best
         if best is None or (given is None and not made.valid):
             raise _nothing(problem)
@@ -147,6 +149,7 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
         from optlink.machine_design import design_machine
 
         machine = design_machine(problem)
+        interrupts.check()
         if not machine.valid:
             raise _nothing(problem)
         return problem, {**sizes_of(model.quantities), **machine.values}, None
@@ -156,6 +159,7 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
         from optlink.workflow import solve
 
         result = solve(problem)
+        interrupts.check()
         if not result.valid:
             raise _nothing(problem)
         return result.problem, dict(result.design), None

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink import interrupts
 from optlink.design.cycle_nlp import CycleNLP
 from optlink.design.files import ProblemFile
 from optlink.design.nlp import NLP
@@ -181,6 +182,7 @@ def sensitivities(
     else:
         result = solve(problem, backend, starts, seed)
         solution, file = result.solution, result.problem
+    interrupts.check()
     if solution is None or solution.status is not Status.OPTIMAL:
         how = "infeasible" if solution is None else solution.status.value
         remedy = "`optlink solve` tells why"
