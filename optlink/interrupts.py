@@ -19,8 +19,14 @@ def listen() -> None:
     """Let Ctrl-C end this process as described above; for the main thread of a command."""
     global _pressed  # noqa: PLW0603
     _pressed = False
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, _press)
+    if threading.current_thread() is not threading.main_thread():
+        return
+    signal.signal(signal.SIGINT, _press)
+    if os.name == "posix":  # Python handles signals between its own instructions only; this pipe is written to at once
+        reading, writing = os.pipe()
+        os.set_blocking(writing, False)
+        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+        threading.Thread(target=_watch, args=[reading], daemon=True).start()
 
 
 def interrupted() -> bool:
@@ -45,10 +51,19 @@ def _press(number: int, frame: FrameType | None) -> None:
     if _pressed:
         _kill("killed: what was not written yet is lost")
     _pressed = True
+    raise KeyboardInterrupt
+
+
+def _watch(signals: int) -> None:
+    """End the process where its main thread does not: two seconds after the first Ctrl-C, or at the second one."""
+    while os.read(signals, 1) != bytes([signal.SIGINT]):
+        pass
     timer = threading.Timer(PATIENCE, _kill, ["interrupted while compiled code was running: no result was written"])
     timer.daemon = True
     timer.start()
-    raise KeyboardInterrupt
+    while os.read(signals, 1) != bytes([signal.SIGINT]):
+        pass
+    _kill("killed: what was not written yet is lost")
 
 
 def _kill(message: str) -> None:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from optlink import interrupts
-from optlink import console
+from optlink import console, interrupts
 from optlink.errors import Fault, InputError
 from optlink.options import Backend, Design, Json, Of, Searcher, Seed, Set, Starts, Subjected, whole_number
 
