@@ -54,11 +54,15 @@ def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution 
 def generated_optimum(design: Design) -> Design:
     """A design for points, poses or a function with the solution that it is, if it is one."""
     from optlink.design.generation_nlp import angle_name, build_generation
+    from optlink.solvers import search
+    from optlink.solvers.exchange import search_everywhere
 
     angles = design.crank_angles
     nlp = build_generation(design.task, 1 if angles[-1] >= angles[0] else -1)
     own = {angle_name(k): float(angle) for k, angle in enumerate(angles)}
-    return replace(design, solution=_at(nlp, {**design.values, **own}))
+    x = nlp.x_of({**design.values, **own})
+    start = search.given(nlp, x, "read from a result file")
+    return replace(design, solution=_same(search_everywhere(design.task, start, search.BACKENDS[-1], near=True), x))
 
 
 def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
