@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import math
+import multiprocessing
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -624,6 +627,80 @@ def test_a_cluster_gives_the_same_bytes_and_survives_a_killed_worker(undisturbed
     assert (tmp_path / "killed" / "sweep.csv").read_bytes() == undisturbed
     assert "no scheduler answers there within 10 s" in done.stdout
     assert done.stdout.rstrip().endswith("True")
+
+
+SCHEDULER = """
+import sys
+from distributed import LocalCluster
+
+if __name__ == "__main__":
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1", dashboard_address=":0"
+    ) as cluster:
+        print(cluster.scheduler_address, flush=True)
+        sys.stdin.read()
+"""
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_dies_midway_costs_one_sentence_and_no_chunk(undisturbed, tmp_path):
+    pytest.importorskip("distributed")
+    script, out = tmp_path / "scheduler.py", tmp_path / "run"
+    script.write_text(SCHEDULER)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, str(script)], env=environment, **pipes) as scheduler:
+        try:
+            address = scheduler.stdout.readline().strip()
+            arguments = command(out, "--engine", "dask", "--scheduler", address)
+            with subprocess.Popen(arguments, cwd=ROOT, **pipes) as run:
+                while not list(out.glob("chunks/*/0*.csv")):
+                    assert run.poll() is None
+                    time.sleep(0.01)
+                scheduler.kill()
+                told = run.communicate(timeout=60)[1]
+        finally:
+            scheduler.kill()
+    assert run.returncode == 3
+    sentences = [line for line in told.splitlines() if line.strip()]
+    assert len(sentences) == 1, told
+    assert f"the Dask scheduler {address} stopped answering" in sentences[0]
+    kept = len(list(out.glob("chunks/*/0*.csv")))
+    assert 1 <= kept < 7
+    resumed = sweep(problem(), [f"{FRAME}:700"], out, resume=True, workers=1)
+    assert resumed.done == 700 - 100 * kept
+    assert (out / "sweep.csv").read_bytes() == undisturbed
+
+
+def listening(processes: set[int]) -> set[str]:
+    """Local addresses of the TCP sockets, of IPv4 and IPv6, on which some of these processes listen."""
+    sockets = set()
+    for process in processes:
+        for handle in Path(f"/proc/{process}/fd").iterdir():
+            with contextlib.suppress(FileNotFoundError):
+                sockets.add(os.readlink(handle))
+    rows = [line.split() for name in ("tcp", "tcp6") for line in Path("/proc/net", name).read_text().splitlines()[1:]]
+    return {row[1] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in sockets}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads the tables of Linux")
+def test_a_cluster_of_this_machine_listens_on_no_port(tmp_path):
+    pytest.importorskip("distributed")
+    own = {os.getpid()}
+    with socket.create_server(("127.0.0.1", 0)):
+        assert len(listening(own)) == 1  # such a port would be seen
+    seen = []
+
+    def look(done: int, wanted: int) -> None:
+        workers = {child.pid for child in multiprocessing.active_children()}
+        if 0 < done < wanted:
+            seen.append((len(workers), listening(own | workers)))
+
+    before = listening(own)
+    sweep(problem(), [f"{FRAME}:400"], tmp_path, engine="dask", workers=2, progress=look)
+    assert seen == [(2, before)] * 3
+    assert not multiprocessing.active_children()
 
 
 # --- cost ------------------------------------------------------------------------------------------------------------

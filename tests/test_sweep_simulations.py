@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 
 import pytest
@@ -31,6 +32,30 @@ def test_clearance_varied_over_simulations_gives_the_figures_of_single_runs(tmp_
     assert sweep(file, vary, tmp_path / "one", simulate=OPTIONS, workers=1, resume=True).done == 0
     with pytest.raises(InputError, match="another study"):
         sweep(file, vary, tmp_path / "one", simulate={**OPTIONS, "points": 72}, workers=1, resume=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("key", "values", "unit"), [("drive.speed", (100.0, 200.0), " rpm"), ("joints.C.friction", (0.0, 0.1), "")]
+)
+def test_the_command_varies_speed_and_friction_of_a_machine_with_clearance(key, values, unit, tmp_path):
+    vary = f"{key}={values[0]!r}, {values[1]!r}{unit}"
+    arguments = ["slider-crank-clearance", "--simulate", "--vary", vary, "--revolutions", "1", "--points", "60", "--workers", "1"]
+    done = CliRunner().invoke(app, ["study", "sweep", *arguments, "--out", str(tmp_path / "run")])
+    assert done.exit_code == 0, done.output
+    with (tmp_path / "run" / "sweep.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["status"] for row in rows] == ["finished"] * 2
+    for row, value in zip(rows, values, strict=True):
+        varied = optlink.load("slider-crank-clearance", {key: f"{value!r}{unit}" if unit else value})
+        single = simulate_clearance(varied, 1, 60, twin=False)
+        for name in ("largest_normal_N", "C.friction.work_J", "drive.work_J"):
+            assert float(row[name]) == single.figures[name]
+    low, high = ({name: float(row[name]) for name in ("largest_normal_N", "C.friction.work_J")} for row in rows)
+    if key == "drive.speed":  # forces of inertia grow with the square of the speed
+        assert high["largest_normal_N"] > low["largest_normal_N"]
+    else:
+        assert low["C.friction.work_J"] == 0.0 < high["C.friction.work_J"]
 
 
 def test_torque_varied_over_simulations_of_an_ideal_machine():

@@ -1,25 +1,31 @@
-"""Chunks of a study on a Dask cluster: one of this machine, or one whose scheduler is named (`pip install "optlink[dask]"`)."""
+"""Chunks of a study on a Dask cluster: one of this machine, or one whose scheduler is named (`pip install "optlink[dask]"`).
+
+The cluster of this machine opens no network port: scheduler and workers are threads of this process (`inproc://`), each worker
+passes its chunks through a pipe to a process of its own, and there is neither a dashboard nor any other HTTP server.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from collections.abc import Iterable, Iterator
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
 from typing import Any
 
 from optlink.errors import Fault, InputError, SolverError
-from optlink.studies.worker import Answer, Task, perform
+from optlink.studies.worker import ONE_THREAD, Answer, Task, perform
 
 PATIENCE = 10  # s, for a scheduler to answer and for a first worker
 AHEAD = 3  # chunks that wait at every worker
 LOCAL = "a cluster of this machine"
-QUIET = {
-    "distributed.admin.tick.interval": "1s",
-    "distributed.admin.system-monitor.interval": "10s",
-    "distributed.worker.memory.monitor-interval": "1s",
-    "distributed.worker.profile.enabled": False,
-}
-"""Settings of a cluster of this machine. By default a worker looks after itself 20 to 100 times a second, each time taking the
-interpreter from the chunk that it computes: 8 % of its time."""
+QUIET = {"distributed.admin.tick.interval": "1s", "distributed.worker.profile.enabled": False}
+"""Settings of a cluster of this machine. By default Dask observes itself 20 to 100 times a second, which slows the chunks."""
 
 
 def installed() -> tuple[Any, Any]:
@@ -43,21 +49,106 @@ def on_cluster(
 ) -> Iterator[tuple[int, Answer]]:
     """As `optlink.studies.engine.run`; a chunk whose worker dies is done again on another one."""
     dask, distributed = installed()
-    cluster = None
-    if scheduler is None:
-        with dask.config.set(QUIET):
-            cluster = distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs="CRITICAL"
-            )
-    try:
-        client = _client(distributed, cluster or scheduler, scheduler, patience)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(distributed.utils.silence_logging_cmgr("CRITICAL"))
+        where: Any = scheduler
+        if scheduler is None:
+            stack.enter_context(dask.config.set(QUIET))
+            stack.enter_context(_environment(ONE_THREAD))
+            where = stack.enter_context(_local_cluster(distributed, workers))
         try:
+            client = stack.enter_context(_client(distributed, where, scheduler, patience))
             yield from _gathered(distributed, client, task, iter(todo))
-        finally:
-            client.close()
+        except (OSError, TimeoutError, CancelledError):
+            raise SolverError(
+                f"the Dask scheduler {scheduler or LOCAL} stopped answering before all chunks were done. Start it again and "
+                "repeat the command with --resume and the same --out DIR: the chunks done so far are kept there"
+            ) from None
+
+
+def _local_cluster(distributed: Any, workers: int) -> Any:
+    """A scheduler and workers in this process, without their HTTP servers, which are on even without a dashboard."""
+
+    class Scheduler(distributed.Scheduler):  # type: ignore[misc]
+        def start_http_server(self, *args: Any, **kwargs: Any) -> None:
+            """Open no port."""
+
+    class Worker(distributed.Worker):  # type: ignore[misc]
+        def start_http_server(self, *args: Any, **kwargs: Any) -> None:
+            """Open no port."""
+
+    common = {"protocol": "inproc://", "dashboard": False}
+    specs = {
+        number: {"cls": Worker, "options": {**common, "nthreads": 1, "memory_limit": 0, "executor": ProcessExecutor()}}
+        for number in range(workers)
+    }
+    return distributed.SpecCluster(specs, {"cls": Scheduler, "options": common})
+
+
+class ProcessExecutor(ThreadPoolExecutor):
+    """Runs functions one at a time in a process of its own, and in a new one if that dies. It needs no network port.
+
+    Raises
+    ------
+    BrokenProcessPool
+        by the future of the function during which the process died.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(1)
+        self._process: SpawnProcess | None = None
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Run a function; everything must be fit for pickle."""
+        return super().submit(self._run, function, args, kwargs)
+
+    def _run(self, *job: Any) -> Any:
+        if self._process is None:
+            spawn = multiprocessing.get_context("spawn")
+            self._pipe, end = spawn.Pipe()
+            self._process = spawn.Process(target=_serve, args=(end,), daemon=True)
+            self._process.start()
+            end.close()
+        try:
+            self._pipe.send(job)
+            return self._pipe.recv()
+        except (EOFError, OSError):
+            self._end()
+            self._process = None
+            self._pipe.close()
+            raise BrokenProcessPool("the process of a worker ended unexpectedly") from None
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
+        """End the process at once, whatever it does."""
+        self._end()
+        super().shutdown(wait, cancel_futures=cancel_futures)
+
+    def _end(self) -> None:
+        process = self._process
+        if process is not None:
+            process.kill()
+            process.join()
+
+
+def _serve(pipe: Connection) -> None:
+    """Run what comes through a pipe until its other end is closed; Ctrl-C is left to who began this process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            function, args, kwargs = pipe.recv()
+            pipe.send(function(*args, **kwargs))
+
+
+@contextlib.contextmanager
+def _environment(variables: dict[str, str]) -> Iterator[None]:
+    """Environment variables for the processes that begin meanwhile."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
     finally:
-        if cluster is not None:
-            cluster.close()
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
 def _client(distributed: Any, where: Any, scheduler: str | None, patience: float) -> Any:
@@ -91,7 +182,7 @@ def _gathered(distributed: Any, client: Any, task: Task, todo: Iterator[int]) ->
         index = numbers.pop(future.key)
         try:
             answer: Answer = future.result()
-        except distributed.scheduler.KilledWorker:
+        except (distributed.scheduler.KilledWorker, BrokenProcessPool):
             raise SolverError(f"chunk {index} of the study ended several workers; have they enough memory?") from None
         for following in itertools.islice(todo, 1):
             ready.add(ask(following))

@@ -18,7 +18,7 @@ from typing import Any
 
 from optlink.design.quantity import nearest
 from optlink.errors import Fault, InputError, SolverError
-from optlink.studies.worker import Answer, Task, answered, packed, perform
+from optlink.studies.worker import ONE_THREAD, Answer, Task, answered, packed, perform
 
 ENGINES = ("local", "dask")
 ATTEMPTS = 3  # processes that a chunk may outlive
@@ -154,13 +154,12 @@ class _Hand(threading.Thread):
     def _begin(self) -> subprocess.Popen[str]:
         home = str(Path(__file__).resolve().parents[2])
         path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
-        alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         self.process = subprocess.Popen(
             [sys.executable, "-c", "from optlink.studies.worker import main; main()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             encoding="utf-8",
-            env={**os.environ, **alone, "PYTHONPATH": path},
+            env={**os.environ, **ONE_THREAD, "PYTHONPATH": path},
             start_new_session=True,  # Ctrl-C is for who asked
         )
         assert self.process.stdin is not None

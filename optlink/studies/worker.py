@@ -13,6 +13,9 @@ from typing import Any, NamedTuple, Protocol, Self
 
 from optlink.errors import Fault, InputError, OptlinkError, SolverError
 
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment of a process beside others: linear algebra without threads of its own."""
+
 
 class Task(Protocol):
     """From the number of a chunk to its result, fit for JSON; nothing else goes into it than what it states."""
