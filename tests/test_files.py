@@ -56,7 +56,7 @@ BAD = {
     "limit of three": ({"limits.transmission_angle": ["1 deg", "2 deg", "3 deg"]}, "limits.transmission_angle", "two values"),
     "empty limit": ({"limits.transmission_angle": {}}, "limits.transmission_angle", "empty"),
     "limited twice": ({"limits.transmission_cosine": [-0.7, 0.7]}, "limits.transmission_cosine", "twice"),
-    "time ratio below one": ({"limits.time_ratio": [0.5, 2.0]}, "limits.time_ratio", "out of the range"),
+    "time ratio below one": ({"limits.time_ratio": [0.5, 2.0]}, "limits.time_ratio", "at least as long"),
     "swing of a double-crank": (
         {"limits.crank": "double-crank", "requirement.from": "10 deg", "limits.swing_angle": "40 deg"},
         "limits.swing_angle",

@@ -69,6 +69,7 @@ READERS = {
     "read_fixed": "{kind}",
     "read_positive": "{kind}, not negative",
     "_read_interval": "range of {kind}",
+    "_read_stroke_ratio": "range of {kind}, with `stroke` `forward`, `backward`, `slow` or `quick`",
 }
 """Functions of `optlink.design.quantity` that read a field, and what they take."""
 

@@ -198,8 +198,10 @@ def stroke(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size:
         value = swing(*lengths, problem.side)
         yield Row("limits.swing_angle", "swing angle of the rocker", value, *_within(problem.limits.swing_angle), DEGREES)
     if problem.limits.time_ratio is not None:
-        value = time_ratio(*lengths, problem.side)
-        yield Row("limits.time_ratio", "time ratio", value, *_within(problem.limits.time_ratio), PLAIN)
+        ratio = problem.limits.time_ratio
+        value = time_ratio(*lengths, problem.side, ratio.stroke, reach.sense)
+        label = f"time ratio, {ratio.strokes}" if ratio.stroke else "time ratio"
+        yield Row("limits.time_ratio", label, value, *_within(ratio), PLAIN)
 
 
 def proportions(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:

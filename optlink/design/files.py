@@ -357,6 +357,9 @@ def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[
         return key, value
     if isinstance(known, Mapping):
         bounds = known.get("bounds")
+        if "exactly" in known:  # a value that had to be met
+            both = dict.fromkeys(SIDES, known["exactly"]) | {side: value}
+            return above, {**{name: item for name, item in known.items() if name != "exactly"}, **both}
         return (above, {**known, "bounds": _side(bounds, side, value)}) if isinstance(bounds, list) else (key, value)
     if not isinstance(known, list):
         if above.startswith("mechanism."):

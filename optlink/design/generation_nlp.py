@@ -107,7 +107,7 @@ def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
         span = angles[-1] - angles[0]
         if problem.closed and own:
             span = direction * TURN
-        rows = limit_rows(problem, values, Reach(angles[0], span), size)
+        rows = limit_rows(problem, values, Reach(angles[0], span, direction), size)
         asked: list[Any] = []
         if not positioned(problem):
             pass  # the extremes of a four-bar are known

@@ -8,7 +8,16 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator
 
-from optlink.design.quantity import AngleInterval, FixedAngle, LengthInterval, Number, NumberInterval, Quantity, Unusable
+from optlink.design.quantity import (
+    AngleInterval,
+    FixedAngle,
+    LengthInterval,
+    Number,
+    NumberInterval,
+    Quantity,
+    RatioOfStrokes,
+    Unusable,
+)
 from optlink.design.section import Section
 from optlink.linkage.elementwise import Value
 from optlink.linkage.margins import LEAST_ALIGNMENT, LEAST_LENGTH_MARGIN, SMALLEST_ALIGNMENT, SMALLEST_LENGTH_MARGIN
@@ -66,8 +75,9 @@ class Limits(Margins):
     """Where the transmission angle is limited; left out: wherever the crank must turn."""
     swing_angle: AngleInterval | None = None
     """Of the rocker, between its dead centres; of a crank-rocker."""
-    time_ratio: NumberInterval | None = None
-    """Slow over quick stroke of the rocker; of a crank-rocker."""
+    time_ratio: RatioOfStrokes | None = None
+    """Duration of one stroke of the rocker over that of the other: of the slow one, or of `stroke` ("forward":
+    counter-clockwise, "backward", "slow", "quick"); of a crank-rocker."""
     frame_length: LengthInterval | None = None
     """Of a four-bar."""
     link_ratio: NumberInterval | None = None
@@ -80,7 +90,6 @@ def check_ranges(limits: Limits) -> None:
         ("transmission_angle", 0.0, np.pi, '["45 deg", "135 deg"]'),
         ("transmission_cosine", -1.0, 1.0, "[-0.7071, 0.7071]"),
         ("swing_angle", 0.0, np.pi, '["30 deg", "60 deg"]'),
-        ("time_ratio", 1.0, np.inf, "[1.0, 1.5]"),
         ("link_ratio", 0.0, np.inf, "[0.2, 5.0]"),
     ):
         interval = getattr(limits, key)
@@ -96,7 +105,8 @@ def check_ranges(limits: Limits) -> None:
 
 @dataclass(frozen=True)
 class Reach:
-    """The crank angles that a requirement asks for: from `start` on by `span` [rad], negative clockwise."""
+    """The crank angles of a requirement: from `start` on by `span` [rad], negative clockwise; `sense`: the sign of the span."""
 
     start: Value
     span: Value
+    sense: Value

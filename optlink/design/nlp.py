@@ -239,7 +239,7 @@ def build(problem: DesignProblem) -> NLP:
     with tracing():
         start = problem.start_position(values)
         columns = _residuals(problem, values, tolerances, start, [p[1 + constant + i] for i in range(many)])
-        rows = limit_rows(problem, values, Reach(start.phi0, problem.span), size)
+        rows = limit_rows(problem, values, Reach(start.phi0, problem.span, problem.sense), size)
         if minimax:
             labels = [f"error {math.degrees(offset):.4g} deg from the start" for offset in problem.law.offsets]
             labels += [f"error at its peak {i + 1}" for i in range(many)]

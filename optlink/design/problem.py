@@ -128,6 +128,11 @@ class DesignProblem(Problem):
         return self.requirement.span.value
 
     @property
+    def sense(self) -> int:
+        """Sense in which the crank turns: +1 counter-clockwise, -1 clockwise."""
+        return 1 if self.span > 0.0 else -1
+
+    @property
     def tied(self) -> bool:
         """Whether psi0 is the rocker's own angle at the start."""
         return "psi0" not in self.quantities
@@ -187,7 +192,7 @@ class DesignProblem(Problem):
 
     def reach(self, values: Mapping[str, Value]) -> Reach:
         """Crank angles that the law asks for, for given quantities."""
-        return Reach(self.start_position(values).phi0, self.span)
+        return Reach(self.start_position(values).phi0, self.span, self.sense)
 
     def sizes(self, design: Mapping[str, float]) -> dict[str, float]:
         """Every size of the linkage [SI], as a design has it or else the file: places of further points need not be given."""

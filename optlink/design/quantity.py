@@ -16,6 +16,7 @@ from pydantic import BeforeValidator
 
 from optlink.units import KINDS, UnitProblem, parse, show
 
+SIDES = ("min", "max", "exactly")
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow before anything is designed
 
 
@@ -79,6 +80,51 @@ class Interval:
     def people(self, value: float) -> str:
         """The value in the interval's own unit."""
         return show(value, self.kind, self.unit) if self.kind else f"{value:.6g}"
+
+
+STROKES = {"forward": "backward", "backward": "forward", "slow": "quick", "quick": "slow"}
+"""Every name of a stroke, and that of the other stroke."""
+
+
+@dataclass(frozen=True)
+class StrokeRatio(Interval):
+    """Limits of the duration of one stroke over that of the other: of `stroke`, or of the slow one where that is None."""
+
+    stroke: str | None = None
+
+    def __str__(self) -> str:
+        return super().__str__() + (f", {self.strokes}" if self.stroke else "")
+
+    @property
+    def strokes(self) -> str:
+        """Which stroke is compared with which."""
+        stroke = self.stroke or "slow"
+        return f"{stroke} over {STROKES[stroke]}"
+
+
+def check_time_ratio(stroke: str | None, value: float, key: str) -> None:
+    """Refuse a limit that no time ratio of a stroke over the other can meet.
+
+    Parameters
+    ----------
+    stroke : "forward", "backward", "slow", "quick" or None
+        Whose time is divided by the other's; None is the slow one.
+    value : float
+        The limit.
+    key : str
+        Where it is written.
+
+    Raises
+    ------
+    Unusable
+        naming the key.
+    """
+    if stroke in (None, "slow") and value < 1.0:
+        raise Unusable("the slow stroke takes at least as long as the quick one", "Give 1 or more", key, value)
+    if stroke == "quick" and value > 1.0:
+        raise Unusable("the quick stroke takes at most as long as the slow one", "Give 1 or less", key, value)
+    if value <= 0.0:
+        raise Unusable("the time of a stroke is positive", "Give a ratio above 0", key, value)
 
 
 def _positive(value: float, text: object, kind: str, key: str = "") -> float:
@@ -152,11 +198,14 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
     example = f'["{KINDS[kind].example}", "..."]' if kind else "[1.0, 1.5]"
     if isinstance(raw, dict):
         for key in raw:
-            if key not in ("min", "max"):
-                raise Unusable("unknown key", nearest(str(key), ("min", "max")), str(key))
+            if key not in SIDES:
+                raise Unusable("unknown key", nearest(str(key), SIDES), str(key))
         if not raw:
             raise Unusable("the table is empty", f"Give min, max or both, or write {example}", "", raw)
-        low, high = (one(raw[key], key) if key in raw else None for key in ("min", "max"))
+        if "exactly" in raw and len(raw) > 1:
+            raise Unusable("exactly leaves no room for min and max", "Give the one or the others", "exactly", raw["exactly"])
+        exactly = one(raw["exactly"], "exactly") if "exactly" in raw else None
+        low, high = (one(raw[key], key) if key in raw else exactly for key in SIDES[:2])
     elif isinstance(raw, list):
         if len(raw) != 2:
             raise Unusable("a range is a list of two values, lower and upper", f"Write {example}", "", raw)
@@ -167,6 +216,24 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
         raise Unusable("the lower limit is above the upper", "Exchange them", "", raw)
     unit = (low or high or (0.0, ""))[1]
     return Interval(low[0] if low else None, high[0] if high else None, kind, unit)
+
+
+def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
+    if isinstance(raw, StrokeRatio):
+        return raw
+    stroke, sides = None, raw
+    if isinstance(raw, dict):
+        stroke, sides = raw.get("stroke"), {key: value for key, value in raw.items() if key != "stroke"}
+        if stroke is not None and stroke not in list(STROKES):
+            raise Unusable("unknown stroke", nearest(str(stroke), STROKES), "stroke", stroke)
+        if stroke is not None and not sides:
+            raise Unusable("the time ratio has no limit", "Add min, max or exactly", "", raw)
+    found = _read_interval(sides, kind)
+    for key, value in (("min", found.low), ("max", found.high)):
+        if value is not None:
+            written = "exactly" if isinstance(sides, dict) and "exactly" in sides else key
+            check_time_ratio(stroke, value, written if isinstance(sides, dict) else "")
+    return StrokeRatio(found.low, found.high, found.kind, found.unit, stroke)
 
 
 def read_fixed(raw: object, kind: str) -> Quantity:
@@ -197,6 +264,7 @@ CoordinateInterval = Annotated[Interval, _reader(_read_interval, "coordinate")]
 LengthInterval = Annotated[Interval, _reader(_read_interval, "length")]
 AngleInterval = Annotated[Interval, _reader(_read_interval, "angle")]
 NumberInterval = Annotated[Interval, _reader(_read_interval, None)]
+RatioOfStrokes = Annotated[StrokeRatio, _reader(_read_stroke_ratio, None)]
 Speed = Annotated[Quantity, _reader(read_fixed, "angular velocity")]
 Duration = Annotated[Quantity, _reader(read_positive, "time")]
 Velocity = Annotated[Quantity, _reader(read_positive, "velocity")]

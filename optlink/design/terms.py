@@ -9,7 +9,17 @@ from typing import Any, Literal, Self, get_args
 
 from pydantic import model_validator
 
-from optlink.design.quantity import FixedAngle, Interval, Number, Quantity, Unusable, nearest, read_scalar
+from optlink.design.quantity import (
+    STROKES,
+    FixedAngle,
+    Interval,
+    Number,
+    Quantity,
+    Unusable,
+    check_time_ratio,
+    nearest,
+    read_scalar,
+)
 from optlink.design.section import Section
 from optlink.linkage.groups import RRP, RRR
 from optlink.linkage.mechanism import FRAME, Mechanism
@@ -33,8 +43,6 @@ What = Literal[
     "work",
     "length",
 ]
-OPPOSITE = {"forward": "backward", "backward": "forward", "slow": "quick", "quick": "slow"}
-"""The other one of two strokes."""
 EXTREME = ("peak", "largest", "least")
 """Measures that a single position decides: as many rows as positions, rather than one figure."""
 
@@ -145,7 +153,7 @@ class Term(Section):
         where = {"reaction": "at", "transmission angle": "at", "guide force": "in", "guide moment": "in", "slide": "in"}
         words += f" {where.get(self.quantity, 'of')} {self.of}" if self.of else ""
         words += f" on {self.on}" if self.on else ""
-        words += f", {self.stroke} over {OPPOSITE[self.stroke]}" if self.quantity == "time ratio" and self.stroke else ""
+        words += f", {self.stroke} over {STROKES[self.stroke]}" if self.quantity == "time ratio" and self.stroke else ""
         return words + (f" along {self.direction}" if self.direction is not None else "")
 
     def kind(self, mechanism: Mechanism) -> str:
@@ -334,22 +342,6 @@ class Limit(Term):
                 raise Unusable("out of range", 'Give an angle between 0 and 180 deg, for example "45 deg"', key, str(value))
         first = next(iter(found.values()))
         return Interval(low[0] if low else None, high[0] if high else None, kind or None, first[1])
-
-
-def check_time_ratio(stroke: str | None, value: float, key: str) -> None:
-    """Refuse a limit that no time ratio of a stroke over the other can meet.
-
-    Raises
-    ------
-    Unusable
-        naming the key.
-    """
-    if stroke in (None, "slow") and value < 1.0:
-        raise Unusable("the slow stroke takes at least as long as the quick one", "Give 1 or more", key, value)
-    if stroke == "quick" and value > 1.0:
-        raise Unusable("the quick stroke takes at most as long as the slow one", "Give 1 or less", key, value)
-    if value <= 0.0:
-        raise Unusable("the time of a stroke is positive", "Give a ratio above 0", key, value)
 
 
 def read_figure(raw: object, kind: str, key: str) -> tuple[float, str]:

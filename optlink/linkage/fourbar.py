@@ -258,12 +258,30 @@ def swing(crank: Value, coupler: Value, rocker: Value, frame: Value, side: int) 
     return side * angle_from(outer.rocker, inner.rocker)
 
 
-def time_ratio(crank: Value, coupler: Value, rocker: Value, frame: Value, side: int) -> Value:
-    """Duration of the rocker's slower stroke over that of its faster one, >= 1, at constant crank speed.
+def time_ratio(
+    crank: Value, coupler: Value, rocker: Value, frame: Value, side: int, stroke: str | None = None, sense: Value = 1
+) -> Value:
+    """Duration of one stroke of the rocker over that of the other at constant crank speed; a crank-rocker is assumed.
 
-    (pi + theta) / (pi - theta), theta the angle between the crank's two directions A -> C at the dead centres.
+    (pi + theta) / (pi - theta), theta the angle between the crank's two directions A -> C at the dead centres; the forward stroke
+    is the slow one where theta has the sign of `side * sense`. Either assembly mode has the same strokes: a mirrored linkage
+    whose crank turns backwards.
+
+    Parameters
+    ----------
+    crank, coupler, rocker, frame : float, array or symbol [m]
+    side : +1 or -1
+        Assembly mode.
+    stroke : "forward", "backward", "slow", "quick" or None
+        Whose duration is divided by the other's: forward is counter-clockwise; None is the slow one.
+    sense : +1 or -1
+        Sense in which the crank turns, +1 counter-clockwise.
     """
     outer = dead_centre(crank, coupler, rocker, frame, side, outer=True)
     inner = dead_centre(crank, coupler, rocker, frame, side, outer=False)
-    theta = magnitude(angle_from(outer.crank, (-inner.crank[0], -inner.crank[1])))
+    theta = side * sense * angle_from(outer.crank, (-inner.crank[0], -inner.crank[1]))
+    if stroke not in ("forward", "backward"):
+        theta = magnitude(theta)
+    if stroke in ("backward", "quick"):
+        theta = -theta
     return (np.pi + theta) / (np.pi - theta)

@@ -20,7 +20,7 @@ from optlink.design.files import SIDES, ProblemFile, read
 from optlink.design.generation import GenerationProblem
 from optlink.design.objectives import MEASURES
 from optlink.design.problem import DesignProblem
-from optlink.design.quantity import Interval, nearest
+from optlink.design.quantity import Interval, StrokeRatio, nearest
 from optlink.design.terms import Limit, Measure, Term, What
 from optlink.errors import Fault, InputError
 from optlink.studies.axes import Axis, column, read_axis
@@ -219,7 +219,7 @@ def asked(problem: ProblemFile, key: str) -> Raw | None:
         whole = whole.get("bounds", whole) if key.startswith("mechanism.") else whole
     if isinstance(whole, list):
         return whole[SIDES.index(side)]  # type: ignore[no-any-return]
-    return whole.get(side) if isinstance(whole, Mapping) else whole
+    return whole.get(side, whole.get("exactly")) if isinstance(whole, Mapping) else whole  # type: ignore[no-any-return]
 
 
 def tightest(problem: ProblemFile, aim: Aim) -> Raw:
@@ -239,7 +239,9 @@ def tightest(problem: ProblemFile, aim: Aim) -> Raw:
         own = other / factor(aim.unit, held.kind) if held.kind else other
         return text(aim.loose(own, ROOM * abs(own)), aim.unit)  # equal sides would ask for one value at all positions
     small, large = {"deg": (1.0, 179.0), "mm": (1e-3, 1e8)}.get(aim.unit, (1e-3, 1e3))
-    if name == "time_ratio":
+    if isinstance(held, StrokeRatio):
+        small, large = (1.0 if held.stroke in (None, "slow") else small), (1.0 if held.stroke == "quick" else large)
+    elif name == "time_ratio":
         small = 1.0
     if name == "transmission_cosine":
         small, large = -0.999, 0.999
@@ -392,6 +394,11 @@ def bare(problem: ProblemFile, aims: Sequence[Aim]) -> ProblemFile:
         elif whole is not None:
             pair = whole if isinstance(whole, list) else [whole, whole]
             sides = dict(whole) if isinstance(whole, Mapping) else dict(zip(SIDES, pair, strict=True))
+            sides |= dict.fromkeys(SIDES, sides.pop("exactly")) if "exactly" in sides else {}
             sides.pop(side, None)
+            if list(sides) == ["stroke"]:  # a limit that every linkage meets keeps the stroke
+                other = "max" if side == "min" else "min"
+                extreme = {"min": 1.0 if sides["stroke"] == "slow" else 1e-6, "max": 1.0 if sides["stroke"] == "quick" else 1e6}
+                sides[other] = extreme[other]
             problem = problem.override({above: sides or None})
     return problem

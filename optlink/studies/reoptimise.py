@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from optlink.design.constraints import rows as limit_rows
 from optlink.design.files import ProblemFile
-from optlink.design.limits import MARGIN_KEYS, Reach
+from optlink.design.limits import MARGIN_KEYS
 from optlink.design.nlp import NLP, build
 from optlink.design.problem import DesignProblem
 from optlink.design.quantity import Quantity, nearest
@@ -184,8 +184,7 @@ class Programme:
                 nlp.limit(i, (high - v.origin) / v.size, upper=True)
         values = {name: quantity.value for name, quantity in quantities.items()}
         with np.errstate(all="ignore"):
-            reach = Reach(task.start_position(values).phi0, task.span)
-            rows = limit_rows(task, values, reach, self.size)
+            rows = limit_rows(task, values, task.reach(values), self.size)
         for j, row in enumerate(rows):
             nlp.limit(n + j, row.low, upper=False)
             nlp.limit(n + j, row.high, upper=True)

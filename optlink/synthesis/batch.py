@@ -80,7 +80,8 @@ class Batch:
             slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
             self._residual = Tape([*inputs, t, *(more[k] for k in range(width + 1))], [residual, slopes])
             span = casadi.SX.sym("span")
-            rows = limit_rows(problem, values, Reach(t, span), problem.size) if self.turns or not self.four_bar else []
+            reach = Reach(t, span, casadi.sign(span))
+            rows = limit_rows(problem, values, reach, problem.size) if self.turns or not self.four_bar else []
             self.bounds = np.array([(row.low + INSIDE * (row.limit in STRUCTURAL), row.high) for row in rows]).reshape(-1, 2)
             g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
             self._limits = Tape([*inputs, t, span], [g, casadi.jacobian(g, x)]) if rows else None

@@ -230,7 +230,8 @@ def _slack(batch: Batch, x: Array, angles: Array) -> Array:
     task, values, at = batch.problem, batch.values(x), batch.crank_angles(x, angles)
     begin, whole = required_motion(task, at.T[..., None])
     found = [-np.max(excesses(task, values, begin + whole * np.linspace(0.0, 1.0, ALONG)), axis=(0, 2))]
-    for row in limit_rows(task, values, Reach(at[:, :1], at[:, -1:] - at[:, :1]), task.size):
+    span = at[:, -1:] - at[:, :1]
+    for row in limit_rows(task, values, Reach(at[:, :1], span, np.sign(span)), task.size):
         found += [np.minimum(row.value - row.low, row.high - row.value)[:, 0]]
     return np.asarray(np.min(found, axis=0))
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from optlink.design.quantity import Interval, Quantity
+from optlink.design.quantity import Interval, Quantity, StrokeRatio
 
 POSITIONS = 1440  # per revolution: every quarter of a degree, dead centres and extremes refined from there
 ANGLE_TOLERANCE = 1e-6  # deg; solvers meet limits to 1e-8 of a radian
@@ -51,6 +51,28 @@ def bound(name: str, quantity: Quantity, value: float, size: float) -> Check:
     tolerance = 1e-8 * (size if length else 1.0)
     limit = f"{low * factor:.6g} ... {high * factor:.6g}" if quantity.free else f"= {low * factor:.6g}"
     return Check(f"{name} within its bounds", bool(low - tolerance <= value <= high + tolerance), value * factor, limit, unit)
+
+
+def time_ratio(forward: float, backward: float, stroke: str | None) -> float:
+    """Time of a stroke over that of the other at constant crank speed.
+
+    Parameters
+    ----------
+    forward, backward : float
+        Crank rotation of the two strokes [rad], positive.
+    stroke : "forward", "backward", "slow", "quick" or None
+        Whose time is divided by the other's; None is the slow one.
+    """
+    if stroke in ("forward", "backward"):
+        return forward / backward if stroke == "forward" else backward / forward
+    quick, slow = sorted((forward, backward))
+    return quick / slow if stroke == "quick" else slow / quick
+
+
+def time_ratio_checks(forward: float, backward: float, limit: StrokeRatio) -> Iterator[Check]:
+    """Checks of a limit of the time ratio by the crank rotations of the two strokes [rad]; NaN where there are no strokes."""
+    name = f"time ratio, {limit.strokes}" if limit.stroke else "time ratio"
+    yield from limit_checks(name, time_ratio(forward, backward, limit.stroke), limit, RATIO_TOLERANCE, 1.0, "")
 
 
 def limit_checks(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:

@@ -26,7 +26,7 @@ from optlink.linkage.groups import RRP, RRR
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.refine import extremes
 from optlink.units import KINDS, factor
-from optlink.validation.check import LENGTH_TOLERANCE, POSITIONS, Check, Validation, bound, nan_last
+from optlink.validation.check import LENGTH_TOLERANCE, POSITIONS, Check, Validation, bound, nan_last, time_ratio
 from optlink.validation.margins import alignment_checks
 
 Array = NDArray[np.float64]
@@ -79,22 +79,6 @@ class Course:
     def values(self, columns: Callable[[Record], Array], angles: Array, side: int = 1) -> Array:
         """A quantity at crank angles (n,)."""
         return columns(Record(self.machine.moving(angles, self.speed, side=side)))
-
-
-def time_ratio(forward: float, backward: float, stroke: str | None) -> float:
-    """Time of a stroke over that of the other at constant crank speed.
-
-    Parameters
-    ----------
-    forward, backward : float
-        Crank rotation of the two strokes [rad], positive.
-    stroke : "forward", "backward", "slow", "quick" or None
-        Whose time is divided by the other's; None is the slow one.
-    """
-    if stroke in ("forward", "backward"):
-        return forward / backward if stroke == "forward" else backward / forward
-    quick, slow = sorted((forward, backward))
-    return quick / slow if stroke == "quick" else slow / quick
 
 
 class Cycle:

@@ -26,6 +26,7 @@ from optlink.validation.check import (
     bound,
     limit_checks,
     nan_last,
+    time_ratio_checks,
 )
 from optlink.validation.margins import alignment_checks, grashof_check
 
@@ -296,11 +297,12 @@ def _strokes(tested: _Tested) -> Iterator[Check]:
     if limits.swing_angle is not None or limits.time_ratio is not None:
         travel = travels(tested.mechanism, tested.design, 0.0, TURN, True)[0].get("rocker")
         swing = math.nan if travel is None else math.degrees(travel.span)
-        ratio = math.nan if travel is None else travel.time_ratio
+        strokes = {} if travel is None else {stroke.name: stroke.rotation for stroke in travel.strokes(tested.way)}
         if limits.swing_angle is not None:
             yield from limit_checks("swing angle", swing, limits.swing_angle, ANGLE_TOLERANCE, math.degrees(1.0), "deg")
         if limits.time_ratio is not None:
-            yield from limit_checks("time ratio", ratio, limits.time_ratio, RATIO_TOLERANCE, 1.0, "")
+            rotations = strokes.get("forward", math.nan), strokes.get("backward", math.nan)
+            yield from time_ratio_checks(*rotations, limits.time_ratio)
     if limits.frame_length is not None:
         frame = tested.design["frame"]
         yield from limit_checks("frame length", frame * 1e3, limits.frame_length, 1e-8 * frame * 1e3, 1e3, "mm")

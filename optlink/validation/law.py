@@ -32,6 +32,7 @@ from optlink.validation.check import (
     bound,
     limit_checks,
     nan_last,
+    time_ratio_checks,
 )
 from optlink.validation.margins import alignment_checks, at_least, grashof_check
 
@@ -350,13 +351,15 @@ def _extra(tested: _Tested) -> Iterator[Check]:
         if not two:
             return
         (phi_a, psi_a), (phi_b, psi_b) = centres
-        turned = (phi_b - phi_a) % (2.0 * math.pi)
-        ratio = max(turned, 2.0 * math.pi - turned) / min(turned, 2.0 * math.pi - turned)
         if limits.swing_angle is not None:
             swing = math.degrees(abs(math.remainder(psi_a - psi_b, 2.0 * math.pi)))
             yield from limit_checks("swing angle", swing, limits.swing_angle, ANGLE_TOLERANCE, math.degrees(1.0), "deg")
         if limits.time_ratio is not None:
-            yield from limit_checks("time ratio", ratio, limits.time_ratio, RATIO_TOLERANCE, 1.0, "")
+            turned = math.copysign(1.0, tested.problem.span) * (phi_b - phi_a) % (2.0 * math.pi)
+            rest = 2.0 * math.pi - turned
+            rising = math.remainder(psi_b - psi_a, 2.0 * math.pi) > 0.0  # a rocker swings by less than half a turn
+            forward, backward = (turned, rest) if rising else (rest, turned)
+            yield from time_ratio_checks(forward, backward, limits.time_ratio)
     frame = tested.design["frame"]
     if limits.frame_length is not None:
         yield from limit_checks("frame length", frame * 1e3, limits.frame_length, 1e-8 * frame * 1e3, 1e3, "mm")
