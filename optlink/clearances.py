@@ -465,11 +465,11 @@ def _setting(
             remedy = 'Add servo = { bandwidth = "300 Hz", damping = 0.7 } below [drive]'
             raise InputError(Fault(f"control {kind} needs a drive that follows a command", remedy, name, "drive.servo"))
         if model.control is None:
-            remedy = 'Add [control] with regularisation = "5 mm", proportional = 0.1, integral = 30.0'
+            remedy = 'Add [control] with regularisation = "5 mm", proportional = 0.05, integral = 10.0'
             raise InputError(Fault(f"control {kind} needs to know what is controlled", remedy, name, "control"))
         if kind.fed_back and not any((model.control.proportional, model.control.integral, model.control.derivative)):
             raise InputError(
-                Fault("all gains of the PID are zero", "Give proportional = 0.1 or integral = 30.0", name, "control")
+                Fault("all gains of the PID are zero", "Give proportional = 0.05 or integral = 10.0", name, "control")
             )
     first = nominal
     if drive.torque is not None:

@@ -110,7 +110,7 @@ def test_a_design_that_cannot_be_assembled_leaves_out_its_pictures(crank_rocker,
     result = optlink.validate(crank_rocker, {"coupler": 0.12, "rocker": 0.12})
     assert not result.valid
     files = plot.write_all(result, tmp_path)
-    assert [file.name for file in files] == ["result.json"]
+    assert [file.name for file in files] == ["result.json", "design.toml"]
     assert json.loads((tmp_path / "result.json").read_text())["objective"]["value"] is None
 
 
