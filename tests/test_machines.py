@@ -219,7 +219,7 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
         "Leave direction out",
     ),
     "no such csv": (force(over="phi", csv="nowhere.csv"), "loads.process.force.csv", "cannot read"),
-    "csv as a number": (force(over="phi", csv=3), "loads.process.force.csv", 'csv = "force.csv"'),
+    "csv as a number": (force(over="phi", csv=3), "loads.process.force.csv", "name of a file ending in .csv"),
     "unknown name": (force(expression="1000*sin(theta)", unit="N"), "loads.process.force.expression", '"theta" is unknown'),
     "attribute": (force(expression="phi.real", unit="N"), "loads.process.force.expression", "does not belong"),
     "expression without a unit": (force(expression="sin(phi)"), "loads.process.force.unit", 'unit = "N"'),

@@ -26,6 +26,7 @@ from optlink.report import misses, outputs, paths
 from optlink.report.near import Close
 from optlink.report.style import LIMIT
 from optlink.report.track import Track
+from optlink.solvers.evidence import evidence
 from optlink.validation.generation import validate_generation
 from tests import synthesis_oracle as oracle
 
@@ -73,7 +74,7 @@ def made(raw: dict, values: dict[str, float], angles: np.ndarray) -> Design:
 
 def outcome(*found: Design, nearest: Design | None = None) -> Generation:
     problem = (found[0] if found else nearest).problem
-    return Generation(problem, tuple(found), nearest, "ipopt", 0, 100, 10, {})
+    return Generation(problem, tuple(found), nearest, "ipopt", 0, 100, evidence([10, 90]), {})
 
 
 def path_raw(wanted: np.ndarray, tolerances: np.ndarray | None = None, side: str = "left", **more: object) -> dict:
@@ -439,7 +440,7 @@ def test_what_is_not_valid_says_so_everywhere(tmp_path, monkeypatch):
 
 
 def test_no_design_no_pictures(tmp_path):
-    nothing = Generation(result("path").problem, (), None, "ipopt", 0, 100, 0, {})
+    nothing = Generation(result("path").problem, (), None, "ipopt", 0, 100, evidence([]), {})
     assert [path.name for path in paths.write_all(nothing, tmp_path)] == ["result.json"]
     assert {path.name for path in tmp_path.iterdir()} == {"result.json"}
     assert not json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["valid"]

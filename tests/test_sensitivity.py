@@ -143,8 +143,9 @@ def test_the_range_ends_where_another_limit_is_reached():
 def test_rows_are_sorted_by_effect(crank_rocker):
     effects = [abs(row.effect) for row in crank_rocker.rows]
     assert effects == sorted(effects, reverse=True)
-    assert [row.parameter.key for row in crank_rocker.moving] == [LIMIT, "mechanism.crank", "mechanism.frame"]
-    assert [row.parameter.step for row in crank_rocker.moving] == [1.0, 1.0, 5.0]
+    first, *others = [(row.parameter.key, row.parameter.step) for row in crank_rocker.moving]
+    assert first == (LIMIT, 1.0)
+    assert sorted(others) == [("mechanism.crank", 1.0), ("mechanism.frame", 5.0)]  # a hundredth of each: as much, by similarity
 
 
 def test_nothing_to_be_told_where_nothing_is_optimal():

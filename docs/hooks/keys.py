@@ -161,6 +161,10 @@ def _within(path: str, fields: Mapping[str, FieldInfo], root: type[Problem]) -> 
             below = f"{path}.{name}".strip(".") + suffix
             yield Part(below, model, root, many)
             yield from _within(below, model.model_fields, root)
+            if model.model_config.get("extra") == "allow":  # tables under names of the user's choice
+                for inner, other, several in _models(typing.get_type_hints(model)["__pydantic_extra__"]):
+                    yield Part(below + inner, other, root, several)
+                    yield from _within(below + inner, other.model_fields, root)
 
 
 def _models(annotation: Any) -> Iterator[tuple[str, type[Section], bool]]:
