@@ -339,8 +339,9 @@ def defects() -> dict[str, Defect]:
         {"crank": "span", "transmission_angle": None},
     )
     # 0.01 mm between crank and coupler of a kite, 1e-4 of the rocker being 0.03 mm; at its other end 0.66 deg from alignment
-    folds = problem(lengths(0.1, 0.10001, 0.3, 0.3), {"from": "inner dead centre"}, {"crank": "span", "transmission_angle": None})
-    found["crank pin on its pivot"] = defect(folds, folds.design({}), "apart, assembled")
+    apart = {"crank": "span", "transmission_angle": None, "alignment": "0.1 deg"}
+    folds = problem(lengths(0.1, 0.10001, 0.3, 0.3), {"from": "inner dead centre"}, apart)
+    found["crank pin on its pivot"] = defect(folds, folds.design({}), "apart")
     square = 0.2**2 + 0.25**2 - 2.0 * 0.2 * 0.25 * math.cos(math.radians(0.5))  # of B-D, with 0.5 deg at C
     last = math.degrees(math.acos((0.3**2 + 0.34**2 - square) / (2.0 * 0.3 * 0.34)))
     nearly = problem(
