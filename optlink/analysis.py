@@ -25,7 +25,7 @@ from optlink.dynamics.strokes import Acting, acting_loads, use_of, working_strok
 from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
 from optlink.linkage.alignment import Aligned, listed
-from optlink.linkage.cycle import TURN, Ranges, Travel, failure, reachable, travels, within_cycle
+from optlink.linkage.cycle import TURN, Ranges, Travel, failure, reachable, stopping, travels, within_cycle
 from optlink.linkage.elementwise import Value
 from optlink.linkage.refine import extremes, zeros
 
@@ -566,8 +566,9 @@ def quick_stroke_notes(problem: ProblemFile, machine: Machine, speed: float) -> 
     for item in acting_loads(machine, speed):
         if item.pace == "quick" and problem.model.loads[item.load].stroke != "quick":
             rotation = math.degrees(math.fsum(end - begin for begin, end in item.ranges))
+            share = f"{rotation:.5g} of {math.degrees(machine.mechanism.cycle):.5g} deg"
             notes.append(
-                f"{item.load} acts in the {item.stroke} stroke of {item.body}, which is the quick one: {rotation:.5g} of 360 deg "
+                f"{item.load} acts in the {item.stroke} stroke of {item.body}, which is the quick one: {share} "
                 f'of crank rotation (loads.{item.load}.stroke = "slow" is the other one, "quick" confirms this one)'
             )
     return notes
@@ -592,9 +593,9 @@ def _notes(
         notes.append(f"the crank cannot turn fully; reachable: {reach} (the last 0.1 % at either end is left out)")
         for low, high in ranges.ranges[:1]:
             for end, way in ((low, -1.0), (high, 1.0)):
-                failed = failure(machine.mechanism, machine.sizes, end + way * math.radians(1.0))
-                if failed:
-                    notes.append(f"one degree further, {failed}")
+                reason = stopping(machine.mechanism, machine.sizes, end, way)
+                if reason:
+                    notes.append(reason)
     for position in ranges.aligned:
         if not position.singular:
             notes.append(_near(machine, position))

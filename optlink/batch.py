@@ -11,12 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.analysis import GRID, crank_speed, machine_of
 from optlink.design.files import ProblemFile
+from optlink.design.linkages import sizes_of
 from optlink.design.quantity import nearest
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.record import Record
 from optlink.errors import Fault, InputError
 from optlink.linkage.alignment import listed, near_singular
+from optlink.linkage.continuation import follow
 from optlink.linkage.cycle import TURN, reachable
+from optlink.linkage.elementwise import Value
 from optlink.linkage.motion import sweep
 from optlink.linkage.refine import extremes_of_rows
 
@@ -60,14 +63,16 @@ def analyze_batch(
         What is not named keeps its value.
     columns : names as in `Analysis.columns`
     points : int
-        Crank angles per revolution, from the start of the problem on, the last one step before the first.
+        Crank angles per revolution, from the start of the problem on, the last one step before the first. A mechanism that is
+        led through change points gets as many revolutions as the longest cycle of all designs has.
     speed : float [rad/s], optional
         Of the crank; that of the problem if left out.
 
     Returns
     -------
-    columns by name, arrays (designs, points); NaN where a design cannot be assembled, or has no slow stroke in which a load
-    should act, and for designs whose motion is not determined beyond a singular position (`singular` says at which crank angle).
+    columns by name, arrays (designs, points of all revolutions); NaN where a design cannot be assembled, or has no slow
+    stroke in which a load should act, and for designs whose motion is not determined beyond a singular position (`singular` says
+    at which crank angle).
     Memory beside these arrays does not grow with the number of designs.
 
     Raises
@@ -79,23 +84,24 @@ def analyze_batch(
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive
     way = crank_speed(problem) if speed is None else speed
-    angles = drive.start.value + np.copysign(TURN, way) * np.arange(points) / points
+    follows = problem.model.mechanism.follows
+    turns = _most_turns(problem, arrays) if follows else 1
+    angles = drive.start.value + np.copysign(TURN, way) * np.arange(turns * points) / points
     known = Record(machine_of(problem).moving(angles[:1], way)).columns
     for name in columns:
         if name not in known:
             raise InputError(Fault("no such column", nearest(name, known), problem.file, "columns", name))
     found = Columns()
-    found.update({name: np.empty((count, points)) for name in columns})
-    samples = angles if points >= SAMPLES else drive.start.value + TURN * np.arange(SAMPLES) / SAMPLES
-    step = 1 if problem.model.mechanism.follows else max(1, PORTION // points)
+    found.update({name: np.empty((count, len(angles))) for name in columns})
+    samples = angles if points >= SAMPLES else drive.start.value + TURN * np.arange(turns * SAMPLES) / SAMPLES
+    step = 1 if follows else max(1, PORTION // points)
     for first in range(0, count, step):
-        for part, defined in _alike(problem, arrays, np.arange(first, min(first + step, count))):
+        for part, defined in _alike(problem, arrays, np.arange(first, min(first + step, count)), alone=follows):
             if not defined:
                 for name in columns:
                     found[name][part] = np.nan
                 continue
-            designs = {name: values[part, None] if step > 1 else values[first] for name, values in arrays.items()}
-            machine = machine_of(problem, designs)
+            machine = machine_of(problem, _designs(arrays, part, alone=follows))
             record = Record(machine.moving(angles, way), columns)
             for name in columns:
                 found[name][part] = record[name]
@@ -117,12 +123,27 @@ def _singular(machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[i
     return found
 
 
-def _alike(problem: ProblemFile, arrays: Mapping[str, Array], part: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], bool]]:
+def _designs(arrays: Mapping[str, Array], part: NDArray[np.intp], *, alone: bool) -> dict[str, Value]:
+    """Quantities of a portion of the designs, arrays (designs, 1), or numbers of its only design."""
+    return {name: float(values[part[0]]) if alone else values[part, None] for name, values in arrays.items()}
+
+
+def _most_turns(problem: ProblemFile, arrays: Mapping[str, Array]) -> int:
+    """Revolutions of the longest cycle of all designs."""
+    model, count = problem.model, len(next(iter(arrays.values())))
+    sizes, start = sizes_of(model.mechanism.quantities), model.drive.start.value
+    each = ({**sizes, **_designs(arrays, np.array([k]), alone=True)} for k in range(count))
+    return max(round(follow(model.linkage, design, start).cycle / TURN) for design in each)
+
+
+def _alike(
+    problem: ProblemFile, arrays: Mapping[str, Array], part: NDArray[np.intp], *, alone: bool
+) -> Iterator[tuple[NDArray[np.intp], bool]]:
     """The designs of a portion in groups whose slow strokes are the same, and whether every load that needs one has one."""
     if not any(load.by_pace for load in problem.model.loads.values()):
         yield part, True
         return
-    senses = problem.model.slow_senses({name: values[part, None] for name, values in arrays.items()})
+    senses = problem.model.slow_senses(_designs(arrays, part, alone=alone))
     senses = np.broadcast_to(senses, (len(senses), len(part)))
     keys, group = np.unique(senses, axis=1, return_inverse=True)
     for k, key in enumerate(keys.T):

@@ -16,6 +16,7 @@ from optlink.design.files import dump
 from optlink.linkage.cycle import reachable
 from optlink.linkage.fourbar import four_bar
 from optlink.linkage.motion import sweep
+from optlink.validation.cycle import validate_cycle
 from tests.oracle import Kinematics, Mass, newton_euler
 
 LENGTHS = ("crank", "coupler", "rocker", "frame")
@@ -455,8 +456,8 @@ def test_batch_leaves_out_designs_whose_motion_is_not_determined():
     assert not followed.singular
     one = optlink.analyze(four_bar_problem((50.0, 150.0, 100.0, 200.0), assembly="continue"), points=45)
     for name in columns:
-        np.testing.assert_array_equal(followed[name][2], one[name][:45])
-        np.testing.assert_allclose(followed[name][0], found[name][0], rtol=1e-12)
+        np.testing.assert_array_equal(followed[name][2], one[name][:90])
+        np.testing.assert_allclose(followed[name][0], np.tile(found[name][0], 2), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -525,3 +526,147 @@ def test_crank_alone_has_no_change_points():
     problem = optlink.read(raw)
     assert optlink.analyze(problem, points=12).sound
     assert not optlink.analyze_batch(problem, {"crank.length": [0.1, 0.2]}, points=12).singular
+
+
+# --- loads of the slow stroke, and batches, over a cycle of two revolutions -----------------------------------------------------
+
+
+def rocker_load(stroke, lengths=(50.0, 150.0, 100.0, 200.0), **more):
+    """A torque of 40 N m against the rocker in one of its strokes; the motion repeats after two revolutions."""
+    load = {"on": "rocker", "torque": "40 N*m", "acts": "opposing", "stroke": stroke}
+    return four_bar_problem(lengths, assembly="continue", loads={"work": load}, **more)
+
+
+def rocker_times(problem):
+    """Crank rotations [deg] during which the rocker turns counter-clockwise and clockwise, from rows of the whole cycle."""
+    free = problem.override({"loads.work.stroke": "both"})
+    rates = optlink.analyze(free, points=7200)["rocker.omega_rad_s"][:-1]
+    return tuple(float(np.count_nonzero(sense * rates > 0.0)) / 20.0 for sense in (1.0, -1.0))
+
+
+def drawn_long_cycles(count, seed):
+    """Random four-bars with one change point and a crank that turns fully: both branches differ, and follow one another."""
+    rng = np.random.default_rng(seed)
+    found = []
+    while len(found) < count:
+        short, one, other = (float(length) for length in np.sort(rng.uniform(30.0, 200.0, 3)))
+        lengths = (short, one, other, one + other - short)
+        if other - short > 10.0 and one - short > 10.0:
+            found.append(tuple(lengths[i] for i in (0, *(1 + rng.permutation(3)))))
+    return found
+
+
+@pytest.mark.parametrize("lengths", drawn_long_cycles(4, 3))
+@pytest.mark.parametrize("speed", ["2 rad/s", "-2 rad/s"])
+def test_slow_stroke_of_a_cycle_of_two_revolutions_is_that_of_both(lengths, speed):
+    for pace, acts in (("slow", max), ("quick", min)):
+        problem = rocker_load(pace, lengths, drive={"start": "33 deg", "speed": speed})
+        result = optlink.analyze(problem, points=3600)
+        assert result.cycle == pytest.approx(4.0 * math.pi)
+        (item,) = result.acting
+        assert item.pace == pace
+        rotation = math.degrees(math.fsum(end - begin for begin, end in item.ranges))
+        acting = float(np.count_nonzero(result["work.torque_Nm"][:-1])) / 10.0
+        expected = acts(rocker_times(problem))
+        assert rotation == pytest.approx(expected, abs=0.3)
+        assert acting == pytest.approx(expected, abs=0.6)
+
+
+def test_batch_covers_the_whole_cycle_of_two_revolutions():
+    frames = np.array([0.19, 0.2, 0.2 - 1e-5])
+    columns = ("rocker.omega_rad_s", "input.torque_Nm", "C.x_m")
+    for problem in (
+        rocker_load("slow"),
+        rocker_load("backward"),
+        rocker_load("slow", drive={"start": "20 deg", "speed": "-2 rad/s"}),
+    ):
+        found = optlink.analyze_batch(problem, {"frame": frames}, columns, points=45)
+        for k, frame in enumerate(frames):
+            one = optlink.analyze(problem, points=45, design={"frame": float(frame)})
+            rows = round(45 * one.cycle / (2.0 * math.pi))
+            for name in columns:
+                assert found[name].shape == (3, 90)
+                size = np.max(np.abs(one[name]))
+                np.testing.assert_allclose(found[name][k], np.resize(one[name][:rows], 90), rtol=1e-9, atol=1e-9 * size)
+
+
+# --- refusals ------------------------------------------------------------------------------------------------------------------
+
+
+def test_cycle_validation_fails_on_a_singular_revolution():
+    """The centric slider-crank whose rod is as long as its crank: the rod stands across the guide twice in a revolution."""
+    free = {"joints": ["B", "C"], "length": {"start": "150 mm", "bounds": ["50 mm", "200 mm"]}}
+    raw = dict(slider_crank_problem(50.0, 150.0, 0.0, objective={"quantity": "torque", "measure": "rms"}).raw)
+    raw["mechanism"] = {**raw["mechanism"], "links": {**raw["mechanism"]["links"], "rod": free}}
+    task = optlink.read(raw).model
+
+    def checks(rod):
+        return {check.name: check for check in validate_cycle(task, {"rod.length": rod}).checks}
+
+    name = "no singular position in the revolution"
+    assert checks(0.15)[name].passed
+    for rod in (0.05, 0.05 * (1.0 + 1e-13)):
+        assert (checks(rod)[name].passed, checks(rod)[name].value) == (False, 2.0)
+        assert checks(rod)["the crank turns fully"].passed
+
+
+@pytest.mark.parametrize("assembly", ["forward", "forward, continue"])
+def test_singular_revolutions_are_refused_where_reactions_must_be_bounded(assembly):
+    """Balancing and clearance, of a mechanism that is followed and of one that is not; no sampled position is singular."""
+    disc = {"body": "crank", "thickness": "10 mm", "density": "7850 kg/m^3", "reach": "60 mm"}
+    more = {
+        "drive": {"start": "30.3 deg", "speed": "20 rad/s"},
+        "balance": {"minimise": "rms shaking force", "counterweights": [disc]},
+        "joints": {"A": {"clearance": "0.2 mm", "bearing_radius": "10 mm", "modulus": "207 GPa", "poisson": 0.3}},
+    }
+    sizes = (50.0, 50.0, 0.0)
+    raw = dict(slider_crank_problem(*sizes, **more).raw)
+    raw["mechanism"] = {**raw["mechanism"], "assembly": {"C": assembly}}
+    with pytest.raises(optlink.InputError, match=r"singular position at crank angle 107 deg.*nothing can be balanced"):
+        optlink.balance(optlink.read(raw))
+    with pytest.raises(optlink.InputError, match=r"singular position at crank angle 107 deg.*clearance is not simulated"):
+        optlink.simulate_clearance(optlink.read(raw), revolutions=1)
+
+
+# --- guides that become parallel ------------------------------------------------------------------------------------------------
+
+
+def test_parallel_guides_are_named_where_the_range_ends():
+    """A die on the crank (PRP): its line, 10 deg ahead of the crank, is parallel to the guide at 25 deg where that is at 15."""
+    raw = {
+        "title": "tangent mechanism",
+        "mechanism": {
+            "ground": {"A": ["0 mm", "0 mm"]},
+            "links": {"crank": {"joints": ["A", "B"], "length": "100 mm"}, "die": {"joints": ["P"]}, "ram": {"joints": ["P"]}},
+            "guides": {
+                "G": {"slider": "die", "on": "crank", "through": "A", "direction": "10 deg"},
+                "F": {"slider": "ram", "through": ["0 mm", "70 mm"], "direction": "25 deg"},
+            },
+        },
+        "drive": {"start": "60 deg"},
+    }
+    result = optlink.analyze(optlink.read(raw))
+    np.testing.assert_allclose(np.degrees([result.ranges.ranges[0]]), [[15.0, 195.0]], atol=1e-3)
+    reasons = [note for note in result.notes if "two guides are parallel" in note]
+    assert len(reasons) == 2
+    assert all("PRP group die-ram (joint P)" in reason for reason in reasons)
+    assert "195 deg" in reasons[1]
+
+
+def test_parallel_guides_of_a_yoke_are_named():
+    """The slot of a yoke (RPP) lies across its rail by their fixed angle: none leaves no crank angle at all."""
+    raw = {
+        "title": "yoke",
+        "mechanism": {
+            "ground": {"A": ["0 mm", "0 mm"]},
+            "links": {"crank": {"joints": ["A", "B"], "length": "100 mm"}, "die": {"joints": ["B"]}, "yoke": {"joints": ["Y"]}},
+            "guides": {
+                "G": {"slider": "die", "on": "yoke", "through": "Y", "direction": "20 deg"},
+                "F": {"slider": "yoke", "through": ["0 mm", "70 mm"], "direction": "25 deg", "tilt": "30 deg"},
+            },
+        },
+    }
+    assert optlink.analyze(optlink.read(raw)).full
+    raw["mechanism"]["guides"]["F"]["tilt"] = "-20 deg"
+    with pytest.raises(optlink.InputError, match=r"RPP group die-yoke \(joint G\) has no place: its two guides are parallel"):
+        optlink.analyze(optlink.read(raw))

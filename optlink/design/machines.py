@@ -30,6 +30,7 @@ from optlink.linkage.mechanism import FRAME, Mechanism
 
 Array = NDArray[np.float64]
 STROKES = 720  # positions of a revolution at which the motion of a load is sampled
+_SENSE: dict[Direction | None, float] = {"forward": 1.0, "backward": -1.0, None: 0.0}
 
 
 class Expected(Section):
@@ -294,11 +295,8 @@ class Revolution:
         """
         if load.name in self._slow:
             return self._slow[load.name]
-        if np.all(self.moving.motion.assembled) and np.ndim(self.moving.motion.assembled) == 1:
-            found = slow_stroke_of(self.machine, load)
-        else:  # many designs that have the same slow stroke, or a crank that cannot turn fully
-            sense = self.slow_senses(load)
-            found = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
+        sense = self.slow_senses(load)  # many designs share one machine only where they have the same slow stroke
+        found: Direction | None = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
         if found is None:
             least = f"{math.degrees(LEAST_DIFFERENCE):g} deg"
             message = f"both strokes take equally long (to {least} of crank rotation), so there is no slow stroke"
@@ -308,15 +306,19 @@ class Revolution:
     def slow_senses(self, load: Load) -> Array:
         """Slow stroke of a load's motion for one or many designs: 1 forward, -1 backward, 0 where both take equally long.
 
-        By the sampled positions that can be reached, reversals interpolated between them.
+        Of one design whose crank turns fully by the exact crank angles of its reversals, else by the sampled positions that can
+        be reached, reversals interpolated between them.
         """
+        assembled = self.moving.motion.assembled
+        if np.ndim(assembled) == 1 and np.all(assembled):
+            return np.array([_SENSE[slow_stroke_of(self.machine, load)]])
         velocity = load.reversing(self.moving)
         rate = np.asarray(velocity[0] if velocity else 0.0, dtype=float)
-        rate = np.broadcast_to(rate, np.shape(self.moving.motion.assembled)) + np.zeros(STROKES)
+        rate = np.broadcast_to(rate, np.shape(assembled)) + np.zeros(STROKES)
         rate = np.concatenate([rate, rate[..., :1]], axis=-1)
         size = np.abs(rate[..., 1:]) + np.abs(rate[..., :-1])
         with np.errstate(all="ignore"):
-            difference = 2.0 * np.pi * np.nanmean((rate[..., 1:] + rate[..., :-1]) / size, axis=-1)
+            difference = self.machine.mechanism.cycle * np.nanmean((rate[..., 1:] + rate[..., :-1]) / size, axis=-1)
         sense = np.where(np.abs(difference) >= LEAST_DIFFERENCE, np.sign(difference), 0.0)
         return np.asarray(sense, dtype=float).reshape(-1)
 

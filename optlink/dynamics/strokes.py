@@ -21,7 +21,7 @@ SAME = 1e-6  # rad; crank angles that near to one another are one
 
 
 def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[float, float]]]:
-    """Crank ranges [rad] in which the motion of a load is forward and backward, for a crank that turns counter-clockwise.
+    """Crank ranges [rad] of a cycle in which the motion of a load is forward and backward, the crank turning counter-clockwise.
 
     Parameters
     ----------
@@ -35,16 +35,18 @@ def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[flo
         found = load.reversing(machine.moving(angles))
         return np.broadcast_to(np.asarray(0.0 if found is None else found[0], dtype=float), angles.shape)[None, :]
 
-    grid = np.linspace(0.0, TURN, GRID + 1) + 0.37 * TURN / GRID  # no reversal at a round angle lies on the seam
+    cycle = machine.mechanism.cycle
+    count = GRID * round(cycle / TURN)
+    grid = np.linspace(0.0, cycle, count + 1) + 0.37 * TURN / GRID  # no reversal at a round angle lies on the seam
     at = zeros(rates, grid, still=True)[0]
     ranges: dict[Direction, list[tuple[float, float]]] = {"forward": [], "backward": []}
     if at.size == 0:
-        ranges["forward" if float(np.nanmean(rates(grid))) > 0.0 else "backward"].append((0.0, TURN))
+        ranges["forward" if float(np.nanmean(rates(grid))) > 0.0 else "backward"].append((0.0, cycle))
         return ranges
     signs = rates(at + AHEAD)[0]
     turns = np.append(True, np.sign(signs[1:]) != np.sign(signs[:-1]))  # a motion that only pauses does not reverse
     at, signs = at[turns], signs[turns]
-    for begin, end, sign in zip(at, [*at[1:], at[0] + TURN], signs, strict=True):
+    for begin, end, sign in zip(at, [*at[1:], at[0] + cycle], signs, strict=True):
         ranges["forward" if sign > 0.0 else "backward"].append((float(begin), float(end)))
     return ranges
 

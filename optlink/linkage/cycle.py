@@ -24,6 +24,8 @@ GRID = 1440
 """Positions per revolution among which everything is bracketed."""
 SEAM = 1e-6
 """Crank rotation [rad] below a whole cycle that counts as one: as exactly as flat extremes are found."""
+PARALLEL_AT_END = 1e-4
+"""Sine of the angle of two guides below which they count as parallel at the end of a range."""
 LEAST_DIFFERENCE = math.radians(0.1)
 """Crank rotations [rad] of two strokes that differ by less count as equally long: neither is the slow one."""
 Direction = Literal["forward", "backward"]
@@ -54,6 +56,18 @@ class Failure:
             return f"{where} {what} has no place: its two guides are parallel"
         amount = f" by {self.gap * 1e3:.6g} mm" if self.gap > 0.0 else ""
         return f"{where} {what} fails to close{amount}"
+
+
+def stopping(mechanism: Mechanism, sizes: Mapping[str, Value], end: float, way: float) -> str:
+    """Why the crank does not turn beyond the end [rad] of a range, `way` = +1 or -1; empty where that is not known."""
+    if failed := failure(mechanism, sizes, end + way * math.radians(1.0)):
+        return f"one degree further, {failed}"
+    with np.errstate(all="ignore"):
+        pose = mechanism.at(sizes, np.array([end]))
+        for group in mechanism.groups:
+            if isinstance(group, PRP) and float(np.abs(group.sine(pose)).item()) <= PARALLEL_AT_END:
+                return f"{Failure(end, group, 0.0)}"
+    return ""
 
 
 @dataclass(frozen=True)
