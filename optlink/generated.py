@@ -15,7 +15,6 @@ from optlink.analysis import stroke_document, turning
 from optlink.design.files import ProblemFile
 from optlink.design.generation import START, TURN, GenerationProblem
 from optlink.design.linkages import FourBarSection
-from optlink.design.settled import settled
 from optlink.documents import finite
 from optlink.errors import InputError, Status
 from optlink.fit import Fit, path_fit
@@ -145,11 +144,6 @@ class Design:
         sizes = {name: values[name] for name in LENGTHS}
         along, across = values[f"{point}.along"], values[f"{point}.across"]
         return CouplerLinkage(**sizes, along=along, across=across, x=x, y=y, direction=direction, side=self.task.side)
-
-    @property
-    def machine(self) -> ProblemFile:
-        """The linkage alone as a problem with every size fixed: what `analyze`, `simulate` and pictures take."""
-        return settled(self.problem, self.values)
 
     @property
     def assembly(self) -> object:

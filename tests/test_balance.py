@@ -882,13 +882,13 @@ def test_the_written_problem_is_analysed_to_the_same_figures(tmp_path):
     assert document["problem"] == "balance-six-bar"
     assert {"status", "valid", "duality_gap", "solver", "lower_bound", "counterweights", "measures", "trade"} <= set(document)
     assert "Clarabel" in document["solver"]
-    assert {p.name for p in tmp_path.iterdir()} >= {"balanced.toml", "balance.csv", "trade.csv", "mechanism.png", "trade.png"}
-    again = optlink.analyze(optlink.load(tmp_path / "balanced.toml"), 360)
+    assert {p.name for p in tmp_path.iterdir()} >= {"design.toml", "balance.csv", "trade.csv", "mechanism.png", "trade.png"}
+    again = optlink.analyze(optlink.load(tmp_path / "design.toml"), 360)
     force = np.hypot(again["frame.shaking_fx_N"], again["frame.shaking_fy_N"])[:-1]
     after = {row["name"]: row["after"] for row in document["measures"]}
     assert np.sqrt(np.mean(force**2)) == pytest.approx(after["rms shaking force"], rel=1e-8)
     assert np.sqrt(np.mean(again["input.torque_Nm"][:-1] ** 2)) == pytest.approx(after["rms driving torque"], rel=1e-8)
-    raw = tomllib.loads((tmp_path / "balanced.toml").read_text())
+    raw = tomllib.loads((tmp_path / "design.toml").read_text())
     assert "balance" not in raw
 
 

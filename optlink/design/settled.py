@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from optlink.design.files import ProblemFile, read
+from optlink.design.tolerances import read_stated
+from optlink.design.wanted import contents
 from optlink.linkage.fourbar import LENGTHS
 from optlink.units import KINDS, factor
 
@@ -21,6 +25,43 @@ def settled(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
         unit = KINDS[quantity.kind].people
         write(raw["mechanism"], name, f"{values[name] / factor(unit, quantity.kind)!r} {unit}")
     return read(raw, file.name, file.file, file.folder)
+
+
+def portable(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]:
+    """The problem with every CSV or SVG file that it refers to renamed to one beside it, and the contents of these files by name.
+
+    Raises
+    ------
+    Unusable
+        when a file cannot be read any more.
+    """
+    raw: dict[str, Any] = copy.deepcopy(dict(file.raw))
+    files: dict[str, bytes] = {}
+    for table, key, suffix in [*_references(raw)]:
+        named = read_stated(table[key], file.folder).text if suffix == "" else table[key]
+        suffix = suffix or "csv"
+        data = contents({suffix: named}, suffix, file.folder)[1]
+        stem = f"design-{Path(named).stem[:60].lower()}"
+        name, number = f"{stem}.{suffix}", 1
+        while files.get(name, data) != data:
+            number += 1
+            name = f"{stem}-{number}.{suffix}"
+        files[name], table[key] = data, name
+    return replace(file, raw=raw), files
+
+
+def _references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], str, str]]:
+    """Tables and keys that name another file, with its suffix; "" where the value of a tolerance decides it."""
+    if isinstance(raw, list):
+        for value in raw:
+            yield from _references(value, within)
+    for key, value in raw.items() if isinstance(raw, dict) else ():
+        if isinstance(value, str):
+            measured = within == "tolerances" and read_stated(value, Path()).measured
+            if measured or key in ("csv", "svg"):
+                yield raw, key, "" if measured else key
+        else:
+            yield from _references(value, within or key)
 
 
 def write(mechanism: dict[str, Any], name: str, value: object) -> None:

@@ -15,12 +15,14 @@ from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
 from optlink.balanced import Added, Balance
+from optlink.design.linkages import sizes_of
+from optlink.design.settled import settled
 from optlink.dynamics.balance import Measure, quantities
 from optlink.linkage.motion import sweep
 from optlink.report.balance import percent
 from optlink.report.draw import Sketch
 from optlink.report.labels import Label, settle
-from optlink.report.store import whole, write_csv, write_json
+from optlink.report.store import verdict, write_csv, write_design, write_json
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, ROCKER, WANTED, Scale, figure, heading, save, scale, styled
 
 Array = NDArray[np.float64]
@@ -29,16 +31,14 @@ COMMON = ("shaking force", "shaking moment", "driving torque")
 
 
 def write_all(result: Balance, folder: Path) -> list[Path]:
-    """Write result.json, balanced.toml, the tables and every picture that there is something for; return the files."""
-    from optlink.design.files import dump
-
+    """Write result.json, the balanced machine as design.toml, the tables and every picture; return the files."""
     written = [folder / "result.json", folder / "balance.csv"]
     write_json(written[0], result.to_dict())
     write_csv(written[1], result.columns)
     if result.balanced is not None:
-        written.append(folder / "balanced.toml")
-        with whole(written[-1]) as temporary:
-            temporary.write_text(dump(result.balanced), encoding="utf-8")
+        sizes = sizes_of(result.balanced.model.quantities)
+        machine = settled(result.balanced, sizes) if result.balanced.model.free else result.balanced
+        written += write_design(folder, machine, verdict(result.status, result.valid, result.status))
     if result.trade is not None:
         trade, points = result.trade, result.trade.points
         written.append(folder / "trade.csv")

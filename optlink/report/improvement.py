@@ -14,7 +14,6 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from optlink.analysis import Analysis
-from optlink.design.files import dump
 from optlink.design.terms import Term
 from optlink.designed import MachineDesign
 from optlink.dynamics.record import Record
@@ -23,8 +22,9 @@ from optlink.linkage.elementwise import Value
 from optlink.linkage.motion import sweep
 from optlink.report.curves import zero
 from optlink.report.draw import Sketch
-from optlink.report.store import whole, write_csv, write_json
+from optlink.report.store import verdict, write_csv, write_design, write_json
 from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, heading, save, scale, styled
+from optlink.report.told import failed
 from optlink.validation.cycle import Cycle
 
 Array = NDArray[np.float64]
@@ -48,10 +48,9 @@ def write_all(result: MachineDesign, folder: Path) -> list[Path]:
     write_json(written[0], result.to_dict())
     if result.found is None:
         return written
-    with whole(folder / "design.toml") as temporary:
-        temporary.write_text(dump(result.machine), encoding="utf-8")
-    write_csv(folder / "cycle.csv", result.found.columns)
-    written += [folder / "design.toml", folder / "cycle.csv"]
+    written += write_design(folder, result.machine, verdict(result.status.value, result.valid, failed(result)))
+    written.append(folder / "cycle.csv")
+    write_csv(written[-1], result.found.columns)
     for name, draw in PICTURES.items():
         drawn = draw(result)
         if drawn is not None:

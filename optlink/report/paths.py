@@ -16,7 +16,6 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from PIL import Image
 
-from optlink.design.files import dump
 from optlink.design.generation import TURN, ZERO
 from optlink.generated import Design, Generation
 from optlink.linkage.groups import RRR
@@ -29,8 +28,9 @@ from optlink.report.misses import errors
 from optlink.report.near import Close, dots, points_on, small_frames
 from optlink.report.outputs import curve, mechanism, output_film
 from optlink.report.standing import BESIDE, HIGH, standing, trim
-from optlink.report.store import whole, write_csv, write_json
+from optlink.report.store import verdict, write_csv, write_design, write_json
 from optlink.report.style import CRANK, WANTED, degrees, figure, heading, save, save_film, styled
+from optlink.report.subject import machine_found
 from optlink.report.told import LINE, SMALL, assembly, entitle, failed, headed, wrapped
 from optlink.report.track import Track, best
 
@@ -46,10 +46,11 @@ def write_all(result: Generation, folder: Path) -> list[Path]:
     design = result.best
     if design is None:
         return written
-    written += [folder / "points.csv", folder / "design.toml"]
+    written.append(folder / "points.csv")
     write_csv(written[1], columns(design))
-    with whole(written[2]) as temporary:
-        temporary.write_text(machine(design), encoding="utf-8")
+    machine = machine_found(result)
+    assert machine is not None
+    written += write_design(folder, machine, verdict(design.status.value, design.valid, failed(design)))
     for name, draw in PICTURES.items():
         drawn = draw(result)
         if drawn is not None:
@@ -85,12 +86,6 @@ def columns(design: Design) -> dict[str, Array]:
         aim = np.arctan2(data.columns[:, 3], data.columns[:, 2])
         found |= {"wanted.angle_rad": aim, "generated.angle_rad": aim + measured.turned, "turned_rad": measured.turned}
     return found
-
-
-def machine(design: Design) -> str:
-    """The design as a problem file with every size fixed."""
-    told = f"# {design.status.value}, valid" if design.valid else f"# NOT VALID: {failed(design)}"
-    return f"{' '.join(told.split())}\n{dump(design.machine)}"
 
 
 @styled

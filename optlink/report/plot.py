@@ -13,7 +13,6 @@ from matplotlib.patches import Arc
 from numpy.typing import NDArray
 from PIL import Image
 
-from optlink.design.files import dump
 from optlink.design.slopes import Judge
 from optlink.linkage.fourbar import dead_centre, lengths_of, reachable
 from optlink.linkage.motion import Motion, sweep
@@ -21,7 +20,7 @@ from optlink.report.draw import Sketch
 from optlink.report.film import film, there_and_back
 from optlink.report.labels import settle
 from optlink.report.landscape import objective_map, unit_of
-from optlink.report.store import whole, write_json
+from optlink.report.store import verdict, write_design, write_json
 from optlink.report.style import (
     COUPLER,
     CRANK,
@@ -40,6 +39,7 @@ from optlink.report.style import (
 )
 from optlink.report.style import figure as new_figure
 from optlink.report.subject import machine_found
+from optlink.report.told import failed
 from optlink.workflow import Result
 
 Array = NDArray[np.float64]
@@ -68,10 +68,7 @@ def write_all(result: Result, folder: Path) -> list[Path]:
     write_json(written[0], result.to_dict())
     machine = None if result.conflict else machine_found(result)
     if machine is not None:
-        verdict = f"# {result.status.value}, valid" if result.valid else "# NOT VALID"
-        written.append(folder / "design.toml")
-        with whole(written[-1]) as temporary:
-            temporary.write_text(f"{verdict}\n{dump(machine)}", encoding="utf-8")
+        written += write_design(folder, machine, verdict(result.status.value, result.valid, failed(result)))
     for name, draw in PICTURES.items():
         figure = draw(result)
         if figure is not None:

@@ -11,10 +11,44 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from optlink.design.files import ProblemFile, dump
+from optlink.design.quantity import Unusable
+from optlink.design.settled import portable
 from optlink.errors import Fault, InputError
 from optlink.storage import folder, whole, write_json
 
-__all__ = ["Stream", "checkpoint", "folder", "stream", "whole", "write_csv", "write_json"]
+__all__ = ["Stream", "checkpoint", "folder", "stream", "whole", "write_csv", "write_design", "write_json"]
+
+
+def write_design(directory: Path, machine: ProblemFile, comment: str) -> list[Path]:
+    """Write a design as design.toml, and beside it the files that it refers to, so that the directory can be moved.
+
+    Parameters
+    ----------
+    directory : Path
+    machine : ProblemFile
+    comment : str
+        First line of the file.
+
+    Raises
+    ------
+    InputError
+        when a file cannot be read or written.
+    """
+    try:
+        moved, files = portable(machine)
+    except Unusable as error:
+        raise InputError(Fault(error.message, error.remedy, machine.file, error.key, error.value)) from None
+    texts = {"design.toml": f"# {' '.join(comment.split())}\n{dump(moved)}".encode(), **files}
+    for name, data in texts.items():
+        with whole(directory / name) as temporary:
+            temporary.write_bytes(data)
+    return [directory / name for name in texts]
+
+
+def verdict(status: str, valid: bool, reason: str) -> str:
+    """First line of a design's file; `reason` why it is not valid."""
+    return f"{status}, valid" if valid else f"NOT VALID: {reason}"
 
 
 def write_csv(path: Path, columns: Mapping[str, Iterable[float]]) -> None:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from optlink.design.generation import MARK
 from optlink.generated import Design
+from optlink.outcome import Single
 from optlink.report.designs import exact, measure, words
 from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
 from optlink.report.track import Track
@@ -53,7 +54,7 @@ def _digits(value: float, count: int) -> str:
     return shown.replace("-", "−") if "e" not in shown else shown
 
 
-def failed(design: Design) -> str:
+def failed(design: Design | Single) -> str:
     """Why a design is not valid."""
     names = [check.name for check in design.validation.checks if not check.passed]
     more = f" and {len(names) - 2} more checks" if len(names) > 3 else ""
