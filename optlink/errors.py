@@ -71,6 +71,7 @@ class Status(enum.Enum):
     STALLED = "stalled"
     INFEASIBLE = "infeasible"
     NON_FINITE = "non-finite"
+    FEASIBLE = "feasible"
     NOT_SEARCHED = "not searched"
 
     @property
@@ -86,5 +87,7 @@ _STATUS_TEXT = {
     Status.INFEASIBLE: "no design meets all limits; relax one of the limits named in the conflict",
     Status.NON_FINITE: "the objective or a limit has no finite value or derivative at the design found; "
     "try another start or tighter bounds",
+    Status.FEASIBLE: "a design that meets all limits but is not a local optimum: no local search from it ended at a better one; "
+    "try --starts N",
     Status.NOT_SEARCHED: "a given design was checked, nothing was searched",
 }

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from optlink import interrupts
 from optlink.design.files import ProblemFile
@@ -27,6 +30,10 @@ LEAST_ROUNDS, MOST_ROUNDS = 3, 20
 COMPOUND_ROUNDS = 3  # of a linkage of several dyads, whose starts and limits take longer
 PART_STARTS = 400  # of the four-bar that a linkage contains
 NO_FOUR_BAR = "{} cannot trace the coupler curves of a four-bar within this linkage: the search had random starts only"
+FOUR_BAR_BETTER = (
+    "the four-bar within this linkage misses the points by {:.4g} mm (rms) within the same limits: no linkage that repeats its "
+    "coupler curve was found within all limits, and no other design is as good"
+)
 MOST_IN_VAIN = 12  # rounds without a valid design
 OFTEN = 3  # starts per exact design after which a search expects no other one
 
@@ -90,6 +97,9 @@ def generate(
     notes = [*([task.wanted.note] if task.wanted.note else []), *search.notes]
     reason = None if found.designs or search.interrupted else search.conflict(seed)
     limits = () if reason is None else tuple(Relaxed(**vars(item)) for item in reason.conflict)
+    if search.better is not None and not found.no_worse(search.better):
+        error = math.sqrt(float(np.mean(search.better.measured.distances**2)))
+        notes.append(FOUR_BAR_BETTER.format(1e3 * error))
     notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
     if found.designs and told.missed > SMALL:
         notes.append(f"{told.chance}; search on with --starts {min(4 * search.searcher.found.starts, MAX_STARTS)}")
@@ -121,6 +131,7 @@ class _Search:
         self.requested, self.interrupted = requested, False
         self.problem, self.backend, self.seed = problem, backend, seed
         self.notes: list[str] = []
+        self.better: Design | None = None  # the best four-bar, if no linkage that repeats its curve meets all limits
 
     def run(self, starts: int | None, progress: Callable[[float], None] | None) -> None:
         """Search until `starts` are made; without a number, until a better design is unlikely."""
@@ -162,9 +173,10 @@ class _Search:
                 self.notes.append(NO_FOUR_BAR.format(model(self.problem).requirement.point))
             return
         four_bars = generate(part.file, self.backend, PART_STARTS, self.seed).designs
-        polisher = self.collection.polisher
-        for design in grow(part, four_bars, polisher.files, polisher.polish, self.seed):
+        for design in grow(part, four_bars, self.collection.polisher, self.seed):
             self.collection.insert(design)
+        if four_bars and not self.collection.no_worse(four_bars[0]):
+            self.better = four_bars[0]
 
     def _enough(self, exact: int) -> bool:
         """Whether to stop; `exact` is the number of exact designs before the latest round."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from optlink.design.files import ProblemFile
 from optlink.design.generation import GenerationProblem
 from optlink.generated import Design
+from optlink.path_designs import Polisher, as_good, feasible
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.growth import Contained, grown
 from optlink.synthesis.marquardt import descend
@@ -19,21 +20,22 @@ STARTS = 12  # per design of the four-bar and combination of assembly modes
 POLISHED = 4  # of what they lead to, all together
 STEPS = 120
 
-Polish = Callable[..., Design]
 
-
-def grow(part: Contained, four_bars: Sequence[Design], files: Sequence[ProblemFile], polish: Polish, seed: int) -> list[Design]:
+def grow(part: Contained, four_bars: Sequence[Design], polisher: Polisher, seed: int) -> list[Design]:
     """Valid designs that began as designs of the four-bar, best first; empty where its curve cannot be repeated.
+
+    Where no local search ends at an optimum that is as good as the best four-bar, the starts themselves and the feasible designs
+    at which the searches stalled take part.
 
     Parameters
     ----------
     part : Contained
     four_bars : valid designs of `part.file`
-    files : the problem with definite assembly modes
-    polish : function
-        From a candidate to the nearest optimum with every limit, validated.
+    polisher : Polisher
+        Of the whole linkage.
     seed : int
     """
+    files = polisher.files
     rng = np.random.default_rng([seed, len(files)])
     begun: list[Candidate] = []
     ended: list[Candidate] = []
@@ -49,12 +51,16 @@ def grow(part: Contained, four_bars: Sequence[Design], files: Sequence[ProblemFi
             ends = descend(batch, x, t, STEPS, slow=1e-9)
             good = ordered(batch, ends)[0] & (ends.missed <= MISSED)
             ended += _candidates(variant, batch, ends.x[good], ends.t[good])
-    found: list[Design] = []
-    best = min((design.objective for design in four_bars), default=np.inf)
+    polished: list[Design] = []
+    best = min(four_bars, key=lambda design: design.objective, default=None)
     for near, candidates in ((False, ended), (True, begun)):
-        if not any(design.objective <= best for design in found):
+        if best is None or not any(design.valid and as_good(design, best) for design in polished):
             candidates.sort(key=lambda candidate: candidate.cost)
-            found += [design for c in candidates[:POLISHED] if (design := polish(c, near=near)).valid]
+            polished += [polisher.polish(c, near=near) for c in candidates[:POLISHED]]
+    found = [design for design in polished if design.valid]
+    if best is not None and not any(as_good(design, best) for design in found):
+        found += [design for end in polished if (design := feasible(end)).valid]
+        found += itertools.islice(filter(lambda start: start.valid, map(polisher.unpolished, begun)), 1)
     return sorted(found, key=lambda design: design.objective)
 
 

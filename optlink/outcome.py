@@ -16,6 +16,7 @@ from optlink.validation.check import Check, Validation
 
 People = Callable[[Mapping[str, float]], dict[str, float]]
 """A design [SI] as a document tells it: in the units that the keys end in."""
+OPTIMALITY_CHECK = "optimality (KKT residual)"  # name of a check
 
 
 @dataclass(frozen=True)
@@ -143,8 +144,8 @@ class Single(Sought, Protocol):
 
 
 def proven(status: Status, validation: Validation) -> bool:
-    """Whether a design is proven, and an optimum if one was searched."""
-    return status in (Status.OPTIMAL, Status.NOT_SEARCHED) and validation.valid
+    """Whether a design passes its validation, and is an optimum unless its status says otherwise."""
+    return status in (Status.OPTIMAL, Status.FEASIBLE, Status.NOT_SEARCHED) and validation.valid
 
 
 def optimality(solution: Solution) -> tuple[Check, ...]:
@@ -163,7 +164,7 @@ def _stationary(solution: Solution) -> Check:
         limit = "no measurable improvement"
     if small and not passed:
         limit = "of a feasible design" if solution.violation > FEASIBLE else "of the design searched for"
-    return Check("optimality (KKT residual)", passed, solution.kkt, limit, "")
+    return Check(OPTIMALITY_CHECK, passed, solution.kkt, limit, "")
 
 
 def heading(schema: str, outcome: Sought) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from optlink.design.files import ProblemFile
 from optlink.design.generation import GenerationProblem
 from optlink.errors import Status
 from optlink.generated import Design
-from optlink.outcome import optimality
+from optlink.outcome import OPTIMALITY_CHECK, optimality
 from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.solution import Solution
 from optlink.validation.generation import validate_generation
@@ -27,6 +27,7 @@ REPAIRED = 2  # candidates of a round that were put in order, and those polished
 COMPOUND_TRIES = 4  # candidates of the first round that are polished in vain, of a linkage of several dyads: each takes seconds
 COMPARABLE = 1.5  # error, as a multiple of the least one, up to which optima are counted: a better one would be among them
 SAME = 1e-6  # relative difference of two objectives that are the same
+ROUNDING = 1e-9  # the same of one coupler curve of two linkages
 
 
 def model(file: ProblemFile) -> GenerationProblem:
@@ -61,19 +62,37 @@ class Polisher:
         from optlink.solvers import search as local
         from optlink.solvers.exchange import search_everywhere
 
-        file = self.files[candidate.variant]
-        task, nlp = model(file), self.programme(candidate.variant, candidate.direction)
-        own, minimax = task.data.offsets is None, task.measure == "max"
-        x = np.concatenate([candidate.x, candidate.t]) if own else candidate.x
-        if len(nlp.variables) > len(x):
-            x = np.append(x, 0.0)  # the largest deviation; `given` lifts it
-        start = local.given(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
+        file, start = self.files[candidate.variant], self._given(candidate)
+        task, minimax = model(file), model(file).measure == "max"
         solution = search_everywhere(task, start, local.MINIMAX if minimax else self.backend, near=near)
         if minimax and solution.status is not Status.OPTIMAL:
             solution = local.best([solution, search_everywhere(task, start, self.backend, near=near)])
         if minimax and start.usable and solution.objective > start.objective * (1.0 + 1e-9):
             solution = replace(solution, status=Status.STALLED)  # an optimum, but not the one beside the start
-        return proven(file, nlp, solution)
+        return proven(file, start.nlp, solution)
+
+    def unpolished(self, candidate: Candidate) -> Design:
+        """The candidate itself, validated: a feasible design where it keeps its limits everywhere."""
+        start = self._given(candidate)
+        return feasible(proven(self.files[candidate.variant], start.nlp, start))
+
+    def _given(self, candidate: Candidate) -> Solution:
+        """A candidate as a point of its programme."""
+        from optlink.solvers import search as local
+
+        nlp = self.programme(candidate.variant, candidate.direction)
+        own = model(self.files[candidate.variant]).data.offsets is None
+        x = np.concatenate([candidate.x, candidate.t]) if own else candidate.x
+        if len(nlp.variables) > len(x):
+            x = np.append(x, 0.0)  # the largest deviation; `given` lifts it
+        return local.given(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
+
+
+def feasible(design: Design) -> Design:
+    """A design that is not proven to be an optimum, as one that need only meet all limits."""
+    checks = tuple(check for check in design.validation.checks if check.name != OPTIMALITY_CHECK)
+    proof = replace(design.validation, checks=checks)
+    return replace(design, status=Status.FEASIBLE, validation=proof, solution=None)  # its limits have no prices
 
 
 def proven(file: ProblemFile, nlp: NLP, solution: Solution) -> Design:
@@ -149,6 +168,10 @@ class Collection:
             return math.inf
         return max(_cost(self.designs[0]) * COMPARABLE**2, _cost(self.designs[-1]))
 
+    def no_worse(self, other: Design) -> bool:
+        """Whether the best design is as good as another design of the same curve, but for rounding."""
+        return any(as_good(design, other) for design in self.designs[:1])
+
     def insert(self, design: Design) -> None:
         """Add a valid design, unless a better one is alike."""
         alike = next((known for known in self.designs if design.alike(known)), None)
@@ -173,6 +196,8 @@ class Collection:
         level = 0.0 if best.exact else best.error
         values: list[float] = []
         counts: list[int] = []
+        if ends[0][0] > level * (1.0 + SAME) and not (best.exact and ends[0][0] <= best.level):
+            values, counts = [level], [1]  # no random start reached the best design: it was grown, from one start
         for error, count in ends:
             value = 0.0 if best.exact and error <= best.level else error
             if value > COMPARABLE * level:
@@ -184,6 +209,11 @@ class Collection:
                 counts.append(count)
         told = evidence(counts)
         return replace(told, missed=0.0) if best.exact else told  # nothing is better than an exact design
+
+
+def as_good(design: Design, other: Design) -> bool:
+    """Whether a design is no worse than another one for the same points, but for rounding."""
+    return design.exact or design.error <= other.error * (1.0 + ROUNDING)
 
 
 def _cost(design: Design) -> float:

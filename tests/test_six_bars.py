@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from optlink import generation
 from optlink.design.files import read
 from optlink.design.generation import GenerationProblem
+from optlink.errors import Status
+from optlink.generated import Design
 from optlink.generation import PART_STARTS, generate, variants_of
+from optlink.path_designs import Polisher, compound
 from optlink.solvers.exchange import Peak, peaks
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.growth import contained, grown
+from optlink.synthesis.search import Candidate
+from optlink.validation.check import Check
 from tests.random_six_bars import faults_of_six_bar, random_six_bar
 
 
@@ -64,6 +71,57 @@ def judge(seed: int) -> tuple[float, float]:
 def test_random_six_bars_are_without_fault_and_no_worse_than_the_best_four_bar(seed: int) -> None:
     six, four = judge(seed)
     assert six <= four * (1.0 + 1e-9)
+
+
+def planted(monkeypatch: pytest.MonkeyPatch, worse: float) -> None:
+    """Let every local search of a six-bar stall at its start, or end at an optimum that is said to be worse than its start."""
+    polish = Polisher.polish
+
+    def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> Design:
+        if not compound(self.files[candidate.variant].model):  # type: ignore[arg-type]
+            return polish(self, candidate, near=near)
+        start = self.unpolished(candidate)
+        if worse > 1.0:
+            return replace(start, objective=worse * start.objective, status=Status.OPTIMAL)
+        limits = (*start.validation.checks, Check("optimality (KKT residual)", False, 1.0, "<= 1e-06", ""))
+        return replace(start, status=Status.STALLED, validation=replace(start.validation, checks=limits))
+
+    monkeypatch.setattr(Polisher, "polish", failing)
+    monkeypatch.setattr(generation, "PART_STARTS", 60)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "worse"), [(12, 1.0), (13, 1e4)], ids=["Watt, stalled", "Stephenson, worse"])
+def test_a_six_bar_is_no_worse_than_its_four_bar_whatever_its_local_searches_do(
+    monkeypatch: pytest.MonkeyPatch, seed: int, worse: float
+) -> None:
+    planted(monkeypatch, worse)
+    task = random_six_bar(seed, 12)
+    part = contained(task.file)
+    assert part is not None
+    four_bar = generate(part.file, starts=60)
+    assert four_bar.valid
+    result = generate(task.file, starts=1)
+    assert result.valid
+    assert result.objective <= four_bar.objective * (1.0 + 1e-9)
+    assert faults_of_six_bar(result.designs[0], task) == []
+    document = result.to_dict()
+    assert document["status"] == "feasible"
+    assert not any(check["name"].startswith("optimality") for check in document["designs"][0]["validation"])
+
+
+@pytest.mark.slow
+def test_a_six_bar_that_cannot_repeat_the_four_bar_within_its_limits_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second dyad is too short to meet its joints, the four-bar is free: the answer has one sentence about it."""
+    planted(monkeypatch, 1.0)
+    raw = copy.deepcopy(random_six_bar(13, 12).file.raw)
+    raw["mechanism"]["links"]["other"]["length"] = "1 mm"
+    raw["mechanism"]["links"]["one"]["length"] = {"bounds": ["1 mm", "2 mm"]}
+    result = generate(read(raw), starts=1)
+    assert not result.valid
+    told = [note for note in result.notes if "repeats its coupler curve" in note]
+    assert len(told) == 1
+    assert "mm (rms)" in told[0]
 
 
 @pytest.mark.slow

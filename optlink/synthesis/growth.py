@@ -37,7 +37,8 @@ Complex = NDArray[np.complex128]
 Values = dict[str, Array]
 
 SAMPLES = 6000  # random choices of what is left over, per design of the four-bar and combination of assembly modes
-ALONG = 73  # crank angles at which limits are compared
+ALONG, FINE = 73, 1441  # crank angles at which limits are compared first, and then of those designs that may be returned
+MEASURED = 10  # such designs, as a multiple of those returned
 SAME = 1e-6  # of the size of the curve: difference of the two curves by rounding
 ENLARGED = (math.log(0.4), math.log(2.5))  # logarithms of the ratio by which a pantograph enlarges the curve
 NEARBY = {"length": (math.log(0.5), math.log(10.0)), "coordinate": (0.0, math.log(8.0))}  # of remaining sizes, logarithms
@@ -207,9 +208,15 @@ def grown(
     x, angles = np.clip(x[inside], batch.low, batch.high), angles[inside]
     if not len(x):
         return x, angles
-    slack = _slack(batch, x, angles)
+    slack = _slack(batch, x, angles, ALONG)
     slack[_apart(part.file, values, t, batch, x, angles) > SAME] = -np.inf  # the other assembly mode
-    order = np.argsort(-slack)[:count]
+    x, angles = _farthest(x, angles, slack, MEASURED * count)
+    return _farthest(x, angles, _slack(batch, x, angles, FINE), count) if len(x) else (x, angles)
+
+
+def _farthest(x: Array, angles: Array, slack: Array, count: int) -> tuple[Array, Array]:
+    """The designs that keep farthest from their limits, those that miss one left out."""
+    order = np.argsort(-slack, kind="stable")[:count]
     order = order[slack[order] > -SAME]  # the limits of the four-bar itself may be active
     return x[order], angles[order]
 
@@ -225,11 +232,11 @@ def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batc
     return np.where(np.isfinite(far), far, np.inf)
 
 
-def _slack(batch: Batch, x: Array, angles: Array) -> Array:
-    """By how much designs keep their limits at least (designs,), in the rows' own units; negative where one is missed."""
+def _slack(batch: Batch, x: Array, angles: Array, along: int) -> Array:
+    """Least slack (designs,) of the limits in the rows' own units at so many crank angles; negative where one is missed."""
     task, values, at = batch.problem, batch.values(x), batch.crank_angles(x, angles)
     begin, whole = required_motion(task, at.T[..., None])
-    found = [-np.max(excesses(task, values, begin + whole * np.linspace(0.0, 1.0, ALONG)), axis=(0, 2))]
+    found = [-np.max(excesses(task, values, begin + whole * np.linspace(0.0, 1.0, along)), axis=(0, 2))]
     span = at[:, -1:] - at[:, :1]
     for row in limit_rows(task, values, Reach(at[:, :1], span, np.sign(span)), task.size):
         found += [np.minimum(row.value - row.low, row.high - row.value)[:, 0]]
@@ -271,7 +278,8 @@ def _enlarge(
     joint, pin = (_local(mechanism, sizes, loop.coupler.body, name) for name in (loop.joint, loop.pin))
     j, pivot = (_local(mechanism, sizes, loop.rocker.body, name) for name in (loop.joint, loop.ground_pin))
     side = (pin - joint) / np.abs(pin - joint) * (s - 1.0) / np.abs(s - 1.0)  # parallel to the four-bar's: the same angles
-    side = side * np.where(rng.random((SAMPLES, 1)) < 0.5, -1.0, 1.0) * np.exp(1j * AROUND * rng.standard_normal((SAMPLES, 1)))
+    skew = AROUND * rng.standard_normal((SAMPLES, 1)) * ((turned != 0.0) | (rng.random((SAMPLES, 1)) < 0.5))  # none: limits hold
+    side = side * np.where(rng.random((SAMPLES, 1)) < 0.5, -1.0, 1.0) * np.exp(1j * skew)
     side = side * np.abs(pin - joint) * np.exp(rng.uniform(math.log(0.2), math.log(5.0), (SAMPLES, 1)))
     f = pivot + s * (j - pivot)
     e_name, f_name = (next(name for name in (link.start, link.end) if name != _common(arm, leg)) for link in arms)
