@@ -21,7 +21,7 @@ from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.reactions import acting_on
 from optlink.dynamics.record import Record, slider_names
-from optlink.dynamics.strokes import Acting, acting_loads, use_of, working_stroke
+from optlink.dynamics.strokes import Acting, acting_loads, travels_by_use, use_of, working_stroke
 from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
 from optlink.linkage.alignment import Aligned, listed
@@ -224,12 +224,11 @@ def stroke_records(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> 
     }
 
 
-def named_travels(machine: Machine) -> list[tuple[str, Travel]]:
-    """Every slider and body that goes to and fro while the crank turns fully, by what it does."""
+def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel]]:
+    """Slides and swings of a machine whose crank turns fully: those of the outputs, and the others, by what moves."""
     swings, strokes = travels(machine.mechanism, machine.sizes, 0.0, TURN, True)
     names = slider_names(machine)
-    found = [(f"{names[guide]} slides", travel) for guide, travel in strokes.items()]
-    return found + [(f"{body} swings", travel) for body, travel in swings.items()]
+    return travels_by_use(machine, swings, {names[guide]: travel for guide, travel in strokes.items()})
 
 
 def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] | None = None) -> dict[str, Any]:
@@ -246,7 +245,8 @@ def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] |
     acting = acting_loads(machine, speed) if acting is None else acting
     return {
         name: {"time_ratio": travel.time_ratio, **stroke_records(travel, speed, acting)}
-        for name, travel in named_travels(machine)
+        for part in named_travels(machine)
+        for name, travel in part.items()
     }
 
 

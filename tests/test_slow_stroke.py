@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import tomllib
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import optlink
-from optlink.design.files import ProblemFile, read
+from optlink.cli import app
+from optlink.design.files import ProblemFile, dump, read
 from optlink.errors import InputError
 from optlink.linkage.cycle import LEAST_DIFFERENCE
 
@@ -140,3 +143,76 @@ def test_solved_linkages_name_their_strokes():
     turned = sorted((record["forward"]["crank_rotation_deg"], record["backward"]["crank_rotation_deg"]))
     assert turned == pytest.approx([180.0 - abs(theta), 180.0 + abs(theta)], abs=1e-6)
     assert record["slow_stroke"] == max(("forward", "backward"), key=lambda name: record[name]["crank_rotation_deg"])
+
+
+# --- what the tables show ------------------------------------------------------------------------------------------------------
+
+SIX_BAR = """
+title = "Crank-rocker that drives a slide"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+D = ["210 mm", "-15 mm"]
+[mechanism.links]
+crank = { joints = ["A", "B"], length = "60 mm" }
+coupler = { joints = ["B", "C"], length = "190 mm" }
+rocker = { joints = ["D", "C"], length = "120 mm" }
+rod = { joints = ["C", "P"], length = "260 mm" }
+ram = { joints = ["P"] }
+[mechanism.guides]
+G = { slider = "ram", direction = "5 deg", through = "D", offset = "130 mm" }
+[mechanism.assembly]
+C = "left of B-D"
+P = "forward"
+[drive]
+speed = "50 rpm"
+"""
+
+
+def shown_and_recorded(path, **changes):
+    """First words of the rows of both stroke tables, and the JSON document."""
+    file = read(tomllib.loads(SIX_BAR), "six-bar").override({key.replace("__", "."): value for key, value in changes.items()})
+    path.write_text(dump(file))
+    lines = CliRunner().invoke(app, ["analyze", str(path)]).stdout.splitlines()
+    tables = [
+        next(k for k, line in enumerate(lines) if line.startswith(title)) for title in ("Strokes of", "Working and", "Extremes")
+    ]
+    found = [
+        [" ".join(line.split()[:2]) for line in lines[a:b] if line.split()[1:2] in (["slides"], ["swings"])]
+        for a, b in itertools.pairwise(tables)
+    ]
+    return *found, json.loads(CliRunner().invoke(app, ["analyze", str(path), "--json"]).stdout)
+
+
+@pytest.mark.parametrize(
+    ("changes", "outputs"),
+    [
+        ({}, ["ram slides"]),
+        ({"loads": {"cutting": {"on": "ram", "force": "90 N", "acts": "opposing"}}}, ["ram slides"]),
+        ({"loads": {"work": {"on": "rocker", "torque": "9 N*m", "stroke": "forward"}}}, ["rocker swings"]),
+        ({"loads": {"a": {"on": "rod", "torque": "9 N*m"}, "b": {"on": "ram", "force": "9 N"}}}, ["rod swings", "ram slides"]),
+        ({"loads": {"a": {"on": "crank", "torque": "9 N*m"}}}, ["ram slides"]),
+        ({"loads": {"a": {"on": "rocker", "torsional_stiffness": "2 N*m/rad"}}}, ["ram slides"]),
+    ],
+)
+def test_stroke_tables_show_the_output_first_and_json_keeps_all(tmp_path, changes, outputs):
+    """The output: the bodies that forces and torques act on, else the slide at the end; springs and the crank are none."""
+    first, second, document = shown_and_recorded(tmp_path / "six-bar.toml", **changes)
+    assert first[: len(outputs)] == outputs
+    assert sorted(first) == ["coupler swings", "ram slides", "rocker swings", "rod swings"]
+    assert second == [name for name in outputs for _ in range(2) if name != "rod swings"]  # which reverses four times
+    assert sorted([*document["strokes"], *document["swings"]]) == ["coupler", "ram", "rocker", "rod"]
+    assert all(
+        "forward" in own for own in (document["strokes"]["ram"], *(document["swings"][name] for name in ("coupler", "rocker")))
+    )
+
+
+def test_work_at_the_end_is_told_from_work_at_the_start(tmp_path):
+    path = tmp_path / "press.toml"
+    path.write_text(dump(press()))
+    lines = CliRunner().invoke(app, ["analyze", str(path)]).stdout.splitlines()
+    whole, least, largest = (
+        next(line.split() for line in lines if line.startswith(word)) for word in ("per rev", "least s", "largest s")
+    )
+    assert least[-1] == "deg"
+    assert largest[4] == whole[2]
+    assert largest[-2:] == ["the", "end"]

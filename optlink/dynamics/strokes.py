@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.loads import Force, Load, Torque
 from optlink.dynamics.machine import Machine
+from optlink.dynamics.record import slider_names
 from optlink.linkage.cycle import OTHER, TURN, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke
+from optlink.linkage.mechanism import FRAME
 from optlink.linkage.refine import zeros
 
 Array = NDArray[np.float64]
@@ -117,6 +119,44 @@ def working_stroke(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> 
 
 def _same(one: tuple[float, float], other: tuple[float, float]) -> bool:
     return all(abs(math.remainder(a - b, TURN)) < SAME for a, b in zip(one, other, strict=True))
+
+
+def travels_by_use(
+    machine: Machine, swings: Mapping[str, Travel], strokes: Mapping[str, Travel]
+) -> tuple[dict[str, Travel], dict[str, Travel]]:
+    """Slides and swings named by what moves ("ram slides", "rocker swings"): those of the outputs, and the others.
+
+    Outputs are the bodies on which forces or torques act, where these move to and fro; else the last output of the mechanism.
+
+    Parameters
+    ----------
+    machine : Machine
+    swings : mapping of body to Travel
+    strokes : mapping of slider (a body) to Travel
+    """
+    found = {f"{name} slides": travel for name, travel in strokes.items()}
+    found |= {f"{name} swings": travel for name, travel in swings.items()}
+    loaded = dict.fromkeys(load.body for load in machine.loads if isinstance(load, Force | Torque))
+    outputs = [f"{body} {'slides' if body in strokes else 'swings'}" for body in loaded if body in strokes or body in swings]
+    last, slides = last_output(machine, swings, strokes)
+    outputs = outputs or [f"{last} {'slides' if slides else 'swings'}"]
+    return {name: found[name] for name in outputs if name in found}, {n: t for n, t in found.items() if n not in outputs}
+
+
+def last_output(machine: Machine, swings: Collection[str], strokes: Collection[str]) -> tuple[str, bool]:
+    """The last slider on the frame that moves to and fro and True, else the last body that swings (or turns) and False.
+
+    Parameters
+    ----------
+    machine : Machine
+    swings, strokes : bodies that swing, and sliders that move to and fro
+    """
+    names = slider_names(machine)
+    for guide in reversed(machine.mechanism.guides):
+        if guide.on == FRAME and names[guide.name] in strokes:
+            return names[guide.name], True
+    bodies = [link.body for link in machine.mechanism.links]
+    return ([body for body in bodies[1:] if body in swings] or bodies)[-1], False
 
 
 def use_of(stroke: StrokeRange, working: Direction | None) -> str:

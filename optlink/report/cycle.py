@@ -14,6 +14,7 @@ from PIL import Image
 
 from optlink.analysis import Analysis, Extreme
 from optlink.dynamics.record import slider_names
+from optlink.dynamics.strokes import last_output
 from optlink.linkage.cycle import TURN, Travel
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
@@ -74,8 +75,7 @@ class Output(NamedTuple):
         return s, v, a
 
 
-def _slider(course: Course, guide: str) -> Output:
-    name = slider_names(course.result.machine)[guide]
+def _slider(course: Course, name: str) -> Output:
     return Output(name, (f"{name}.s_m", f"{name}.v_m_s", f"{name}.a_m_s2"), course.result.strokes.get(name))
 
 
@@ -86,19 +86,16 @@ def _body(course: Course, body: str) -> Output:
 
 def output(course: Course) -> Output:
     """What the machine is for, as far as can be told: its last slider on the frame, else its last body that swings."""
-    mechanism = course.result.machine.mechanism
-    for guide in reversed(mechanism.guides):
-        if guide.on == FRAME and slider_names(course.result.machine)[guide.name] in course.result.strokes:
-            return _slider(course, guide.name)
-    swinging = [link.body for link in mechanism.links[1:] if link.body in course.result.swings]
-    return _body(course, (swinging or [link.body for link in mechanism.links])[-1])
+    name, slides = last_output(course.result.machine, course.result.swings, course.result.strokes)
+    return _slider(course, name) if slides else _body(course, name)
 
 
 def outputs(course: Course) -> list[Output]:
     """What motion.png shows: every slider, those on the frame last, or the last body that swings."""
-    guides = [guide for guide in course.result.machine.mechanism.guides if course.has(_slider(course, guide.name).columns[1])]
-    ordered = sorted(guides, key=lambda guide: guide.on == FRAME)
-    return [_slider(course, guide.name) for guide in ordered][-SHOWN:] or [output(course)]
+    names = slider_names(course.result.machine)
+    ordered = sorted(course.result.machine.mechanism.guides, key=lambda guide: guide.on == FRAME)
+    found = [_slider(course, names[guide.name]) for guide in ordered]
+    return [slider for slider in found if course.has(slider.columns[1])][-SHOWN:] or [output(course)]
 
 
 # --- the mechanism ---------------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -13,7 +13,7 @@ from optlink.analysis import Analysis, named_travels, reactions_told
 from optlink.design.files import ProblemFile
 from optlink.design.linkages import DyadsSection
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.strokes import Acting, acting_loads, use_of, working_stroke
+from optlink.dynamics.strokes import Acting, acting_loads, travels_by_use, use_of, working_stroke
 from optlink.linkage.cycle import Travel
 from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, fixed, grid, number
 from optlink.simulation import Simulation
@@ -135,24 +135,28 @@ def _travels(outcome: Analysis) -> RenderableType:
     if not outcome.strokes and not outcome.swings:
         return Text("No body swings and no slider moves to and fro")
     columns: list[COLUMN] = [("", "left"), ("from", "right"), ("to", "right"), ("span", "right"), ("", "left")]
-    columns += [("reverses at", "right"), ("time ratio", "right")]
+    columns += [("reverses deg", "right"), ("time ratio", "right")]
     table = grid("Strokes of sliders, swings of bodies", columns, header=True)
-    for travels, what, factor, unit in (
-        (outcome.strokes, "slides", 1e3, "mm"),
-        (outcome.swings, "swings", math.degrees(1.0), "deg"),
-    ):
-        for name, travel in travels.items():
-            centres = [f"{math.degrees(at) + 0.0:.3f}" for at in travel.dead_centres]
-            low, high, span = (fixed(value * factor) for value in (travel.low, travel.high, travel.span))
-            table.add_row(f"{name} {what}", low, high, span, unit, "\n".join(centres), fixed(travel.time_ratio, 5))
-    named = [(f"{name} slides", travel) for name, travel in outcome.strokes.items()]
-    named += [(f"{name} swings", travel) for name, travel in outcome.swings.items()]
-    strokes = stroke_table(named, outcome.speed, outcome.acting)
+    outputs, others = travels_by_use(outcome.machine, outcome.swings, outcome.strokes)
+    for name, travel in (outputs | others).items():
+        factor, unit = (1e3, "mm") if name.endswith(" slides") else (math.degrees(1.0), "deg")
+        centres = [f"{math.degrees(at) + 0.0:.3f}" for at in travel.dead_centres]
+        low, high, span = (fixed(value * factor) for value in (travel.low, travel.high, travel.span))
+        table.add_row(
+            Text(name, style=HEAD if name in outputs else ""),
+            low,
+            high,
+            span,
+            unit,
+            "\n".join(centres),
+            fixed(travel.time_ratio, 5),
+        )
+    strokes = stroke_table(outputs, outcome.speed, outcome.acting)
     return table if strokes is None else Group(table, Text(), strokes)
 
 
 def machine_strokes(machine: Machine, speed: float, acting: tuple[Acting, ...] | None = None) -> Table | None:
-    """Forward and backward stroke of every output of a machine whose crank turns fully; None where there is none.
+    """Forward and backward stroke of the outputs of a machine whose crank turns fully; None where there is none.
 
     Parameters
     ----------
@@ -162,15 +166,15 @@ def machine_strokes(machine: Machine, speed: float, acting: tuple[Acting, ...] |
     acting : tuple of Acting, optional
         What works in one stroke alone; the loads of the machine if left out.
     """
-    return stroke_table(named_travels(machine), speed, acting_loads(machine, speed) if acting is None else acting)
+    return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed) if acting is None else acting)
 
 
-def stroke_table(named: Sequence[tuple[str, Travel]], speed: float, acting: tuple[Acting, ...]) -> Table | None:
-    """Forward and backward stroke of every output with their crank ranges; None where no output has two dead centres.
+def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Acting, ...]) -> Table | None:
+    """Forward and backward stroke of outputs with their crank ranges; None where none of them has two dead centres.
 
     Parameters
     ----------
-    named : sequence of (name of the output, Travel)
+    named : mapping of output to Travel
     speed : float
         Speed of the crank; only its sign counts.
     acting : tuple of Acting
@@ -179,7 +183,9 @@ def stroke_table(named: Sequence[tuple[str, Travel]], speed: float, acting: tupl
     columns: list[COLUMN] = [("", "left"), ("stroke", "left"), ("crank range deg", "right"), ("turns deg", "right")]
     columns += [("pace", "left"), ("use", "left")]
     table = grid("Working and return strokes", columns, header=True)
-    for name, travel in named:
+    table.columns[0].no_wrap = all(len(name) <= LONGEST for name in named)
+    table.columns[2].no_wrap = True
+    for name, travel in named.items():
         working, loads = working_stroke(travel, speed, acting)
         for stroke in travel.strokes(speed):
             use = use_of(stroke, working) + (f": {', '.join(loads)}" if loads and stroke.name == working else "")
@@ -203,6 +209,12 @@ WORTH = {
 }
 """Endings of the columns whose extremes are worth a line, and their units for people."""
 
+LONGEST = 24
+"""Letters up to which the name of an output stays on one line."""
+
+ROUNDING = 1e-10
+"""Share of the largest amount of a column below which one of its extremes is shown as zero."""
+
 UNITS = ("s", "s2", "rad", "N", "Nm", "W")
 """Last parts of the names of columns that share a scale."""
 
@@ -215,8 +227,8 @@ WORDS = {
     "moment_Nm": "moment",
     "torque_Nm": "torque",
     "power_W": "power",
-    "shaking_fx_N": "shaking force in x",
-    "shaking_fy_N": "shaking force in y",
+    "shaking_fx_N": "shaking force x",
+    "shaking_fy_N": "shaking force y",
     "shaking_moment_Nm": "shaking moment",
     "omega_rad_s": "angular velocity",
     "alpha_rad_s2": "angular acceleration",
@@ -235,11 +247,12 @@ def _extremes(outcome: Analysis) -> Table:
             continue
         factor = math.degrees(1.0) if unit == "deg" else 1.0
         owner, _, what = name.rpartition(".")
+        least, largest = (0.0 if abs(v) <= ROUNDING * sizes[name] else v for v in (extreme.least, extreme.largest))
         table.add_row(
             f"{owner}: {WORDS.get(what, what)}",
-            number(extreme.least * factor, 7),
+            number(least * factor, 7),
             fixed(math.degrees(extreme.least_at), 4),
-            number(extreme.largest * factor, 7),
+            number(largest * factor, 7),
             fixed(math.degrees(extreme.largest_at), 4),
             Text(unit, style=QUIET),
         )
@@ -253,12 +266,14 @@ def _work(outcome: Analysis) -> Table:
     table.add_row(outcome.extent, number(work, 9), "J")
     if "input.work_J" in outcome.extremes:
         extreme = outcome.extremes["input.work_J"]
-        table.add_row("least since the start", number(extreme.least, 9), f"J at {math.degrees(extreme.least_at):.4f} deg")
-        table.add_row("largest since the start", number(extreme.largest, 9), f"J at {math.degrees(extreme.largest_at):.4f} deg")
+        for word, amount, at in (("least", *extreme[:2]), ("largest", *extreme[2:])):
+            last = abs(amount - outcome.work) <= ROUNDING * scale < abs(amount)  # not at the start, whose crank angle it shares
+            where = "the end" if last else f"{math.degrees(at):.4f} deg"
+            table.add_row(f"{word} since the start", number(amount, 9), f"J at {where}")
     wheel = outcome.flywheel
     if wheel:
         table.add_row("mean torque", number(wheel.mean_torque), "N m")
-        table.add_row("mean speed", number(wheel.mean_speed), "rad/s, mean over the crank angle (not over time)")
+        table.add_row("mean speed", number(wheel.mean_speed), "rad/s, mean over crank angle, not time")
         alone = "of the mean speed under it, without a flywheel"
         table.add_row(
             "fluctuation", number(wheel.fluctuation), alone if wheel.fluctuation > 0.0 else "without a flywheel: it would stop"
