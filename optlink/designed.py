@@ -18,11 +18,12 @@ from optlink.design.terms import Term
 from optlink.documents import finite
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
+from optlink.fit import Fit, transmission_fit
 from optlink.outcome import Optimum, heading, proof, proven
 from optlink.solvers.solution import Solution
 from optlink.units import KINDS, factor
 from optlink.validation.check import Validation
-from optlink.validation.cycle import Cycle
+from optlink.validation.cycle import Cycle, validate_cycle
 
 if TYPE_CHECKING:
     from optlink.solvers.conflict import Relaxation
@@ -113,6 +114,35 @@ class MachineDesign:
         return cycle.machine if cycle is not None and cycle.full else None
 
     @cached_property
+    def initial(self) -> Validation:
+        """Checks and objective of the initial design of the file."""
+        return validate_cycle(self.task, self._all({}))
+
+    @property
+    def comparison(self) -> str:
+        """The objective beside that of the initial design, in words; empty where no design was searched and found."""
+        if self.solution is None or self.status is not Status.OPTIMAL or not self.figures:
+            return ""
+        goal, first = self.figures[0], self.initial
+        given, found, unit = (goal.given, goal.found, goal.unit) if self.task.single else (first.objective, self.objective, "")
+        if not math.isfinite(given):
+            return "the crank of the initial design does not turn fully"
+        change = f" ({found / given - 1.0:+.1%})" if given else ""
+        beside = f"objective {found:.5g} {unit}".rstrip() + f", initial design {given:.5g} {unit}".rstrip() + change
+        return beside if first.valid else f"{beside}, which does not meet the limits"
+
+    @cached_property
+    def fit(self) -> Fit | None:
+        """Grade of a machine whose transmission angle is optimised; None of objectives without a target."""
+        goal = self.task.goals[0]
+        if not self.task.single or goal.quantity != "transmission angle":
+            return None
+        cycle = measured(self.task, self.values)
+        angle = math.nan if cycle is None else cycle.figure(goal)
+        limits = () if self.solution is None else self.solution.limits
+        return transmission_fit(min(angle, math.pi - angle), self.task.mechanism.quantities, self._all(self.values), limits)
+
+    @cached_property
     def figures(self) -> tuple[Told, ...]:
         """The terms of the objective, then the limits, of the given machine and of the one found."""
         given, found = (measured(self.task, values) for values in ({}, self.values))
@@ -138,6 +168,8 @@ class MachineDesign:
             "design": people(task, self._all(self.values)),
             "free": list(task.free),
             "objective": {"value": self.objective, "unit": KINDS[task.unit_kind].si if task.unit_kind else ""},
+            "initial": {"objective": self.initial.objective, "feasible": self.initial.valid},
+            "fit": None if self.fit is None else self.fit.to_dict(),
             "figures": [vars(told) | {} for told in self.figures],
             "strokes": {} if self.built is None else stroke_document(self.built, task.drive.speed.value),
         }

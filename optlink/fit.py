@@ -1,10 +1,17 @@
-"""The error of a design against the size of its task, and the likely reasons where it is large."""
+"""The error of a design against the size of its task, and the likely reasons where it is large.
+
+A transmission angle is graded by its least value: 45 deg and 40 deg, the least values that textbooks recommend.
+
+Source: R. L. Norton, Design of Machinery, McGraw-Hill, section on the transmission angle (about 40 deg); J. J. Uicker,
+G. R. Pennock, J. E. Shigley, Theory of Machines and Mechanisms, Oxford, section on the transmission angle (45 deg or 50 deg);
+survey: S. S. Balli, S. Chand, Transmission angle in mechanisms, Mechanism and Machine Theory 37 (2002) 175-195.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +31,8 @@ Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
 
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest shares of these grades; beyond, a fit is poor
+GOOD_ANGLE, FAIR_ANGLE = math.radians(45.0), math.radians(40.0)  # least transmission angles of these grades
+ROUNDING = 1e-6  # rad, below such an angle: an active limit of 40 deg is met but for rounding
 GAIN = 0.9  # share of the error that moving the linkage must undercut to be named a reason
 NEAR = 0.5  # share of the error within which the curve must pass for the crank angles to be named a reason
 PRICED = 1e-2  # of the objective: least price of a limit, times its bound, that is named a reason
@@ -78,6 +87,51 @@ class Fit:
         return {**{k: getattr(self, k) for k in ("grade", "share", "error", "size", "unit", "of")}, "reasons": reasons}
 
 
+@dataclass(frozen=True)
+class TransmissionFit(Fit):
+    """Least transmission angle of a design: `error` is its difference from a right angle, `size` a right angle [rad]."""
+
+    @property
+    def angle(self) -> float:
+        """Least transmission angle [rad]."""
+        return self.size - self.error
+
+    @property
+    def grade(self) -> str:
+        """Good (45 deg or more), fair (40 deg or more) or poor."""
+        angle = self.angle + ROUNDING
+        return "good" if angle >= GOOD_ANGLE else "fair" if angle >= FAIR_ANGLE else "poor"
+
+    @property
+    def text(self) -> str:
+        """The grade with the figure that it rests on."""
+        advised = f", below {math.degrees(FAIR_ANGLE):.0f} deg" if self.grade == "poor" else ""
+        return f"{self.grade} transmission: least transmission angle is {_degrees(self.angle)}{advised}"
+
+
+def transmission_fit(
+    least: float, quantities: Mapping[str, Quantity], values: Mapping[str, float], limits: Sequence[LimitState] = ()
+) -> TransmissionFit | None:
+    """Grade of a design whose transmission angle is optimised; None where it has no transmission angle.
+
+    Parameters
+    ----------
+    least : float
+        Least distance of the transmission angle from 0 and 180 deg over the motion [rad].
+    quantities : mapping of the sizes to Quantity
+    values : mapping of every quantity [m, rad]
+    limits : sequence of LimitState
+        Of the optimum, with their prices; none of a given design.
+    """
+    if not math.isfinite(least):
+        return None
+    right = 0.5 * math.pi
+    fit = TransmissionFit(right - least, right, "rad", "a right angle")
+    if fit.grade != "poor":
+        return fit
+    return replace(fit, reasons=(*active_reasons(limits), *fixed_reasons(quantities, values)))
+
+
 def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(np.abs(values) ** 2)))
 
@@ -89,7 +143,7 @@ def path_fit(
     measured: Deviations,
     limits: Sequence[LimitState] = (),
 ) -> Fit | None:
-    """Fit of a path, motion or function design; None for the transmission, which has no target, or a task without any size.
+    """Fit of a path, motion or function design; None for the transmission (see `transmission_fit`) or a task without any size.
 
     Parameters
     ----------

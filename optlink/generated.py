@@ -17,7 +17,7 @@ from optlink.design.generation import START, TURN, GenerationProblem
 from optlink.design.linkages import FourBarSection
 from optlink.documents import finite
 from optlink.errors import InputError, Status
-from optlink.fit import Fit, path_fit
+from optlink.fit import Fit, path_fit, transmission_fit
 from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.groups import RRR
@@ -71,7 +71,9 @@ class Design:
 
     @cached_property
     def fit(self) -> Fit | None:
-        """Its error against the size of the task; None where there is no error to measure."""
+        """Its error against the size of the task, or its least transmission angle; None where there is nothing to measure."""
+        if self.task.requirement.kind == "transmission":
+            return transmission_fit(self.least_transmission, self.task.mechanism.quantities, self.values, self.limits)
         return path_fit(self.task, self.values, self.crank_angles, self.measured, self.limits)
 
     @property

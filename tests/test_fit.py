@@ -12,8 +12,10 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli import app
 from optlink.design.files import dump
-from optlink.fit import Fit
+from optlink.fit import Fit, TransmissionFit
 from optlink.generation import generate, validate
+from optlink.machine_design import design_machine
+from optlink.report import improved, terminal
 from optlink.report.page import verdict
 from optlink.report.subject import Subject
 from tests.stated import document, four_bar_section, free
@@ -133,3 +135,98 @@ def test_show_says_what_is_fixed_where_a_key_is_left_out() -> None:
     assert "fixed: 0 deg" in next(line for line in shown.splitlines() if line.startswith("direction"))
     requirement = shown.partition("[requirement]")[2].partition("[limits]")[0]
     assert "no limit" not in requirement
+
+
+@pytest.mark.parametrize(("least", "grade"), [(90.0, "good"), (45.0, "good"), (44.9, "fair"), (40.0, "fair"), (39.9, "poor")])
+def test_transmission_angles_are_graded_by_recommended_ones(least: float, grade: str) -> None:
+    right = 0.5 * math.pi
+    fit = TransmissionFit(right - math.radians(least), right, "rad", "a right angle")
+    assert fit.grade == grade
+    assert f"{least:.4g} deg" in fit.text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("swing", "ratio", "grade"), [(40.0, 1.05, "good"), (95.0, 1.15, "poor")])
+def test_a_linkage_of_the_best_transmission_is_graded(swing: float, ratio: float, grade: str) -> None:
+    """By its least transmission angle, of crank and frame in line; a poor one names the limits that hold it."""
+    changes = {"limits.swing_angle": f"{swing} deg", "limits.time_ratio": ratio, "mechanism.frame": "200 mm"}
+    result = generate(optlink.load("transmission-optimal", changes), starts=60, designs=1)
+    assert result.valid
+    s = result.best.values
+    angles = []
+    for reach in (s["frame"] - s["crank"], s["frame"] + s["crank"]):
+        cosine = (s["coupler"] ** 2 + s["rocker"] ** 2 - reach**2) / (2.0 * s["coupler"] * s["rocker"])
+        angles.append(math.degrees(math.acos(abs(cosine))))
+    told = result.to_dict()["fit"]
+    assert told["grade"] == grade
+    assert 90.0 - math.degrees(told["error"]) == pytest.approx(min(angles), abs=1e-6)
+    assert ("good" if min(angles) >= 45.0 else "fair" if min(angles) >= 40.0 else "poor") == grade
+    remedies = {each["remedy"] for each in told["reasons"]}
+    assert remedies >= ({"widen limits.swing_angle", "widen limits.time_ratio"} if grade == "poor" else set())
+    shown = verdict(Subject(result.problem, result, None))
+    assert shown.startswith("Valid, poor transmission" if grade == "poor" else "Valid: every check passed")
+
+
+def drag_link(**changes: object) -> optlink.ProblemFile:
+    """A slider-crank under a constant force, its crank and rod free."""
+    raw = {
+        "title": "Slider-crank under a constant force",
+        "mechanism": {
+            "type": "dyads",
+            "ground": {"A": ["0 mm", "0 mm"]},
+            "links": {
+                "crank": {"joints": ["A", "B"], "length": {"start": "50 mm", "bounds": ["20 mm", "60 mm"]}},
+                "rod": {"joints": ["B", "C"], "length": {"start": "130 mm", "bounds": ["100 mm", "200 mm"]}},
+                "ram": {"joints": ["C"]},
+            },
+            "guides": {"F": {"slider": "ram", "through": "A", "direction": "0 deg"}},
+            "assembly": {"C": "forward"},
+        },
+        "loads": {"press": {"on": "ram", "force": "2 kN", "acts": "opposing"}},
+        "objective": {"quantity": "torque", "measure": "peak"},
+        "limits": {"stroke": {"quantity": "stroke", "of": "ram", "min": "70 mm"}},
+    }
+    return optlink.read(raw).override(changes)
+
+
+def torque(crank: float, rod: float) -> float:
+    """Peak torque of that slider-crank by virtual work [N m]."""
+    phi = np.linspace(0.0, math.tau, 100_001)
+    rate = crank * np.sin(phi) * (1.0 + crank * np.cos(phi) / np.sqrt(rod**2 - (crank * np.sin(phi)) ** 2))
+    return 2000.0 * float(np.max(np.abs(rate)))
+
+
+@pytest.mark.parametrize(("least", "feasible"), [("70 mm", True), ("110 mm", False)])
+def test_an_objective_without_a_target_stands_beside_that_of_the_initial_design(least: str, feasible: bool) -> None:
+    result = design_machine(drag_link(**{"limits.stroke.min": least}), starts=1)
+    assert result.valid
+    assert result.fit is None
+    crank, rod = result.values["crank.length"], result.values["rod.length"]
+    initial = result.to_dict()["initial"]
+    assert initial == {"objective": pytest.approx(torque(0.05, 0.13), rel=1e-6), "feasible": feasible}
+    assert 2000.0 * crank < result.objective == pytest.approx(torque(crank, rod), rel=1e-6)
+    console = terminal.console()
+    with console.capture() as text:
+        console.print(improved.machine_design(result))
+    shown = " ".join(text.get().split())
+    change = torque(crank, rod) / torque(0.05, 0.13) - 1.0
+    assert f"initial design {torque(0.05, 0.13):.5g} N*m ({change:+.1%})" in shown
+    assert ("which does not meet the limits" in shown) != feasible
+    assert f"({change:+.1%})" in verdict(Subject(result.problem, result, None))
+
+
+def test_a_machine_with_the_best_transmission_angle_is_graded() -> None:
+    """A slider-crank: the angle of its rod with the guide's normal, by the crank over the rod."""
+    goal = {"quantity": "transmission angle", "of": "C", "measure": "least", "sense": "maximise"}
+    changes = {
+        "objective": goal,
+        "mechanism.links.rod.length.bounds": ["60 mm", "64 mm"],
+        "mechanism.links.rod.length.start": "62 mm",
+    }
+    result = design_machine(drag_link(**changes, **{"limits.stroke.min": "100 mm"}), starts=1)
+    assert result.valid
+    angle = math.degrees(math.acos(result.values["crank.length"] / result.values["rod.length"]))
+    told = result.to_dict()["fit"]
+    assert 90.0 - math.degrees(told["error"]) == pytest.approx(angle, abs=1e-4)
+    assert told["grade"] == "poor"
+    assert "widen limits.stroke" in {each["remedy"] for each in told["reasons"]}

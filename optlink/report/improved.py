@@ -12,7 +12,7 @@ from optlink.design.cycle import CycleProblem
 from optlink.designed import MachineDesign, people_unit
 from optlink.errors import Status
 from optlink.report.machine import machine_strokes
-from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, active, checks, fixed, grid, number
+from optlink.report.terminal import BAD, GOOD, HEAD, QUIET, active, checks, fixed, graded, grid, number
 from optlink.solvers.conflict import Relaxation
 
 
@@ -51,6 +51,7 @@ def _headline(outcome: MachineDesign) -> Text:
     title = Text(outcome.task.title, style=HEAD)
     word = "valid" if outcome.valid else "no feasible design" if outcome.status is Status.INFEASIBLE else "not valid"
     title.append(f"\n{outcome.status.value}, ").append(word, style=GOOD if outcome.valid else BAD)
+    graded(title, outcome.fit if outcome.valid else None, f"; {outcome.comparison}" if outcome.comparison else "")
     for note in outcome.notes:
         title.append(f"\nNote: {note}")
     return title.append(f"\n{outcome.status.text}", style=QUIET)

@@ -120,7 +120,8 @@ def verdict(subject: Subject) -> str:
     if subject.valid:
         outcome = subject.outcome.best if isinstance(subject.outcome, Generation) else subject.outcome
         fit = getattr(outcome, "fit", None)
-        return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
+        beside = f"; {outcome.comparison}" if isinstance(outcome, MachineDesign) and outcome.comparison else ""
+        return (f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed") + beside
     failed = _failed(subject)
     return f"Not valid: {failed}" if failed else f"Not valid: {subject.outcome.status.value}"
 

@@ -112,11 +112,12 @@ def _headline(outcome: Result) -> Text:
 
 def graded(title: Text, fit: Fit | None, tail: str = "") -> None:
     """The grade of a fit behind the verdict of a title, then `tail`, then the reasons of a poor fit."""
-    if fit is not None:
-        title.append(", ").append(fit.text, style=BAD if fit.grade == "poor" else "")
-    title.append(tail)
-    for each in fit.reasons if fit is not None else ():
-        title.append(f"\nPoor fit, likely reason: {each.reason}. Remedy: {each.remedy}.")
+    if fit is None:
+        title.append(tail)
+        return
+    title.append(", ").append(fit.text, style=BAD if fit.grade == "poor" else "").append(tail)
+    for each in fit.reasons:
+        title.append(f"\n{fit.text.partition(':')[0].capitalize()}, likely reason: {each.reason}. Remedy: {each.remedy}.")
 
 
 def _design(outcome: Result) -> Table:
