@@ -1,15 +1,21 @@
-"""Whether a result file agrees with the design in it: objective and angles against those that are computed from the design."""
+"""Whether a result file agrees with the design in it: objective, angles and figures against those computed from the design."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeGuard
 
 from optlink.validation.check import Check
 
 SHARE, FLOOR = 1e-5, 1e-16
 """Relative and absolute [SI] difference that two computations of one objective may have."""
+
+FIGURE = 1e-9
+"""Absolute difference, in its display unit, that two computations of one figure of a machine may have."""
+
+LENGTH = 1e-6
+"""Absolute difference [mm] that a length of the design may have."""
 
 ANGLE = 0.05
 """Difference [deg] that two computations of one angle may have."""
@@ -29,18 +35,53 @@ def contradictions(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> 
     theirs, ours = _objective(recorded), _objective(computed)
     if theirs is not None and ours is not None and not abs(theirs - ours) <= SHARE * max(abs(theirs), abs(ours)) + FLOOR:
         found.append(Check("objective of the result file", False, theirs, f"= {ours:.9g}", ""))
-    pairs = [(f"{key} of the result file", value, _part(computed, "design").get(key)) for key, value in _angles(recorded)]
+    ours_by_key = _angles(computed)
+    pairs = [(f"{key} of the result file", value, ours_by_key.get(key)) for key, value in _angles(recorded).items()]
     theirs_at, ours_at = (_part(_best(one), "points").get("crank_deg") for one in (recorded, computed))
     if isinstance(theirs_at, list) and isinstance(ours_at, list):
         pairs += [(f"crank angle of point {k + 1} in the result file", *both) for k, both in enumerate(zip(theirs_at, ours_at))]  # noqa: B905
     for name, value, expected in pairs:
         if _number(value) and _number(expected) and not abs((value - expected + 180.0) % 360.0 - 180.0) <= ANGLE:
             found.append(Check(name, False, float(value), f"= {expected:.9g}", "deg"))
-    return tuple(found)
+    return (*found, *_lengths(recorded, computed), *_figures(recorded, computed))
 
 
-def _angles(document: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    return [(key, value) for key, value in _part(document, "design").items() if key.endswith("_deg")]
+def _angles(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Angles [deg] of the design, and crank angles of its strokes."""
+    found = {key: value for key, value in _part(document, "design").items() if key.endswith("_deg")}
+    for output, strokes in _part(document, "strokes").items():
+        for name in ("forward", "backward"):
+            stroke = _part(strokes, name) if isinstance(strokes, dict) else {}
+            found |= {f"{key} of {output} {name}": value for key, value in stroke.items() if key.endswith("_deg")}
+    return found
+
+
+def _lengths(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterator[Check]:
+    """Lengths that the problem fixes at another value."""
+    ours = _part(computed, "design")
+    for key, value in _part(recorded, "design").items():
+        other = ours.get(key)
+        if key.endswith("_mm") and _number(value) and _number(other) and not abs(value - other) <= SHARE * abs(other) + LENGTH:
+            yield Check(f"{key} of the result file", False, float(value), f"= {other:.9g}", "mm")
+
+
+def _figures(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterator[Check]:
+    """Figures of a machine, by their names, that the design does not have."""
+    theirs, ours = (_by_name(document.get("figures")) for document in (recorded, computed))
+    for name in theirs.keys() & ours.keys():
+        one, other = theirs[name].get("found"), ours[name].get("found")
+        if not (_number(one) and _number(other)) or theirs[name].get("unit") != ours[name].get("unit"):
+            continue
+        start = ours[name].get("given")
+        size = max(abs(one), abs(other), abs(start) if _number(start) else 0.0)
+        if not abs(one - other) <= SHARE * size + FIGURE:
+            words = f"{ours[name].get('words', name)} of the result file"
+            yield Check(words, False, float(one), f"= {other:.9g}", str(ours[name].get("unit") or ""))
+
+
+def _by_name(rows: object) -> dict[str, dict[str, Any]]:
+    listed = rows if isinstance(rows, list) else []
+    return {str(row["name"]): row for row in listed if isinstance(row, dict) and "name" in row and row["name"] != "objective"}
 
 
 def _best(document: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -62,5 +103,5 @@ def _part(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _number(value: object) -> bool:
+def _number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.special import ellipk
+from typer.testing import CliRunner
 
 import optlink
 from optlink.analysis import machine_of
+from optlink.cli import app
 from optlink.dynamics import drive as drive_module
 from optlink.dynamics.drive import Ending, crank_acceleration, reduced_inertia
 from optlink.dynamics.flywheel import Fluctuation, flywheel
@@ -358,3 +360,41 @@ def test_analysis_tells_the_flywheel():
     result = optlink.analyze(optlink.load("six-bar").override({"drive.fluctuation": 0.02}), points=12)
     assert result.flywheel is not None
     assert result.to_dict()["flywheel"]["inertia"] == pytest.approx(result.flywheel.inertia)
+
+
+def test_mean_speed_says_whether_it_is_over_angle_or_time(tmp_path):
+    """A revolution at uneven speed has two means: that of the flywheel is over the angle, that of a simulation over time."""
+
+    def lines(*arguments):
+        return " ".join(CliRunner().invoke(app, list(arguments)).stdout.split())
+
+    fluctuating = ("--set", "drive.fluctuation=0.3")
+    assert "mean speed 10 rad/s, mean over crank angle, not time" in lines("analyze", "six-bar", *fluctuating)
+    result = optlink.analyze(optlink.load("six-bar").override({"drive.fluctuation": 0.3}), points=12)
+    assert result.to_dict()["flywheel"]["mean_speed_over"] == "crank angle"
+    assert result.flywheel is not None
+    curve = Fluctuation(result.machine, 10.0, result.low).curve(result.flywheel.inertia)
+    turned = np.mean(curve.speed), 1.0 / np.mean(1.0 / curve.speed)  # at evenly spaced angles: over the angle, over time
+    assert turned[0] == pytest.approx(result.flywheel.mean_speed, rel=1e-6)
+    assert turned[1] < 0.995 * turned[0]
+    rows = tmp_path / "rows.csv"
+    drive = (
+        "--torque",
+        "119 N*m",
+        "--flywheel",
+        "8 kg*m^2",
+        "--set",
+        "drive.initial_speed=12 rad/s",
+        "--duration",
+        "1.5 s",
+        "--points",
+        "3000",
+        "--csv",
+        str(rows),
+    )
+    shown = lines("simulate", "six-bar", *drive)
+    time, angle = np.genfromtxt(rows, delimiter=",", skip_header=1, usecols=(0, 1)).T
+    begin = np.interp(angle[-1] - 360.0, angle, time)
+    mean = float(shown.split("last turn: mean speed ")[1].split()[0])
+    assert mean == pytest.approx(TURN / (time[-1] - begin), rel=2e-3)
+    assert "rad/s, mean over time" in shown
