@@ -27,6 +27,7 @@ MAX_STARTS = 1_000_000
 MOST_DESIGNS = 50
 SMALL = 0.02  # estimated chance that a better design was missed at which a search ends
 LEAST_ROUNDS, MOST_ROUNDS = 3, 20
+FAR_ROUNDS = 40  # at most, while the best design fits poorly
 COMPOUND_ROUNDS = 3  # of a linkage of several dyads, whose starts and limits take longer
 PART_STARTS = 400  # of the four-bar that a linkage contains
 NO_FOUR_BAR = "{} cannot trace the coupler curves of a four-bar within this linkage: the search had random starts only"
@@ -102,7 +103,8 @@ def generate(
         notes.append(FOUR_BAR_BETTER.format(1e3 * error))
     notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
     if found.designs and told.missed > SMALL:
-        notes.append(f"{told.chance}; search on with --starts {min(4 * search.searcher.found.starts, MAX_STARTS)}")
+        count = search.searcher.found.starts
+        notes.append(f"search incomplete: {count} starts, {told.chance}; use --starts {min(4 * count, MAX_STARTS)}")
     return Generation(
         problem=problem,
         designs=tuple(found.designs),
@@ -143,7 +145,7 @@ class _Search:
                 if found.rounds == 1 and compound(model(self.problem)) and not self.collection.exact:
                     self._grow()
                 if progress:
-                    progress(min(found.starts / starts if starts else found.rounds / MOST_ROUNDS, 1.0))
+                    progress(min(found.starts / starts if starts else found.rounds / self._most, 1.0))
         except KeyboardInterrupt:
             if not self.collection.designs:
                 raise
@@ -178,17 +180,24 @@ class _Search:
         if four_bars and not self.collection.no_worse(four_bars[0]):
             self.better = four_bars[0]
 
+    @property
+    def _most(self) -> int:
+        """Rounds at most, if no number of starts is prescribed."""
+        if compound(model(self.problem)) and not self.collection.exact:
+            return COMPOUND_ROUNDS
+        if not self.collection.designs:
+            return MOST_IN_VAIN
+        return FAR_ROUNDS if self.collection.far else MOST_ROUNDS
+
     def _enough(self, exact: int) -> bool:
         """Whether to stop; `exact` is the number of exact designs before the latest round."""
         rounds, collection = self.searcher.found.rounds, self.collection
         if collection.exact:
             often = collection.evidence().hits >= OFTEN * collection.exact
-            return collection.exact >= self.requested or collection.exact == exact or often or rounds >= MOST_ROUNDS
+            return collection.exact >= self.requested or collection.exact == exact or often or rounds >= self._most
         if rounds < LEAST_ROUNDS:
             return False
-        most = MOST_ROUNDS if collection.designs else MOST_IN_VAIN
-        most = min(most, COMPOUND_ROUNDS) if compound(model(self.problem)) else most
-        return rounds >= most or collection.evidence().missed <= SMALL
+        return rounds >= self._most or collection.evidence().missed <= SMALL
 
 
 def validate(problem: ProblemFile, given: Mapping[str, float]) -> Generation:

@@ -25,6 +25,7 @@ TRIES = 6  # candidates of the first round that are polished per requested desig
 PER_ROUND = 10  # candidates polished in a later round
 REPAIRED = 2  # candidates of a round that were put in order, and those polished in vain, in a later round
 COMPOUND_TRIES = 4  # candidates of the first round that are polished in vain, of a linkage of several dyads: each takes seconds
+FAR_TRIES = 3  # candidates of a later round that are polished whatever they cost, and of the repaired ones, while the fit is poor
 COMPARABLE = 1.5  # error, as a multiple of the least one, up to which optima are counted: a better one would be among them
 SAME = 1e-6  # relative difference of two objectives that are the same
 ROUNDING = 1e-9  # the same of one coupler curve of two linkages
@@ -138,20 +139,33 @@ class Collection:
     def add(self, found: Exploration) -> None:
         """Polish what the latest round found."""
         vain = self._vain[0] if self._first else self._vain[1]
-        self._follow(found.candidates, vain if self._first else self._tries, vain)
-        if not self.exact:
+        far = FAR_TRIES if self.far and not self._first else 0
+        self._follow(found.candidates, vain if self._first else self._tries, max(vain, far), far)
+        if far:
+            self._follow(found.repaired[:: max(1, len(found.repaired) // far)], far, far, far)
+        elif not self.exact:
             self._follow(found.repaired, self._vain[1] if self.designs else vain, vain)
         self._first = False
 
-    def _follow(self, candidates: list[Candidate], tries: int, vain: int) -> None:
-        """Polish candidates in turn: `tries` at most, `vain` of them without a valid design."""
+    @property
+    def far(self) -> bool:
+        """Whether the best design fits poorly: the order of the points then decides, and costs without it say little."""
+        if not self.designs or compound(self.designs[0].task):
+            return False
+        fit = self.designs[0].fit
+        return fit is not None and fit.grade == "poor"
+
+    def _follow(self, candidates: list[Candidate], tries: int, vain: int, dear: int = 0) -> None:
+        """Polish candidates in turn: `tries` at most, `vain` of them without a valid design, `dear` beyond the largest cost."""
         from optlink.synthesis.search import PERFECT
 
         for candidate in candidates:
             if candidate in self._ends:
                 continue
-            if not tries or not vain or candidate.cost > self._dearest():
+            beyond = candidate.cost > self._dearest()
+            if not tries or not vain or (beyond and not dear):
                 break
+            dear -= beyond
             if self.exact and candidate.cost > PERFECT:
                 break  # beside a design that passes everything, no other one counts
             design = self._ends[candidate] = self.polisher.polish(candidate)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import optlink
-from optlink.generation import SMALL, generate
+from optlink.generation import SMALL, generate, variants_of
+from optlink.path_designs import Collection, Polisher, model
 from optlink.solvers.evidence import percent
+from optlink.synthesis.search import Exploration, Searcher
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, free
 
@@ -44,15 +47,35 @@ def test_ten_seeds_agree_on_nine_exact_points() -> None:
 
 
 @pytest.mark.slow
-def test_a_seed_that_misses_the_best_says_so() -> None:
-    """Nine points in an order that no four-bar follows: who does not reach the best value of all does not claim it."""
+def test_seeds_agree_far_from_an_exact_fit_and_say_that_the_search_is_incomplete() -> None:
+    """Nine points in an order that no four-bar follows: nearly all starts end out of order, and few reach the best value."""
     raw, size = exact_task(7, scrambled=True)
     task = optlink.read(raw)
-    found = [generate(task, seed=seed, designs=1) for seed in range(3)]
-    best = min(each.designs[0].error for each in found)
+    found = [generate(task, seed=seed, designs=1) for seed in range(2)]
+    assert found[0].designs[0].error == pytest.approx(found[1].designs[0].error, rel=1e-3)
     for each in found:
-        assert each.designs[0].error <= best * (1.0 + 1e-3) or each.evidence.missed > SMALL
         assert MM * each.designs[0].error > 1e-6 * size
+        assert each.evidence.missed > SMALL
+        notes = [note for note in each.notes if note.startswith("search incomplete: ")]
+        assert len(notes) == 1
+        assert f"use --starts {4 * each.starts}" in notes[0]
+
+
+@pytest.mark.slow
+def test_a_poor_fit_does_not_end_at_the_cost_of_candidates_out_of_order() -> None:
+    """A candidate whose cost is far above the best design's may still lead to a better one, and is polished then."""
+    raw, _ = exact_task(7, scrambled=True)
+    files = variants_of(optlink.read(raw))
+    collection = Collection(Polisher(files, "ipopt"), 1)
+    search = Searcher([model(file) for file in files], 0)
+    collection.add(search.advance())
+    assert collection.far
+    best = collection.designs[0].error
+    dear = [replace(candidate, cost=1e3) for candidate in search.advance().repaired[:2]]
+    before = len(collection._ends)
+    collection.add(Exploration(candidates=dear))
+    assert len(collection._ends) == before + 2
+    assert collection.designs[0].error <= best
 
 
 def random_points(seed: int) -> dict[str, Any]:
