@@ -76,6 +76,9 @@ def main() -> None:
     except SystemExit as end:
         if end.code == 2 and "--json" in sys.argv and not console.printed:
             console.print_failure("the command line cannot be used; the reason is on standard error", [])
+        if end.code == interrupts.EXIT_CODE:
+            sys.stderr.flush()
+            interrupts.leave()
         raise
     except OSError as error:
         if error.filename is not None or error.errno not in NO_OUTPUT:

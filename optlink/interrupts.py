@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
+from collections.abc import Iterator
 from types import FrameType
+from typing import NoReturn
 
 PATIENCE = 2.0  # s
 EXIT_CODE = 130
@@ -44,6 +47,29 @@ def check() -> None:
     """
     if _pressed:
         raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def shielded() -> Iterator[None]:
+    """Processes that are begun within do not see Ctrl-C, not even while they start: who began them ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def leave() -> NoReturn:
+    """End an interrupted process, its messages written, at once: Python itself would wait for the threads of process pools."""
+    if "multiprocessing" in sys.modules:
+        for child in sys.modules["multiprocessing"].active_children():
+            child.kill()
+        with contextlib.suppress(Exception):  # semaphores of their queues, which would be reported as leaked
+            sys.modules["multiprocessing.util"]._run_finalizers(0)
+    os._exit(EXIT_CODE)
 
 
 def _press(number: int, frame: FrameType | None) -> None:

@@ -25,6 +25,7 @@ from optlink.clearances import LooseSimulation, counted, simulate_clearance
 from optlink.design.files import ProblemFile, read
 from optlink.dynamics.drive import Ending
 from optlink.errors import Fault, InputError, SolverError
+from optlink.interrupts import shielded
 
 Array = NDArray[np.float64]
 WAIT = 0.2  # s, how often an interrupt is looked for
@@ -154,7 +155,8 @@ def perform_all(jobs: Sequence[Job], workers: int | None = None) -> Iterator[tup
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(jobs)), context, initializer=_quiet)
     try:
-        futures = {pool.submit(perform, job): index for index, job in enumerate(jobs)}
+        with shielded():
+            futures = {pool.submit(perform, job): index for index, job in enumerate(jobs)}
         todo = set(futures)
         while todo:
             done, todo = wait(todo, WAIT, FIRST_COMPLETED)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import optlink
+from optlink import runs
 
 COMMAND = (sys.executable, "-m", "optlink.cli")
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and devices of POSIX")
@@ -114,6 +115,70 @@ LONG = {
     ),
     "tolerance": ("study", "tolerance", "crank-rocker", "--tolerance", "coupler=0.1 mm", "--samples", "90000000", "--out", "out"),
 }
+
+
+@posix
+def test_processes_are_begun_without_ctrl_c(monkeypatch):
+    """They inherit the mask of signals: one that is just starting would answer with a traceback."""
+    masked = []
+
+    class Pool:
+        def __init__(self, *_arguments, **_options):
+            pass
+
+        def submit(self, *_arguments):
+            masked.append(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+            raise KeyboardInterrupt
+
+        def shutdown(self, **_options):
+            pass
+
+    monkeypatch.setattr(runs, "ProcessPoolExecutor", Pool)
+    with pytest.raises(KeyboardInterrupt):
+        list(runs.perform_all([None], 1))
+    assert masked == [True]
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+TUNED = (
+    "simulate",
+    "crank-rocker-clearance",
+    "--control",
+    "pid",
+    "--tune",
+    "proportional",
+    "--evaluations",
+    "900",
+    "--workers",
+    "3",
+)
+
+
+@posix
+@pytest.mark.slow
+@pytest.mark.parametrize("after", [2.5, 6.0])
+def test_ctrl_c_of_a_terminal_ends_tuning_and_all_its_processes(after, files):
+    """A terminal sends the signal to every process, also to those that are just starting: one sentence, nobody left."""
+    with subprocess.Popen(
+        [*COMMAND, *TUNED], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=files, start_new_session=True
+    ) as process:
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(after)
+        os.killpg(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == ""
+    lines = [line for line in err.splitlines() if "interrupted" not in line.lower()]
+    assert lines == [], err
+    assert "interrupted while compiled code" not in err
+    for _ in range(100):
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            break
+        time.sleep(0.1)
+    else:
+        raise AssertionError("a process is left")
 
 
 @posix

@@ -365,6 +365,17 @@ def test_whatever_is_damaged_is_shown_or_refused_in_a_sentence(results, tmp_path
     assert refused > 25
 
 
+@pytest.mark.parametrize("what", ["penetration_max_m", "normal_max_N"])
+def test_a_simulation_of_an_earlier_version_is_to_be_run_again(results, tmp_path, what):
+    """It has no largest values between rows, for which nothing else in the file can stand."""
+    old = document(results, "play")
+    name = next(name for name in old["turns"] if name.endswith(f".{what}"))
+    del old["turns"][name]
+    (tmp_path / "result.json").write_text(json.dumps(old))
+    with pytest.raises(InputError, match=rf"turns\.{name}.*earlier version.*Run the command again"):
+        opened(str(tmp_path))
+
+
 def test_the_sentences_of_damaged_results(results, tmp_path):
     good = document(results, "tolerance")
     bad = {

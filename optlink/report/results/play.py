@@ -145,7 +145,9 @@ def _whole(record: Record, found: LooseSimulation) -> None:
         held = getattr(found, table)
         for name in names:
             if name not in held or (table == "figures" and math.isnan(held[name])):
-                raise record.fault(f"{table}.{name}", "this is missing")
+                peak = "_max_" in name and table == "turns"
+                message = "an earlier version wrote this result, without the largest values between rows"
+                raise record.fault(f"{table}.{name}", "this is missing") if not peak else record.old(f"{table}.{name}", message)
     if len(found.columns["time_s"]) < 2 or not np.all(np.diff(found.columns["time_s"]) > 0.0):
         raise record.fault("columns.time_s", "its times do not rise")
 

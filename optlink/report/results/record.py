@@ -34,6 +34,10 @@ class Record:
         """What is wrong with a key."""
         return InputError(Fault(f"the result is damaged: {message}", AGAIN, str(self.path), self._key(key), value))
 
+    def old(self, key: str, message: str) -> InputError:
+        """What the result of an earlier version does not have."""
+        return InputError(Fault(message, "Run the command again with --out", str(self.path), self._key(key)))
+
     def _key(self, key: str) -> str:
         return f"{self.where}.{key}" if self.where else key
 
