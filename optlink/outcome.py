@@ -40,6 +40,7 @@ class Relaxed:
     relaxed: float
     amount: float
     unit: str
+    approximate: bool = False
 
 
 def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, ...]:

@@ -9,11 +9,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import optlink
 from optlink.design.terms import Limit
 from optlink.machine_design import MachineDesign, check_machine, design_machine
 from optlink.validation.cycle import Cycle, validate_cycle
+from tests.test_fit import drag_link, torque
 
 SCALED = 500.0 / 545.454545454545
 
@@ -209,3 +211,24 @@ def test_command_line(arguments, code, words):
     assert done.returncode == code, done.stderr[-2000:]
     assert words in done.stdout
     assert "Traceback" not in done.stderr
+
+
+def test_the_relaxation_of_an_infeasible_machine_is_that_of_its_whole_cycle():
+    """A slider-crank whose peak torque is limited too low for its stroke: the least torque is that of crank 35 mm and rod 200 mm.
+
+    By virtual work, also between the positions of the programme; the stroke that the torque allows, by bisection.
+    """
+    file = drag_link(**{"limits.torque": {"quantity": "torque", "measure": "peak", "max": "50 N*m"}})
+    file = file.override({"objective": {"quantity": "reaction", "of": "B", "measure": "peak"}})
+    result = design_machine(file, starts=1)
+    assert result.status is optlink.Status.INFEASIBLE
+    named = {item.key: item for item in result.conflict}
+    assert set(named) == {"limits.torque", "limits.stroke"}
+    assert not any(item.approximate for item in named.values())
+    least = torque(0.035, 0.2)
+    assert named["limits.torque"].relaxed == pytest.approx(least, rel=1e-3)
+    crank = brentq(lambda crank: torque(crank, 0.2) - 50.0, 0.02, 0.035)
+    assert named["limits.stroke"].relaxed == pytest.approx(2e3 * crank, rel=1e-3)
+    for share, feasible in ((1.003, True), (0.997, False)):
+        again = design_machine(file.override({"limits.torque.max": f"{share * named['limits.torque'].relaxed} N*m"}), starts=2)
+        assert again.valid is feasible

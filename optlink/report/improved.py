@@ -103,7 +103,8 @@ def _asked(item: Relaxation) -> str:
 def _given(item: Relaxation) -> str:
     if not math.isfinite(item.amount):
         return ""
-    return f"{item.sense} {item.relaxed:.6g} {item.unit} ({item.amount:.4g} {item.unit})".replace(" )", ")")
+    about = "about " * item.approximate
+    return f"{item.sense} {about}{item.relaxed:.6g} {item.unit} ({item.amount:.4g} {item.unit})".replace(" )", ")")
 
 
 def _optima(outcome: MachineDesign) -> Table:

@@ -11,7 +11,7 @@ Source: J. W. Chinneck and E. W. Dravnieks, Locating minimal infeasible constrai
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import casadi
@@ -31,7 +31,11 @@ MET = 1e-6  # total slack, in scaled units, below which a set of limits counts a
 STARTS, LOOKED_AT = 6, 256  # points that are searched from: the first of so many where every limit has a value
 FREE = 1e3  # upper bound of a slack, in scaled units
 ENOUGH = 3  # searches that end at the same least slack: it is taken for the least of all
+AGREEING = 2  # the same for the amount of one limit of a large programme
 SAME = 1e-4  # relative, slacks that count as the same
+EXCHANGES, FOLLOWED = 5, 1e-4  # rounds of following the peaks of a point, and the miss (scaled) at its peaks that ends them
+
+Follow = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,8 @@ class Side:
 class Relaxation:
     """A limit that would have to give, in people's units: from `bound` to `relaxed`, which is `amount` further.
 
-    NaN where relaxing this limit alone does not make the problem feasible.
+    NaN where relaxing this limit alone does not make the problem feasible. The amount is the least that local searches found, not
+    proven to be the least; `approximate`: some limit may still be exceeded between the positions of the programme.
     """
 
     key: str
@@ -61,6 +66,7 @@ class Relaxation:
     relaxed: float
     amount: float
     unit: str
+    approximate: bool = False
 
 
 @dataclass(frozen=True)
@@ -103,11 +109,13 @@ def sides(nlp: NLP) -> list[Side]:
 
 
 def elastic(nlp: NLP, limits: list[Side]) -> NLP:
-    """minimise weights . s over x and slacks s >= 0, each limit relaxed by its s; the weights are the parameters p[0:k]."""
+    """minimise weights . s over x and slacks s >= 0, each limit relaxed by its s.
+
+    Its parameters are the weights (k,), then those of the programme.
+    """
     n, k = len(nlp.variables), len(limits)
     x, s = casadi.SX.sym("x", n), casadi.SX.sym("s", k)
     g = casadi.substitute(nlp.g_expression, nlp.x_symbol, x)
-    g = casadi.substitute(g, nlp.p_symbol, casadi.SX(nlp.p))
     weights = casadi.SX.sym("weights", k)
     # a wanted value stays one equation, which may be missed to either side: two inequalities would have no inside
     exact = {j: g[j] for side in limits for j in side.rows if nlp.rows[j].low == nlp.rows[j].high}
@@ -138,9 +146,9 @@ def elastic(nlp: NLP, limits: list[Side]) -> NLP:
         x_start=np.concatenate([nlp.x_start, np.zeros(k)]),
         x_low=np.concatenate([lowest, np.zeros(k)]),
         x_high=np.concatenate([highest, np.full(k, FREE)]),
-        p=np.ones(k),
+        p=np.concatenate([np.ones(k), nlp.p]),
         x_symbol=casadi.vertcat(x, s),
-        p_symbol=weights,
+        p_symbol=casadi.vertcat(weights, nlp.p_symbol),
         f_expression=casadi.dot(weights, s),
         g_expression=casadi.vertcat(*[row.value for row in rows]),
         residual_expression=casadi.SX(1, 1),
@@ -150,20 +158,48 @@ def elastic(nlp: NLP, limits: list[Side]) -> NLP:
 class _Search:
     """Least total slack of the limits that may give, the others hard, the dropped ones free.
 
-    Both back ends are asked, so that the answer does not depend on which one the user chose.
+    Both back ends are asked, so that the answer does not depend on which one the user chose. `follow` gives the parameters of the
+    programme with its roaming positions at the peaks of a point.
     """
 
-    def __init__(self, nlp: NLP, limits: list[Side], points: list[Array], names: Sequence[str] = BACKENDS) -> None:
+    def __init__(
+        self, nlp: NLP, limits: list[Side], points: list[Array], names: Sequence[str] = BACKENDS, follow: Follow | None = None
+    ) -> None:
+        self.follow, self.p = follow, nlp.p.copy()
         self.programme, self.n, self.k = elastic(nlp, limits), len(nlp.variables), len(limits)
         self.points = points
         self.last: list[Array] = []  # where the search before ended
         self.solvers = [backend(name) for name in reversed(names)]
-        self.enough = ENOUGH
+        self.enough, self.amount, self.settled = ENOUGH, False, True
 
     def least(self, weights: Array, loose: Array) -> tuple[float, Array]:
-        """The least weighted slack, and x with the slacks; `loose` (k,) are the upper bounds of the slacks."""
+        """The least weighted slack, and x with the slacks; `loose` (k,) are the upper bounds of the slacks.
+
+        The roaming positions are moved to the peaks of what was found until it meets all limits there too (exchange): always
+        where it meets them without slack, else where the `amount` is asked for. `settled` says whether that ended.
+        """
+        self.programme.x_high[self.n :] = loose  # in place: what is compiled for the programme is kept
+        total, found = self._searched(weights, loose, self.enough)
+        self.settled = self.follow is None
+        for _ in range(EXCHANGES):
+            if self.follow is None or not math.isfinite(total) or (total > MET and not self.amount):
+                break
+            self.p = self.follow(found[: self.n]).copy()
+            self.settled = self._missed(found, weights) <= FOLLOWED
+            if self.settled:
+                break
+            total, found = self._searched(weights, loose, 1)
+        return total, found
+
+    def _missed(self, x: Array, weights: Array) -> float:
+        """By how much a point misses the relaxed limits (scaled)."""
         nlp = self.programme
-        nlp.x_high[self.n :] = loose  # in place: what is compiled for the programme is kept
+        g = nlp.at(x, np.concatenate([weights, self.p])).g
+        return float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
+
+    def _searched(self, weights: Array, loose: Array, enough: int) -> tuple[float, Array]:
+        """The least weighted slack with the roaming positions where they are; it ends when `enough` searches agree."""
+        nlp, p = self.programme, np.concatenate([weights, self.p])
         best, found = math.inf, np.full(self.n + self.k, math.inf)
         ends: list[float] = []
         points = [*self.last, *self.points]
@@ -172,16 +208,14 @@ class _Search:
         for point, solver in [(point, self.solvers[(i + k) % len(turns)]) for k in turns for i, point in enumerate(points)]:
             x = self._slackened(point, weights, loose)
             for run in (None, solver):  # the point itself may do already
-                end = x if run is None else run(nlp, x, weights).x
-                g = nlp.at(end, weights).g
-                missed = float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
-                total = float(weights @ end[self.n :]) if missed <= MET else math.inf
+                end = x if run is None else run(nlp, x, p).x
+                total = float(weights @ end[self.n :]) if self._missed(end, weights) <= MET else math.inf
                 if total < best:
                     best, found, self.last = total, end, [end[: self.n]]
                 if best <= 1e-9:
                     return best, found
             ends.append(total)
-            settled = sum(total <= best * (1.0 + SAME) for total in ends) >= self.enough
+            settled = sum(total <= best * (1.0 + SAME) for total in ends) >= enough
             if settled if math.isfinite(best) else len(ends) >= most:
                 break
         return best, found
@@ -190,13 +224,15 @@ class _Search:
         """A point with the slacks that it needs, as far as they may go."""
         nlp = self.programme
         x = np.concatenate([point, np.zeros(self.k)])
-        here = nlp.at(x, weights)
+        here = nlp.at(x, np.concatenate([weights, self.p]))
         need = np.nan_to_num(np.maximum(0.0, nlp.low - here.g) - np.maximum(0.0, here.g - nlp.high))
         x[self.n :] = np.minimum(np.max(here.jacobian[:, self.n :] * need[:, None], axis=0, initial=0.0), loose)
         return x
 
 
-def explain(nlp: NLP, seed: int = 0, points: list[Array] | None = None, *, quick: bool = False) -> Explanation | Array:
+def explain(
+    nlp: NLP, seed: int = 0, points: list[Array] | None = None, *, quick: bool = False, follow: Follow | None = None
+) -> Explanation | Array:
     """Name the conflict of an infeasible programme, or give the x of a feasible design where there is one after all.
 
     Local searches from several starts by both back ends (from `points`, or the start and Sobol points): a proof only in the sense
@@ -210,12 +246,16 @@ def explain(nlp: NLP, seed: int = 0, points: list[Array] | None = None, *, quick
     points : list of arrays (n,), optional
         Where to search from.
     quick : bool
-        For large programmes: by the interior-point method alone, and after the first verdict by one search for each question.
+        For large programmes: by the interior-point method alone, and after the first verdict by one search for each question,
+        by two for each amount.
+    follow : function, optional
+        Of a point x (n,): the parameters of the programme with its roaming positions at the peaks there.
     """
     limits = sides(nlp)
     k = len(limits)
-    search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points, ("ipopt",) if quick else BACKENDS)
+    search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points, ("ipopt",) if quick else BACKENDS, follow)
     free = np.full(k, FREE)
+    search.enough = AGREEING if quick else ENOUGH
     total, x = search.least(np.ones(k), free)
     search.enough = 1 if quick else ENOUGH
     if total <= MET:
@@ -224,11 +264,14 @@ def explain(nlp: NLP, seed: int = 0, points: list[Array] | None = None, *, quick
         return Explanation(search.points[0], (), ())
     slacks = x[search.n :]
     together = [_relaxation(side, float(slack)) for side, slack in zip(limits, slacks, strict=True) if slack > MET]
+    together = [replace(item, approximate=follow is not None) for item in together]
     conflict = []
-    for i in _irreducible(search, free, slacks > MET):
+    named = _irreducible(search, free, slacks > MET)
+    search.enough, search.amount = AGREEING if quick else ENOUGH, True
+    for i in named:
         alone = np.eye(k)[i]
         slack, _ = search.least(alone, FREE * alone)
-        conflict.append(_relaxation(limits[i], slack))
+        conflict.append(replace(_relaxation(limits[i], slack), approximate=not search.settled))
     return Explanation(x[: search.n], tuple(conflict), tuple(together))
 
 

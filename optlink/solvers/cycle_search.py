@@ -298,12 +298,17 @@ def explained(found: Searched, names: Sequence[str]) -> Searched:
     Which of the [limits] conflict is asked of a programme with fewer positions; the bounds of the sizes hold.
     """
     nlp, order = found.orders[0].nlp, found.orders[0]
-    coarse = build_cycle(nlp.traced, nlp.structure, nlp.design(nlp.x_start), nodes=COARSE, slots=2)
+    coarse = build_cycle(nlp.traced, nlp.structure, nlp.design(nlp.x_start), nodes=COARSE)
     asked = {bound.key for bound in coarse.traced.problem.bounds}
     kept = coarse.states.union(coarse.free, {row.limit for row in coarse.rows} - asked - {EPIGRAPH})
     ends = [nlp.design(solution.x) for solution in next(iter(order.runs.values()))[:TRIED]]
     points = [coarse.x_of(values) for values in (*order.begin.starts[:TRIED], *ends)]
-    reason = explain(replace(coarse, states=kept), points=points, quick=True)
+
+    def follow(x: Array) -> Array:
+        coarse.roam(peaks(coarse, x).shares)
+        return coarse.p
+
+    reason = explain(replace(coarse, states=kept), points=points, quick=True, follow=follow)
     if isinstance(reason, Explanation):
         miss = replace(search.given(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design"), status=Status.INFEASIBLE)
         return replace(found, nlp=nlp, found=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
