@@ -17,7 +17,7 @@ from optlink.linkage.elementwise import Value
 from optlink.linkage.jet import Jet
 from optlink.linkage.margins import NEAR_ALIGNMENT, SINGULAR_ALIGNMENT
 from optlink.linkage.mechanism import Group, Mechanism, Pose
-from optlink.linkage.refine import zeros
+from optlink.linkage.refine import in_portions, zeros
 
 Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
@@ -107,19 +107,24 @@ def least_alignments(
         return np.array([np.broadcast_to(rate, angles.shape) for rate in found])
 
     still = np.max(np.nan_to_num(np.abs(rates(grid)), posinf=0.0), axis=1, initial=0.0) <= _STILL
-    found = []
-    for k, angles in enumerate(zeros(rates, grid, still=True)):
-        angles = angles[(angles >= low - 1e-9) & (angles < high - 1e-9)]
-        if still[k] or not angles.size:
-            continue
-        before, sines, after = (squared_sines(moving(angles + aside))[k] for aside in (-_ASIDE, 0.0, _ASIDE))
-        lowest = (sines <= before) & (sines <= after) & (sines < math.sin(NEAR_ALIGNMENT) ** 2)
-        for at, sine in zip(angles[lowest], sines[lowest], strict=True):
-            if sine >= -TOUCHING:
-                found.append(
-                    Aligned(0.0 if abs(at) < 1e-9 else float(at), mechanism.groups[k], math.asin(math.sqrt(max(sine, 0.0))))
-                )
-    return found
+
+    def sines(angles: Array) -> Array:
+        with np.errstate(all="ignore"):
+            return squared_sines(mechanism.at(sizes, angles))
+
+    own = zeros(rates, grid, still=True)
+    which = np.repeat(np.arange(len(own)), [len(angles) for angles in own])
+    at = np.concatenate(own)
+    kept = (at >= low - 1e-9) & (at < high - 1e-9) & ~still[which]
+    at, which = at[kept], which[kept]
+    if not at.size:
+        return []
+    before, least, after = (in_portions(sines, at + aside, which) for aside in (-_ASIDE, 0.0, _ASIDE))
+    lowest = (least <= before) & (least <= after) & (least < math.sin(NEAR_ALIGNMENT) ** 2) & (least >= -TOUCHING)
+    return [
+        Aligned(0.0 if abs(angle) < 1e-9 else float(angle), mechanism.groups[k], math.asin(math.sqrt(max(sine, 0.0))))
+        for angle, k, sine in zip(at[lowest], which[lowest], least[lowest], strict=True)
+    ]
 
 
 def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:

@@ -46,10 +46,10 @@ def extremes(
     -------
     angles, values : arrays (functions, 2), of the least and of the largest value; NaN where a function has none
     """
-    values = _in_portions(function, grid)
+    values = in_portions(function, grid)
 
     def own(points: Array, which: Index) -> Array:
-        return _in_portions(function, points.ravel(), (which // 2).repeat(points.shape[1])).reshape(points.shape)
+        return in_portions(function, points.ravel(), (which // 2).repeat(points.shape[1])).reshape(points.shape)
 
     return _extremes(values, grid, breaks, _zero(values, kinds), own)
 
@@ -186,7 +186,7 @@ def _interpolants(nodes: Array, samples: Array) -> tuple[Function, Array]:
     return curves, np.where(smooth, EXACT * spread + rounding, np.nan)
 
 
-def _in_portions(function: Function, angles: Array, rows: Index | None = None) -> Array:
+def in_portions(function: Function, angles: Array, rows: Index | None = None) -> Array:
     """Values of all functions at all angles (functions, n), or of the function `rows[k]` at `angles[k]` (n,)."""
     found: list[Array] = []
     done, size = 0, PORTION
@@ -215,7 +215,7 @@ def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = Fal
     -------
     one rising array per function; sign changes across a gap (NaN) or a jump to NaN are none
     """
-    values = _in_portions(function, grid)
+    values = in_portions(function, grid)
     if still:
         size = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=1, keepdims=True, initial=0.0)
         values = np.where(np.abs(values) <= STILL * size, 0.0, values)
@@ -224,7 +224,7 @@ def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = Fal
     which, where = np.nonzero(crossing)
 
     def own(angles: Array, brackets: Index) -> Array:
-        return _in_portions(function, angles, which[brackets])
+        return in_portions(function, angles, which[brackets])
 
     found = _roots(own, grid[where], grid[where + 1], left[crossing], right[crossing], count)
     return [found[which == k] for k in range(len(values))]
