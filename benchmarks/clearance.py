@@ -83,10 +83,10 @@ def depth(t: float, state: Any, omega: float) -> tuple[float, float]:
 def ours(rpm: float, tolerance: float, revolutions: int = REVOLUTIONS) -> Motion:
     """The shipped problem; equations are compiled once, as the peers' are."""
     import optlink
+    from optlink.clearance.closed_loop import Plant
     from optlink.clearance.equations import Drive
     from optlink.clearance.integration import Integration
     from optlink.clearance.output import usual
-    from optlink.clearance.plant import Plant
 
     omega = rpm * math.pi / 30.0
     model = optlink.load("slider-crank-clearance").model

@@ -30,9 +30,9 @@ SYNTHESIS = {"seeds": 1, "linkages": 1, "laws": 10}  # minutes rather than hours
 PEERS = ("pylinkage", "fourbarhinge", "pymoo", "numba", "exudyn")
 YARDSTICK = ("-c", "import numpy, scipy.optimize, casadi")
 PROCESSES = {
-    "help": (("-m", "optlink.cli", "--help"), "<= 0.5"),
-    "solve crank-rocker": (("-m", "optlink.cli", "solve", "crank-rocker"), "<= 1.8"),
-    "analyze six-bar": (("-m", "optlink.cli", "analyze", "six-bar"), ""),
+    "help": (("-m", "optlink", "--help"), "<= 0.5"),
+    "solve crank-rocker": (("-m", "optlink", "solve", "crank-rocker"), "<= 1.8"),
+    "analyze six-bar": (("-m", "optlink", "analyze", "six-bar"), ""),
 }
 
 

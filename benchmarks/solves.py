@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 from timing import HERE, Row, race
 
 import optlink
-from optlink.design.nlp import NLP, build
-from optlink.solvers.search import BACKENDS, solve_from
+from optlink.optimization.nlp import NLP, build
+from optlink.solvers.multistart import BACKENDS, solve_from
 
 Array = NDArray[np.float64]
 

@@ -394,8 +394,9 @@ def law_file(law: Any, side: str) -> dict[str, Any]:
 def first(laws: str) -> Figures:
     """Best error [rad] of every random law from the convex first steps and from random starts, and processor seconds."""
     import optlink
-    from optlink.design.nlp import build
-    from optlink.solvers import convex, search
+    from optlink.optimization.nlp import build
+    from optlink.solvers import multistart as search
+    from optlink.synthesis import function_starts
     from tests import synthesis_oracle as oracle
 
     rng = np.random.default_rng(7)
@@ -410,9 +411,9 @@ def first(laws: str) -> Figures:
             problem = optlink.read(law_file(law, side)).spec
             nlp = build(problem)
             search.prepare(nlp, "ipopt")
-            found, taken, _ = clocked(lambda problem=problem: convex.steps(problem, STEPS))  # type: ignore[misc]
+            found, taken, _ = clocked(lambda problem=problem: function_starts.steps(problem, STEPS))  # type: ignore[misc]
             spent["convex"] += taken
-            begin = [nlp.x_of(convex.values(problem, step)) for step in found]
+            begin = [nlp.x_of(function_starts.values(problem, step)) for step in found]
             drawn = []
             for _draw in range(MANY):  # lengths evenly in their logarithm
                 lengths = 1e-3 * np.exp(rng.uniform(math.log(5.0), math.log(2000.0), 3))

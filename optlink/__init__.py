@@ -14,57 +14,57 @@ from typing import TYPE_CHECKING, Any
 from optlink.version import VERSION as __version__
 
 if TYPE_CHECKING:
-    from optlink.analysis import Analysis, analyze
-    from optlink.balanced import Balance
-    from optlink.balancing import balance
-    from optlink.batch import analyze_batch
-    from optlink.clearances import LooseSimulation, simulate_clearance
-    from optlink.compensation import Comparison, Tuning, compare, tune
-    from optlink.design.files import ProblemFile, load, read, shipped
-    from optlink.designed import MachineDesign
     from optlink.errors import InputError, OptlinkError, SolverError, Status
-    from optlink.generated import Design, Generation
-    from optlink.generation import generate
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.linkage.motion import sweep
-    from optlink.machine_design import design_machine
-    from optlink.simulation import Simulation, simulate
-    from optlink.workflow import Result, read_design, solve, validate
+    from optlink.problem.file import ProblemFile, load, read, shipped
+    from optlink.tasks.analyze import Analysis, analyze
+    from optlink.tasks.balance import balance
+    from optlink.tasks.balance_result import Balance
+    from optlink.tasks.batch import analyze_batch
+    from optlink.tasks.clearance import LooseSimulation, simulate_clearance
+    from optlink.tasks.control_comparison import Comparison, Tuning, compare, tune
+    from optlink.tasks.cycle import design_machine
+    from optlink.tasks.cycle_result import MachineDesign
+    from optlink.tasks.function import Result, read_design, solve, validate
+    from optlink.tasks.path import generate
+    from optlink.tasks.path_result import Design, Generation
+    from optlink.tasks.simulate import Simulation, simulate
 
 _HOME = {
-    "Analysis": "optlink.analysis",
-    "analyze": "optlink.analysis",
-    "Balance": "optlink.balanced",
-    "balance": "optlink.balancing",
-    "Simulation": "optlink.simulation",
-    "simulate": "optlink.simulation",
-    "analyze_batch": "optlink.batch",
-    "LooseSimulation": "optlink.clearances",
-    "simulate_clearance": "optlink.clearances",
-    "Comparison": "optlink.compensation",
-    "Tuning": "optlink.compensation",
-    "compare": "optlink.compensation",
-    "tune": "optlink.compensation",
-    "Design": "optlink.generated",
-    "Generation": "optlink.generated",
-    "generate": "optlink.generation",
+    "Analysis": "optlink.tasks.analyze",
+    "analyze": "optlink.tasks.analyze",
+    "Balance": "optlink.tasks.balance_result",
+    "balance": "optlink.tasks.balance",
+    "Simulation": "optlink.tasks.simulate",
+    "simulate": "optlink.tasks.simulate",
+    "analyze_batch": "optlink.tasks.batch",
+    "LooseSimulation": "optlink.tasks.clearance",
+    "simulate_clearance": "optlink.tasks.clearance",
+    "Comparison": "optlink.tasks.control_comparison",
+    "Tuning": "optlink.tasks.control_comparison",
+    "compare": "optlink.tasks.control_comparison",
+    "tune": "optlink.tasks.control_comparison",
+    "Design": "optlink.tasks.path_result",
+    "Generation": "optlink.tasks.path_result",
+    "generate": "optlink.tasks.path",
     "InputError": "optlink.errors",
     "OptlinkError": "optlink.errors",
     "SolverError": "optlink.errors",
     "Status": "optlink.errors",
-    "ProblemFile": "optlink.design.files",
-    "load": "optlink.design.files",
-    "read": "optlink.design.files",
-    "shipped": "optlink.design.files",
-    "MachineDesign": "optlink.designed",
-    "design_machine": "optlink.machine_design",
+    "ProblemFile": "optlink.problem.file",
+    "load": "optlink.problem.file",
+    "read": "optlink.problem.file",
+    "shipped": "optlink.problem.file",
+    "MachineDesign": "optlink.tasks.cycle_result",
+    "design_machine": "optlink.tasks.cycle",
     "four_bar": "optlink.linkage.fourbar",
     "grashof": "optlink.linkage.fourbar",
     "sweep": "optlink.linkage.motion",
-    "Result": "optlink.workflow",
-    "read_design": "optlink.workflow",
-    "solve": "optlink.workflow",
-    "validate": "optlink.workflow",
+    "Result": "optlink.tasks.function",
+    "read_design": "optlink.tasks.function",
+    "solve": "optlink.tasks.function",
+    "validate": "optlink.tasks.function",
 }
 
 __all__ = [

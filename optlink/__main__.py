@@ -1,6 +1,6 @@
 """`python -m optlink`, the same as the `optlink` command."""
 
-from optlink.cli import main
+from optlink.cli.app import main
 
 if __name__ == "__main__":
     main()

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 import optlink
-from optlink.generated import Design
-from optlink.generation import generate
 from optlink.linkage.fourbar import LENGTHS
+from optlink.tasks.path import generate
+from optlink.tasks.path_result import Design
 from tests import synthesis_oracle as oracle
 from tests.stated import ANGLE, document, four_bar_section, free
 from tests.synthesis_oracle import TURN

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.files import ProblemFile, read
-from optlink.generated import Design
+from optlink.problem.file import ProblemFile, read
+from optlink.tasks.path_result import Design
 from tests.synthesis_oracle import random_closed_curve
 
 Raw = dict[str, Any]

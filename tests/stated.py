@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 import optlink
-from optlink.design.generation import GenerationProblem
-from optlink.generation import variants_of
 from optlink.linkage.fourbar import LENGTHS
+from optlink.problem.path import GenerationProblem
+from optlink.tasks.path import variants_of
 
 Array = np.ndarray
 SPOTS = np.array([(20.0, 25.0), (28.0, 31.0), (33.0, 27.0), (30.0, 18.0), (22.0, 16.0)])  # mm, once round

@@ -21,9 +21,9 @@ import pytest
 from typer.testing import CliRunner
 
 import optlink
-from optlink.cli import app
-from optlink.design.expression import FUNCTIONS
-from optlink.design.section import Section
+from optlink.cli.app import app
+from optlink.problem.base_model import Section
+from optlink.problem.targets.expression import FUNCTIONS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -279,10 +279,10 @@ def test_a_key_without_a_text_would_be_seen():
 def test_units_and_ways_of_reading_are_those_of_the_models():
     """Against the models themselves: what the reference says a key takes is taken, what it says is refused is refused."""
     keys = hook("keys")
-    from optlink.design.bodies import DriveSection
-    from optlink.design.joints import JointSection
-    from optlink.design.limits import Limits
-    from optlink.design.linkages import FourBarSection
+    from optlink.problem.limits import Limits
+    from optlink.problem.machine.bodies import DriveSection
+    from optlink.problem.machine.joints import JointSection
+    from optlink.problem.mechanism import FourBarSection
 
     assert keys.value(FourBarSection, "crank") == "length, fixed or free"
     assert keys.value(DriveSection, "speed") == "angular velocity"
@@ -400,12 +400,12 @@ def test_a_figure_that_is_wrong_stops_the_site(monkeypatch):
 
 def test_links_out_of_the_documentation_lead_to_pages_of_the_site():
     links = hook("links")
-    text = "[a](../notebooks/six_bar.ipynb), [b](../tests/test_gaps.py#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
+    text = "[a](../notebooks/six_bar.ipynb), [b](../tests/test_units.py#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
     wanted = (
-        "[a](notebooks/six_bar.md), [b](source/tests/test_gaps.py.md#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
+        "[a](notebooks/six_bar.md), [b](source/tests/test_units.py.md#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
     )
     assert links.rewritten(text, "docs", "page.md") == wanted
-    assert set(links.outward(text, "docs")) == {"notebooks/six_bar.ipynb", "tests/test_gaps.py"}
+    assert set(links.outward(text, "docs")) == {"notebooks/six_bar.ipynb", "tests/test_units.py"}
     assert links.rewritten("[a](docs/images/x.png)", "", "contributing.md") == "[a](images/x.png)"
     assert links.rewritten("[a](../validation.md)", "docs/api", "api/solve.md") == "[a](../validation.md)"
 

@@ -23,7 +23,7 @@ def loaded_after(code: str) -> set[str]:
 
 
 def test_help_loads_nothing_heavy():
-    code = "import sys; sys.argv = ['optlink', '--help']\nfrom optlink.cli import main\ntry: main()\nexcept SystemExit: pass"
+    code = "import sys; sys.argv = ['optlink', '--help']\nfrom optlink.cli.app import main\ntry: main()\nexcept SystemExit: pass"
     assert loaded_after(code) & HEAVY == set()
 
 

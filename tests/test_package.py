@@ -32,7 +32,7 @@ def test_wheel_holds_problems_and_types(unpacked):
 
 def test_wheel_works_elsewhere(unpacked, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(unpacked)}
-    code = "import optlink, sys; assert optlink.__file__.startswith(sys.argv.pop(1)); from optlink.cli import main; main()"
+    code = "import optlink, sys; assert optlink.__file__.startswith(sys.argv.pop(1)); from optlink.cli.app import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, str(unpacked), "solve", "crank-rocker", "--json"],
         capture_output=True,

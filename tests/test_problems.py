@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.analysis import Analysis, analyze
-from optlink.design.expression import parse as parse_expression
-from optlink.design.files import dump, problems_folder
-from optlink.design.linkages import FourBarSection
-from optlink.design.problem import DesignProblem
-from optlink.dynamics import reactions as reactions_module
+from optlink.dynamics import inverse as reactions_module
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
+from optlink.problem.file import dump, problems_folder
+from optlink.problem.function import DesignProblem
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.targets.expression import parse as parse_expression
+from optlink.tasks.analyze import Analysis, analyze
 from optlink.units import factor, parse
 from tests import synthesis_oracle as oracle
 

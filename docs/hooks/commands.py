@@ -11,7 +11,7 @@ from typing import Any
 
 import typer.main
 
-from optlink.cli import app
+from optlink.cli.app import app
 
 MARKER = "<!-- commands -->"
 NAME = "optlink"

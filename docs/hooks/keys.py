@@ -24,15 +24,15 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 import optlink
-from optlink.clearance.contact import NORMAL
-from optlink.design.cycle import CycleProblem
-from optlink.design.generation import GenerationProblem
-from optlink.design.linkages import DyadsSection, FourBarSection
-from optlink.design.machines import Problem
-from optlink.design.problem import DEAD_CENTRES, DesignProblem
-from optlink.design.section import Section
-from optlink.design.terms import NATURES
+from optlink.clearance.contact_laws import NORMAL
 from optlink.errors import InputError
+from optlink.problem.base_model import Section
+from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle_terms import NATURES
+from optlink.problem.function import DEAD_CENTRES, DesignProblem
+from optlink.problem.machine.model import Problem
+from optlink.problem.mechanism import DyadsSection, FourBarSection
+from optlink.problem.path import GenerationProblem
 from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor
 
 DOCS = Path(__file__).resolve().parent.parent
@@ -71,7 +71,7 @@ READERS = {
     "_read_interval": "range of {kind}",
     "_read_stroke_ratio": "range of {kind}, with `stroke` `forward`, `backward`, `slow` or `quick`",
 }
-"""Functions of `optlink.design.quantity` that read a field, and what they take."""
+"""Functions of `optlink.problem.quantity` that read a field, and what they take."""
 
 FORMS = {
     "Problem.gravity": "acceleration, or `[x, y]`",

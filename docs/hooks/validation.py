@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import optlink
-from optlink.studies.outputs import output_sensitivity
+from optlink.studies.motion_sensitivity import output_sensitivity
 
 ROOT = Path(__file__).resolve().parents[2]
 MARKER = "<!-- figures -->"
@@ -289,7 +289,7 @@ def shaper() -> Iterator[Row]:
 def under_a_torque() -> Iterator[Row]:
     """The slider-crank that a constant torque drives from rest."""
     found = optlink.simulate(optlink.load("slider-crank"), rows=2)
-    test = "tests/test_drive.py::test_slider_crank_under_a_torque_reaches_the_reference"
+    test = "tests/dynamics/test_forward.py::test_slider_crank_under_a_torque_reaches_the_reference"
     yield Row("crank angle after 2 s", "rad", 55.0724438, found.figures["end.crank_angle_rad"], 1e-7, test)
     yield Row("crank speed after 2 s", "rad/s", 39.79557704, found.figures["end.speed_rad_s"], 1e-7, test)
 

@@ -1,1 +1,1 @@
-"""What play in the joints does: contact forces, mechanisms with gaps, the control that makes up for them."""
+"""Joint clearance: contact forces, equations of motion, integration, compensation by control."""

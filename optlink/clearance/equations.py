@@ -21,10 +21,10 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.clearance.command import Command
-from optlink.clearance.cut import Cut
-from optlink.clearance.gap import Gap, Touch, acting, touch
-from optlink.clearance.loose import Loose
+from optlink.clearance.joint import Gap, Touch, acting, touch
+from optlink.clearance.reference_signal import Command
+from optlink.clearance.spanning_tree import Cut
+from optlink.clearance.state import Loose
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, parts
 from optlink.linkage.jet import Jet

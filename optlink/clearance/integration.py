@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.clearance.contact import SLOWEST
+from optlink.clearance.contact_laws import SLOWEST
 from optlink.clearance.equations import Equations
-from optlink.clearance.path import crossing, summit
+from optlink.clearance.hermite import crossing, summit
 from optlink.clearance.peaks import Peaks, Watched
 
 Array = NDArray[np.float64]

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.clearance.loose import Loose
+from optlink.clearance.state import Loose
+from optlink.dynamics.columns import slider_names
 from optlink.dynamics.machine import Machine, Moving
-from optlink.dynamics.record import slider_names
-from optlink.linkage.elementwise import Value, angle
 from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.vector2d import Value, angle
 
 
 @dataclass(frozen=True)

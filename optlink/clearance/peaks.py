@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.clearance.contact import NORMAL
-from optlink.clearance.gap import Gap
+from optlink.clearance.contact_laws import NORMAL
+from optlink.clearance.joint import Gap
 
 Array = NDArray[np.float64]
 PARTS = 16

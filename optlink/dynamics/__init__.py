@@ -1,1 +1,1 @@
-"""What the motion costs: inertia, loads, reactions, torque, work, motion under a torque."""
+"""Dynamics of linkages with ideal joints: inertia, loads, reactions, torque, work, motion under a torque."""

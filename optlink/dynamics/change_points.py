@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.dynamics.columns import Record
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.record import Record
 from optlink.linkage.alignment import Aligned
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from optlink.linkage.elementwise import Value, Vector, cross, dot, turn
+from optlink.linkage.vector2d import Value, Vector, cross, dot, turn
 
 Triple = tuple[Value, Value, Value]
 """A quantity with its first and second time derivative."""

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 import numpy as np
 
 from optlink.dynamics.inertia import State, Wrench
-from optlink.linkage.elementwise import Value, Vector, angle_from, cross, dot, minus, turn, unit
 from optlink.linkage.mechanism import FRAME
+from optlink.linkage.vector2d import Value, Vector, angle_from, cross, dot, minus, turn, unit
 
 if TYPE_CHECKING:
     from optlink.dynamics.machine import Moving

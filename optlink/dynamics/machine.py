@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optlink.dynamics.inertia import Inertia, State, kinetic, moved, potential
-from optlink.linkage.elementwise import Value, Vector, magnitude, sign
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.vector2d import Value, Vector, magnitude, sign
 
 if TYPE_CHECKING:
     from optlink.dynamics.loads import Load

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.dynamics.columns import slider_names
 from optlink.dynamics.loads import Force, Load, Torque
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.record import slider_names
-from optlink.linkage.cycle import OTHER, TURN, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke
+from optlink.linkage.extrema import zeros
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.refine import zeros
+from optlink.linkage.stroke import OTHER, TURN, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke
 
 Array = NDArray[np.float64]
 GRID = 720  # crank angles among which reversals are bracketed

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.dynamics.inverse import reactions
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.reactions import reactions
-from optlink.linkage.refine import zeros
+from optlink.linkage.extrema import zeros
 
 Array = NDArray[np.float64]
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution

@@ -1,1 +1,1 @@
-"""What a linkage is and how it moves: elementwise formulas on floats, batches, symbols and jets. Imports numpy alone."""
+"""Kinematics of planar linkages: elementwise formulas on floats, arrays, symbols and jets. Imports numpy alone."""

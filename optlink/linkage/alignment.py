@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.elementwise import Value
+from optlink.linkage.extrema import in_portions, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.margins import NEAR_ALIGNMENT, SINGULAR_ALIGNMENT
 from optlink.linkage.mechanism import Group, Mechanism, Pose
-from optlink.linkage.refine import in_portions, zeros
+from optlink.linkage.vector2d import Value
 
 Array = NDArray[np.float64]
 TURN = 2.0 * math.pi

@@ -38,8 +38,8 @@ import numpy as np
 
 from optlink.errors import Fault, InputError
 from optlink.linkage.dyads import rrr
-from optlink.linkage.elementwise import Value, Vector, angle, cross, dot, minus, plus, turn, unit
 from optlink.linkage.fourbar import Inversion, grashof, reachable
+from optlink.linkage.vector2d import Value, Vector, angle, cross, dot, minus, plus, turn, unit
 
 DEGENERATE = 1e-9
 """Share of the longest link below which the distance B-P or C-P counts as zero: that cognate would have no size."""

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.alignment import Aligned, least_alignments
-from optlink.linkage.cycle import reachable
-from optlink.linkage.elementwise import Value, turn
-from optlink.linkage.groups import RPR, RRP, RRR
+from optlink.linkage.dyad_types import RPR, RRP, RRR
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.passage import Course, Passage
+from optlink.linkage.stroke import reachable
+from optlink.linkage.vector2d import Value, turn
 
 Array = NDArray[np.float64]
 TURN = 2.0 * math.pi

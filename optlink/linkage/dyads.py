@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optlink.linkage.elementwise import Value, Vector, cross, dot, root
+from optlink.linkage.vector2d import Value, Vector, cross, dot, root
 
 
 def rrr(p: Vector, q: Vector, a: Value, b: Value, side: Value) -> tuple[Vector, Value]:

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.linkage.elementwise import Value, Vector, angle, angle_from, magnitude, root
-from optlink.linkage.groups import RRR
+from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import Arm, BodyPoint, Link, Mechanism
+from optlink.linkage.vector2d import Value, Vector, angle, angle_from, magnitude, root
 
 LENGTHS = ("crank", "coupler", "rocker", "frame")
 

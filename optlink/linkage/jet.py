@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
-from optlink.linkage.elementwise import Value
+from optlink.linkage.vector2d import Value
 
 
 class Jet(NDArrayOperatorsMixin):

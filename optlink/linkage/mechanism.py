@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from optlink.linkage.elementwise import Value, Vector, angle, cross, dot, minus, plus, turn, turn_back, unit
 from optlink.linkage.passage import Course
+from optlink.linkage.vector2d import Value, Vector, angle, cross, dot, minus, plus, turn, turn_back, unit
 
 Size = str | float
 """The name of a parameter, or a number in SI."""

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.elementwise import Value, angle, unit
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Mechanism, Pose
+from optlink.linkage.vector2d import Value, angle, unit
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.elementwise import Value, Vector
 from optlink.linkage.jet import Jet
+from optlink.linkage.vector2d import Value, Vector
 
 Array = NDArray[np.float64]
 

@@ -1,1 +1,1 @@
-"""Show me: tables for the terminal, pictures, files."""
+"""Reports: tables, pictures, pages, drawings."""

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.analysis import Analysis
-from optlink.linkage.cycle import TURN
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
-from optlink.report.draw import Sketch
+from optlink.linkage.stroke import TURN
+from optlink.report.drawing import Sketch
 from optlink.report.shapes import Part
+from optlink.tasks.analyze import Analysis
 
 Array = NDArray[np.float64]
 FLIP = np.array([1.0, -1.0])

@@ -1,1 +1,1 @@
-"""How a design is found: exchangeable back ends, starts, conflicts; and the Solution that proves itself."""
+"""Solvers: back ends, multistart, exchange methods, infeasibility analysis, and the Solution that proves itself."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.cycle_nlp import CycleNLP
 from optlink.errors import Status
-from optlink.solvers import search
-from optlink.solvers.levels import level
+from optlink.optimization.cycle_nlp import CycleNLP
+from optlink.solvers import multistart
+from optlink.solvers.semi_infinite import level
 from optlink.solvers.solution import Solution
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solutio
         nlp.limit(lead, target, upper=True)
         x = solution.x.copy()
         x[lead] = target
-        other = search.solve_from(nlp, nlp.lifted(x), name)
+        other = multistart.solve_from(nlp, nlp.lifted(x), name)
         other = level(nlp, other) if other.usable else other
     finally:
         nlp.limit(lead, low, upper=False)

@@ -15,15 +15,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.cycle import CycleProblem
-from optlink.design.cycle_nlp import CycleNLP, build_cycle
-from optlink.design.cycle_trace import Structure, Trace
-from optlink.design.problem import EPIGRAPH
 from optlink.errors import Status
-from optlink.solvers import search
-from optlink.solvers.conflict import Explanation, Relaxation, explain
-from optlink.solvers.levels import held, level, peaks
-from optlink.solvers.repair import repair
+from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
+from optlink.optimization.cycle_signals import Structure, Trace
+from optlink.problem.cycle import CycleProblem
+from optlink.problem.function import EPIGRAPH
+from optlink.solvers import multistart
+from optlink.solvers.feasibility import repair
+from optlink.solvers.infeasibility import Explanation, Relaxation, explain
+from optlink.solvers.semi_infinite import held, level, peaks
 from optlink.solvers.solution import Solution
 
 Array = NDArray[np.float64]
@@ -176,12 +176,12 @@ class OrderSearch:
         nlp = self.nlp
         start = repair(nlp, x, nlp.p)
         if start is None and insist and math.isfinite(nlp.values(x, nlp.p)[0]):
-            x = search.backend(name)(nlp, nlp.lifted(x), search.scaled(nlp, x)).x
+            x = multistart.backend(name)(nlp, nlp.lifted(x), multistart.scaled(nlp, x)).x
             start = repair(nlp, x, nlp.p, inside=0.0)
         if start is None:
-            missed = search.given(nlp, x, "no feasible point was found beside the start")
+            missed = multistart.given(nlp, x, "no feasible point was found beside the start")
             return replace(missed, status=Status.INFEASIBLE) if missed.status is Status.NON_FINITE else missed
-        return search.solve_from(nlp, start, name)
+        return multistart.solve_from(nlp, start, name)
 
     def best(self, name: str) -> Solution | None:
         """The best design of a back end so far."""
@@ -282,7 +282,7 @@ def settle(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
     """
     winner = min(found.values(), key=rank)
     return {
-        name: solution if search.compare(solution, winner).same else min((solution, held(nlp, winner, name)), key=rank)
+        name: solution if multistart.compare(solution, winner).same else min((solution, held(nlp, winner, name)), key=rank)
         for name, solution in found.items()
     }
 
@@ -310,8 +310,8 @@ def explained(found: Searched, names: Sequence[str]) -> Searched:
 
     reason = explain(replace(coarse, states=kept), points=points, quick=True, follow=follow)
     if isinstance(reason, Explanation):
-        miss = replace(search.given(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design"), status=Status.INFEASIBLE)
+        miss = replace(multistart.given(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design"), status=Status.INFEASIBLE)
         return replace(found, nlp=nlp, found=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
     x = nlp.x_of(coarse.design(reason))
-    again = {name: level(nlp, search.solve_from(nlp, x, name)) for name in names}
+    again = {name: level(nlp, multistart.solve_from(nlp, x, name)) for name in names}
     return replace(found, nlp=nlp, found=settle(nlp, again))

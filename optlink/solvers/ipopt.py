@@ -8,8 +8,8 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.nlp import NLP
-from optlink.interrupts import interrupted
+from optlink.optimization.nlp import NLP
+from optlink.solvers.interrupts import interrupted
 from optlink.solvers.solution import Attempt
 
 Array = NDArray[np.float64]

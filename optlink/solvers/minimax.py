@@ -18,8 +18,8 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.nlp import NLP
-from optlink.design.problem import EPIGRAPH
+from optlink.optimization.nlp import NLP
+from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import Attempt
 from optlink.symbolic import Compiled
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from optlink.design.nlp import NLP, Point
-from optlink.design.problem import EPIGRAPH
+from optlink.optimization.nlp import NLP, Point
+from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import Attempt
 
 Array = NDArray[np.float64]

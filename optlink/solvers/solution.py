@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from optlink.errors import Status
 
 if TYPE_CHECKING:
-    from optlink.design.constraints import Scale
-    from optlink.design.nlp import NLP, Point
+    from optlink.optimization.constraints import Scale
+    from optlink.optimization.nlp import NLP, Point
 
 Array = NDArray[np.float64]
 

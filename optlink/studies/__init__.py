@@ -1,1 +1,1 @@
-"""What if: sensitivity of an optimum, sweeps over what is given, on the processes of this machine or on a cluster."""
+"""Parametric studies: sensitivities, sweeps, tolerances, Pareto fronts."""

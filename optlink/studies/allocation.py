@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, SolverError
-from optlink.studies.carlo import Carlo, monte_carlo, sampled_document
+from optlink.studies.monte_carlo import Carlo, monte_carlo, sampled_document
 
 if TYPE_CHECKING:
     from optlink.studies.tolerance import Tolerance

@@ -47,7 +47,7 @@ def installed() -> tuple[Any, Any]:
 def on_cluster(
     task: Task, todo: Iterable[int], workers: int, scheduler: str | None, patience: float = PATIENCE
 ) -> Iterator[tuple[int, Answer]]:
-    """As `optlink.studies.engine.run`; a chunk whose worker dies is done again on another one."""
+    """As `optlink.studies.runner.run`; a chunk whose worker dies is done again on another one."""
     dask, distributed = installed()
     with contextlib.ExitStack() as stack:
         stack.enter_context(distributed.utils.silence_logging_cmgr("CRITICAL"))

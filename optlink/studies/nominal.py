@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink import interrupts
-from optlink.design.files import ProblemFile
-from optlink.design.generation import GenerationProblem
-from optlink.design.linkages import sizes_of
-from optlink.design.problem import DesignProblem
-from optlink.design.quantity import nearest
-from optlink.design.tolerances import loosened
 from optlink.errors import Fault, InputError
-from optlink.linkage.elementwise import Value, cross, dot, unit
 from optlink.linkage.mechanism import Mechanism
-from optlink.studies.outputs import output_names, output_sensitivity
+from optlink.linkage.vector2d import Value, cross, dot, unit
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DesignProblem
+from optlink.problem.mechanism import sizes_of
+from optlink.problem.path import GenerationProblem
+from optlink.problem.quantity import nearest
+from optlink.problem.tolerances import loosened
+from optlink.solvers import interrupts
+from optlink.studies.motion_sensitivity import output_names, output_sensitivity
 
 Array = NDArray[np.float64]
 ERROR = "error"
@@ -133,7 +133,7 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
     """The problem with definite assembly modes, every quantity of the design [SI], and crank angles that it is about, if any."""
     model = problem.model
     if isinstance(model, GenerationProblem):
-        from optlink.generation import generate, validate
+        from optlink.tasks.path import generate, validate
 
         made = generate(problem) if given is None and model.free else validate(problem, given or {})
         interrupts.check()
@@ -146,7 +146,7 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
             np.asarray(best.crank_angles) if model.requirement.kind != "transmission" else None,
         )
     if problem.machined and given is None:
-        from optlink.machine_design import design_machine
+        from optlink.tasks.cycle import design_machine
 
         machine = design_machine(problem)
         interrupts.check()
@@ -156,7 +156,7 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
     if isinstance(model, DesignProblem) and (given is not None or not model.free):
         return problem, model.design(given or {}), None
     if isinstance(model, DesignProblem):
-        from optlink.workflow import solve
+        from optlink.tasks.function import solve
 
         result = solve(problem)
         interrupts.check()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from optlink.design.constraints import Scale
-from optlink.design.limits import MARGIN_KEYS
-from optlink.design.nlp import NLP
+from optlink.optimization.constraints import Scale
+from optlink.optimization.nlp import NLP
+from optlink.problem.limits import MARGIN_KEYS
 from optlink.solvers.solution import key_of
 
 ROUNDING = 1e-14  # of a scaled quantity

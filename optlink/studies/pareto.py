@@ -18,24 +18,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.files import ProblemFile
-from optlink.design.linkages import sizes_of
-from optlink.design.quantity import Quantity
-from optlink.documents import finite, head
 from optlink.errors import Fault, InputError, Status
-from optlink.front import ends, knee, undominated
-from optlink.studies.aims import OPTION, Aim, asked, cycle_figures, law_figure, read_aims, tightest
-from optlink.studies.axes import Grid
-from optlink.studies.chunks import Progress, Store
-from optlink.studies.engine import check
-from optlink.studies.machines import Designing
-from optlink.studies.reoptimise import CHUNK, SLOW_CHUNK, Reoptimising, buildable, check_backend
+from optlink.io import finite, head
+from optlink.optimization.pareto_front import ends, knee, undominated
+from optlink.problem.file import ProblemFile
+from optlink.problem.mechanism import sizes_of
+from optlink.problem.quantity import Quantity
+from optlink.studies.cycle_task import Designing
+from optlink.studies.epsilon_ranges import NoEnd, Walks
+from optlink.studies.grid import Grid
+from optlink.studies.pareto_objectives import OPTION, Aim, asked, cycle_figures, law_figure, read_aims, tightest
+from optlink.studies.reoptimise_task import CHUNK, SLOW_CHUNK, Reoptimising, buildable, check_backend
+from optlink.studies.runner import check
+from optlink.studies.store import Progress, Store
 from optlink.studies.sweep import Folder
-from optlink.studies.tasks import Sweeping
-from optlink.studies.walks import NoEnd, Walks
+from optlink.studies.sweep_task import Sweeping
+from optlink.tasks.function import solve
 from optlink.units import KINDS, factor
 from optlink.version import VERSION
-from optlink.workflow import solve
 
 Array = NDArray[np.float64]
 
@@ -162,7 +162,7 @@ def pareto(
     problem : ProblemFile
         A machine that is designed by its cycle, or a four-bar for a law.
     objectives : text such as "peak torque, guide force in F"
-        See `optlink.studies.aims`.
+        See `optlink.studies.pareto_objectives`.
     out : folder, optional
         Where chunks are kept as they are done, and every point of the grid at the end (`sweep.csv`).
     points : int, optional

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.tolerances import Deviation
 from optlink.errors import Fault, InputError
+from optlink.problem.tolerances import Deviation
 
 Array = NDArray[np.float64]
 BATCH = 1 << 13  # samples that are drawn at a time; a power of two keeps Sobol points balanced

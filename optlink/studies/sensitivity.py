@@ -1,6 +1,6 @@
 """What one more costs: derivatives of an optimum by everything that is given, and how far they hold.
 
-How they are found: `optlink.studies.optimality`.
+How they are found: `optlink.studies.kkt_derivatives`.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink import interrupts
-from optlink.design.cycle_nlp import CycleNLP
-from optlink.design.files import ProblemFile
-from optlink.design.nlp import NLP
-from optlink.design.problem import DesignProblem
-from optlink.documents import finite, head
 from optlink.errors import Fault, InputError, Status
-from optlink.solvers.levels import sharpened
+from optlink.io import finite, head
+from optlink.optimization.cycle_nlp import CycleNLP
+from optlink.optimization.nlp import NLP
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DesignProblem
+from optlink.solvers import interrupts
+from optlink.solvers.semi_infinite import sharpened
 from optlink.solvers.solution import Solution
-from optlink.studies.keys import text
-from optlink.studies.machine_givens import Givens, searched_again
-from optlink.studies.optimality import End, System
+from optlink.studies.cycle_parameters import Givens, searched_again
+from optlink.studies.kkt_derivatives import End, System
 from optlink.studies.parameters import Parameter, parameters
+from optlink.studies.toml_keys import text
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/sensitivity/1"
@@ -169,11 +169,11 @@ def sensitivities(
     InputError
         when no optimum is found, whose sensitivity could be asked for; and as `optlink.solve` does.
     """
-    from optlink.generation import generate
-    from optlink.workflow import solve
+    from optlink.tasks.function import solve
+    from optlink.tasks.path import generate
 
     if problem.machined:
-        from optlink.machine_design import design_machine
+        from optlink.tasks.cycle import design_machine
 
         solution, file = design_machine(problem, backend, starts, seed).solution, problem
     elif problem.generated:
@@ -299,7 +299,7 @@ def _rebuilt(
     problem: ProblemFile, solution: Solution, parameter: Parameter, value: float, backend: str
 ) -> tuple[float, dict[str, float]]:
     """Objective and design of the problem file with another value: built, scaled and searched anew."""
-    from optlink.workflow import solve
+    from optlink.tasks.function import solve
 
     other = problem.override({parameter.key: text(value, parameter.unit)})
     found = solve(other, backend, begin=solution.design)
@@ -312,12 +312,12 @@ def _moved(
     problem: ProblemFile, solution: Solution, parameter: Parameter, value: float, backend: str
 ) -> tuple[float, dict[str, float]]:
     """Objective and design of the same programme with another value, which is taken back."""
-    from optlink.solvers import search
+    from optlink.solvers import multistart
 
     nlp = solution.nlp
     try:
         parameter.place(nlp, value)
-        found = search.solve_from(nlp, solution.x, backend)
+        found = multistart.solve_from(nlp, solution.x, backend)
     finally:
         parameter.place(nlp, parameter.value)
     return found.objective, {v.name: v.scale.people(x) for v, x in _shown(nlp, found.x)}

@@ -17,18 +17,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.files import ProblemFile
-from optlink.design.objectives import MEASURES
-from optlink.documents import finite, head
 from optlink.errors import Fault, InputError, Status
-from optlink.studies.analyses import MANY, Analysing, quantity_of
-from optlink.studies.axes import Grid, read_grid
-from optlink.studies.chunks import Progress, Store
-from optlink.studies.engine import run
-from optlink.studies.machines import Designing
-from optlink.studies.reoptimise import CHUNK, SEARCHED, SLOW_CHUNK, Reoptimising, buildable, check_backend
-from optlink.studies.simulations import Simulating, is_loose, simulated
-from optlink.studies.tasks import Sweeping
+from optlink.io import finite, head
+from optlink.optimization.objectives import MEASURES
+from optlink.problem.file import ProblemFile
+from optlink.studies.analysis_task import MANY, Analysing, quantity_of
+from optlink.studies.cycle_task import Designing
+from optlink.studies.grid import Grid, read_grid
+from optlink.studies.reoptimise_task import CHUNK, SEARCHED, SLOW_CHUNK, Reoptimising, buildable, check_backend
+from optlink.studies.runner import run
+from optlink.studies.simulation_task import Simulating, is_loose, simulated
+from optlink.studies.store import Progress, Store
+from optlink.studies.sweep_task import Sweeping
 
 SCHEMA = "optlink/sweep/1"
 CHANGED = "active_set_changed"
@@ -41,8 +41,8 @@ TEXT = ("status", "failed", "active", "found", "reason")
 def objective_column(problem: ProblemFile) -> str:
     """Name of the objective's column, with its SI unit."""
     if problem.generated:
-        from optlink.design.generation import GenerationProblem
-        from optlink.generated import objective_unit
+        from optlink.problem.path import GenerationProblem
+        from optlink.tasks.path_result import objective_unit
 
         assert isinstance(problem.model, GenerationProblem)
         unit = objective_unit(problem.model)
@@ -201,7 +201,7 @@ def sweep(
     ----------
     problem : ProblemFile
     vary : texts such as "mechanism.frame=450..550 mm:101"
-        The last one changes fastest. See `optlink.studies.axes`.
+        The last one changes fastest. See `optlink.studies.grid`.
     out : folder, optional
         Where chunks are kept as they are done, and the table `sweep.csv` at the end.
     resume : bool
@@ -214,7 +214,7 @@ def sweep(
         far as they are stated) of the machine at every point.
     backend : "slsqp" or "ipopt"
     engine, workers, scheduler
-        See `optlink.studies.engine.run`.
+        See `optlink.studies.runner.run`.
     progress : function of the points done and of all, optional
 
     Raises

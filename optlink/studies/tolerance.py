@@ -14,20 +14,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.files import ProblemFile
-from optlink.design.quantity import nearest
-from optlink.design.tolerances import CHOICES, NORMAL, SHAPES, Deviation
-from optlink.documents import finite, head
 from optlink.errors import Fault, InputError
-from optlink.studies.carlo import Carlo, Progress, monte_carlo, sampled_document
+from optlink.io import finite, head
+from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import nearest
+from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
+from optlink.studies.monte_carlo import Carlo, Progress, monte_carlo, sampled_document
+from optlink.studies.motion_sensitivity import output_sensitivity
 from optlink.studies.nominal import ERROR, Nominal, drawing, people
-from optlink.studies.outputs import output_sensitivity
-from optlink.studies.stated import read_deviations
+from optlink.studies.tolerance_options import read_deviations
 from optlink.units import UnitProblem, parse
 
 if TYPE_CHECKING:
     from optlink.studies.allocation import Allocation
-    from optlink.studies.robust import Robust
+    from optlink.studies.robust_design import Robust
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/tolerance/1"
@@ -190,7 +190,7 @@ def tolerance(
         The loosest tolerances that do are searched; see `optlink.studies.allocation`.
     costs : mapping of a tolerance's name to its cost coefficient; that of the file, or 1, where none is given
     robust : number of standard deviations, "worst", "margin" (as many as keep the limit) or "yield" (most that keep it), optional
-        Judge the design that is best with its scatter, and the best as drawn beside it; see `optlink.studies.robust`.
+        Judge the design that is best with its scatter, and the best as drawn beside it; see `optlink.studies.robust_design`.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def tolerance(
     _check(samples, seed, shape, wanted, limit)
     file, again = problem, None
     if robust is not None:
-        from optlink.studies import robust as redesign
+        from optlink.studies import robust_design as redesign
 
         redesign.check_law(problem)
         if design is not None or output not in (None, ERROR):
@@ -215,7 +215,7 @@ def tolerance(
         elif robust == MARGIN:
             again = redesign.safest(problem, tolerances, allowed, shape=shape)
         else:
-            from optlink.studies.most_yield import most_yield
+            from optlink.studies.maximum_yield import most_yield
 
             again = most_yield(problem, tolerances, allowed, samples, seed, shape=shape)
         file, design = again.result.problem, again.free  # with the assembly mode that was found

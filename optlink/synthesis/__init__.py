@@ -1,1 +1,1 @@
-"""How designs for points and poses are found: many starts that advance together, none of them believed."""
+"""Starting points of a search: batched least squares, the Freudenstein equation, growth of six-bars."""

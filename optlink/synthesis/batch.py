@@ -11,13 +11,13 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.constraints import position_rows
-from optlink.design.constraints import rows as limit_rows
-from optlink.design.generation import START, TURN, GenerationProblem
-from optlink.design.generation_nlp import variable_of
-from optlink.design.limits import MARGIN_KEYS, Reach
-from optlink.design.linkages import FourBarSection
-from optlink.linkage.elementwise import unit
+from optlink.linkage.vector2d import unit
+from optlink.optimization.constraints import position_rows
+from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.path_nlp import variable_of
+from optlink.problem.limits import MARGIN_KEYS, Reach
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.path import START, TURN, GenerationProblem
 from optlink.symbolic import Tape, tracing
 
 Array = NDArray[np.float64]

@@ -20,17 +20,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.constraints import rows as limit_rows
-from optlink.design.files import ProblemFile, read
-from optlink.design.generation import GenerationProblem
-from optlink.design.generation_nlp import excesses, required_motion
-from optlink.design.limits import Reach
-from optlink.linkage.elementwise import unit
-from optlink.linkage.groups import RRR
+from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME, Link, Mechanism
-from optlink.synthesis import starts
+from optlink.linkage.vector2d import unit
+from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.path_nlp import excesses, required_motion
+from optlink.problem.file import ProblemFile, read
+from optlink.problem.limits import Reach
+from optlink.problem.path import GenerationProblem
+from optlink.synthesis import random_starts
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.loop import Loop, loops
+from optlink.synthesis.inner_four_bar import Loop, loops
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -177,7 +177,7 @@ def grown(
     -------
     x, t : arrays (designs, n) scaled, (designs, points) [rad]
     """
-    x = starts.designs(batch, SAMPLES, rng)
+    x = random_starts.designs(batch, SAMPLES, rng)
     for i, name in enumerate(batch.names):  # of the size of the curve, whatever their bounds
         kind, near = batch.problem.quantities[name].kind, slice(SAMPLES // 4, SAMPLES)
         if kind in NEARBY:

@@ -1,6 +1,6 @@
-"""Is it true? Designs are proven by the kinematics core, by other routes than the optimiser's formulas."""
+"""Independent validation of designs by the kinematics core, by other formulas than the optimiser's."""
 
 from optlink.validation.check import Check, Validation
-from optlink.validation.law import validate
+from optlink.validation.function import validate
 
 __all__ = ["Check", "Validation", "validate"]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from optlink.design.quantity import Interval, Quantity, StrokeRatio
+from optlink.problem.quantity import Interval, Quantity, StrokeRatio
 
 POSITIONS = 1440  # per revolution: every quarter of a degree, dead centres and extremes refined from there
 ANGLE_TOLERANCE = 1e-6  # deg; solvers meet limits to 1e-8 of a radian

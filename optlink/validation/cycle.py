@@ -10,21 +10,21 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.cycle import Bound, CycleProblem
-from optlink.design.linkages import sizes_of
-from optlink.design.quantity import Unusable
-from optlink.design.terms import Term, guide_of, output_of
+from optlink.dynamics.columns import Record, slider_names
 from optlink.dynamics.inertia import Parameters
+from optlink.dynamics.inverse import reported_on
 from optlink.dynamics.loads import Acting
 from optlink.dynamics.machine import Machine, Moving
-from optlink.dynamics.reactions import reported_on
-from optlink.dynamics.record import Record, slider_names
 from optlink.dynamics.work import NODES, WEIGHTS, Work
-from optlink.linkage.cycle import TURN, Travel, reachable, travels
-from optlink.linkage.elementwise import Value, turn
-from optlink.linkage.groups import RRP, RRR
+from optlink.linkage.dyad_types import RRP, RRR
+from optlink.linkage.extrema import extremes
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.refine import extremes
+from optlink.linkage.stroke import TURN, Travel, reachable, travels
+from optlink.linkage.vector2d import Value, turn
+from optlink.problem.cycle import Bound, CycleProblem
+from optlink.problem.cycle_terms import Term, guide_of, output_of
+from optlink.problem.mechanism import sizes_of
+from optlink.problem.quantity import Unusable
 from optlink.units import KINDS, factor
 from optlink.validation.check import LENGTH_TOLERANCE, POSITIONS, Check, Validation, bound, nan_last, time_ratio
 from optlink.validation.margins import alignment_checks

@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.design.limits import Alignment, Limits
+from optlink.linkage.dyad_types import RPR, RRR
+from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
-from optlink.linkage.groups import RPR, RRR
 from optlink.linkage.motion import Motion
-from optlink.linkage.refine import extremes
+from optlink.problem.limits import Alignment, Limits
 from optlink.validation.check import Check
 
 Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.clearances import LooseSimulation, simulate_clearance
+from optlink.tasks.clearance import LooseSimulation, simulate_clearance
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 RPM = math.pi / 30.0

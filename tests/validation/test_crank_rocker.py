@@ -127,7 +127,7 @@ def test_output_angle_and_its_sensitivities(phi, psi, d1, d2, d3, d4):
     crank = (math.cos(math.radians(phi)), math.sin(math.radians(phi)))
 
     def angle(sizes):
-        from optlink.linkage.elementwise import angle as direction_angle
+        from optlink.linkage.vector2d import angle as direction_angle
 
         pose = linkage.pose(sizes, crank)
         return direction_angle(pose.direction("rocker"))

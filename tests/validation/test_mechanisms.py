@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.analysis import Analysis, analyze
+from optlink.tasks.analyze import Analysis, analyze
 
 POINTS = 480
 PHI = np.arange(POINTS + 1) * (2.0 * np.pi / POINTS)

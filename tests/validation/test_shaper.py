@@ -20,9 +20,9 @@ import pytest
 from typer.testing import CliRunner
 
 import optlink
-from optlink.analysis import Analysis, analyze
-from optlink.cli import app
-from optlink.dynamics.record import Record
+from optlink.cli.app import app
+from optlink.dynamics.columns import Record
+from optlink.tasks.analyze import Analysis, analyze
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 STEP = math.radians(15.0)

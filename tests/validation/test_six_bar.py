@@ -20,10 +20,10 @@ import pytest
 from typer.testing import CliRunner
 
 import optlink
-from optlink.analysis import Analysis, analyze
-from optlink.cli import app
+from optlink.cli.app import app
 from optlink.dynamics.inertia import Wrench
-from optlink.dynamics.reactions import reactions, required
+from optlink.dynamics.inverse import reactions, required
+from optlink.tasks.analyze import Analysis, analyze
 
 TABLE = Path(__file__).resolve().parent.parent / "data" / "six_bar_15deg.csv"
 STEP = math.radians(15.0)

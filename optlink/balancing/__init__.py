@@ -1,0 +1,1 @@
+"""Optimal balancing as a cone programme with a dual certificate."""

@@ -1,0 +1,334 @@
+"""The optimum of a balancing programme, what its limits cost, where limits conflict, and the trade-off between two measures."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.balancing.socp import FITS, GAP, Bound, Certificate, Price, Programme, solved
+from optlink.dynamics.counterweights import Measure
+from optlink.errors import SolverError
+
+Array = NDArray[np.float64]
+Goal = Sequence[tuple[Measure, float]]
+NEGLIGIBLE = 1e-10
+"""Share of the largest singular value below which parameters do nothing to a measure."""
+
+CRUMB = 1e-4
+"""Scaled mass below which a counterweight is tried without."""
+
+LIKE = (1e-8, 2e-8, 4e-8)
+"""By how much a scaled measure may be larger for the sake of less mass: the first that leaves the solver room."""
+
+LIGHTER = 5e-3
+"""Share of the mass that must be saved before a measure may be larger at all."""
+
+END = 5e-8
+"""By how much the first scaled measure may be above its optimum at the end of a trade-off where the second is then made least."""
+
+NEAR = 1e-6
+"""Scaled difference from the least-squares optimum up to which that is tried in place of the solver's."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """An optimum: scaled parameters, scaled value, the proven lower bound, what limits cost; `exact`: by least squares."""
+
+    x: Array
+    value: float
+    certificate: Certificate
+    prices: tuple[Price, ...] = ()
+    exact: bool = False
+
+    @property
+    def lower(self) -> float:
+        """What no choice can be below."""
+        return self.certificate.lower
+
+    @property
+    def gap(self) -> float:
+        """Value less lower bound, scaled."""
+        return self.value - self.lower
+
+
+def evaluate(programme: Programme, goal: Goal, x: Array) -> float:
+    """The weighted sum of measures, each over its value in the given machine."""
+    return sum(weight * programme.evaluate(measure, x) for measure, weight in goal)
+
+
+def optimum(programme: Programme, goal: Goal) -> Optimum:
+    """The global optimum of a weighted sum of measures; of several such the one with the least added mass (and stiffness).
+
+    Raises
+    ------
+    SolverError
+        when the solver finds neither an optimum nor that there is none.
+    """
+    cp = programme.cp
+    expression = sum(weight * programme.expression(measure) for measure, weight in goal)
+    rows = [programme.row(bound) for bound in programme.bounds]
+    problem = cp.Problem(cp.Minimize(expression), [*programme.cones, *programme.relaxed, *rows])
+    found = solved(cp, problem)
+    if found.status != "optimal":
+        return Optimum(np.full(programme.effects.count, np.nan), math.nan, found)
+    x = np.array(programme.x.value, dtype=float)
+    duals = [max(float(np.max(row.dual_value)), 0.0) for row in (*rows, *(place.constraint for place in programme.hard))]
+    value = evaluate(programme, goal, x)
+    if len(goal) == 1 and goal[0][0].of == "rms":
+        exact = _least_squares(programme, goal[0][0], value)
+        if exact is not None:
+            least = goal[0][1] * programme.evaluate(goal[0][0], exact)
+            # no parameters at all, within limits or not, are below the residual of least squares
+            proof = Certificate("optimal", least, least, 0.0, found.iterations)
+            return Optimum(exact, least, proof, _prices(programme, duals, exact), True)
+    x = _without_crumbs(programme, goal, _Lightest(programme, [measure for measure, _ in goal]).like(x))
+    return Optimum(x, evaluate(programme, goal, x), found, _prices(programme, duals, x))
+
+
+def _without_crumbs(programme: Programme, goal: Goal, x: Array) -> Array:
+    """The same without counterweights that are so small that nothing is worse without them."""
+    value, excess = evaluate(programme, goal, x), programme.excess(x)
+    for k in range(len(programme.counterweights)):
+        if 0.0 < x[4 * k] < CRUMB:
+            without = x.copy()
+            without[4 * k : 4 * k + 4] = 0.0
+            if evaluate(programme, goal, without) <= value + FITS and programme.excess(without) <= max(excess, FITS):
+                x = without
+    return x
+
+
+def _prices(programme: Programme, duals: Sequence[float], x: Array) -> tuple[Price, ...]:
+    """What every limit costs, from the dual values at the optimum; per SI unit of the limit, scaled objective."""
+    programme.put(x)
+    found = []
+    for bound, dual in zip(programme.bounds, duals, strict=False):
+        value = float(bound.expression.value) * bound.scale
+        found.append(Price(bound.name, bound.kind, bound.bound, value, bound.sense, dual / bound.scale))
+    for place, dual in zip(programme.hard, duals[len(programme.bounds) :], strict=True):
+        found.append(Price(place.name, "length", place.bound, place.reached, 1, dual * place.rate))
+    return tuple(found)
+
+
+def _span(rows: Array) -> tuple[Array, Array]:
+    """Orthonormal directions that matter to the rows (n, r), and those that do not (n, n - r)."""
+    _, sizes, directions = np.linalg.svd(rows, full_matrices=True)
+    rank = int(np.sum(sizes > NEGLIGIBLE * max(float(np.max(sizes, initial=0.0)), 1e-300)))
+    return directions[:rank].T, directions[rank:].T
+
+
+def _least_squares(programme: Programme, measure: Measure, value: float) -> Array | None:
+    """The least-squares optimum of a root mean square if all limits let it be reached: to all digits, with the least mass."""
+    rows, offset = programme.rows(measure)
+    matters, _ = _span(rows)
+    x = -matters @ np.linalg.lstsq(rows @ matters, offset, rcond=None)[0]
+    if value - float(np.linalg.norm(rows @ x + offset)) > NEAR:
+        return None
+    return _Lightest(programme, [measure]).same(x)
+
+
+class _Lightest:
+    """Parameters with the least mass (and stiffness) among all that are as good in some measures, within all limits.
+
+    As good: with the very same effect on them; or, where that is lighter, with values at most `LIKE` larger.
+    """
+
+    def __init__(self, programme: Programme, measures: Sequence[Measure]) -> None:
+        cp, self.programme, self.measures = programme.cp, programme, measures
+        rows = np.concatenate([programme.rows(measure)[0].reshape(-1, programme.effects.count) for measure in measures])
+        self.idle = _span(np.asarray(np.linalg.qr(rows, mode="r")))[1]
+        self.limits = [*programme.relaxed, *(programme.row(bound) for bound in programme.bounds)]
+        every = [*programme.cones, *self.limits]
+        if self.idle.shape[1]:
+            self.free, self.given = cp.Variable(self.idle.shape[1]), cp.Parameter(programme.effects.count)
+            same = programme.x == self.given + self.idle @ self.free
+            self.exact = cp.Problem(cp.Minimize(programme.size), [*every, same])
+        self.values = cp.Parameter(len(measures))
+        alike = [programme.expression(measure) <= self.values[k] for k, measure in enumerate(measures)]
+        self.near = cp.Problem(cp.Minimize(programme.size), [*every, *alike])
+
+    def same(self, x: Array) -> Array | None:
+        """The lightest with the effects of `x`; None where the limits allow none."""
+        if not self.idle.shape[1]:
+            return x if self.programme.holds(x, self.limits) else None
+        self.given.value = x
+        found = solved(self.programme.cp, self.exact)
+        if found.status != "optimal" or found.outside > FITS:
+            return None
+        lighter: Array = x + self.idle @ np.atleast_1d(self.free.value)
+        return lighter
+
+    def like(self, x: Array) -> Array:
+        """The lightest that is as good as `x`; `x` itself where none is lighter."""
+        same = self.same(x)
+        best = x if same is None else same
+        values = np.array([self.programme.evaluate(measure, x) for measure in self.measures])
+        for room in LIKE:
+            self.values.value = values + room
+            if solved(self.programme.cp, self.near).status != "optimal":
+                continue
+            near = np.array(self.programme.x.value, dtype=float)
+            found = [self.programme.evaluate(measure, near) for measure in self.measures]
+            if np.all(found <= values + room + FITS) and self.programme.excess(near) <= GAP:
+                return near if self._size(near) < self._size(best) * (1.0 - LIGHTER) else best
+        return best
+
+    def _size(self, x: Array) -> float:
+        self.programme.put(x)
+        return float(self.programme.size.value)
+
+
+# --- discs -----------------------------------------------------------------------------------------------------------------
+
+
+def made(programme: Programme, goal: Goal, x: Array, rounds: int = 60) -> Array:
+    """Discs near the optimum of their relaxation, made better step by step: each time their moments of inertia are linearised.
+
+    Returns the best parameters found that discs have; those of the relaxation themselves where discs reach it.
+    """
+    best = programme.realised(x)
+    if not programme.relaxed or _merit(programme, goal, best) <= _merit(programme, goal, x) + GAP:
+        return best
+    cp, n = programme.cp, programme.effects.count
+    here, width = cp.Parameter(n), cp.Parameter(nonneg=True)
+    discs = [k for k, weight in enumerate(programme.counterweights) if weight.kind == "disc"]
+    slopes, levels = cp.Parameter((len(discs), n)), cp.Parameter(len(discs))
+    rows = [programme.row(bound) for bound in programme.bounds]
+    tangent = [programme.x[[4 * k + 3 for k in discs]] == slopes @ programme.x + levels, cp.norm_inf(programme.x - here) <= width]
+    expression = sum(weight * programme.expression(measure) for measure, weight in goal)
+    problem = cp.Problem(cp.Minimize(expression), [*programme.cones, *rows, *tangent])
+    reach = 0.1 * max(1.0, float(np.max(np.abs(best))))
+    for _ in range(rounds):
+        slopes.value, levels.value = (np.array(part) for part in zip(*(programme.tangent(best, k) for k in discs), strict=True))
+        here.value, width.value = best, reach
+        found = solved(cp, problem)
+        if found.status == "optimal":
+            step = programme.realised(np.array(programme.x.value, dtype=float))
+            if _merit(programme, goal, step) < _merit(programme, goal, best) - 1e-12:
+                best, reach = step, 2.0 * reach
+                continue
+        reach *= 0.25
+        if reach < 1e-9:
+            break
+    return best
+
+
+def _merit(programme: Programme, goal: Goal, x: Array) -> float:
+    """The objective, and a hundred times by how much limits are missed."""
+    return evaluate(programme, goal, x) + 100.0 * programme.excess(x)
+
+
+# --- limits that cannot hold ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """A limit that cannot hold with the others; what it would have to be [SI], `together` with others, or `alone`."""
+
+    bound: Bound
+    together: float
+    alone: float
+
+
+def conflict(programme: Programme) -> tuple[Conflict, ...]:
+    """The limits that cannot hold together: what they would have to be, together and each alone."""
+    cp, bounds = programme.cp, programme.bounds
+    slack = cp.Variable(len(bounds), nonneg=True)
+    sizes = [abs(bound.bound) / bound.scale or 1.0 for bound in bounds]
+    rows = [programme.row(bound, slack[k] * sizes[k]) for k, bound in enumerate(bounds)]
+    elastic = solved(cp, cp.Problem(cp.Minimize(cp.sum(slack)), [*programme.cones, *programme.relaxed, *rows]))
+    amounts = np.array(slack.value, dtype=float) if elastic.status == "optimal" else np.full(len(bounds), np.inf)
+    found = []
+    for k, bound in enumerate(bounds):
+        problem = cp.Problem(cp.Minimize(bound.sense * bound.expression), programme.held(bound))
+        alone = solved(cp, problem)
+        value = float(bound.expression.value) * bound.scale if alone.status == "optimal" else math.inf
+        together = bound.bound + bound.sense * float(amounts[k]) * sizes[k] * bound.scale
+        if math.isfinite(value) or amounts[k] > FITS:
+            found.append(Conflict(bound, together if amounts[k] > FITS else bound.bound, value))
+    return tuple(found)
+
+
+# --- the trade-off ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of the trade-off: scaled parameters, both measures and the duality gap (scaled).
+
+    `rate`: how much the first falls per rise of the second, from the dual values.
+    """
+
+    x: Array
+    first: float
+    second: float
+    gap: float
+    rate: float
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The trade-off between two measures, from the least first to the least second; times of the first and a further one [s]."""
+
+    points: tuple[Point, ...]
+    first_seconds: float
+    further_seconds: float
+
+
+def curve(programme: Programme, first: Measure, second: Measure, count: int) -> Curve:
+    """Points where neither of two measures can be made smaller without the other becoming larger, evenly along the curve.
+
+    The ends are the optima of each, with the other as small as that allows. Between them, from points evenly spaced on the chord
+    both are lowered together as far as can be: one programme with the point of the chord as its parameter.
+
+    Source: A. Pascoletti, P. Serafini, Scalarizing vector optimization problems, J. Optim. Theory Appl. 42 (1984) 499-524.
+    """
+    cp = programme.cp
+    ends = [_end(programme, first, second), _end(programme, second, first)]
+    (a0, b0), (a1, b1) = ((programme.evaluate(first, end.x), programme.evaluate(second, end.x)) for end in ends)
+    start = Point(ends[0].x, a0, b0, a0 - ends[0].lower, math.nan)
+    stop = Point(ends[1].x, a1, b1, b1 - ends[1].lower, math.nan)
+    if a1 - a0 <= 10.0 * NEAR or b0 - b1 <= 10.0 * NEAR:  # no conflict: both are least at once
+        return Curve((start,), math.nan, math.nan)
+    at, depth = cp.Parameter(2), cp.Variable()
+    rows = [
+        programme.expression(first) <= at[0] + depth * (a1 - a0),
+        programme.expression(second) <= at[1] + depth * (b0 - b1),
+    ]
+    problem = cp.Problem(cp.Minimize(depth), [*programme.held(), *rows])
+    assert problem.is_dcp(dpp=True)
+    inner, seconds, lightest = [], [], _Lightest(programme, [first, second])
+    for share in np.linspace(0.0, 1.0, count)[1:-1]:
+        at.value = np.array([a0 + share * (a1 - a0), b0 - share * (b0 - b1)])
+        begin = time.perf_counter()
+        found = solved(cp, problem)
+        seconds.append(time.perf_counter() - begin)
+        if found.status != "optimal":
+            raise SolverError(f"the trade-off stopped at {share:.0%} of its length: {found.status}")
+        x = np.array(programme.x.value, dtype=float)
+        one, other = (float(np.max(row.dual_value)) for row in rows)
+        values = programme.evaluate(first, x), programme.evaluate(second, x)
+        x = lightest.like(x)
+        pair = programme.evaluate(first, x), programme.evaluate(second, x)
+        worse = max(pair[0] - values[0], pair[1] - values[1], 0.0)  # for the sake of less mass
+        gap, rate = found.gap * max(a1 - a0, b0 - b1) + worse, other / one if one > 0.0 else math.inf
+        inner.append(Point(x, *pair, gap, rate))
+    return Curve((start, *inner, stop), seconds[0], float(np.median(seconds[1:])) if len(seconds) > 1 else math.nan)
+
+
+def _end(programme: Programme, first: Measure, second: Measure) -> Optimum:
+    """The least of one measure, then of the other."""
+    best = optimum(programme, [(first, 1.0)])
+    if best.certificate.status != "optimal":
+        return best
+    cp = programme.cp
+    held = programme.expression(first) <= best.value + END
+    then = solved(cp, cp.Problem(cp.Minimize(programme.expression(second)), [*programme.held(), held]))
+    if then.status != "optimal":
+        return best
+    x = _Lightest(programme, [first, second]).like(np.array(programme.x.value, dtype=float))
+    return Optimum(x, best.value, best.certificate, best.prices)

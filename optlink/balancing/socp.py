@@ -1,0 +1,439 @@
+"""Balancing as a second-order cone programme (cvxpy), with a certificate that is computed here from the dual point.
+
+Everything inside is scaled: a measure by its value in the given machine, parameters by a mass and a length of the machine.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.counterweights import Counterweight, Effects, FreeSpring, Measure
+from optlink.dynamics.inertia import Parameters
+from optlink.errors import SolverError
+
+Array = NDArray[np.float64]
+GAP = 1e-7
+"""Duality gap, relative, up to which an optimum counts as proven."""
+
+NOTHING = 1e-9
+"""Scaled mass or stiffness below which there is none."""
+
+FITS = 1e-8
+"""By how much a scaled constraint may be missed by rounding."""
+
+TOLERANCES: tuple[dict[str, float], ...] = (
+    {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11, "tol_ktratio": 1e-9},
+    {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9},
+    {},
+)
+"""Of the solver, from the tightest on that it can keep."""
+
+REFINED = {"iterative_refinement_reltol": 1e-14, "iterative_refinement_abstol": 1e-14, "iterative_refinement_max_iter": 30}
+
+
+@dataclass
+class Certificate:
+    """What proves an optimum: value of the programme, the lower bound from its dual point, and how well both points fit.
+
+    `lower` already pays for the dual point's residual. `outside`: by how much the primal point violates its cones and rows.
+    """
+
+    status: str
+    value: float = math.nan
+    lower: float = -math.inf
+    outside: float = math.inf
+    iterations: int = 0
+
+    @property
+    def gap(self) -> float:
+        """Value less lower bound."""
+        return self.value - self.lower
+
+    @property
+    def proven(self) -> bool:
+        """Whether value and bound meet, and the point fits."""
+        return self.gap <= GAP * max(1.0, abs(self.value)) and self.outside <= GAP
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A limit that may be relaxed: `expression` (scaled) times `scale` is at most (sense +1) or at least (-1) `bound` [SI]."""
+
+    name: str
+    kind: str
+    expression: Any
+    bound: float
+    scale: float
+    sense: int = 1
+
+
+@dataclass(frozen=True)
+class Place:
+    """A limit of where a counterweight may be: `inside` <= mass * bound / length, both squared where it is one of gyration."""
+
+    name: str
+    bound: float
+    constraint: Any
+    inside: Any
+    mass: Any
+    length: float
+    squared: bool = False
+
+    @property
+    def reached(self) -> float:
+        """How far out it is [m]; zero without a mass."""
+        mass = float(self.mass.value)
+        share = max(float(self.inside.value), 0.0) / mass if mass > NOTHING else 0.0
+        return (math.sqrt(share) if self.squared else share) * self.length
+
+    @property
+    def rate(self) -> float:
+        """How the right side of the constraint grows per metre of the bound."""
+        rate = float(self.mass.value) / self.length
+        return 2.0 * rate * self.bound / self.length if self.squared else rate
+
+
+@dataclass(frozen=True)
+class Price:
+    """What a limit costs: its bound [SI], the value reached, and by how much the objective falls per SI unit of relaxation."""
+
+    name: str
+    kind: str
+    bound: float
+    value: float
+    sense: int
+    price: float
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What must hold beside the counterweights' own limits: measures at most so much, mass of all together [kg]."""
+
+    measures: tuple[tuple[Measure, float], ...] = ()
+    total: float = math.inf
+
+
+class Programme:
+    """The feasible counterweights and springs of a machine, and measures of them, as convex expressions.
+
+    Parameters
+    ----------
+    effects : Effects
+    counterweights, springs : what is free; in the order of `effects`
+    limits : Limits
+    before : measure -> its value in the given machine [SI]
+    mass, length : typical of the machine [kg, m]
+    """
+
+    def __init__(
+        self,
+        effects: Effects,
+        counterweights: Sequence[Counterweight],
+        springs: Sequence[FreeSpring],
+        limits: Limits,
+        mass: float,
+        length: float,
+    ) -> None:
+        import cvxpy
+
+        self.cp: Any = cvxpy
+        self.effects, self.counterweights, self.springs, self.limits = effects, counterweights, springs, limits
+        self.length = length
+        self.scales = np.concatenate([self._scale(w, mass) for w in counterweights] + [self._stiffness(s) for s in springs])
+        self.x = self.cp.Variable(effects.count)
+        self.hard: list[Place] = []
+        self.roots: list[tuple[Any, int]] = []  # variables that stand for square roots of parameters
+        self.cones: list[Any] = []
+        self.relaxed: list[Any] = []  # what stands for the moments of inertia that discs would have
+        self.bounds: list[Bound] = []
+        for k, weight in enumerate(counterweights):
+            self._counterweight(weight, self.x[4 * k : 4 * k + 4], self.scales[4 * k : 4 * k + 4])
+        begin = 4 * len(counterweights)
+        for k, spring in enumerate(springs, 0):
+            place = slice(begin + 2 * k, begin + 2 * k + 2)
+            self._spring(spring, self.x[place], self.scales[place])
+        if math.isfinite(limits.total) and counterweights:
+            self.bounds.append(Bound("mass of all counterweights together", "mass", self.total, limits.total, self.mass_scale))
+        for measure, bound in limits.measures:
+            self.bounds.append(Bound(str(measure), "measure", self.expression(measure), bound, self.before(measure) or 1.0))
+
+    # --- scaling ------------------------------------------------------------------------------------------------------
+
+    def _scale(self, weight: Counterweight, mass: float) -> Array:
+        size = weight.mass[1] if 0.0 < weight.mass[1] < math.inf else mass
+        reach = min(weight.reach, weight.extent, self.length)
+        return np.array([size, size * reach, size * reach, size * reach * reach])
+
+    def _stiffness(self, spring: FreeSpring) -> Array:
+        """A stiffness that makes a torque like the given one, unless a bound says more."""
+        high = spring.stiffness[1]
+        if not 0.0 < high < math.inf:
+            torque = Measure("driving torque")
+            high = (torque.value(self.effects.affine(torque).offset) or 1.0) / self.length**2
+        return np.array([high, high * self.length])
+
+    @cached_property
+    def mass_scale(self) -> float:
+        """In what the mass of all is counted [kg]."""
+        return float(np.max(self.scales[0 : 4 * len(self.counterweights) : 4]))
+
+    @property
+    def total(self) -> Any:
+        """Mass of all counterweights, in `mass_scale`."""
+        share = np.zeros(self.effects.count)
+        share[0 : 4 * len(self.counterweights) : 4] = self.scales[0 : 4 * len(self.counterweights) : 4] / self.mass_scale
+        return share @ self.x
+
+    # --- what can be made ------------------------------------------------------------------------------------------------
+
+    def _counterweight(self, weight: Counterweight, x: Any, scale: Array) -> None:
+        """The cones of a counterweight: with mass m, first moments p about the start of the body, moment of inertia J.
+
+        J >= |p|^2 / m is what any mass distribution keeps to; a disc adds its own m^2 / (2 pi rho t) or m r^2 / 2. For a disc
+        equality would be due: that is relaxed, above by what is largest within its limits, and made good afterwards.
+        """
+        cp, unit, length = self.cp, float(scale[0]), float(scale[1] / scale[0])
+        m, p, inertia = x[0], x[1:3], x[3]
+        label = f"of the counterweight on {weight.body}"
+        low, high = weight.mass
+        self.cones += [m >= 0.0]
+        if low > 0.0:
+            self.bounds.append(Bound(f"mass {label}", "mass", m, low, unit, -1))
+        if high < math.inf:
+            self.bounds.append(Bound(f"mass {label}", "mass", m, high, unit))
+        origin = np.array(weight.origin) / length
+        away = p - m * origin
+        if weight.at is not None:
+            at = np.array(weight.at) / length
+            self.cones.append(p == m * at)
+            steiner = float(at @ at) * m
+        else:
+            steiner = cp.quad_over_lin(p, m)
+        own: Any = 0.0
+        if weight.kind == "disc":
+            if weight.radius is not None:
+                own = 0.5 * (weight.radius / length) ** 2 * m
+            else:
+                own = weight.spread * unit / length**2 * cp.square(m)
+        if weight.at is not None and weight.radius is not None:
+            self.cones.append(inertia == steiner + own)  # linear: nothing to relax
+        else:
+            (self.relaxed if weight.kind == "disc" else self.cones).append(steiner + own <= inertia)
+        furthest = math.hypot(*weight.origin) + min(weight.reach, weight.extent) if weight.at is None else math.hypot(*weight.at)
+        if weight.reach < math.inf:
+            self._hard(f"reach {label}", weight.reach, cp.norm(away), m, length)
+        if weight.extent < math.inf:
+            name = f"extent {label}"
+            if weight.kind == "free":  # no part of it lies further from the origin, so nor does its radius of gyration
+                about = inertia - 2.0 * (origin @ p) + float(origin @ origin) * m
+                self._hard(name, weight.extent, about, m, length, squared=True)
+            elif weight.radius is not None:
+                self._hard(name, weight.extent, cp.norm(away) + m * (weight.radius / length), m, length)
+            else:  # m |c| + m r, with m r ~ m^(3/2): m^2 / s with s <= sqrt(m)
+                root = cp.Variable()
+                self.roots.append((root, 4 * self.counterweights.index(weight)))
+                edge = math.sqrt(2.0 * weight.spread * unit) / length
+                self.cones.append(cp.square(root) <= m)
+                self._hard(name, weight.extent, cp.norm(away) + edge * cp.quad_over_lin(m, root), m, length)
+        if weight.kind == "disc" and (furthest < math.inf):
+            # the largest that a disc's moment of inertia can be, as a multiple of its mass
+            widest = weight.radius_of(high if high < math.inf else math.inf) if weight.radius is None else weight.radius
+            widest = min(widest, weight.extent)
+            if widest < math.inf:
+                self.relaxed.append(inertia <= m * (furthest**2 + 0.5 * widest**2) / length**2)
+
+    def _hard(self, name: str, bound: float, inside: Any, mass: Any, length: float, *, squared: bool = False) -> None:
+        constraint = inside <= mass * (bound / length) ** (2 if squared else 1)
+        self.cones.append(constraint)
+        self.hard.append(Place(name, bound, constraint, inside, mass, length, squared))
+
+    def _spring(self, spring: FreeSpring, x: Any, scale: Array) -> None:
+        """k within its bounds, k * free length between those of the free length, the force within +-F at every position."""
+        k, p = x[0], x[1]
+        low, high = spring.stiffness
+        self.cones.append(k >= 0.0)
+        if low > 0.0:
+            self.bounds.append(Bound(f"stiffness of {spring.name}", "stiffness", k, low, float(scale[0]), -1))
+        if high < math.inf:
+            self.bounds.append(Bound(f"stiffness of {spring.name}", "stiffness", k, high, float(scale[0])))
+        shortest, longest = (end / self.length for end in spring.free)
+        self.cones += [p == k * shortest] if shortest == longest else [p >= k * shortest, p <= k * longest]
+        if spring.force < math.inf:
+            lengths = self.effects.lengths(spring) / self.length
+            ends = np.array([float(np.min(lengths)), float(np.max(lengths))])  # the force is linear in the length
+            largest = self.cp.max(self.cp.abs(ends * k - p))
+            self.bounds.append(Bound(f"force of {spring.name}", "force", largest, spring.force, float(scale[1])))
+
+    @property
+    def size(self) -> Any:
+        """Mass and stiffness that are added, each in its scale."""
+        begin = 4 * len(self.counterweights)
+        mass = self.total if self.counterweights else 0.0
+        return mass + self.cp.sum(self.x[begin::2]) if self.springs else mass
+
+    # --- measures -----------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _known(self) -> dict[Measure, tuple[float, Array, Array]]:
+        return {}
+
+    def _rows(self, measure: Measure) -> tuple[float, Array, Array]:
+        """Value before, and the scaled rows (positions, parts, n) or (k, n) and offsets of a measure."""
+        if measure not in self._known:
+            affine = self.effects.affine(measure)
+            before = measure.value(affine.offset)
+            if measure.of == "rms":
+                rows, offset = affine.compressed()
+            else:
+                rows, offset = affine.matrix, affine.offset
+            scale = before or float(np.max(np.abs(rows @ self.scales), initial=0.0)) or 1.0
+            self._known[measure] = before, rows * self.scales / scale, offset / scale
+        return self._known[measure]
+
+    def before(self, measure: Measure) -> float:
+        """Value in the given machine [SI]."""
+        return self._rows(measure)[0]
+
+    def rows(self, measure: Measure) -> tuple[Array, Array]:
+        """Scaled rows and offset of a measure: of a root mean square (k, n) and (k,), else (positions, parts, n)."""
+        return self._rows(measure)[1:]
+
+    def expression(self, measure: Measure) -> Any:
+        """A measure over its value in the given machine, as a convex expression."""
+        cp = self.cp
+        _, rows, offset = self._rows(measure)
+        if measure.of == "rms":
+            return cp.norm(rows @ self.x + offset)
+        positions, parts = offset.shape
+        amounts = cp.reshape(rows.reshape(-1, rows.shape[-1]) @ self.x + offset.ravel(), (positions, parts), order="C")
+        return cp.max(cp.norm(amounts, axis=1)) if parts > 1 else cp.max(cp.abs(amounts))
+
+    def evaluate(self, measure: Measure, x: Array) -> float:
+        """A measure over its value in the given machine, of scaled parameters."""
+        _, rows, offset = self._rows(measure)
+        amounts = rows @ x + offset
+        return float(np.linalg.norm(amounts)) if measure.of == "rms" else measure.value(amounts)
+
+    # --- solving ---------------------------------------------------------------------------------------------------------------
+
+    def held(self, skip: Bound | None = None) -> list[Any]:
+        """All constraints but one, those that may be relaxed last."""
+        return [*self.cones, *self.relaxed, *(self.row(bound) for bound in self.bounds if bound is not skip)]
+
+    def realised(self, x: Array) -> Array:
+        """Scaled parameters of what can be made: discs with the moments of inertia that their masses and places give them."""
+        found = x.copy()
+        for k, weight in enumerate(self.counterweights):
+            place = slice(4 * k, 4 * k + 4)
+            if found[4 * k] <= NOTHING:
+                found[place] = 0.0
+                continue
+            found[place] = np.array(weight.realised(Parameters(*(x[place] * self.scales[place])))) / self.scales[place]
+        begin = 4 * len(self.counterweights)
+        for k, spring in enumerate(self.springs):
+            i = begin + 2 * k
+            stiffness = float(x[i]) if x[i] > NOTHING else 0.0
+            low, high = (end / self.length * stiffness for end in spring.free)
+            found[i : i + 2] = stiffness, min(max(x[i + 1], low), high)
+        return found
+
+    def put(self, x: Array) -> None:
+        """Give the expressions these parameters."""
+        filled = x.copy()
+        for k in range(len(self.counterweights)):
+            if x[4 * k] <= NOTHING:  # nothing at all has no place
+                filled[4 * k : 4 * k + 4] = 1e-200, 0.0, 0.0, max(float(x[4 * k + 3]), 0.0)
+        self.x.value = filled
+        for root, place in self.roots:
+            root.value = math.sqrt(max(float(filled[place]), 0.0))
+
+    def excess(self, x: Array) -> float:
+        """By how much given parameters miss limits and cones, moments of inertia of discs left out."""
+        self.put(x)
+        return max((float(np.max(row.violation())) for row in [*self.cones, *map(self.row, self.bounds)]), default=0.0)
+
+    def holds(self, x: Array, rows: Sequence[Any]) -> bool:
+        """Whether given parameters meet the cones and some limits."""
+        self.put(x)
+        return all(float(np.max(row.violation())) <= FITS for row in [*self.cones, *rows])
+
+    def tangent(self, x: Array, k: int) -> tuple[Array, float]:
+        """Slope (n,) and level of the moment of inertia of disc k at given parameters, scaled."""
+        weight, place = self.counterweights[k], 4 * k
+        unit, length = float(self.scales[place]), float(self.scales[place + 1] / self.scales[place])
+        m, p = float(x[place]), x[place + 1 : place + 3]
+        slope = np.zeros(len(x))
+        if m <= NOTHING:
+            return slope, 0.0
+        linear = 0.5 * (weight.radius / length) ** 2 if weight.radius is not None else 0.0
+        square = weight.spread * unit / length**2 if weight.radius is None else 0.0
+        slope[place] = -float(p @ p) / m**2 + linear + 2.0 * square * m
+        slope[place + 1 : place + 3] = 2.0 * p / m
+        return slope, float(p @ p) / m + linear * m + square * m * m - float(slope @ x)
+
+    @staticmethod
+    def row(bound: Bound, slack: Any = 0.0) -> Any:
+        """The constraint of a bound; `slack` in its scale."""
+        return bound.sense * bound.expression <= bound.sense * bound.bound / bound.scale + slack
+
+
+def solved(cp: Any, problem: Any) -> Certificate:
+    """Solve a programme as tightly as the solver can, and certify what it found."""
+    best = Certificate("not solved")
+    for options in TOLERANCES:
+        settings = {**options, **REFINED}
+        data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts=settings)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an inaccurate solution is judged by its certificate, not by a warning
+            raw = chain.solve_via_data(problem, data, False, False, settings)
+            try:
+                problem.unpack_results(raw, chain, inverse)
+            except cp.error.SolverError:
+                best.status = str(raw.status)
+                continue
+        if problem.status in ("infeasible", "unbounded"):
+            return Certificate(problem.status, iterations=int(raw.iterations))
+        if problem.status not in ("optimal", "optimal_inaccurate"):
+            continue
+        best = _certified(data, raw)
+        if best.proven:
+            break
+    return best
+
+
+def _certified(data: Mapping[str, Any], raw: Any) -> Certificate:
+    """Certificate of the cone programme: minimise c x subject to b - A x in K; dual: maximise -b z, A' z + c = 0, z in K*."""
+    c, a, b = (data[key] for key in ("c", "A", "b"))
+    x, z = np.array(raw.x), np.array(raw.z)
+    dims = data["dims"]
+    residual = np.abs(a.T @ z + c)
+    lower = -float(b @ z) - float(residual @ np.maximum(np.abs(x), 1.0)) - _outside(z, dims, dual=True) * float(np.sum(np.abs(b)))
+    return Certificate("optimal", float(c @ x), lower, _outside(b - a @ x, dims, dual=False), int(raw.iterations))
+
+
+def _outside(s: Array, dims: Any, *, dual: bool) -> float:
+    """By how much a point misses its cone: equations, positive numbers, second-order cones; all but the first are self-dual."""
+    worst = 0.0 if dual or not dims.zero else float(np.max(np.abs(s[: dims.zero])))
+    place = dims.zero + dims.nonneg
+    worst = max(worst, -float(np.min(s[dims.zero : place], initial=0.0)))
+    for size in dims.soc:
+        cone = s[place : place + size]
+        worst = max(worst, float(np.linalg.norm(cone[1:]) - cone[0]))
+        place += size
+    if place != len(s):
+        raise SolverError("the programme has a cone that is not certified")
+    return worst
+
+
+def version() -> str:
+    """The solver and its version."""
+    return f"Clarabel {metadata.version('clarabel')}, cvxpy {metadata.version('cvxpy')}"

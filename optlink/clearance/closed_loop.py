@@ -1,0 +1,241 @@
+"""A machine with gaps under its drive and controller, revolution by revolution; memory does not grow with their number."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.clearance.columns import Record
+from optlink.clearance.contact_laws import EXPONENT
+from optlink.clearance.controller import Controller
+from optlink.clearance.equations import Drive, Equations, Weightless
+from optlink.clearance.integration import Block, Impact, Integration
+from optlink.clearance.joint import Gap
+from optlink.clearance.output import Output
+from optlink.dynamics.machine import Machine, parts
+from optlink.linkage.vector2d import Value
+from optlink.symbolic import Compiled, tracing
+
+Array = NDArray[np.float64]
+TURN = 2.0 * np.pi
+DENSE, DENSEST = 360, 50_000
+"""Rows of a revolution that are looked at, at least and at most; within one a contact is found by values and slopes."""
+
+SLOW = 5_000
+"""Rows of a revolution that a journal's vibration would need from which on the machine is slow, measured by its contacts."""
+
+LOOKS = 4.0
+"""Rows for each period in which a journal vibrates on its bearing under the load that the machine's motion makes."""
+
+
+class Revolution(NamedTuple):
+    """One revolution.
+
+    Its rows, what the servo was told beyond its command (m,) [rad], the contacts that ended; at every gap the largest penetration
+    [m] and normal force [N], and the largest torque [N m], between the rows too.
+    """
+
+    block: Block
+    further: Array
+    impacts: tuple[Impact, ...]
+    depths: tuple[float, ...] = ()
+    forces: tuple[float, ...] = ()
+    torque: float = 0.0
+
+
+class Plant:
+    """A machine with gaps.
+
+    Parameters
+    ----------
+    machine : Machine
+    gaps : sequence of Gap
+    drive : Drive
+    output : Output
+        What a controller measures.
+    start : float [rad]
+        Crank angle at the beginning; journals are centred then, velocities those of the ideal machine.
+    speed, nominal : float [rad/s]
+        Crank speed at the beginning, and the one whose revolutions count.
+    points : int
+        Rows told of each revolution.
+    sample_time : float [s]
+        Of the controller; the nearest that fits the revolution is used (`sample_time` of the plant).
+    tolerance : float
+        Relative, of the integrator.
+
+    Raises
+    ------
+    Weightless
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        gaps: Sequence[Gap],
+        drive: Drive,
+        output: Output,
+        *,
+        start: float,
+        speed: float,
+        nominal: float,
+        points: int,
+        tolerance: float,
+        sample_time: float = np.inf,
+    ) -> None:
+        self.period = TURN / abs(nominal)
+        self.samples = 1 if not np.isfinite(sample_time) else max(1, round(self.period / sample_time))
+        least = np.lcm(points, self.samples) if self.samples > 1 else points
+        if least > 20 * max(points, self.samples, DENSE):  # samples and rows that fit badly: take samples that fit
+            self.samples = points * max(1, round(self.samples / points))
+            least = max(points, self.samples)
+        wished = LOOKS * self.period / vibration(machine, gaps, nominal)
+        dense = min(max(DENSE, wished), DENSEST)
+        self.rows = int(least * max(1, math.ceil(dense / least)))
+        self.points, self.sample_time = points, self.period / self.samples
+        self.equations = Equations(machine, gaps, drive, nominal)
+        self.output = output
+        with tracing():
+            self._measure = Compiled([self.equations.x], [output.of(self.equations.symbolic)])
+        state = self._ideal(machine, start, speed)
+        self._check_inertia(state)
+        self.integration = Integration(self.equations, state, self.period / self.rows, tolerance, wished > SLOW)
+        self.start, self.nominal = start, nominal
+        self.controller: Controller | None = None
+        self.partial: Revolution | None = None  # what there is of a revolution that broke off
+
+    def _ideal(self, machine: Machine, start: float, speed: float) -> Array:
+        """The state of the machine without clearance."""
+        moving = machine.moving(np.array([start]), speed)
+        both = [parts(value) for value in self.equations.cut.read(moving.pose)]
+        state = np.array([_number(value[order]) for order in (0, 1) for value in both])
+        state[self.equations.cut.driven] = start  # not wrapped: the command of a servo is not
+        return state
+
+    def _check_inertia(self, state: Array) -> None:
+        """Every free motion needs inertia."""
+        equations = self.equations
+        mass, held = equations.masses(state)
+        count = len(equations.free)
+        if not count:
+            return
+        matrix, grip = mass.reshape(count, count).T, held.reshape(count, -1).T
+        lengths = np.array(
+            [1.0 if equations.cut.coordinates[i].kind == "angle" else equations.machine.size for i in equations.free]
+        )
+        matrix, grip = matrix * np.outer(lengths, lengths), grip * lengths
+        _, values, rows = np.linalg.svd(grip, full_matrices=True) if grip.size else (None, np.zeros(0), np.eye(count))
+        free = rows[int(np.sum(values > 1e-9 * np.max(values, initial=0.0))) :].T
+        sizes, ways = np.linalg.eigh(free.T @ matrix @ free)
+        if sizes.size and sizes[0] <= 1e-12 * max(sizes[-1], 0.0):
+            blame = int(np.argmax(np.abs(free @ ways[:, 0])))
+            raise Weightless(equations.cut.coordinates[equations.free[blame]].body)
+
+    @property
+    def time(self) -> float:
+        """Now [s]."""
+        return self.integration.time
+
+    def measured(self) -> float:
+        """The output now."""
+        return float(self._measure(self.integration.state)[0][0])
+
+    def now(self) -> Block:
+        """The present state as a row."""
+        course = self.integration
+        row = (course.state, course.modes, course.entered, course.works)
+        return Block(np.array([course.time]), *(part[None, :].copy() for part in row))
+
+    def turn(self) -> Revolution:
+        """Go on by one revolution of the nominal speed.
+
+        Raises
+        ------
+        Stalled
+        """
+        course, every = self.integration, self.rows // self.points
+        parts: list[tuple[Block, Array]] = []
+        course.restart()
+        try:
+            self._samples(parts)
+        finally:
+            self.partial = self._rows(parts, every) if sum(len(block.time) for block, _ in parts) >= every else None
+        impacts, course.finished = tuple(course.finished), []
+        whole, self.partial = self.partial, None
+        assert whole is not None
+        peaks, k = course.take_peaks(), len(self.equations.gaps)
+        return whole._replace(impacts=impacts, depths=peaks[:k], forces=peaks[k : 2 * k], torque=peaks[-1])
+
+    def _rows(self, parts: list[tuple[Block, Array]], every: int) -> Revolution:
+        """Every so many-th of the rows that were looked at."""
+        columns = zip(*(block for block, _ in parts), strict=True)
+        whole = Block(*(np.concatenate(column)[every - 1 :: every] for column in columns))
+        return Revolution(whole, np.concatenate([further for _, further in parts])[every - 1 :: every], ())
+
+    def _samples(self, parts: list[tuple[Block, Array]]) -> None:
+        """A revolution, sample by sample of the controller."""
+        course = self.integration
+        stride = self.rows // self.samples if self.controller else self.rows
+        for sample in range(self.rows // stride):
+            if self.controller:
+                course.further = self.controller(sample, self.measured())
+            for block in course.advance(stride):
+                parts.append((block, np.full(len(block.time), course.further)))
+
+    def save(self) -> dict[str, Any]:
+        """The state at the end of a revolution, as plain numbers: from there `restore` goes on to the last digit."""
+        course, pid = self.integration, self.controller.pid if self.controller else None
+        return {
+            "row": course.row,
+            "state": course.state.tolist(),
+            "modes": course.modes.tolist(),
+            "entered": course.entered.tolist(),
+            "works": course.works.tolist(),
+            "open": [list(impact) for impact in course.open.values()],
+            "switches": course.switches,
+            "further": course.further,
+            "pid": None if pid is None else [pid.integral, pid.before],
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from a state that was saved."""
+        course = self.integration
+        for name, own in (("state", course.state), ("modes", course.modes), ("entered", course.entered), ("works", course.works)):
+            if np.shape(saved[name]) != own.shape:
+                raise ValueError(name)
+        course.row, course.ahead, course.switches = saved["row"], 0.0, saved["switches"]
+        course.state, course.modes, course.entered, course.works = (
+            np.array(saved[name], dtype=float) for name in ("state", "modes", "entered", "works")
+        )
+        course.open = {int(row[0]): Impact(int(row[0]), *row[1:]) for row in saved["open"]}
+        course.further = saved["further"]
+        if self.controller and saved["pid"]:
+            self.controller.pid.integral, self.controller.pid.before = saved["pid"]
+
+    def record(self, revolution: Revolution) -> Record:
+        """Everything about its rows."""
+        return Record(self.equations, revolution.block, revolution.further)
+
+
+def vibration(machine: Machine, gaps: Sequence[Gap], speed: float) -> float:
+    """Shortest period [s] in which a journal vibrates on its bearing under a typical load: gravity and the crank's acceleration.
+
+    An estimate of the time in which contacts come and go, from the masses of the two bodies.
+    """
+    pull = math.hypot(*(_number(part) for part in machine.gravity)) + speed * speed * _number(machine.size)
+    total = sum(_number(inertia.mass) for inertia in machine.inertias.values())
+    periods = []
+    for gap in gaps:
+        own = [_number(machine.inertias[body].mass) for body in (gap.journal, gap.bearing) if body in machine.inertias]
+        mass = 1.0 / sum(1.0 / m for m in own if m > 0.0) if any(m > 0.0 for m in own) else total
+        depth = (mass * pull / gap.stiffness) ** (1.0 / EXPONENT)
+        periods.append(TURN * math.sqrt(mass / (EXPONENT * gap.stiffness * math.sqrt(depth))) if mass > 0.0 else math.inf)
+    return min(periods)
+
+
+def _number(value: Value) -> float:
+    return float(np.asarray(value, dtype=float).ravel()[0])

@@ -1,0 +1,213 @@
+"""Everything about a machine with gaps in motion as named columns: motion, play, contacts, reactions, torque, energies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.clearance.equations import Equations
+from optlink.clearance.integration import Block
+from optlink.clearance.joint import Touch, acting
+from optlink.clearance.spanning_tree import Pin
+from optlink.clearance.state import Loose
+from optlink.dynamics.columns import Column, slider_names
+from optlink.dynamics.inertia import Wrench
+from optlink.dynamics.inverse import acting_on
+from optlink.linkage.mechanism import FRAME, Guide
+from optlink.linkage.vector2d import Value, Vector, cross, minus, plus
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a guide exerts on its slider: force [N], moment about the slider's point [N m]."""
+
+    force: Vector
+    moment: Value
+
+
+class Record:
+    """Rows of a motion: columns by name, each (m,).
+
+    Parameters
+    ----------
+    equations : Equations
+    block : Block
+    further : array (m,) [rad]
+        What the servo was told at each row beyond its command.
+    """
+
+    def __init__(self, equations: Equations, block: Block, further: Array) -> None:
+        self.equations, self.block = equations, block
+        n, count = equations.size, len(block.time)
+        given = np.column_stack([np.zeros(count), block.time, further, block.entered, block.modes])
+        found = equations.outcome(count)(block.states.ravel(), given.ravel(), np.zeros(count))
+        accelerations, self.torque, self.pull = found[0].reshape(count, n), found[1], found[2].reshape(count, -1)
+        self.loose: Loose = equations.loose(block.states[:, :n].T, block.states[:, n:].T, accelerations.T)
+        self.touches: list[Touch] = equations.touches(self.loose, block.entered.T, block.modes.T)
+        self.pins: dict[str, dict[str, Vector]] = {}
+        self.guides: dict[str, Held] = {}
+        self._balance()
+
+    # --- reactions ---------------------------------------------------------------------------------------------------
+
+    def _balance(self) -> None:
+        """Forces in the ideal joints: from the closing ones inwards, then body by body from the leaves of the tree."""
+        loose, cut = self.loose, self.equations.cut
+        needed = loose.needed()
+        forces = [one for several in loose.acting().values() for one in several]
+        for gap, contact in zip(self.equations.gaps, self.touches, strict=True):
+            both = acting(gap, loose.play(gap), loose.position(gap.point, gap.journal), contact)
+            forces += both
+            for one in both:
+                self._exert(gap.point, one.body, one.force)
+        for one in forces:
+            if one.body != FRAME:
+                self._need(needed, one.body, one.wrench(loose.state(one.body)), -1.0)
+        for i, joint in enumerate(cut.closing):
+            a, b = -self.pull[:, 2 * i], -self.pull[:, 2 * i + 1]
+            self._hold(needed, joint, self._closing_force(joint, a, b), b if isinstance(joint, Guide) else 0.0)
+        for body, _, held in reversed(cut.branches):
+            if held is not None:
+                total, at = needed[body], self._joint(held)
+                force, moment = total.force, total.about(loose.state(body).start, at)
+                sign = 1.0 if body == held.bodies[0] else -1.0
+                self._hold(needed, held, (sign * force[0], sign * force[1]), sign * moment, skip=body)
+
+    def _closing_force(self, joint: Pin | Guide, a: Value, b: Value) -> Vector:
+        if isinstance(joint, Guide):
+            x, y = self.loose.line(joint.name)
+            return -a * y, a * x
+        return a, b
+
+    def _joint(self, joint: Pin | Guide) -> Vector:
+        """Where a joint acts: the pin, or the slider's point."""
+        if isinstance(joint, Guide):
+            at = self.equations.cut.local.local_line(joint, joint.slider)[0]
+            state = self.loose.state(joint.slider)
+            x, y = at[0] * state.axis[0] - at[1] * state.axis[1], at[0] * state.axis[1] + at[1] * state.axis[0]
+            return state.start[0] + x, state.start[1] + y
+        return self.loose.position(joint.point, joint.first)
+
+    def _hold(self, needed: dict[str, Wrench], joint: Pin | Guide, force: Vector, moment: Value, skip: str = "") -> None:
+        """A joint exerts a force and a moment on its first body, the opposite on its second."""
+        at = self._joint(joint)
+        for body, sign in zip(joint.bodies, (1.0, -1.0), strict=True):
+            own = (sign * force[0], sign * force[1])
+            if isinstance(joint, Pin):
+                self._exert(joint.point, body, own)
+            elif sign > 0.0:
+                self.guides[joint.name] = Held(own, moment)
+            if body not in (FRAME, skip):
+                lever = minus(at, self.loose.state(body).start)
+                turned = sign * moment if isinstance(joint, Guide) else 0.0
+                self._need(needed, body, Wrench(own, turned + cross(lever, own)), -1.0)
+
+    def _need(self, needed: dict[str, Wrench], body: str, wrench: Wrench, sign: float) -> None:
+        (x, y), moment = wrench
+        needed[body] = needed[body] + Wrench((sign * x, sign * y), sign * moment)
+
+    def _exert(self, point: str, body: str, force: Vector) -> None:
+        forces = self.pins.setdefault(point, {})
+        forces[body] = plus(forces[body], force) if body in forces else force
+
+    # --- columns -----------------------------------------------------------------------------------------------------
+
+    @property
+    def columns(self) -> dict[str, Column]:
+        """All columns by name."""
+        count = len(self.block.time)
+        full = (
+            (name, meaning, np.broadcast_to(np.asarray(value, dtype=float), (count,))) for name, meaning, value in self._all()
+        )
+        return {name: Column(name, meaning, values) for name, meaning, values in full}
+
+    def _all(self) -> Iterator[tuple[str, str, Value]]:
+        yield "time_s", "time", self.block.time
+        yield "crank_angle_deg", "crank angle", np.degrees(self.loose.crank.value)
+        yield from self._motion()
+        yield from self._gaps()
+        yield from self._forces()
+        yield from self._energies()
+
+    def _motion(self) -> Iterator[tuple[str, str, Value]]:
+        loose, mechanism = self.loose, self.equations.cut.mechanism
+        for body in mechanism.bodies:
+            state = loose.state(body)
+            own = [i for i, coordinate in enumerate(self.equations.cut.coordinates) if coordinate == (body, "angle")]
+            angle = self.block.states[:, own[0]] if own else np.arctan2(state.axis[1], state.axis[0])
+            yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", angle
+            yield f"{body}.omega_rad_s", f"angular velocity of {body}", state.omega
+            yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", state.alpha
+        gaps = {gap.point: gap for gap in self.equations.gaps}
+        for point, bodies in mechanism.owners.items():
+            if FRAME in bodies and point not in gaps:
+                continue
+            shown = (gaps[point].journal, gaps[point].bearing) if point in gaps else bodies[:1]
+            for body in shown:
+                if body != FRAME:
+                    name = f"{point}.{body}" if point in gaps else point
+                    for axis, value in zip("xy", loose.position(point, body), strict=True):
+                        yield f"{name}.{axis}_m", f"position of {point}{f' on {body}' if point in gaps else ''} in {axis}", value
+        names = slider_names(self.equations.machine)
+        for guide, (s, v, a) in loose.slides.items():
+            yield f"{names[guide]}.s_m", f"slide in the guide {guide}", s
+            yield f"{names[guide]}.v_m_s", f"sliding velocity in the guide {guide}", v
+            yield f"{names[guide]}.a_m_s2", f"sliding acceleration in the guide {guide}", a
+
+    def _gaps(self) -> Iterator[tuple[str, str, Value]]:
+        for gap, contact, mode in zip(self.equations.gaps, self.touches, self.block.modes.T, strict=True):
+            play, name = self.loose.play(gap), gap.point
+            for axis, value in zip("xy", play.eccentricity, strict=True):
+                yield f"{name}.e{axis}_m", f"journal's centre from the bearing's at {name} in {axis}", value
+            yield f"{name}.contact", f"1 where journal and bearing touch at {name}, 0 apart", mode
+            yield f"{name}.penetration_m", f"penetration at {name}, negative: distance left", contact.penetration
+            yield f"{name}.approach_m_s", f"rate of the penetration at {name}", contact.rate
+            yield f"{name}.normal_N", f"normal force at {name}", contact.normal
+            yield f"{name}.rub_N", f"friction at {name} on the journal, counter-clockwise", contact.friction
+            yield f"{name}.slip_m_s", f"slip of the journal's surface at {name}", contact.slip
+
+    def _forces(self) -> Iterator[tuple[str, str, Value]]:
+        machine = self.equations.machine
+        for point, (by, on) in acting_on(machine).items():
+            forces, bodies = self.pins[point], machine.mechanism.pins[point]
+            if len(bodies) == 2:
+                for axis, value in zip("xy", forces[on], strict=True):
+                    yield f"{point}.f{axis}_N", f"force of {by} on {on} at {point} in {axis}", value
+            else:
+                for body in (on, *(b for b in bodies if b != on)):
+                    for axis, value in zip("xy", forces[body], strict=True):
+                        yield f"{point}.{body}.f{axis}_N", f"force of the pin on {body} at {point} in {axis}", value
+        for guide in machine.mechanism.guides:
+            what, held = f"of {guide.on} on {guide.slider} in the guide {guide.name}", self.guides[guide.name]
+            line = self.loose.line(guide.name)
+            yield f"{guide.name}.normal_N", f"normal force {what}, to the left of the line", cross(line, held.force)
+            yield f"{guide.name}.moment_Nm", f"moment {what}", held.moment
+        yield "input.torque_Nm", f"torque of the drive on {machine.mechanism.crank.body}", self.torque
+        yield "input.power_W", "power of the drive", self.torque * self.loose.crank.rate
+
+    def _energies(self) -> Iterator[tuple[str, str, Value]]:
+        yield "energy.kinetic_J", "kinetic energy", self.loose.kinetic
+        yield "energy.potential_J", "potential energy of gravity, zero at y = 0", self.loose.potential
+        yield "energy.contact_J", "elastic energy of the contacts", sum(contact.elastic for contact in self.touches)
+        for name, values in zip(self.equations.losses, self.block.works.T, strict=True):
+            yield f"work.{name}_J", _work(name), values
+
+    @property
+    def energy(self) -> Array:
+        """Kinetic energy, that of gravity and that of the contacts together [J]."""
+        elastic = sum(contact.elastic for contact in self.touches)
+        return np.asarray(self.loose.kinetic + self.loose.potential + elastic + 0.0 * self.block.time)
+
+
+def _work(name: str) -> str:
+    point, _, kind = name.rpartition(".")
+    if kind == "impact" and point:
+        return f"energy lost at {point} by the damping of the contact"
+    if kind == "friction" and point:
+        return f"energy lost at {point} by friction"
+    return "work of the drive" if name == "drive" else f"work of the load {name}"

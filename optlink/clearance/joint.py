@@ -1,0 +1,137 @@
+"""A revolute joint with clearance: a journal that moves in a bearing, and what they exert on one another when they touch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from optlink.clearance.contact_laws import EXPONENT, NORMAL, friction
+from optlink.dynamics.loads import Acting
+from optlink.linkage.vector2d import Value, Vector, cross, dot, minus
+
+CENTRED = 1e-24
+"""Square of an eccentricity [m^2] that keeps the direction of a centred journal finite."""
+
+LEAST_DEPTH = 1e-14
+"""Penetration [m] below which the force is that of this one: the power 1.5 has no second derivative at zero."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Clearance in a pin.
+
+    Parameters
+    ----------
+    point : str
+        The pin.
+    journal, bearing : str
+        The bodies that have the journal and the bearing; either may be the frame.
+    clearance : float [m]
+        Radius of the bearing minus that of the journal.
+    radius : float [m]
+        Of the journal.
+    stiffness : float [N/m^1.5]
+    restitution : float [-]
+    law : str
+        One of `contact.NORMAL`.
+    friction : float [-]
+        Coulomb's coefficient; full from slips well above `slip_speed` [m/s] on.
+    damping : float [N s/m]
+        Tangential, while there is contact.
+    """
+
+    point: str
+    journal: str
+    bearing: str
+    clearance: float
+    radius: float
+    stiffness: float
+    restitution: float = 0.9
+    law: str = "lankarani-nikravesh"
+    friction: float = 0.0
+    slip_speed: float = field(default=0.01, kw_only=True)
+    damping: float = field(default=0.0, kw_only=True)
+
+
+class Motion(NamedTuple):
+    """How a journal moves in its bearing: eccentricity and its rate (of the centres), angular velocities of both bodies."""
+
+    eccentricity: Vector
+    rate: Vector
+    journal: Value
+    bearing: Value
+
+    @property
+    def distance(self) -> Value:
+        """Of the centres [m]."""
+        return np.sqrt(dot(self.eccentricity, self.eccentricity) + CENTRED)
+
+    @property
+    def normal(self) -> Vector:
+        """Unit vector from the centre of the bearing towards that of the journal."""
+        away = self.distance
+        return self.eccentricity[0] / away, self.eccentricity[1] / away
+
+    @property
+    def approach(self) -> Value:
+        """Rate of the distance of the centres [m/s]."""
+        return dot(self.normal, self.rate)
+
+    def slip(self, radius: float) -> Value:
+        """Tangential velocity of the journal's surface against the bearing's, where they touch [m/s]."""
+        x, y = self.normal
+        return cross((x, y), self.rate) + radius * self.journal - (radius + self.distance) * self.bearing
+
+
+class Touch(NamedTuple):
+    """A contact: penetration [m] (negative: distance left), its rate, slip [m/s], normal force and friction [N] on the journal.
+
+    `elastic` [J] is stored; `loss` and `rubbing` [W] turn into heat along the normal and along the surface.
+    """
+
+    penetration: Value
+    rate: Value
+    slip: Value
+    normal: Value
+    friction: Value
+    force: Vector
+    elastic: Value
+    loss: Value
+    rubbing: Value
+
+
+def touch(gap: Gap, motion: Motion, speed: Value, closed: Value = 1.0) -> Touch:
+    """What journal and bearing exert on one another.
+
+    Parameters
+    ----------
+    speed : Value [m/s]
+        Approach speed with which the contact began.
+    closed : Value
+        1 in contact, 0 apart: there is no force then, even where a trial motion goes on into the bearing.
+    """
+    delta, rate, slip = motion.distance - gap.clearance, motion.approach, motion.slip(gap.radius)
+    depth = np.maximum(delta, LEAST_DEPTH)
+    normal = closed * NORMAL[gap.law](depth, rate, speed, gap.stiffness, gap.restitution)
+    spring = closed * NORMAL["hertz"](depth, rate, speed, gap.stiffness, gap.restitution)
+    rub = closed * friction(normal, slip, gap.friction, gap.slip_speed, gap.damping)
+    x, y = motion.normal
+    force = -normal * x - rub * y, -normal * y + rub * x
+    elastic = spring * depth / (EXPONENT + 1.0)
+    return Touch(delta, rate, slip, normal, rub, force, elastic, (normal - spring) * rate, -rub * slip)
+
+
+def acting(gap: Gap, motion: Motion, journal: Vector, contact: Touch) -> tuple[Acting, Acting]:
+    """The same on both bodies, journal first: at one point, so that no moment is left over.
+
+    Parameters
+    ----------
+    journal : Vector [m]
+        Centre of the journal.
+    """
+    x, y = motion.normal
+    at = journal[0] + gap.radius * x, journal[1] + gap.radius * y
+    back = minus((0.0, 0.0), contact.force)
+    return Acting(gap.journal, at, contact.force, 0.0), Acting(gap.bearing, at, back, 0.0)

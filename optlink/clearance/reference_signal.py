@@ -1,0 +1,41 @@
+"""What the servo of the crank is told: an even turn, and a periodic correction of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.vector2d import Value
+
+
+@dataclass(frozen=True)
+class Command:
+    """angle = start + speed t + a Fourier series of the revolution; its derivative is the speed command.
+
+    `harmonics` (h,): complex [rad]; the correction is the real part of the sum of harmonics[k] exp(i k |speed| t).
+    """
+
+    start: float
+    speed: float
+    harmonics: NDArray[np.complex128]
+
+    def at(self, time: Value) -> tuple[Value, Value]:
+        """Angle [rad] and speed [rad/s] commanded; floats, arrays and symbols pass."""
+        angle, speed = self.start + self.speed * time, self.speed + 0.0 * time
+        for k, harmonic in enumerate(self.harmonics.tolist()):
+            rate = k * abs(self.speed)
+            c, s = np.cos(rate * time), np.sin(rate * time)
+            angle = angle + harmonic.real * c - harmonic.imag * s
+            speed = speed - rate * (harmonic.real * s + harmonic.imag * c)
+        return angle, speed
+
+    def correction(self, time: Value) -> Value:
+        """The angle minus that of the even turn [rad]."""
+        return self.at(time)[0] - (self.start + self.speed * time)
+
+
+def even(start: float, speed: float) -> Command:
+    """The command without any correction."""
+    return Command(start, speed, np.zeros(0, dtype=complex))

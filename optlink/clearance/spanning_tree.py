@@ -1,0 +1,203 @@
+"""A mechanism cut at its gaps: what its ideal joints leave is a tree of bodies, with the coordinates that move it.
+
+A body hangs on its parent by a pin (coordinate: its own angle) or by a guide (coordinate: the slide), or is free (two coordinates
+of its start, and its angle). Ideal joints beyond the tree close loops; each gives two equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+from optlink.linkage.mechanism import FRAME, Guide, Mechanism, Pose
+from optlink.linkage.vector2d import Value, Vector, angle, cross, dot, minus, plus, turn, turn_back, unit
+
+
+class Coordinate(NamedTuple):
+    """One coordinate: of which body, and what it is: its `angle` [rad], `x` or `y` of its start [m], or a `slide` [m]."""
+
+    body: str
+    kind: Literal["angle", "x", "y", "slide"]
+
+    @property
+    def name(self) -> str:
+        """For columns and messages."""
+        return f"{self.body}.{self.kind}"
+
+
+class Place(NamedTuple):
+    """Where a body is: its start [m] and the unit vector of its x axis."""
+
+    start: Vector
+    axis: Vector
+
+
+class Pin(NamedTuple):
+    """A revolute joint without play between two bodies."""
+
+    point: str
+    first: str
+    second: str
+
+    @property
+    def bodies(self) -> tuple[str, str]:
+        """The two."""
+        return self.first, self.second
+
+
+class Branch(NamedTuple):
+    """How a body is held: by a joint on a body that is placed before it, or not at all."""
+
+    body: str
+    parent: str
+    joint: Pin | Guide | None
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A mechanism of given sizes without its pins at `gaps`: point -> body that is cut off there (the journal)."""
+
+    mechanism: Mechanism
+    sizes: Mapping[str, Value]
+    gaps: Mapping[str, str]
+
+    @cached_property
+    def pins(self) -> tuple[Pin, ...]:
+        """The ideal revolute joints, two bodies at a time."""
+        found = []
+        for point, bodies in self.mechanism.pins.items():
+            held = [body for body in bodies if body != self.gaps.get(point)]
+            found += [Pin(point, held[0], other) for other in held[1:]]
+        return tuple(found)
+
+    @cached_property
+    def branches(self) -> tuple[Branch, ...]:
+        """All bodies, each after the one that holds it."""
+        found = self._grow(free_crank=False)
+        crank = next(branch for branch in found if branch.body == self.mechanism.crank.body)
+        # the drive sets the crank's angle, so that must be a coordinate: a crank that would hang in a guide becomes a root
+        return self._grow(free_crank=True) if isinstance(crank.joint, Guide) else found
+
+    def _grow(self, *, free_crank: bool) -> tuple[Branch, ...]:
+        joints: list[Pin | Guide] = [*self.pins, *self.mechanism.guides]
+        found: dict[str, Branch] = {}
+        if free_crank:
+            found[self.mechanism.crank.body] = Branch(self.mechanism.crank.body, FRAME, None)
+        waiting = [FRAME, *found]
+        for root in ["", *self.mechanism.bodies]:
+            if root and root not in found:
+                found[root] = Branch(root, FRAME, None)
+                waiting.append(root)
+            while waiting:
+                at = waiting.pop(0)
+                for joint in joints:
+                    if at in joint.bodies:
+                        other = joint.bodies[0] if joint.bodies[1] == at else joint.bodies[1]
+                        if other != FRAME and other not in found:
+                            found[other] = Branch(other, at, joint)
+                            waiting.append(other)
+        return tuple(found.values())
+
+    @cached_property
+    def closing(self) -> tuple[Pin | Guide, ...]:
+        """The ideal joints beyond the tree."""
+        used = {id(branch.joint) for branch in self.branches}
+        joints: list[Pin | Guide] = [*self.pins, *self.mechanism.guides]
+        return tuple(joint for joint in joints if id(joint) not in used)
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """What moves the tree, in the order of the bodies."""
+        found = []
+        for body, _, joint in self.branches:
+            if joint is None:
+                found += [Coordinate(body, "x"), Coordinate(body, "y"), Coordinate(body, "angle")]
+            else:
+                found.append(Coordinate(body, "slide" if isinstance(joint, Guide) else "angle"))
+        return tuple(found)
+
+    @cached_property
+    def driven(self) -> int:
+        """Index of the crank's angle among the coordinates."""
+        return self.coordinates.index(Coordinate(self.mechanism.crank.body, "angle"))
+
+    @cached_property
+    def local(self) -> Pose:
+        """Where points and lines lie on the bodies; nothing is placed in it."""
+        return Pose(self.mechanism, self.sizes)
+
+    def place(self, values: Sequence[Value]) -> dict[str, Place]:
+        """Where every body is, from the coordinates (floats, arrays, symbols or jets), in their order."""
+        found = {FRAME: Place((0.0, 0.0), (1.0, 0.0))}
+        given = iter(values)
+        for body, parent, joint in self.branches:
+            if joint is None:
+                found[body] = Place((next(given), next(given)), unit(next(given)))
+            elif isinstance(joint, Guide):
+                found[body] = self._slid(joint, body, found[parent], next(given))
+            else:
+                axis = unit(next(given))
+                at = self.at(joint.point, parent, found[parent])
+                found[body] = Place(minus(at, turn(self.local.local(body, joint.point), axis)), axis)
+        return found
+
+    def _slid(self, guide: Guide, body: str, parent: Place, slide: Value) -> Place:
+        """A body in a guide of its parent; it may be the slider, or what carries the line."""
+        (at, own), (held, line) = self.local.local_line(guide, body), self.local.local_line(guide, guide.other(body))
+        way = turn(line, parent.axis)
+        begin, axis = plus(parent.start, turn(held, parent.axis)), turn_back(way, own)
+        shift = slide if body == guide.slider else -slide
+        return Place(minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis)), axis)
+
+    def at(self, point: str, body: str, place: Place) -> Vector:
+        """Where a point of a placed body is [m]."""
+        return plus(place.start, turn(self.local.local(body, point), place.axis))
+
+    def line(self, guide: Guide, body: str, place: Place) -> tuple[Vector, Vector]:
+        """A point [m] and the unit vector of a guide's line, from where one of its bodies is."""
+        point, way = self.local.local_line(guide, body)
+        return plus(place.start, turn(point, place.axis)), turn(way, place.axis)
+
+    def slide(self, guide: Guide, places: Mapping[str, Place]) -> Value:
+        """How far the slider has moved along its line [m]."""
+        begin, way = self.line(guide, guide.on, places[guide.on])
+        return dot(minus(self.line(guide, guide.slider, places[guide.slider])[0], begin), way)
+
+    def eccentricity(self, point: str, places: Mapping[str, Place]) -> Vector:
+        """From the centre of the bearing to that of the journal [m] at a gap."""
+        journal = self.gaps[point]
+        return minus(self.at(point, journal, places[journal]), self.at(point, self.bearing(point), places[self.bearing(point)]))
+
+    def bearing(self, point: str) -> str:
+        """The body that has the bearing at a gap; other bodies may share it, by ideal pins."""
+        return next(body for body in self.mechanism.pins[point] if body != self.gaps[point])
+
+    def open(self, places: Mapping[str, Place]) -> list[Value]:
+        """By how much the closing joints fail to close [m, or the sine of an angle]: two values each."""
+        found: list[Value] = []
+        for joint in self.closing:
+            first, second = joint.bodies
+            if isinstance(joint, Guide):
+                at, own = self.line(joint, first, places[first])
+                begin, way = self.line(joint, second, places[second])
+                found += [cross(way, minus(at, begin)), cross(way, own)]
+            else:
+                found += minus(self.at(joint.point, first, places[first]), self.at(joint.point, second, places[second]))
+        return found
+
+    def read(self, pose: Pose) -> list[Value]:
+        """The coordinates in a pose of the mechanism without gaps (jets if that has jets)."""
+        found: list[Value] = []
+        guides = {guide.name: guide for guide in self.mechanism.guides}
+        for body, kind in self.coordinates:
+            if kind == "angle":
+                found.append(angle(pose.direction(body)))
+            elif kind == "slide":
+                branch = next(branch for branch in self.branches if branch.body == body)
+                assert isinstance(branch.joint, Guide)
+                found.append(pose.slide(guides[branch.joint.name]))
+            else:
+                found.append(pose.points[self.mechanism.bodies[body].start][0 if kind == "x" else 1])
+        return found

@@ -1,0 +1,124 @@
+"""A machine with gaps in motion: every body where its coordinates put it, whatever the pins that have play would say.
+
+It answers what `Moving` answers, so that loads act on it as they do on the ideal machine; floats, arrays and symbols pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from optlink.clearance.joint import Gap, Motion
+from optlink.clearance.spanning_tree import Cut
+from optlink.dynamics.inertia import State, Wrench, moved, wrench
+from optlink.dynamics.loads import Acting
+from optlink.dynamics.machine import Machine, parts
+from optlink.linkage.jet import Jet
+from optlink.linkage.mechanism import FRAME
+from optlink.linkage.vector2d import Value, Vector, minus, turn
+
+SMOOTH = 1e-4
+"""Share of the nominal speed (crank speed times size of the machine) where a load that opposes a motion has 76 % of its size."""
+
+
+class Loose:
+    """A machine with gaps at given coordinates (jets).
+
+    Parameters
+    ----------
+    machine : Machine
+    cut : Cut
+    values : sequence of Jet, in the order of `cut.coordinates`
+    speed : float [rad/s]
+        Nominal speed of the crank, with its sense: what "slow" is measured by.
+    """
+
+    def __init__(self, machine: Machine, cut: Cut, values: Sequence[Value], speed: float) -> None:
+        self.machine, self.cut, self.nominal = machine, cut, speed
+        self.direction = -1.0 if speed < 0.0 else 1.0
+        self.places = cut.place(values)
+        self.crank: Jet = values[cut.driven]
+        self._states: dict[str, State] = {}
+
+    @property
+    def variables(self) -> dict[str, Value]:
+        """What every load may depend on: crank angle [rad] and speed [rad/s]."""
+        return {"phi": self.crank.value, "omega": self.crank.rate}
+
+    def state(self, body: str) -> State:
+        """How a body moves."""
+        if body not in self._states:
+            (x, y), (c, d) = self.places[body]
+            self._states[body] = moved((parts(x), parts(y)), (parts(c), parts(d)))
+        return self._states[body]
+
+    def _lever(self, point: str, body: str) -> Vector:
+        state = self.state(body)
+        x, y = turn(self.cut.local.local(body, point), state.axis)
+        return state.start[0] + x, state.start[1] + y
+
+    def position(self, point: str, body: str) -> Vector:
+        """Where a point of a body is [m]."""
+        return self._lever(point, body)
+
+    def velocity(self, point: str, body: str) -> Vector:
+        """Velocity of a point of a body [m/s]."""
+        return self.state(body).at(self._lever(point, body))[0]
+
+    def acceleration(self, point: str, body: str) -> Vector:
+        """Acceleration of a point of a body [m/s^2]."""
+        return self.state(body).at(self._lever(point, body))[1]
+
+    def line(self, guide: str) -> Vector:
+        """Unit vector of a guide's line."""
+        found = next(known for known in self.machine.mechanism.guides if known.name == guide)
+        return turn(self.cut.local.local_line(found, found.on)[1], self.state(found.on).axis)
+
+    @cached_property
+    def slides(self) -> dict[str, tuple[Value, Value, Value]]:
+        """Slide in every guide, its velocity and acceleration [m, m/s, m/s^2]."""
+        return {guide.name: parts(self.cut.slide(guide, self.places)) for guide in self.machine.mechanism.guides}
+
+    def sense(self, of: Callable[[Loose], tuple[Value, Value]], size: Value = 1.0) -> Value:
+        """Sign of a velocity, made smooth: no equation of motion is integrated across a jump."""
+        return np.tanh(of(self)[0] / (SMOOTH * abs(self.nominal) * size))
+
+    def play(self, gap: Gap) -> Motion:
+        """How the journal of a gap moves in its bearing."""
+        one, other = self.velocity(gap.point, gap.journal), self.velocity(gap.point, gap.bearing)
+        eccentricity = minus(self.position(gap.point, gap.journal), self.position(gap.point, gap.bearing))
+        return Motion(eccentricity, minus(one, other), self.state(gap.journal).omega, self.state(gap.bearing).omega)
+
+    # --- forces and energies -----------------------------------------------------------------------------------------
+
+    def needed(self) -> dict[str, Wrench]:
+        """Force and moment about its start that each moving body needs, all told: for its inertia, against gravity."""
+        nothing = Wrench((0.0, 0.0), 0.0)
+        found = dict.fromkeys(self.cut.mechanism.bodies, nothing)
+        for body, inertia in self.machine.inertias.items():
+            found[body] = wrench(inertia.parameters, self.state(body), self.machine.gravity)
+        return found
+
+    def acting(self) -> dict[str, list[Acting]]:
+        """What each load exerts, by the load's name."""
+        return {load.name: list(load.act(self)) for load in self.machine.loads}  # type: ignore[arg-type]
+
+    def power(self, acting: Sequence[Acting]) -> Value:
+        """What loads feed into the machine [W]."""
+        total: Value = 0.0
+        for one in acting:
+            if one.body != FRAME:
+                total = total + one.power(self.state(one.body))
+        return total
+
+    @cached_property
+    def kinetic(self) -> Value:
+        """Kinetic energy [J]."""
+        return self.machine.kinetic(self.state)
+
+    @cached_property
+    def potential(self) -> Value:
+        """Potential energy of gravity [J]; springs count among the works of loads."""
+        return self.machine.weight(self.state)

@@ -1,0 +1,267 @@
+"""What a run with clearance comes to, revolution by revolution: error statistics, contacts, energy account, predictability."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.clearance.closed_loop import Plant, Revolution
+from optlink.clearance.columns import Record
+from optlink.clearance.integration import Impact, Stalled
+
+Array = NDArray[np.float64]
+KEPT = 30
+"""Revolutions whose rows stay in memory; all rows are streamed to whoever takes them."""
+
+LISTED = 10_000
+"""Revolutions whose summary stays in memory, and contacts."""
+
+APART = 0.1
+"""Share of the smallest clearance (for an angle: per size of the machine) by which outputs of twins differ that have parted."""
+
+WATCHED = 25
+"""Revolutions for which the twin runs."""
+
+_PLAIN = (
+    *("count", "contacts", "largest", "imbalance", "first", "sums", "every"),
+    *("peak", "depths", "forces", "torque", "correction", "settled"),
+)
+
+
+class Account:
+    """What is summed up, revolution by revolution."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant = plant
+        self.rows: deque[dict[str, Array]] = deque(maxlen=KEPT)
+        self.turns: deque[dict[str, float]] = deque(maxlen=LISTED)
+        self.section: deque[dict[str, float]] = deque(maxlen=LISTED)
+        self.impacts: deque[Impact] = deque(maxlen=LISTED)
+        self.meanings: dict[str, str] = {}
+        self.count = self.contacts = 0
+        self.largest = self.imbalance = 0.0
+        self.first: float | None = None
+        self.sums: dict[str, float] = dict.fromkeys(("square", "rows", "effort", "torque"), 0.0)
+        self.every: dict[str, float] = dict.fromkeys(("square", "rows"), 0.0)
+        self.peak = self.torque = self.correction = 0.0
+        self.depths = [0.0] * len(plant.equations.gaps)  # largest at every gap [m]
+        self.forces = [0.0] * len(plant.equations.gaps)  # [N]
+        self.settled = 0
+
+    def add(self, settled: bool) -> dict[str, Array]:
+        """One revolution more; returns its rows.
+
+        Raises
+        ------
+        Stalled
+        """
+        if self.first is None:
+            self._at_start()
+        turn = self.plant.turn()
+        record = self.plant.record(turn)
+        rows = self._rows(turn, record)
+        error = rows[f"{self.plant.output.name}.error_{self.plant.output.unit}"]
+        self._sum(rows, error, turn, settled)
+        self._energy(record)
+        self.rows.append(rows)
+        return rows
+
+    def _rows(self, turn: Revolution, record: Record) -> dict[str, Array]:
+        """The columns, and beside them the ideal output, the error and the correction."""
+        output, columns = self.plant.output, record.columns
+        wanted = self._wanted(record)
+        error = output.difference(np.asarray(output.of(record.loose)), wanted)
+        unit, own = output.unit, output.name
+        rows = {name: column.values for name, column in columns.items()}
+        rows[f"{own}.ideal_{unit}"], rows[f"{own}.error_{unit}"] = wanted, error
+        self.meanings = {name: column.meaning for name, column in columns.items()}
+        self.meanings[f"{own}.ideal_{unit}"] = f"what {own} does in the machine without clearance"
+        self.meanings[f"{own}.error_{unit}"] = f"deviation of {own} from that"
+        command = self.plant.equations.drive.command
+        if command is not None:
+            rows["command.correction_rad"] = command.correction(turn.block.time) + turn.further
+            self.meanings["command.correction_rad"] = "command of the crank angle minus the evenly turning one"
+        return rows
+
+    def add_partial(self) -> None:
+        """Keep the rows of a revolution that broke off; no figure counts them."""
+        partial = self.plant.partial
+        if partial is not None:
+            rows = self._rows(partial, self.plant.record(partial))
+            if set(rows) == set(self.meanings):
+                self.rows.append(rows)
+
+    def save(self) -> dict[str, Any]:
+        """Everything that is summed up, as plain numbers; the rows are not in it."""
+        plain = {name: getattr(self, name) for name in _PLAIN}
+        lists = {name: list(getattr(self, name)) for name in ("turns", "section")}
+        return {**plain, **lists, "impacts": [list(impact) for impact in self.impacts]}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from what was saved."""
+        for name in _PLAIN:
+            setattr(self, name, saved[name])
+        self.turns.extend(saved["turns"])
+        self.section.extend(saved["section"])
+        self.impacts.extend(Impact(int(row[0]), *row[1:]) for row in saved["impacts"])
+
+    def _wanted(self, record: Record) -> Array:
+        """The output of the machine without clearance, at the nominal crank angle; under a torque at the crank's own."""
+        plant, time = self.plant, record.block.time
+        free = plant.equations.drive.torque is not None
+        angle = np.asarray(record.loose.crank.value) if free else plant.start + plant.nominal * time
+        moving = plant.equations.machine.moving(angle)
+        return np.broadcast_to(np.asarray(plant.output.ideal(moving)[0]), time.shape)
+
+    def _at_start(self) -> None:
+        plant = self.plant
+        self.first = float(plant.record(Revolution(plant.now(), np.zeros(1), ())).energy[0])
+        self.largest = abs(self.first)
+
+    def _sum(self, rows: Mapping[str, Array], error: Array, turn: Revolution, settled: bool) -> None:
+        impacts = turn.impacts
+        self.count += 1
+        unit, own = self.plant.output.unit, self.plant.output.name
+        square, torque = float(np.sum(error * error)), rows["input.torque_Nm"]
+        correction = rows.get("command.correction_rad", np.zeros(1))
+        self.depths = [max(both) for both in zip(self.depths, turn.depths, strict=True)]
+        self.forces = [max(both) for both in zip(self.forces, turn.forces, strict=True)]
+        self.contacts += len(impacts)
+        self.impacts.extend(impacts)
+        self.torque = max(self.torque, turn.torque)
+        figures = {
+            "revolution": float(self.count),
+            f"rms_{unit}": math.sqrt(square / len(error)),
+            f"peak_{unit}": float(np.max(np.abs(error))),
+            f"mean_{unit}": float(np.mean(error)),
+            "impacts": float(len(impacts)),
+            "torque_rms_Nm": math.sqrt(float(np.mean(torque * torque))),
+            "torque_max_Nm": turn.torque,
+        }
+        for gap, depth, force in zip(self.plant.equations.gaps, turn.depths, turn.forces, strict=True):
+            figures[f"{gap.point}.contact_share"] = float(np.mean(rows[f"{gap.point}.contact"]))
+            figures[f"{gap.point}.normal_max_N"] = force
+            figures[f"{gap.point}.penetration_max_m"] = depth
+        self.turns.append(figures)
+        point = {"revolution": float(self.count), f"{own}.error_{unit}": float(error[-1])}
+        for gap in self.plant.equations.gaps:
+            for axis in "xy":
+                point[f"{gap.point}.e{axis}_m"] = float(rows[f"{gap.point}.e{axis}_m"][-1])
+            point[f"{gap.point}.approach_m_s"] = float(rows[f"{gap.point}.approach_m_s"][-1])
+        self.section.append(point)
+        self.every["square"] += square
+        self.every["rows"] += len(error)
+        if settled:
+            self.settled += 1
+            self.sums["square"] += square
+            self.sums["rows"] += len(error)
+            self.sums["effort"] += float(np.mean(correction * correction))
+            self.sums["torque"] += float(np.mean(torque * torque))
+            self.peak = max(self.peak, float(np.max(np.abs(error))))
+            self.correction = max(self.correction, float(np.max(np.abs(correction))))
+
+    def _energy(self, record: Record) -> None:
+        assert self.first is not None
+        energy, works = record.energy, record.block.works
+        fed = 1 + len(self.plant.equations.machine.loads)
+        gained = works[:, :fed].sum(axis=1) - works[:, fed:].sum(axis=1)
+        self.imbalance = max(self.imbalance, float(np.max(np.abs(energy - self.first - gained))))
+        self.largest = max(self.largest, float(np.max(np.abs(energy))))
+
+    def figures(self) -> dict[str, float]:
+        """The figures that sum it up, by name (SI)."""
+        unit = self.plant.output.unit
+        rows, every, turns = max(self.sums["rows"], 1.0), max(self.every["rows"], 1.0), max(self.settled, 1)
+        gaps = self.plant.equations.gaps
+        works = dict(zip(self.plant.equations.losses, self.plant.integration.works, strict=True))
+        return {
+            "revolutions": float(self.count),
+            "settled_revolutions": float(self.settled),
+            f"rms_{unit}": math.sqrt(self.sums["square"] / rows),
+            f"mean_square_{unit}2": self.sums["square"] / rows,
+            f"peak_{unit}": self.peak,
+            f"rms_from_start_{unit}": math.sqrt(self.every["square"] / every),
+            "contacts": float(self.contacts + len(self.plant.integration.open)),
+            "largest_penetration_m": max(self.depths),
+            "largest_normal_N": max(self.forces),
+            **{f"{gap.point}.penetration_max_m": depth for gap, depth in zip(gaps, self.depths, strict=True)},
+            **{f"{gap.point}.normal_max_N": force for gap, force in zip(gaps, self.forces, strict=True)},
+            "torque_rms_Nm": math.sqrt(self.sums["torque"] / turns),
+            "torque_max_Nm": self.torque,
+            "correction_rms_rad": math.sqrt(self.sums["effort"] / turns),
+            "correction_max_rad": self.correction,
+            **{f"{name}.work_J": float(work) for name, work in works.items()},
+            "imbalance_J": self.imbalance,
+            "largest_energy_J": self.largest,
+        }
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """How long a trajectory can be trusted point by point: `parted` [revolutions] at which a run of another tolerance left it.
+
+    `parted` is None where both kept together for all `watched` revolutions; `largest` [m, rad]: difference of the outputs then.
+    """
+
+    parted: float | None
+    watched: int
+    largest: float
+
+    @property
+    def chaotic(self) -> bool:
+        """Whether the trajectory means nothing point by point: its statistics may still."""
+        return self.parted is not None
+
+
+class Twin:
+    """The same motion at another tolerance, until it has parted."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant, self.output = plant, plant.output
+        least = min(gap.clearance for gap in plant.equations.gaps)
+        self.apart = APART * (least if self.output.guide else least / float(np.max(plant.equations.machine.size)))
+        self.parted: float | None = None
+        self.watched, self.largest, self.lost = 0, 0.0, False
+
+    def follow(self, output: Array) -> None:
+        """Go on by a revolution and compare."""
+        if self.parted is not None or self.watched >= WATCHED or self.lost:
+            return
+        try:
+            turn = self.plant.turn()
+        except Stalled:
+            self.lost = True
+            return
+        own = np.asarray(self.output.of(self.plant.record(turn).loose))
+        away = np.abs(self.output.difference(own, output))
+        self.largest = float(np.max(away))
+        far = np.flatnonzero(away > self.apart)
+        if far.size:
+            self.parted = self.watched + (int(far[0]) + 1) / len(away)
+        self.watched += 1
+
+    def save(self) -> dict[str, Any]:
+        """Its state as plain numbers."""
+        found = {"parted": self.parted, "watched": self.watched, "largest": self.largest, "lost": self.lost}
+        return {**found, "plant": self.plant.save()}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on from what was saved."""
+        self.parted, self.watched, self.largest, self.lost = (saved[name] for name in ("parted", "watched", "largest", "lost"))
+        self.plant.restore(saved["plant"])
+
+    @property
+    def prediction(self) -> Prediction:
+        """What was found."""
+        return Prediction(self.parted, self.watched, self.largest)
+
+
+def table(rows: deque[dict[str, float]]) -> dict[str, Array]:
+    """Rows of figures as columns."""
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {}

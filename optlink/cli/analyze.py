@@ -1,0 +1,70 @@
+"""The commands `analyze` and `balance`: parse, call one library function, print, exit code. They are made known by `cli`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from optlink.cli import console
+from optlink.cli.options import Csv, Design, Json, Out, Problem, Set, Speed, whole_number
+
+
+def register(app: typer.Typer) -> None:
+    """Make the commands known."""
+    app.command()(analyze)
+    app.command()(balance)
+
+
+def analyze(
+    problem: Problem,
+    points: Annotated[int, typer.Option(parser=whole_number, metavar="N", help="Steps of the table per revolution.")] = 360,
+    step: Annotated[str | None, typer.Option(metavar="ANGLE", help='Instead of --points: --step "5 deg".')] = None,
+    speed: Speed = None,
+    changes: Set = None,
+    design: Design = None,
+    csv: Csv = None,
+    as_json: Json = False,
+    out: Out = None,
+) -> None:
+    """Motion, joint reactions, driving torque and work over the cycle."""
+    with console.reported(as_json):
+        from optlink.tasks.analyze import analyze as run
+
+        file = console.load(problem, changes)
+        given = console.given(file, design)
+        console.places(csv, out, "analyze", problem)
+        turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
+        result = run(file, points, turn, rate, given)
+        console.told(result, "views.analysis_tables.analysis", "views.analysis_pictures", csv, as_json, out)
+        if not result.sound:
+            raise typer.Exit(1)
+
+
+def balance(
+    problem: Problem,
+    minimise: Annotated[
+        str | None, typer.Option(metavar="MEASURE", help='In place of the problem\'s: "rms force", "largest reaction at D".')
+    ] = None,
+    trade: Annotated[
+        str | None, typer.Option(metavar="A,B", help="The curve between two measures: --trade force,torque.")
+    ] = None,
+    points: Annotated[int, typer.Option(parser=whole_number, metavar="N", help="Of that curve.")] = 25,
+    changes: Set = None,
+    design: Design = None,
+    csv: Csv = None,
+    as_json: Json = False,
+    out: Out = None,
+) -> None:
+    """Counterweights and springs that make shaking, torque or reactions least: proven, verified and priced."""
+    with console.reported(as_json):
+        from optlink.tasks.balance import balance as run
+
+        file = console.load(problem, changes)
+        given = console.given(file, design)
+        console.places(csv, out, "balance", problem)
+        with console.share("balancing") as progress:
+            result = run(file, minimise, trade, points, progress, given)
+        console.told(result, "views.balance_tables.balance", "views.balance_pictures", csv, as_json, out)
+        if not result.valid:
+            raise typer.Exit(3 if result.status == "stalled" else 1)

@@ -1,0 +1,97 @@
+"""The command line: every command made known, and its entry point.
+
+0: done and valid. 1: solved, but not valid or not feasible. 2: bad input. 3: the solver failed. 130: interrupted. 141: nobody
+reads the output any more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import os
+import sys
+from typing import Annotated, TextIO
+
+import typer
+
+from optlink.cli import analyze, console, report, show, simulate, solve, study
+from optlink.solvers import interrupts
+
+CLOSED = 141
+"""Exit code where the reader of a pipe has left: 128 and the number of SIGPIPE, as shells have it."""
+
+NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
+"""What makes standard output or standard error unusable."""
+
+app = typer.Typer(
+    name="optlink",
+    help="State a planar linkage and what it must do; get a design that is optimal, verified and explained.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for command in (show, solve, analyze, simulate, report, study):
+    command.register(app)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from optlink import __version__
+
+        print(f"optlink {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+) -> None:
+    """Planar linkage design optimisation."""
+
+
+def main() -> None:
+    """Entry point of the `optlink` command."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal that lacks a letter is no reason to break down
+    interrupts.listen()
+    output = sys.stdout
+    try:
+        try:
+            app()
+        finally:
+            if sys.stdout is not output:  # typer has seen that the pipe is closed
+                raise BrokenPipeError(errno.EPIPE, "the pipe is closed")
+            output.flush()
+    except SystemExit as end:
+        if end.code == 2 and "--json" in sys.argv and not console.printed:
+            console.print_failure("the command line cannot be used; the reason is on standard error", [])
+        if end.code == interrupts.EXIT_CODE:
+            sys.stderr.flush()
+            interrupts.leave()
+        raise
+    except OSError as error:
+        if error.filename is not None or error.errno not in NO_OUTPUT:
+            raise
+        _discard(output)
+        if error.errno == errno.EPIPE:
+            _discard(sys.__stderr__)
+            raise SystemExit(CLOSED) from None
+        with contextlib.suppress(OSError):
+            print(
+                f"Error: cannot write the output: {error.strerror}. Choose another place for it", file=sys.__stderr__, flush=True
+            )
+        _discard(sys.__stderr__)
+        raise SystemExit(2) from None
+
+
+def _discard(stream: TextIO | None) -> None:
+    """Send what a stream still has to write to nowhere: Python writes it when it ends."""
+    if stream is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+if __name__ == "__main__":
+    main()

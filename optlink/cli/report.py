@@ -1,0 +1,161 @@
+"""The commands `report` and `export`: parse, call one library function, print, exit code. They are made known by `cli`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from optlink.cli import console
+from optlink.cli.options import Backend, Design, Json, Of, Searcher, Seed, Set, Starts, Subjected, whole_number
+from optlink.errors import Fault, InputError
+from optlink.solvers import interrupts
+
+if TYPE_CHECKING:
+    from optlink.report.report_model import Subject
+    from optlink.report.stored.stored_study import Studied
+
+SCHEMA = "optlink/written/1"
+
+
+def register(app: typer.Typer) -> None:
+    """Make the commands known."""
+    app.command()(report)
+    app.command()(export)
+
+
+def report(
+    subject: Subjected,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.html", help="The page that is written.")],
+    problem: Of = None,
+    backend: Searcher = Backend.ipopt,
+    starts: Starts = None,
+    seed: Seed = 0,
+    changes: Set = None,
+    design: Design = None,
+    as_json: Json = False,
+) -> None:
+    """Everything about a design, a simulation or a study on one page: figures, proof, charts, the moving linkage, sources."""
+    with console.reported(as_json):
+        from optlink.report.export.export import target
+
+        target(output, (".html", ".htm"), "report.html")
+        with console.working("Reading or solving the problem"):
+            about = _subject(subject, output, problem, backend, starts, seed, changes, design)
+            interrupts.check()
+        from optlink.report.stored.stored_study import Studied, write_studied
+
+        with console.working(f"Writing {output}"):
+            if isinstance(about, Studied):
+                write_studied(about, output)
+            else:
+                from optlink.report.html.page import write_page
+
+                write_page(about, output)
+        _written(about, output, as_json)
+
+
+def export(
+    subject: Subjected,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="The file; its ending chooses: .dxf, .svg, .csv or .json.")
+    ],
+    at: Annotated[
+        str | None,
+        typer.Option("--at", metavar="ANGLE", help='Crank angle of the drawing: --at "30 deg"; its start if not said.'),
+    ] = None,
+    hole: Annotated[str | None, typer.Option("--hole", metavar="SIZE", help='DXF: diameter of the holes: --hole "8 mm".')] = None,
+    width: Annotated[
+        str | None, typer.Option("--width", metavar="SIZE", help='DXF: width of the links: --width "20 mm".')
+    ] = None,
+    points: Annotated[
+        int, typer.Option("--points", parser=whole_number, metavar="N", help="CSV: steps of the table per revolution.")
+    ] = 360,
+    even_invalid: Annotated[bool, typer.Option("--even-invalid", help="Write a design that is not valid all the same.")] = False,
+    problem: Of = None,
+    backend: Searcher = Backend.ipopt,
+    starts: Starts = None,
+    seed: Seed = 0,
+    changes: Set = None,
+    design: Design = None,
+    as_json: Json = False,
+) -> None:
+    """A design for other programs: DXF, SVG, CSV or JSON."""
+    with console.reported(as_json):
+        from optlink.report.export.export import FORMATS, Options, target
+        from optlink.report.export.export import export as write
+
+        target(output, tuple(FORMATS), "drawing.dxf")
+        angle = console.quantity(at, "angle", "--at")
+        options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
+        with console.working("Reading or solving the problem"):
+            about = _subject(subject, output, problem, backend, starts, seed, changes, design)
+            interrupts.check()
+        from optlink.report.stored.stored_study import Studied
+
+        if isinstance(about, Studied):
+            remedy = f"Export the problem, with the design that you want: optlink export {about.problem.name} --design NAME=VALUE"
+            raise InputError(Fault(f"a {about.kind} is no one design that could be drawn", remedy, subject))
+        if not (about.valid or even_invalid):
+            _refuse(about, as_json)
+        write(about, output, options)
+        _written(about, output, as_json)
+
+
+def _subject(
+    text: str,
+    output: Path,
+    problem: str | None,
+    backend: Backend,
+    starts: int | None,
+    seed: int,
+    changes: list[str] | None,
+    design: list[str] | None,
+) -> Subject | Studied:
+    """What is asked for: a result as it is, or a problem with its answer."""
+    from optlink.report.report_model import answered, subject_of
+    from optlink.report.stored.loader import is_result, opened
+
+    if output.exists() and os.path.exists(text) and os.path.samefile(output, text):
+        raise InputError(Fault("this would overwrite what it is made of", "Choose another name", key="-o", value=str(output)))
+    if is_result(text):
+        remedy = "Leave it out, or name the problem instead of its result"
+        console.refuse({"--design": design, "--starts": starts}, "a result has its design already", remedy, text)
+        return opened(text, problem, changes or ())
+    remedy = "Leave it out, or name a result.json first"
+    console.refuse({"--problem": problem}, "only a RESULT belongs to another problem", remedy, text)
+    file = console.load(text, changes)
+    return subject_of(file, answered(file, str(backend), starts, seed, console.given(file, design)))
+
+
+def _refuse(about: Subject, as_json: bool) -> None:
+    """Say why an invalid design is not written."""
+    from optlink.io import head
+    from optlink.report.html.page import verdict
+
+    message = f"{verdict(about)}. Nothing is written; --even-invalid writes it all the same"
+    print(f"Error: {message}", file=sys.stderr)
+    if as_json:
+        document = head(SCHEMA, about.problem, "not valid")
+        console.print_json(document | {"valid": False, "file": None, "bytes": 0, "message": message})
+    raise typer.Exit(1)
+
+
+def _written(about: Subject | Studied, output: Path, as_json: bool) -> None:
+    """Say what was written, and end with exit code 1 where it is no valid design."""
+    from optlink.report.html.page import verdict
+    from optlink.report.stored.stored_study import Studied
+
+    size, told = output.stat().st_size, about.verdict if isinstance(about, Studied) else verdict(about)
+    if as_json:
+        from optlink.io import head
+
+        document = head(SCHEMA, about.problem, "valid" if about.valid else "not valid")
+        console.print_json(document | {"valid": about.valid, "file": str(output), "bytes": size})
+    else:
+        print(f"{output}: {size:,} bytes. {told}")
+    if not about.valid:
+        raise typer.Exit(1)

@@ -1,0 +1,121 @@
+"""The folder of one run: locked while the run lasts, refused to another command or problem, free of files of an earlier run."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from optlink.errors import Fault, InputError
+from optlink.io import locked, recorded, write_json
+
+MANIFEST = ".optlink-run.json"
+"""What an earlier run in the folder was, and the files that it wrote with their check sums."""
+
+RESULT = "result.json"
+WRITERS = {
+    "result": ("solve", "validate"),
+    "generation": ("solve", "validate"),
+    "machine-design": ("solve", "validate"),
+    "analysis": ("analyze",),
+    "simulation": ("simulate",),
+    "clearance": ("simulate",),
+    "compensation": ("simulate",),
+    "tuning": ("simulate",),
+    "balance": ("balance",),
+    "sensitivity": ("sensitivity",),
+    "output-sensitivity": ("sensitivity",),
+    "tolerance": ("tolerance",),
+    "sweep": ("sweep",),
+    "pareto": ("pareto",),
+}
+"""Commands that write a result, by the kind in its schema: for folders without a manifest."""
+
+
+def check_owner(path: Path, command: str, problem: str) -> None:
+    """Refuse a folder that holds the result of another command or another problem.
+
+    Parameters
+    ----------
+    path : Path
+    command : str
+    problem : str
+        Name of a problem, or its file.
+
+    Raises
+    ------
+    InputError
+    """
+    about = _read(path / MANIFEST)
+    if not (path / RESULT).is_file():
+        return
+    stem = Path(problem).stem
+    if isinstance(about.get("command"), str) and isinstance(about.get("problem"), str):
+        commands, other = [about["command"]], about["problem"]
+    else:
+        result = _read(path / RESULT)
+        kind = str(result.get("schema", "")).removeprefix("optlink/").partition("/")[0]
+        commands, other = list(WRITERS.get(kind, ())), Path(str(result.get("problem", stem))).stem
+    if (commands and command not in commands) or other != stem:
+        message = f"the folder holds the result of `{' or '.join(commands) or 'optlink'}` for {other}"
+        remedy = "Choose another folder, or remove this one; nothing was overwritten"
+        raise InputError(Fault(message, remedy, str(path), "--out"))
+
+
+@contextlib.contextmanager
+def run_folder(path: Path, command: str, problem: str) -> Iterator[None]:
+    """Lock an existing folder for a run; afterwards remove what an earlier run wrote and this one did not write again.
+
+    Only files that are as the earlier run left them are removed, and only when this run has written its result.
+
+    Parameters
+    ----------
+    path : Path
+    command : str
+    problem : str
+        Name of a problem, or its file.
+
+    Raises
+    ------
+    InputError
+        when another run has the folder, or it holds a result of another command or problem.
+    """
+    with locked(path):
+        check_owner(path, command, problem)
+        before = _read(path / MANIFEST).get("files")
+        with recorded() as written:
+            try:
+                yield
+            finally:
+                _replaced(path, before, written, {"schema": "optlink/run/1", "command": command, "problem": Path(problem).stem})
+
+
+def _replaced(path: Path, before: Any, written: set[Path], about: dict[str, Any]) -> None:
+    """Remove what the run before wrote and this one did not; note what this one wrote."""
+    names = {file.name for file in written if file.parent.resolve() == path.resolve()}
+    if RESULT not in names:
+        return
+    for name, total in before.items() if isinstance(before, dict) else ():
+        if name not in names and Path(name).name == name and _sum(path / name) == total:
+            (path / name).unlink(missing_ok=True)
+    with contextlib.suppress(InputError):  # the results are there; a full disk may have no room for this
+        write_json(path / MANIFEST, {**about, "files": {name: _sum(path / name) for name in sorted(names)}})
+
+
+def _sum(path: Path) -> str | None:
+    try:
+        return f"{zlib.crc32(path.read_bytes()):08x}"
+    except OSError:
+        return None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A JSON object; empty where there is none that can be read."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,56 @@
+"""The commands `list` and `show`: what there is to solve. They are made known by `cli`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from optlink.cli import console
+from optlink.cli.options import Json, Problem, Set
+
+
+def register(app: typer.Typer) -> None:
+    """Make the commands known."""
+    app.command("list")(list_problems)
+    app.command()(show)
+
+
+def list_problems(as_json: Json = False) -> None:
+    """Shipped problems: name, kind, one line."""
+    with console.reported(as_json):
+        from optlink.problem.file import load, shipped
+
+        files = [load(name) for name in shipped()]
+        if as_json:
+            rows = [{"name": f.name, "kind": f.kind, "title": f.model.title} for f in files]
+            console.print_json({"schema": "optlink/list/1", "problems": rows})
+            return
+        from optlink.report.views import function_tables
+
+        function_tables.console().print(function_tables.listing(files))
+
+
+def show(
+    problem: Problem,
+    changes: Set = None,
+    as_toml: Annotated[bool, typer.Option("--toml", help="As a problem file, to begin your own with.")] = False,
+    as_json: Json = False,
+) -> None:
+    """The problem in full, with units and defaults."""
+    with console.reported(as_json):
+        from optlink.problem.file import complete
+
+        file = console.load(problem, changes)
+        if as_json:
+            document = {"schema": "optlink/problem/1", "name": file.name, "problem_hash": file.hash}
+            console.print_json(document | {"problem": complete(file)})
+            return
+        if as_toml:
+            import tomli_w
+
+            print(tomli_w.dumps(complete(file)), end="")
+            return
+        from optlink.report.views import function_tables
+
+        function_tables.console().print(function_tables.problem(file))

@@ -1,0 +1,335 @@
+"""The command `simulate`: parse, call one library function, print, exit code. It is made known by `cli`.
+
+Three libraries stand behind it: an ideal machine, one with clearance, and the comparison of all kinds of control. An option that
+the one asked for has no use for is refused, never passed over.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from optlink.cli import console
+from optlink.cli.options import Csv, Design, Json, Out, Problem, Set, Speed, whole_number
+from optlink.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from optlink.problem.file import ProblemFile
+
+COMPARE = "compare"
+GAP = "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207 GPa' }"
+
+
+def register(app: typer.Typer) -> None:
+    """Make the command known."""
+    app.command()(simulate)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What any simulation is asked [SI]: the machine, how long, in how many steps, and where it all goes.
+
+    None stands for what the library has by itself.
+    """
+
+    file: ProblemFile
+    design: dict[str, float] | None
+    speed: float | None
+    duration: float | None
+    points: int | None
+    flywheel: float
+    csv: Path | None
+    out: Path | None
+    as_json: bool
+
+
+def simulate(
+    problem: Problem,
+    duration: Annotated[str | None, typer.Option(metavar="TIME", help='--duration "2 s"; that of the problem else.')] = None,
+    points: Annotated[
+        int | None,
+        typer.Option(
+            parser=whole_number,
+            metavar="N",
+            help="Steps of the table: 1000; with clearance of a revolution: 360, to compare or tune 200.",
+        ),
+    ] = None,
+    speed: Speed = None,
+    torque: Annotated[str | None, typer.Option(metavar="TORQUE", help='A constant driving torque: --torque "5 N*m".')] = None,
+    flywheel: Annotated[str | None, typer.Option(metavar="J", help='At the crank: --flywheel "0.2 kg*m^2".')] = None,
+    revolutions: Annotated[
+        int | None, typer.Option(parser=whole_number, metavar="N", help="With clearance: how many; 20 if not said.")
+    ] = None,
+    control: Annotated[
+        str | None,
+        typer.Option(metavar="HOW", help="With clearance: none, inverse, pid, inverse+pid; compare: all, from several starts."),
+    ] = None,
+    tune: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Tune this parameter of the control: proportional, integral, derivative, regularisation, bandwidth. Repeatable.",
+        ),
+    ] = None,
+    evaluations: Annotated[
+        int | None, typer.Option(parser=whole_number, metavar="N", help="With --tune: number of parameter sets to try; 24.")
+    ] = None,
+    starts: Annotated[
+        int | None,
+        typer.Option(
+            parser=whole_number, metavar="N", help="To compare or tune: number of crank angles at the start; compare 5, tune 3."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(parser=whole_number, metavar="S", help="To compare or tune: of these crank angles; 0.")
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(parser=whole_number, metavar="N", help="To compare or tune: processes that share the runs; all cores."),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(metavar="X", help="With clearance: relative, of the integrator; 1e-10, to compare or tune 1e-8."),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="With clearance: go on with the run that was interrupted in --out DIR.")
+    ] = False,
+    ideal: Annotated[bool, typer.Option("--ideal", help="As if no joint had clearance.")] = False,
+    changes: Set = None,
+    design: Design = None,
+    csv: Csv = None,
+    as_json: Json = False,
+    out: Out = None,
+) -> None:
+    """Motion in time, under a torque or at a constant speed; with clearance in joints, and control, if the problem has them."""
+    with console.reported(as_json):
+        file = console.load(problem, changes)
+        if torque is not None:
+            file = file.override({"drive.torque": torque, "drive.servo": None})
+        given = console.given(file, design)
+        loose = file.model.loose and not ideal
+        if not loose:
+            of_gaps: dict[str, Any] = {
+                "--revolutions": revolutions,
+                "--control": control,
+                "--tolerance": tolerance,
+                "--resume": resume,
+            }
+            of_gaps["--tune"] = tune
+            message = f"{'joints count as ideal' if ideal else 'no joint has clearance'}, so the option does nothing"
+            console.refuse(of_gaps, message, "Leave --ideal out" if ideal else f'Give one: --set "{GAP}"', file.file)
+        comparing = control == COMPARE
+        if comparing and tune:
+            message, remedy = "a comparison of all kinds of control tunes none", "Name the kind to tune: --control inverse+pid"
+            raise InputError(Fault(message, remedy, file.file, "--tune"))
+        if not tune:
+            message, remedy = "only a search for parameters has evaluations", "Add --tune NAME, or leave it out"
+            console.refuse({"--evaluations": evaluations}, message, remedy, file.file)
+        if not comparing and not tune:
+            remedy = "Leave it out" if not loose else f"Add --control {COMPARE} or --tune NAME, or leave it out"
+            message = "there is one start, so the option does nothing"
+            console.refuse({"--starts": starts, "--seed": seed, "--workers": workers}, message, remedy, file.file)
+        else:
+            message = "a comparison of all kinds of control, or a search for parameters, has no use for it"
+            remedy = "Leave it out, or simulate one kind: --control inverse+pid"
+            console.refuse({"--csv": csv, "--flywheel": flywheel}, message, remedy, file.file)
+        console.places(csv, out, "simulate", problem)
+        asked = Run(
+            file,
+            given,
+            console.quantity(speed, "angular velocity", "--speed"),
+            console.quantity(duration, "time", "--duration"),
+            points,
+            console.quantity(flywheel, "moment of inertia", "--flywheel") or 0.0,
+            csv,
+            out,
+            as_json,
+        )
+        if not loose:
+            _ideal(asked)
+        elif comparing:
+            _compared(asked, revolutions, resume, starts=starts, seed=seed, workers=workers, tolerance=tolerance)
+        elif tune:
+            given_options = {
+                "evaluations": evaluations,
+                "starts": starts,
+                "seed": seed,
+                "workers": workers,
+                "tolerance": tolerance,
+            }
+            _tuned(asked, revolutions, control or "inverse+pid", tune, resume, **given_options)
+        else:
+            _loose(asked, revolutions, control or "none", tolerance, resume)
+
+
+def _ideal(asked: Run) -> None:
+    """A machine whose joints have no play."""
+    from optlink.tasks.simulate import simulate as run
+
+    with console.share("simulating") as progress:
+        result = run(
+            asked.file,
+            asked.duration,
+            speed=asked.speed,
+            design=asked.design,
+            progress=progress,
+            flywheel=asked.flywheel,
+            **_said(rows=asked.points),
+        )
+    console.told(result, "views.analysis_tables.simulation", "views.simulation_pictures", asked.csv, asked.as_json, asked.out)
+    if not result.finished:
+        raise typer.Exit(3 if result.run.ending.value == "stalled" else 1)
+
+
+def _loose(asked: Run, revolutions: int | None, control: str, tolerance: float | None, resume: bool) -> None:
+    """A machine with clearance."""
+    from optlink.report.files import checkpoint, write_json
+    from optlink.tasks.clearance import simulate_clearance
+
+    turns = _revolutions(asked, revolutions)
+    begun = checkpoint(asked.out) if resume else None
+    done = 0 if begun is None else int(begun.get("revolutions", 0)) * int(begun.get("points", 0))
+    with _streamed(asked.csv, done) as stream, console.share("simulating") as progress:
+        found = simulate_clearance(
+            asked.file,
+            turns,
+            speed=asked.speed,
+            control=control,
+            design=asked.design,
+            flywheel=asked.flywheel,
+            progress=progress,
+            stream=stream,
+            checkpoint=None if asked.out is None else functools.partial(write_json, asked.out / "checkpoint.json"),
+            resume=begun,
+            **_said(points=asked.points, tolerance=tolerance),
+        )
+    console.told(found, "views.clearance_tables.simulation", "views.clearance_pictures", None, asked.as_json, asked.out)
+    if not found.finished:
+        raise typer.Exit(3 if found.ending.value == "stalled" else 1)
+
+
+def _compared(asked: Run, revolutions: int | None, resume: bool, **options: Any) -> None:
+    """All kinds of control in one table."""
+    from optlink.tasks.control_comparison import compare
+
+    turns = _revolutions(asked, revolutions)
+    with _kept(asked, resume, "runs", "comparing") as common:
+        found = compare(asked.file, turns, **common, **_many(options))
+    if asked.out is not None:
+        from optlink.report.views.clearance_pictures import write_comparison
+
+        with console.working(f"Drawing into {asked.out}"):
+            write_comparison(found, asked.out)
+    _shown(asked, found, "comparison")
+    if not found.finished:
+        raise typer.Exit(3)
+
+
+def _tuned(asked: Run, revolutions: int | None, control: str, names: list[str], resume: bool, **options: Any) -> None:
+    """Parameters of a controller."""
+    from optlink.tasks.control_comparison import tune
+
+    turns: dict[str, Any] = (
+        {} if revolutions is None and asked.duration is None else {"revolutions": _revolutions(asked, revolutions)}
+    )
+    with _kept(asked, resume, "evaluations", "tuning") as common:
+        found = tune(asked.file, control, tuple(names), **turns, **common, **_many(options))
+    if asked.out is not None:
+        from optlink.report.files import write_json
+
+        write_json(asked.out / "result.json", found.to_dict())
+    _shown(asked, found, "tuning")
+
+
+def _many(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of many runs: as many processes as there are cores, if nothing else is stated."""
+    from optlink.tasks.parallel_runs import cores
+
+    return {"workers": cores(), **_said(**options)}
+
+
+def _shown(asked: Run, found: Any, table: str) -> None:
+    if asked.as_json:
+        console.print_json(found.to_dict())
+        return
+    from optlink.report.views import clearance_tables as loose
+    from optlink.report.views import function_tables
+
+    function_tables.console().print(getattr(loose, table)(found))
+
+
+@contextlib.contextmanager
+def _kept(asked: Run, resume: bool, parts: str, what: str) -> Iterator[dict[str, Any]]:
+    """What a comparison and a search for parameters share: a bar, a checkpoint, and what to say when it is interrupted."""
+    from optlink.report.files import checkpoint, write_json
+
+    place = None if asked.out is None else asked.out / "checkpoint.json"
+    begun = checkpoint(asked.out) if resume else None
+    done, of = (0, 0) if begun is None else (begun.get("complete", 0), begun.get("of", 0))
+
+    def keep(document: dict[str, Any]) -> None:
+        nonlocal done, of
+        done, of = document["complete"], document["of"]
+        if place is not None:
+            write_json(place, document)
+
+    try:
+        with console.share(what) as progress:
+            yield {
+                "speed": asked.speed,
+                "design": asked.design,
+                "progress": progress,
+                "checkpoint": keep,
+                "resume": begun,
+                **_said(points=asked.points),
+            }
+    except KeyboardInterrupt:
+        message = f"interrupted: {done} of {of} {parts} are complete" if of else f"interrupted: no {parts} are complete"
+        if done and place is not None:
+            message += f" and kept in {place}; add --resume to continue"
+        elif place is None:
+            message += "; nothing is kept without --out DIR"
+        print(message, file=sys.stderr)
+        raise typer.Exit(130) from None
+    if place is not None:
+        place.unlink(missing_ok=True)
+
+
+def _said(**options: Any) -> dict[str, Any]:
+    """The options that are given; a library has its own value for every other."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _revolutions(asked: Run, revolutions: int | None) -> int:
+    """How many revolutions are asked for."""
+    duration, drive = asked.duration, asked.file.model.drive
+    if revolutions is not None and duration is not None:
+        raise InputError(Fault("revolutions and a duration are given", "Give one of the two", key="--duration"))
+    if duration is None and revolutions is None and drive.duration is not None:
+        duration = drive.duration.value
+    if duration is None:
+        return 20 if revolutions is None else revolutions
+    from optlink.tasks.analyze import crank_speed
+
+    period = 2.0 * math.pi / abs(asked.speed or crank_speed(asked.file))
+    return max(1, math.ceil(duration / period * (1.0 - 1e-9)))
+
+
+@contextlib.contextmanager
+def _streamed(csv: Path | None, done: int) -> Iterator[Any]:
+    """A table that is written while the work goes on."""
+    if csv is None:
+        yield None
+        return
+    from optlink.report.files import stream
+
+    with stream(csv, done) as rows:
+        yield rows

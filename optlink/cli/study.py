@@ -1,0 +1,420 @@
+"""The commands of `study`: parse, call one library function, print, exit code; made known by `cli`."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from optlink.cli import console
+from optlink.cli.options import Json, Problem, Set, whole_number
+
+if TYPE_CHECKING:
+    from optlink.problem.file import ProblemFile
+
+OUTPUT_SCHEMA = "optlink/output-sensitivity/1"
+SIMULATED = ("the option is one of simulations", "Add --simulate")
+AROUND = "0..330 deg:12"  # crank angles of an output where none are said
+
+Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="slsqp or ipopt.")]
+Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="local (processes) or dask.")]
+Workers = Annotated[
+    int | None,
+    typer.Option("--workers", parser=whole_number, metavar="N", help="Processes; as many as cores if left out."),
+]
+Scheduler = Annotated[
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="With --engine dask: of a cluster that runs.")
+]
+Kept = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", metavar="DIR", help="Keep chunks there as they are done; tables, result.json and a picture at the end."
+    ),
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --out DIR that ended early.")]
+
+study = typer.Typer(no_args_is_help=True, help="What if: how an optimum answers to what is given, one by one or over a grid.")
+
+
+def register(app: typer.Typer) -> None:
+    """Make the commands known."""
+    app.add_typer(study, name="study")
+
+
+@study.command()
+def sensitivity(
+    problem: Problem,
+    check: Annotated[bool, typer.Option("--check", help="Search again on both sides of each, and print the agreement.")] = False,
+    output: Annotated[
+        str | None,
+        typer.Option(metavar="BODY|P.x", help="Instead: how an output angle or point answers to every size."),
+    ] = None,
+    angles: Annotated[
+        str | None,
+        typer.Option("--angles", metavar="LIST", help=f'With --output, crank angles: "0 deg, 60 deg" or "{AROUND}" (default).'),
+    ] = None,
+    backend: Backend = "ipopt",
+    starts: Annotated[int | None, typer.Option(metavar="N", help="Number of starts of the search.")] = None,
+    seed: Annotated[int, typer.Option(metavar="S", help="Seed of the starts.")] = 0,
+    changes: Set = None,
+    design: Annotated[
+        list[str] | None, typer.Option("--design", metavar="NAME=VALUE", help="With --output: a given design. Repeatable.")
+    ] = None,
+    as_json: Json = False,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and the tornado.")] = None,
+) -> None:
+    """At the optimum: what each fixed size and each limit costs, how the design moves with it, and how far that holds."""
+    with console.reported(as_json), console.made(out, "sensitivity", problem):
+        from optlink.studies.reoptimise_task import check_backend
+
+        file = console.load(problem, changes)
+        check_backend(backend)
+        if output is not None:
+            remedy = "Leave --check out; it searches an optimum again"
+            console.refuse({"--check": check}, "no optimum is searched for the slopes of an output", remedy, file.file)
+            _output(file, output, AROUND if angles is None else angles, design, as_json, out)
+            return
+        console.refuse({"--angles": angles}, "crank angles are those of an output", "Add for example --output rocker", file.file)
+        if design:
+            from optlink.errors import Fault, InputError
+
+            remedy = "Leave --design out; --output takes one"
+            raise InputError(Fault("sensitivities are those of the optimum, which is searched", remedy, key="--design"))
+        from optlink.studies.sensitivity import sensitivities
+
+        with console.share("searching again" if check else "searching") as progress:
+            result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
+        console.told(result, "views.study_tables.sensitivities", "views.sensitivity_pictures", None, as_json, out)
+        from optlink.report.views.study_tables import AGREES
+
+        if result.gap is not None and result.gap > AGREES:
+            raise typer.Exit(1)
+
+
+def _crank_angles(text: str) -> Any:
+    """Crank angles [rad] of an option, "0 deg, 60 deg" or "0..330 deg:12"."""
+    import numpy as np
+
+    from optlink.errors import Fault, InputError
+    from optlink.studies.grid import read_axis
+    from optlink.units import UnitProblem, factor
+
+    remedy = 'Write for example "0 deg, 60 deg" or "0..330 deg:12"'
+    if not text.strip():
+        raise InputError(Fault("no crank angle is given", remedy, key="--angles", value=text))
+    try:
+        axis = read_axis(f"angles={text}")
+        return np.asarray(axis.values) * factor(axis.unit, "angle")
+    except (InputError, UnitProblem) as error:
+        message = error.faults[0].message if isinstance(error, InputError) else error.message
+        raise InputError(Fault(message, remedy, key="--angles", value=text)) from None
+
+
+def _output(file: ProblemFile, output: str, angles: str, design: list[str] | None, as_json: bool, out: Path | None) -> None:
+    """Derivatives of an output by every size."""
+    import numpy as np
+
+    from optlink.io import finite, head
+    from optlink.studies.motion_sensitivity import output_sensitivity
+    from optlink.tasks.function import read_design, solve
+
+    crank = _crank_angles(angles)
+    sizes = {key: quantity.value for key, quantity in file.model.mechanism.quantities.items()}
+    if design:
+        sizes |= {key: value for key, value in read_design(file, design).items() if key in sizes}
+    elif file.model.free and not file.generated and not file.machined:
+        sizes |= {key: value for key, value in solve(file).design.items() if key in sizes}
+    found = output_sensitivity(file.model.linkage, sizes, crank, output)
+    document = {
+        **head(OUTPUT_SCHEMA, file, "done"),
+        "output": found.name,
+        "unit": found.unit,
+        "sizes_SI": sizes,
+        "crank_angles_deg": np.degrees(crank),
+        "value": found.value,
+        "per_size_SI": dict(found.by),
+    }
+    if out is not None:
+        from optlink.report.files import write_csv, write_json
+
+        write_json(out / "result.json", finite(document))
+        columns = {f"per_{name}_SI": column for name, column in found.by.items()}
+        value = f"{found.name}_{found.unit}"
+        write_csv(out / "sensitivity.csv", {"crank_angle_deg": np.degrees(crank), value: found.value} | columns)
+    if as_json:
+        console.print_json(finite(document))
+        return
+    from optlink.report.views import function_tables, study_tables
+
+    function_tables.console().print(study_tables.outputs(found))
+
+
+@study.command()
+def sweep(
+    problem: Problem,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option("--vary", metavar="KEY=VALUES", help='mechanism.frame="450..550 mm:101", or a list of values. Repeatable.'),
+    ] = None,
+    analyze: Annotated[bool, typer.Option("--analyze", help="Only analyse the designs, no optimisation.")] = False,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Only simulate the designs, with their clearance.")] = False,
+    revolutions: Annotated[
+        int | None, typer.Option(parser=whole_number, metavar="N", help="With --simulate, of joints with clearance; 20.")
+    ] = None,
+    control: Annotated[str | None, typer.Option(metavar="HOW", help="With --simulate: none, inverse, pid, inverse+pid.")] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--column",
+            metavar="NAME",
+            help="With --analyze: a column of the analysis, or a figure such as slider.stroke_m. Repeatable.",
+        ),
+    ] = None,
+    points: Annotated[
+        int | None, typer.Option(parser=whole_number, metavar="N", help="With --analyze: crank angles per revolution; 360.")
+    ] = None,
+    design: Annotated[
+        list[str] | None,
+        typer.Option("--design", metavar="NAME=VALUE", help="With --analyze: what is free and not varied. Repeatable."),
+    ] = None,
+    backend: Backend = "ipopt",
+    engine: Engine = "local",
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    resume: Resume = False,
+    changes: Set = None,
+    as_json: Json = False,
+    out: Kept = None,
+) -> None:
+    """Solve the problem again at every point of a grid; each optimum proven, interruptible, on one machine or a cluster."""
+    with console.reported(as_json):
+        from optlink.errors import Fault, InputError
+        from optlink.studies.sweep import sweep as run
+
+        file = console.load(problem, changes)
+        _resumable(resume, out)
+        _owned(out, "sweep", problem)
+        given = None
+        if design:
+            from optlink.tasks.function import read_design
+
+            varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
+            given = read_design(file, design, varied)
+        if column and not analyze:
+            raise InputError(Fault("columns are those of the analysis", "Add --analyze", key="--column", value=column[0]))
+        if analyze and simulate:
+            raise InputError(Fault("designs are analysed or simulated", "Give --analyze or --simulate", key="--simulate"))
+        console.refuse({} if simulate else {"--revolutions": revolutions, "--control": control}, *SIMULATED, file.file)
+        if not analyze and not simulate:
+            remedy = "Add --analyze; how many values are swept is said in --vary KEY=LOW..HIGH UNIT:N"
+            console.refuse({"--points": points}, "crank angles are those of the analysis", remedy, file.file)
+        with _points() as progress, _interruptible(out):
+            result = run(
+                file,
+                vary or [],
+                out,
+                resume=resume,
+                analyze=analyze,
+                columns=column or ("input.torque_Nm",),
+                points=360 if points is None else points,
+                design=given,
+                simulate=_options(revolutions=revolutions, control=control, points=points) if simulate else None,
+                backend=backend,
+                engine=engine,
+                workers=workers,
+                scheduler=scheduler,
+                progress=progress,
+            )
+        console.told(result, "views.study_tables.sweep", "views.sweep_pictures", None, as_json, out)
+        if not result.successful:
+            raise typer.Exit(1)
+
+
+def _options(**options: Any) -> dict[str, Any]:
+    """The options of a simulation that are stated."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+@study.command()
+def tolerance(
+    problem: Problem,
+    tolerances: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tolerance",
+            metavar="NAME=T",
+            help='coupler="0.1 mm", D.x="0.05 mm uniform", C.clearance="0.1 mm", rocker=parts.csv. Repeatable. Else [tolerances]',
+        ),
+    ] = None,
+    output: Annotated[
+        str | None, typer.Option(metavar="BODY|P.x|error", help="What is judged; the error, where a motion law is wanted.")
+    ] = None,
+    angles: Annotated[
+        str | None, typer.Option("--angles", metavar="LIST", help='Crank angles: "0 deg, 60 deg" or "0..330 deg:12".')
+    ] = None,
+    limit: Annotated[
+        str | None, typer.Option(metavar="SIZE", help='What error or change is allowed, "0.5 deg": the yield is told.')
+    ] = None,
+    samples: Annotated[int, typer.Option(metavar="N", help="Linkages with deviations drawn; 0: linear analysis only.")] = 131072,
+    seed: Annotated[int, typer.Option(metavar="S", help="Seed of the samples.")] = 0,
+    distribution: Annotated[
+        str, typer.Option(metavar="NAME", help="Where none is said: normal (the tolerance is 3 sigma), uniform, triangular.")
+    ] = "normal",
+    allocate: Annotated[
+        str | None, typer.Option(metavar="YIELD", help='Search the loosest tolerances that keep a yield: "99.7 %".')
+    ] = None,
+    cost: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=C", help="With --allocate: a tolerance t costs C/t; 1 if left out. Repeatable."),
+    ] = None,
+    robust: Annotated[
+        str | None,
+        typer.Option(
+            metavar="K|worst|margin|yield",
+            help="Search the design with the least error plus K sigma, or the worst case; with most sigma; with most yield.",
+        ),
+    ] = None,
+    changes: Set = None,
+    design: Annotated[
+        list[str] | None, typer.Option("--design", metavar="NAME=VALUE", help="A given design instead of the best. Repeatable.")
+    ] = None,
+    as_json: Json = False,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and pictures.")] = None,
+) -> None:
+    """How exact it must be built: worst case, scatter and yield for given tolerances, and the loosest that will do."""
+    with console.reported(as_json), console.made(out, "tolerance", problem):
+        from optlink.errors import Fault, InputError
+        from optlink.studies.sampling import read_costs, read_sigmas, read_yield
+        from optlink.studies.tolerance import tolerance as run
+
+        file = console.load(problem, changes)
+        given = None
+        if design:
+            from optlink.tasks.function import read_design
+
+            given = read_design(file, design)
+        if cost and allocate is None:
+            raise InputError(Fault("costs are those of an allocation", 'Add for example --allocate "99 %"', key="--cost"))
+        with console.share("building") as progress:
+            result = run(
+                file,
+                tolerances or [],
+                output,
+                None if angles is None else _crank_angles(angles),
+                limit,
+                samples=samples,
+                seed=seed,
+                shape=distribution,
+                design=given,
+                wanted=None if allocate is None else read_yield(allocate),
+                costs=read_costs(cost or []),
+                robust=None if robust is None else read_sigmas(robust),
+                progress=progress,
+            )
+        console.told(result, "views.tolerance_tables.tolerances", "views.tolerance_pictures", None, as_json, out)
+        if (result.allocation is not None and not result.allocation.kept) or (
+            result.robust is not None and not result.robust.valid
+        ):
+            raise typer.Exit(1)
+
+
+@study.command()
+def pareto(
+    problem: Problem,
+    objectives: Annotated[
+        str,
+        typer.Option(
+            "--objectives",
+            metavar="A,B[,C]",
+            help='"peak torque, guide force in F=1300..1600 N" of a machine; "error, limits.transmission_angle.max" of a law.',
+        ),
+    ],
+    points: Annotated[
+        int | None,
+        typer.Option(parser=whole_number, metavar="N", help="Points; of three objectives along each of two. 15, of three 7."),
+    ] = None,
+    backend: Backend = "ipopt",
+    engine: Engine = "local",
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    resume: Resume = False,
+    changes: Set = None,
+    as_json: Json = False,
+    out: Kept = None,
+) -> None:
+    """What one objective costs in another: the front of two or three, its ends and its knee, every point proven."""
+    with console.reported(as_json):
+        from optlink.studies.pareto import pareto as run
+
+        file = console.load(problem, changes)
+        _resumable(resume, out)
+        _owned(out, "pareto", problem)
+        with _points("walking along the front") as progress, _interruptible(out):
+            result = run(
+                file,
+                objectives,
+                out,
+                points=points,
+                resume=resume,
+                backend=backend,
+                engine=engine,
+                workers=workers,
+                scheduler=scheduler,
+                progress=progress,
+            )
+        console.told(result, "views.pareto_tables.front", "views.pareto_pictures", None, as_json, out)
+        if not result.complete:
+            raise typer.Exit(1)
+
+
+def _resumable(resume: bool, out: Path | None) -> None:
+    """What goes on must be somewhere."""
+    from optlink.errors import Fault, InputError
+
+    if resume and out is None:
+        raise InputError(Fault("which run is to go on is not said", "Name its folder: --out DIR", key="--resume"))
+
+
+def _owned(out: Path | None, command: str, problem: str) -> None:
+    """Refuse a folder that holds the result of another command, and keep one that is there until this command ends."""
+    if out is not None and out.is_dir():
+        console.kept_for_study(out, command, problem)
+
+
+@contextlib.contextmanager
+def _interruptible(out: Path | None) -> Iterator[None]:
+    """Say what is kept of a study that is interrupted."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = "nothing was kept: there is no --out" if out is None else f"what is done is kept; go on with --resume --out {out}"
+        typer.echo(f"Interrupted: {kept}.", err=True)
+        raise typer.Exit(130) from None
+
+
+@contextlib.contextmanager
+def _points(what: str = "sweeping") -> Iterator[Callable[[int, int], None]]:
+    """A bar with the points done, their rate and the time left, on standard error."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from optlink.report.views import function_tables
+
+    columns = (
+        TextColumn(what),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    console = function_tables.console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("points", total=None, rate="")
+
+        def advance(done: int, total: int) -> None:
+            speed = bar.tasks[0].speed
+            bar.update(task, completed=done, total=total, rate=f"{speed:,.0f} a second" if speed else "")
+
+        yield advance

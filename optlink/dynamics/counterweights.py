@@ -1,0 +1,284 @@
+"""What counterweights and springs do to a machine: every force and torque as an affine function of their parameters.
+
+A counterweight adds four inertial parameters to its body (`optlink.dynamics.inertia.Parameters`), a spring its stiffness k and
+the product k * free length; reactions, torque and shaking are linear in all of these. So balancing is a convex programme.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.inertia import UNITS, Inertia, Parameters, Wrench, wrench
+from optlink.dynamics.inverse import Reactions, reactions, regressor, reported_on, shaking
+from optlink.dynamics.loads import Spring
+from optlink.dynamics.machine import Machine, Moving
+from optlink.linkage.vector2d import Value, Vector, minus
+
+Array = NDArray[np.float64]
+Kind = Literal["shaking force", "shaking moment", "driving torque", "reaction"]
+KINDS: tuple[Kind, ...] = ("shaking force", "shaking moment", "driving torque", "reaction")
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What is made small or limited: the root mean square or the largest amount, over the positions, of a force or torque.
+
+    `joint` (a pin or a guide) and `on` (a body, where three meet at the pin) say which reaction; a guide's is its normal force.
+    `arc` [rad]: only crank angles from the first to the second count.
+    """
+
+    kind: Kind
+    of: Literal["rms", "largest"] = "rms"
+    joint: str = ""
+    on: str = ""
+    arc: tuple[float, float] | None = None
+
+    @property
+    def unit(self) -> str:
+        """Of its value, for people."""
+        return "N" if self.kind in ("shaking force", "reaction") else "N m"
+
+    @property
+    def quantity(self) -> str:
+        """What is measured, without how."""
+        where = f" at {self.joint}" + (f" on {self.on}" if self.on else "") if self.joint else ""
+        return self.kind + where
+
+    def __str__(self) -> str:
+        arc = "" if self.arc is None else " from {:g} to {:g} deg".format(*(math.degrees(a) for a in self.arc))
+        return f"{self.of} {self.quantity}{arc}"
+
+    def rows(self, angles: Array) -> NDArray[np.bool_]:
+        """Which of the crank angles [rad] count."""
+        if self.arc is None:
+            return np.ones(len(angles), dtype=bool)
+        low, high = self.arc
+        turned = np.mod(angles - low, 2.0 * np.pi)
+        span = math.fmod(high - low, 2.0 * np.pi)
+        return np.asarray((turned <= span + 1e-9) | (turned >= 2.0 * np.pi - 1e-9))
+
+    def value(self, amounts: Array) -> float:
+        """The measure of a quantity (positions, parts)."""
+        squares = np.sum(amounts * amounts, axis=1)
+        return float(np.sqrt(np.mean(squares) if self.of == "rms" else np.max(squares)))
+
+
+def measured(
+    quantity: Measure, machine: Machine, found: Reactions, shaken: Wrench, shape: tuple[int, ...], pivot: Vector, about: Vector
+) -> Array:
+    """A quantity over the positions: (positions, parts), parts being x and y of a force.
+
+    `shaken` has its moment about `pivot`; the shaking moment that is measured is that about `about` [m].
+    """
+    parts: tuple[Value, ...]
+    if quantity.kind == "shaking force":
+        parts = shaken.force
+    elif quantity.kind == "shaking moment":
+        parts = (shaken.about(pivot, about),)
+    elif quantity.kind == "driving torque":
+        parts = (found.torque,)
+    elif quantity.joint in found.guides:
+        parts = (found.guides[quantity.joint].normal,)
+    else:
+        parts = found.pins[quantity.joint][quantity.on or reported_on(machine)[quantity.joint]]
+    return np.stack([np.broadcast_to(np.asarray(part, dtype=float), shape) for part in parts], axis=-1)
+
+
+def amounts(moving: Moving, quantities: Sequence[Measure], about: Vector) -> list[Array]:
+    """Quantities of a machine in motion by its ordinary inverse dynamics, each (positions, parts)."""
+    shape, machine = np.shape(moving.motion.assembled), moving.machine
+    found, shaken = reactions(moving), shaking(moving)
+    pivot = moving.position(machine.mechanism.crank.start)
+    return [measured(quantity, machine, found, shaken, shape, pivot, about) for quantity in quantities]
+
+
+def quantities(machine: Machine) -> list[Measure]:
+    """Everything that can be measured of a machine: shaking, torque, every reaction; each by its root mean square."""
+    found = [Measure("shaking force"), Measure("shaking moment"), Measure("driving torque")]
+    for point, bodies in machine.mechanism.pins.items():
+        found += [
+            Measure("reaction", "rms", point, body if len(bodies) > 2 else "") for body in (bodies if len(bodies) > 2 else "-")
+        ]
+    return found + [Measure("reaction", "rms", guide.name) for guide in machine.mechanism.guides]
+
+
+# --- what may be added --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Counterweight:
+    """A mass that is added to a body; what is not bounded is infinite, what is not given is None. SI, in the body's axes.
+
+    A disc has a `thickness` (its radius follows from its mass), or a `radius` (its thickness follows). A free counterweight may
+    have any shape. `mass`: least and largest. `reach`: of its centre from `origin`; `extent`: of all of it; `at`: its place.
+    """
+
+    body: str
+    kind: Literal["disc", "free"]
+    mass: tuple[float, float] = (0.0, math.inf)
+    thickness: float | None = None
+    radius: float | None = None
+    density: float | None = None
+    reach: float = math.inf
+    extent: float = math.inf
+    origin: tuple[float, float] = (0.0, 0.0)
+    at: tuple[float, float] | None = None
+
+    @property
+    def spread(self) -> float:
+        """Own moment of inertia of a disc of given thickness, per mass squared [m^2/kg]."""
+        assert self.thickness is not None
+        assert self.density is not None
+        return 1.0 / (2.0 * math.pi * self.density * self.thickness)
+
+    def own(self, mass: float) -> float:
+        """Moment of inertia of the disc about its centre [kg m^2]."""
+        return 0.5 * mass * self.radius_of(mass) ** 2
+
+    def radius_of(self, mass: float) -> float:
+        """Radius of the disc [m]."""
+        if self.radius is not None:
+            return self.radius
+        assert self.thickness is not None
+        assert self.density is not None
+        return math.sqrt(max(mass, 0.0) / (math.pi * self.density * self.thickness))
+
+    def thickness_of(self, mass: float) -> float | None:
+        """Thickness of the disc [m], None where its material is not given."""
+        if self.thickness is not None or self.density is None or self.radius is None:
+            return self.thickness
+        return mass / (math.pi * self.density * self.radius**2)
+
+    def realised(self, parameters: Parameters) -> Parameters:
+        """The nearest that can be made: a disc has the moment of inertia that its mass and place give it."""
+        mass, along, across, moment = (float(part) for part in parameters)
+        if mass <= 0.0:
+            return Parameters(0.0, 0.0, 0.0, 0.0)
+        if self.at is not None:
+            along, across = (mass * part for part in self.at)
+        steiner = (along * along + across * across) / mass
+        moment = steiner + self.own(mass) if self.kind == "disc" else max(moment, steiner)
+        return Parameters(mass, along, across, moment)
+
+
+@dataclass(frozen=True)
+class FreeSpring:
+    """A linear spring between two points, its stiffness [N/m] and free length [m] between bounds; `force`: the largest [N]."""
+
+    name: str
+    ends: tuple[tuple[str, str], tuple[str, str]]
+    stiffness: tuple[float, float] = (0.0, math.inf)
+    free: tuple[float, float] = (0.0, 0.0)
+    force: float = math.inf
+
+    def spring(self, stiffness: float, free: float) -> Spring:
+        """The load."""
+        return Spring(self.name, self.ends, stiffness, free, 0.0)
+
+
+def joined(own: Inertia, added: Parameters) -> Inertia:
+    """Mass properties of a body with a counterweight."""
+    mass, along, across, moment = (a + b for a, b in zip(own.parameters, added, strict=True))
+    if mass <= 0.0:
+        return own
+    x, y = along / mass, across / mass
+    return Inertia(mass, x, y, max(moment - mass * (x * x + y * y), 0.0))
+
+
+# --- the affine functions -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Affine:
+    """matrix (positions, parts, n) @ parameters (n,) + offset (positions, parts)."""
+
+    matrix: Array
+    offset: Array
+
+    def at(self, parameters: Array) -> Array:
+        """Its value (positions, parts)."""
+        found: Array = self.matrix @ parameters + self.offset
+        return found
+
+    def compressed(self) -> tuple[Array, Array]:
+        """R (k, n) and r (k,), k <= n + 1, with |R x + r| the root mean square over the positions for every x.
+
+        Exact: the QR factors of a matrix have its norm.
+        """
+        n = self.matrix.shape[-1]
+        tall = np.concatenate([self.matrix.reshape(-1, n), self.offset.reshape(-1, 1)], axis=1)
+        small: Array = np.asarray(np.linalg.qr(tall / math.sqrt(len(self.offset)), mode="r"))
+        return small[:, :n], small[:, n]
+
+
+class Effects:
+    """What the parameters of counterweights and springs do: four of each body, then k and k * free length of each spring.
+
+    Parameters
+    ----------
+    moving : Moving
+        The given machine at the positions that count, (positions,).
+    bodies : names of the bodies with a counterweight
+    springs : the springs that are sought
+    about : where shaking moments are measured [m]
+    """
+
+    def __init__(self, moving: Moving, bodies: Sequence[str], springs: Sequence[FreeSpring], about: Vector) -> None:
+        self.moving, self.bodies, self.springs, self.about = moving, tuple(bodies), tuple(springs), about
+        self.shape = np.shape(moving.motion.assembled)
+        self.count = 4 * len(self.bodies) + 2 * len(self.springs)
+
+    @cached_property
+    def _given(self) -> tuple[Reactions, Wrench]:
+        return reactions(self.moving), shaking(self.moving)
+
+    @cached_property
+    def _columns(self) -> list[tuple[Reactions, Wrench]]:
+        """Reactions and shaking (its moment about `about`) per unit of each parameter."""
+        found: list[tuple[Reactions, Wrench]] = []
+        per_unit = regressor(self.moving) if self.bodies else {}
+        for body in self.bodies:
+            state = self.moving.state(body)
+            for unit, reaction in zip(UNITS, per_unit[body], strict=True):
+                own = wrench(unit, state, (0.0, 0.0))
+                (x, y), moment = own.force, own.about(state.start, self.about)
+                found.append((reaction, Wrench((-x, -y), -moment)))
+        for spring in self.springs:
+            slack, tight = (self._of_spring(spring.spring(1.0, free)) for free in (0.0, 1.0))
+            still = Wrench((0.0, 0.0), 0.0)
+            found += [(slack, still), (_difference(tight, slack), still)]
+        return found
+
+    def _of_spring(self, spring: Spring) -> Reactions:
+        alone = self.moving.machine.with_(inertias={}, loads=(spring,), friction={})
+        return reactions(Moving(alone, self.moving.motion))
+
+    def lengths(self, spring: FreeSpring) -> Array:
+        """Length of a spring over the positions [m]."""
+        (_, p), (_, q) = spring.ends
+        (ax, ay), (bx, by) = self.moving.position(p), self.moving.position(q)
+        return np.broadcast_to(np.hypot(np.asarray(bx) - ax, np.asarray(by) - ay), self.shape)
+
+    def affine(self, quantity: Measure) -> Affine:
+        """A quantity over the positions that count for it."""
+        machine, rows = self.moving.machine, quantity.rows(np.asarray(self.moving.motion.crank_angle, dtype=float))
+        pivot = self.moving.position(machine.mechanism.crank.start)
+        offset = measured(quantity, machine, *self._given, self.shape, pivot, self.about)
+        matrix = np.empty((*offset.shape, self.count))
+        for k, (reaction, shaken) in enumerate(self._columns):
+            matrix[..., k] = measured(quantity, machine, reaction, shaken, self.shape, self.about, self.about)
+        return Affine(matrix[rows], offset[rows])
+
+
+def _difference(one: Reactions, other: Reactions) -> Reactions:
+    """Reactions of one case less those of another; of guides the normal force alone."""
+    pins = {point: {body: minus(force, other.pins[point][body]) for body, force in on.items()} for point, on in one.pins.items()}
+    guides = {name: replace(force, normal=force.normal - other.guides[name].normal) for name, force in one.guides.items()}
+    return Reactions(one.torque - other.torque, pins, guides, one.rows)

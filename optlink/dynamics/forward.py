@@ -1,0 +1,447 @@
+"""Motion of a machine in time: one degree of freedom under a torque or motor curve, or at a constant speed.
+
+The crank obeys I(phi) phi'' + I'(phi) phi'^2 / 2 = torque of the drive + what loads and gravity exert, reduced to the crank.
+Beside it the accelerations of all bodies are integrated twice, as a multibody code would do it; how far these positions part from
+the closed loops is the drift. Work of drive and loads is integrated too, and held against the energy of the bodies.
+
+Source: equation of motion of a machine with one degree of freedom (Eksergian's equation).
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.inertia import kinetic, potential
+from optlink.dynamics.inverse import Reactions, reactions, required, virtual_torque
+from optlink.dynamics.loads import Magnitude
+from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.work import jumps
+from optlink.linkage.jet import Jet
+from optlink.linkage.motion import Motion
+from optlink.linkage.vector2d import Value
+
+Array = NDArray[np.float64]
+TURN = 2.0 * np.pi
+RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances of the integrator
+STOP = 1e-6  # rad before a singular position at which a simulation ends
+EDGE = 1e-6  # share of a limited range, at its ends, that is not entered: speeds are infinite at a dead position
+LEAST, PATIENCE = 1e-4, 2000  # so many steps that bring the time on by a smaller share of the duration are a stall
+NEAR = 1e-9  # rad: a jump of a load nearer than this is behind us
+STEADY = 1e-13  # share of the larger torque by which a resting machine may be out of balance and still stay at rest
+
+
+class Ending(enum.Enum):
+    """How a simulation ended. `text` is for people."""
+
+    FINISHED = "finished"
+    AT_REST = "at rest"
+    DEAD_POSITION = "dead position"
+    SINGULAR = "singular position"
+    JAMMED = "jammed"
+    STALLED = "stalled"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def text(self) -> str:
+        """One sentence for people."""
+        return _TEXT[self]
+
+
+_TEXT = {
+    Ending.FINISHED: "the whole duration was simulated",
+    Ending.AT_REST: "the machine came to rest: the drive cannot overcome loads and friction there",
+    Ending.DEAD_POSITION: "the crank reached a position beyond which the mechanism cannot be assembled",
+    Ending.SINGULAR: "the crank reached a singular position: the assembly modes meet, and the motion beyond is not determined",
+    Ending.JAMMED: "friction jams a guide: no finite force moves the machine",
+    Ending.STALLED: "the integration stalled: a singular position, or forces and speeds that grow without bound; "
+    "what was computed until then is kept. Start elsewhere, shorten the duration, or check loads and torque",
+    Ending.INTERRUPTED: "interrupted; what was computed until then is kept",
+}
+
+
+def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]:
+    """Inertia of the whole machine reduced to the crank [kg m^2], and its derivative over the crank angle [kg m^2/rad]."""
+    with np.errstate(all="ignore"):
+        moving = machine.moving(crank_angle, 1.0)
+        weightless = required(moving, gravity=False, loads=False)
+        inertia = np.broadcast_to(2.0 * np.asarray(moving.kinetic), crank_angle.shape)
+        return inertia, np.broadcast_to(2.0 * np.asarray(virtual_torque(weightless, moving)), crank_angle.shape)
+
+
+def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | None]:
+    """Torque that the drive must exert on the crank for a motion [N m]; reactions too where friction makes them necessary."""
+    if moving.machine.friction:
+        found = reactions(moving)
+        return found.torque, found
+    return virtual_torque(required(moving), geared), None
+
+
+def crank_acceleration(machine: Machine, crank_angle: Array, speed: Value, torque: Value, direction: Value = None) -> Array:
+    """Forward dynamics: angular acceleration of the crank [rad/s^2] under a driving torque [N m]; elementwise.
+
+    Parameters
+    ----------
+    crank_angle : array (n,) [rad]
+    speed, torque : float or array (n,) [rad/s], [N m]
+    direction : +1 or -1, optional
+        Sense in which the crank turns, or is about to turn.
+    """
+    geared = machine.moving(crank_angle, 1.0)
+    way = np.where(np.asarray(speed) < 0.0, -1.0, 1.0) if direction is None else direction
+    return np.asarray(_forward(geared, speed, torque, way) + 0.0 * crank_angle)
+
+
+def _forward(geared: Moving, speed: Value, torque: Value, direction: Value) -> Value:
+    inertia = 2.0 * geared.kinetic
+    needed, _ = required_torque(geared.scaled(speed, 0.0, direction), geared)
+    alpha = (torque - needed) / inertia
+    if geared.machine.friction:  # the normal forces depend on the acceleration, piecewise linearly
+        before, at_before = 0.0, needed
+        for _ in range(30):
+            now, _ = required_torque(geared.scaled(speed, alpha, direction), geared)
+            miss = torque - now
+            if np.all(np.abs(miss) <= 1e-14 * (np.abs(torque) + np.abs(now))):
+                break
+            slope = np.where(alpha == before, inertia, (now - at_before) / np.where(alpha == before, 1.0, alpha - before))
+            before, at_before = alpha, now
+            alpha = alpha + miss / np.where(slope > 0.0, slope, inertia)
+    return alpha
+
+
+@dataclass(frozen=True)
+class Run:
+    """A machine in time: crank angle [rad], speed, acceleration, driving torque [N m] and works [J] at times (n,) [s].
+
+    `works`: of the drive, of each load, of friction; `energy`: kinetic + of gravity. `drift` [m]: largest distance between the
+    twice integrated and the closed positions of the bodies; `imbalance` [J]: largest error of the energy account.
+    """
+
+    time: Array
+    crank_angle: Array
+    speed: Array
+    acceleration: Array
+    torque: Array
+    direction: Array
+    works: dict[str, Array]
+    energy: Array
+    drift: float
+    drift_angle: float
+    imbalance: float
+    steps: int
+    evaluations: int
+    ending: Ending
+    stopped: float
+
+    @property
+    def turnover(self) -> float:
+        """Largest energy or work in the account [J]: what the imbalance is measured by."""
+        every = [self.energy, *self.works.values()]
+        return max(float(np.max(np.abs(values), initial=0.0)) for values in every)
+
+
+class _Plant:
+    """The right-hand side: state = crank angle, speed, works, then position and velocity of every body."""
+
+    def __init__(self, machine: Machine, torque: Magnitude | None) -> None:
+        self.machine, self.drive = machine, torque
+        self.bodies, self.cycle = tuple(machine.mechanism.bodies), machine.mechanism.cycle
+        self.names = ["input", *(load.name for load in machine.loads), *(["friction"] if machine.friction else [])]
+        self.direction = 1.0
+        self.functions: dict[float, Callable[..., list[Array]]] = {}
+        self.evaluations = 0
+
+    def geared(self, angle: Value) -> Moving:
+        """The machine at one crank angle and 1 rad/s: plain floats, which are much faster than arrays of one, or symbols."""
+        pose = self.machine.mechanism.at(self.machine.sizes, Jet(angle, 1.0))
+        return Moving(self.machine, Motion(self.machine.mechanism, self.machine.sizes, angle, 1.0, pose), 1, self.direction)
+
+    def start(self, angle: float, speed: float) -> Array:
+        moving = self.geared(angle).scaled(speed, 0.0, self.direction)
+        return np.concatenate([[angle, speed], np.zeros(len(self.names)), *self.coordinates(moving)])
+
+    def coordinates(self, moving: Moving) -> tuple[Array, Array]:
+        """Positions (start x, y and angle of every body) and velocities."""
+        states = [moving.state(body) for body in self.bodies]
+        positions = [part for s in states for part in (*s.start, np.arctan2(s.axis[1], s.axis[0]))]
+        velocities = [part for s in states for part in (*s.velocity, s.omega)]
+        return _flat(positions), _flat(velocities)
+
+    def accelerations(self, moving: Moving) -> list[Value]:
+        states = [moving.state(body) for body in self.bodies]
+        return [part for s in states for part in (*s.acceleration, s.alpha)]
+
+    def torque(self, angle: Value, speed: Value) -> Value:
+        assert self.drive is not None
+        return self.drive({"phi": angle, "omega": speed})
+
+    def now(self, angle: Value, speed: Value) -> tuple[Value, Value, Moving, Reactions | None]:
+        """Acceleration of the crank, torque of the drive, the machine in motion, reactions if friction needs them."""
+        geared = self.geared(angle)
+        if self.drive is None:
+            moving = geared.scaled(speed, 0.0, self.direction)
+            torque, found = required_torque(moving, geared)
+            return 0.0, torque, moving, found
+        torque = self.torque(angle, speed)
+        alpha = _forward(geared, speed, torque, self.direction)
+        moving = geared.scaled(speed, alpha, self.direction)
+        return alpha, torque, moving, reactions(moving) if self.machine.friction else None
+
+    def rates(self, angle: Value, speed: Value) -> list[Value]:
+        """Acceleration of the crank; powers of drive, loads and friction; accelerations of the bodies. Numbers or symbols."""
+        alpha, torque, moving, found = self.now(angle, speed)
+        powers = [torque * speed]
+        for load in self.machine.loads:
+            powers.append(sum((act.power(moving.state(act.body)) for act in load.act(moving)), 0.0))
+        if found is not None:
+            powers.append(sum(np.sum(force.friction * moving.slides[name][1]) for name, force in found.guides.items()))
+        return [alpha, *powers, *self.accelerations(moving)]
+
+    def traced(self, crank: Array) -> Array:
+        """The rates at a crank angle and speed, 30 times faster: the formulas of `rates`, passed through once with symbols."""
+        if self.direction not in self.functions:
+            import casadi
+
+            from optlink.symbolic import Compiled, tracing
+
+            symbols = casadi.SX.sym("crank", 2)
+            with tracing():
+                self.functions[self.direction] = Compiled([symbols], [casadi.vertcat(*self.rates(symbols[0], symbols[1]))])
+        return self.functions[self.direction](crank)[0]
+
+    def __call__(self, time: float, state: Array) -> Array:
+        self.evaluations += 1
+        angle, speed, count = float(state[0]), float(state[1]), 3 * len(self.bodies)
+        # friction is solved for step by step, where the crank rests the sense of every motion is looked up, near change
+        # points there are series: not for symbols
+        by_numbers = bool(self.machine.friction) or speed == 0.0 or self.machine.mechanism.followed
+        rates = _flat(self.rates(angle, speed)) if by_numbers else self.traced(state[:2])
+        return np.concatenate([[speed], rates[:-count], state[-count:], rates[-count:]])
+
+
+def _flat(parts: list[Value]) -> Array:
+    return np.array([np.asarray(part, dtype=float).ravel()[0] for part in parts])
+
+
+def run(
+    machine: Machine,
+    times: Array,
+    angle: float,
+    speed: float,
+    torque: Magnitude | None = None,
+    limits: tuple[float, float] | None = None,
+    progress: Callable[[float], None] | None = None,
+    singular: Sequence[float] = (),
+) -> Run:
+    """Move a machine in time.
+
+    Parameters
+    ----------
+    machine : Machine
+    times : array (n,) [s], rising from 0
+        Where the result is wanted; the integrator chooses its own steps.
+    angle, speed : float [rad], [rad/s]
+        Start of the crank.
+    torque : function of phi and omega to a torque [N m], optional
+        Of the drive; without one the speed stays constant.
+    limits : pair of float [rad], optional
+        Reachable range of the crank angle, where it cannot turn fully.
+    progress : function of the share that is done, optional
+    singular : crank angles [rad] at which the motion ends because it is not determined beyond, repeated every cycle
+
+    Returns
+    -------
+    Run; shorter than asked for where the machine cannot go on (`ending`)
+    """
+    journey = _Journey(_Plant(machine, torque), times, angle, speed, limits, np.array(singular))
+    with np.errstate(all="ignore"):
+        journey.travel(progress)
+        return journey.result()
+
+
+class _Journey:
+    """A simulation on its way: leg by leg, each from one event to the next."""
+
+    def __init__(
+        self, plant: _Plant, times: Array, angle: float, speed: float, limits: tuple[float, float] | None, singular: Array
+    ) -> None:
+        self.plant, self.times, self.limits, self.singular = plant, times, limits, singular
+        plant.direction = float(np.sign(speed)) or 1.0
+        self.switches = jumps(plant.machine, 0.0, plant.cycle) if plant.machine.switching else np.empty(0)
+        self.may_rest = plant.drive is not None and plant.machine.switching
+        self.time, self.state = 0.0, plant.start(angle, speed)
+        self.kept, self.ways = [self.state], [plant.direction]
+        self.steps, self.mark, self.ending = 0, 0.0, Ending.FINISHED
+
+    def travel(self, progress: Callable[[float], None] | None) -> None:
+        """Go on until the end, or until the machine cannot."""
+        if self.state[1] == 0.0 and self.plant.drive is not None and not _set_off(self.plant, float(self.state[0])):
+            self.ending = Ending.AT_REST
+        if any(abs(at - float(self.state[0])) <= 2.0 * STOP for _, at in self.stops()):
+            self.ending = Ending.SINGULAR
+        try:
+            while self.ending is Ending.FINISHED and len(self.kept) < len(self.times):
+                self.leg(progress)
+        except KeyboardInterrupt:
+            self.ending = Ending.INTERRUPTED
+
+    def stops(self) -> list[tuple[str, float]]:
+        """The nearest singular position on either side, a little before it."""
+        angle = float(self.state[0])
+        return [
+            ("singular", at + way * STOP)
+            for way, at in zip((1.0, -1.0), _nearest(angle, self.singular, self.plant.cycle), strict=False)
+        ]
+
+    def leg(self, progress: Callable[[float], None] | None) -> None:
+        """Integrate to the next event."""
+        from scipy.integrate import DOP853
+
+        end = float(self.times[-1])
+        if not np.all(np.isfinite(self.plant(self.time, self.state))):  # the integrator would look for a first step for ever
+            self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
+            return
+        solver = DOP853(self.plant, self.time, self.state, end, rtol=RELATIVE, atol=ABSOLUTE)
+        ahead = [*_ahead(float(self.state[0]), self.switches, self.plant.cycle, self.limits), *self.stops()]
+        event = None
+        while event is None and solver.status == "running":
+            solver.step()
+            self.steps += 1
+            if solver.status == "failed" or not np.all(np.isfinite(solver.y)) or self.crawls(float(solver.t)):
+                self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
+                return
+            curve = solver.dense_output()
+            way = self.plant.direction if self.may_rest else 0.0
+            upto, event = _event(curve, float(solver.t_old), float(solver.t), way, ahead)
+            while len(self.kept) < len(self.times) and self.times[len(self.kept)] <= upto:
+                self.kept.append(curve(self.times[len(self.kept)]))
+                self.ways.append(self.plant.direction)
+            self.time, self.state = upto, np.array(solver.y if event is None else curve(upto))
+            if progress:
+                progress(upto / end)
+        if event == "limit":
+            self.ending = Ending.DEAD_POSITION
+        elif event == "singular":
+            self.ending = Ending.SINGULAR
+        elif event == "rest":
+            self.state[1] = 0.0
+            if not _set_off(self.plant, float(self.state[0])):
+                self.ending = Ending.AT_REST
+
+    def crawls(self, time: float) -> bool:
+        """Whether the last `PATIENCE` steps brought no progress to speak of."""
+        if self.steps % PATIENCE:
+            return False
+        slow = time - self.mark < LEAST * float(self.times[-1])
+        self.mark = time
+        return slow
+
+    def result(self) -> Run:
+        """What was found."""
+        count = len(self.kept)
+        return _result(
+            self.plant, self.times[:count], np.array(self.kept), np.array(self.ways), self.steps, self.ending, self.time
+        )
+
+
+def _set_off(plant: _Plant, angle: float) -> bool:
+    """In which sense a resting machine starts to turn; whether it does."""
+    torque = float(np.asarray(plant.torque(angle, 0.0)).ravel()[0])
+    for direction in (plant.direction, -plant.direction):
+        geared = plant.geared(angle)
+        needed, _ = required_torque(geared.scaled(0.0, 0.0, direction), geared)
+        least = float(np.asarray(needed).ravel()[0])
+        if direction * (torque - least) > STEADY * (abs(torque) + abs(least)):
+            plant.direction = direction
+            return True
+    return False
+
+
+def _jammed(plant: _Plant, state: Array) -> bool:
+    if not plant.machine.friction:
+        return False
+    moving = plant.geared(float(state[0])).scaled(float(state[1]), 0.0, plant.direction)
+    return bool(np.any(reactions(moving).jammed))
+
+
+def _nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> list[float]:
+    """The nearest below and above a crank angle of marks that repeat every cycle."""
+    if not len(marks):
+        return []
+    every = (marks[:, None] + cycle * (np.floor(angle / cycle) + np.arange(-2.0, 3.0))).ravel()
+    return [float(np.max(every[every <= angle - aside])), float(np.min(every[every >= angle + aside]))]
+
+
+def _ahead(angle: float, switches: Array, cycle: float, limits: tuple[float, float] | None) -> list[tuple[str, float]]:
+    """Crank angles at which the integration is begun anew, or ends: the nearest on either side."""
+    found = [("switch", at) for at in _nearest(angle, switches, cycle, NEAR)]
+    if limits is not None:
+        edge = EDGE * (limits[1] - limits[0])
+        found += [("limit", limits[0] + edge), ("limit", limits[1] - edge)]
+    return found
+
+
+def _event(curve: Any, start: float, end: float, direction: float, ahead: list[tuple[str, float]]) -> tuple[float, str | None]:
+    """The first event within a step, and its time: an angle that is reached, or the crank at rest; else the end of the step."""
+    from scipy.optimize import brentq
+
+    found: list[tuple[float, str]] = []
+    one, two = curve(start), curve(end)
+    for kind, at in ahead:
+        if (one[0] - at) * (two[0] - at) < 0.0:
+            found.append((float(brentq(lambda t, at=at: curve(t)[0] - at, start, end, xtol=1e-16, rtol=1e-15)), kind))
+    if one[1] * direction > 0.0 > two[1] * direction:
+        found.append((float(brentq(lambda t: curve(t)[1], start, end, xtol=1e-16, rtol=1e-15)), "rest"))
+    return min(found) if found else (end, None)
+
+
+def _result(plant: _Plant, times: Array, states: Array, ways: Array, steps: int, ending: Ending, stopped: float) -> Run:
+    machine, count = plant.machine, len(plant.names)
+    angles, speeds = states[:, 0], states[:, 1]
+    with np.errstate(all="ignore"):
+        geared = machine.moving(angles, 1.0)
+        if plant.drive is None:
+            accelerations = np.zeros(len(times))
+            torque, _ = required_torque(geared.scaled(speeds, 0.0, ways), geared)
+            torques = np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
+        else:
+            torques = np.broadcast_to(np.asarray(plant.drive({"phi": angles, "omega": speeds}), dtype=float), angles.shape)
+            accelerations = np.broadcast_to(np.asarray(_forward(geared, speeds, torques, ways)), angles.shape)
+        if ending is Ending.AT_REST and speeds[-1] == 0.0:
+            accelerations = np.where(np.arange(len(times)) == len(times) - 1, 0.0, accelerations)
+        moving = geared.scaled(speeds, accelerations, ways)
+        states_of = {body: moving.state(body) for body in plant.bodies}
+        energy = np.zeros(len(times)) + sum(
+            kinetic(mass.parameters, states_of[body]) + potential(mass.parameters, states_of[body], machine.gravity)
+            for body, mass in machine.inertias.items()
+        )
+    works = {name: states[:, 2 + k] for k, name in enumerate(plant.names)}
+    imbalance = energy - energy[0] - sum(works.values())
+    drift = twist = 0.0
+    for k, state in enumerate(states_of.values()):
+        x, y, angle = states[:, 2 + count + 3 * k : 5 + count + 3 * k].T
+        drift = max(drift, float(np.max(np.hypot(x - state.start[0], y - state.start[1]))))
+        own = np.arctan2(state.axis[1], state.axis[0])
+        twist = max(twist, float(np.max(np.abs(np.remainder(angle - own + np.pi, TURN) - np.pi))))
+    return Run(
+        times,
+        angles,
+        speeds,
+        np.asarray(accelerations),
+        np.asarray(torques),
+        ways,
+        works,
+        energy,
+        drift,
+        twist,
+        float(np.max(np.abs(imbalance))),
+        steps,
+        plant.evaluations,
+        ending,
+        stopped,
+    )

@@ -1,0 +1,456 @@
+"""Inverse dynamics: all joint reactions and the driving torque of a machine in motion, dyad by dyad from the last to the crank.
+
+Every dyad has one pin force that two balances determine (a moment about a joint, or a force along a guide); the rest follows.
+Everything is elementwise: angles, batches of designs, symbols.
+
+Source: kinetostatics of Assur groups; each balance is Newton's and Euler's law of one or both bodies of the group.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from optlink.dynamics.inertia import UNITS, Wrench, wrench
+from optlink.dynamics.machine import Machine, Moving
+from optlink.linkage.dyad_types import PRP, RPP, RPR, RRP, RRR
+from optlink.linkage.mechanism import FRAME, Group, Guide, Link
+from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus
+
+ROUNDING = 1e-9
+"""Share of the forces of a group below which a normal force is zero."""
+
+NOTHING = Wrench((0.0, 0.0), 0.0)
+
+
+@dataclass(frozen=True)
+class GuideForce:
+    """What a guide exerts on its slider: `normal` to the left of the line and `friction` along it [N], acting at `point`.
+
+    `moment` [N m] is that about the point. Positive normal: the slider is pushed to the left of the line.
+    """
+
+    normal: Value
+    friction: Value
+    moment: Value
+    point: Vector
+    force: Vector
+
+
+@dataclass
+class Reactions:
+    """Joint reactions and torque of a machine in motion.
+
+    `pins`: point -> body -> force that the pin exerts on that body [N] (they sum to zero); `guides` by name; `torque` of the
+    driver on the crank [N m]; `jammed` where friction locks a guide; `rows`: the directions of the two balances of each group.
+    """
+
+    torque: Value
+    pins: dict[str, dict[str, Vector]]
+    guides: dict[str, GuideForce]
+    rows: dict[str, tuple[Vector, Vector]]
+    jammed: Value = False
+
+    @cached_property
+    def singularity(self) -> dict[str, Value]:
+        """How far each group is from a singular position: sine of the angle between its rows, -1 ... 1.
+
+        For an RRR group that is the sine of the transmission angle.
+        """
+        with np.errstate(all="ignore"):
+            return {joint: cross(a, b) / np.sqrt(dot(a, a) * dot(b, b)) for joint, (a, b) in self.rows.items()}
+
+    def pin(self, machine: Machine, point: str) -> Vector:
+        """The reaction that is told for a pin [N]: on the body that `on` names."""
+        return self.pins[point][reported_on(machine)[point]]
+
+
+def reported_on(machine: Machine) -> dict[str, str]:
+    """For every pin the body on which its reaction is told.
+
+    The crank at its pivot; a body that a group adds at its outer joint (what is placed before acts on it); the first of the two
+    at the inner joint of a group - unless the machine says otherwise.
+    """
+    mechanism = machine.mechanism
+    found = {mechanism.crank.start: mechanism.crank.body}
+    for group in mechanism.groups:
+        for body, pin in _outer_pins(group):
+            found.setdefault(pin, body)
+        if group.joint in mechanism.pins:
+            found[group.joint] = group.links[0].body
+    return {**found, **machine.reported}
+
+
+def acting_on(machine: Machine) -> dict[str, tuple[str, str]]:
+    """(by, on) of the reaction that is reported for every pin; "pin" where three or more bodies meet."""
+    on, found = reported_on(machine), {}
+    for point, bodies in machine.mechanism.pins.items():
+        others = [body for body in bodies if body != on[point]]
+        found[point] = (others[0] if len(others) == 1 else "pin", on[point])
+    return found
+
+
+def _outer_pins(group: Group) -> list[tuple[str, str]]:
+    if isinstance(group, RRR):
+        return list(zip((link.body for link in group.links), group.pins, strict=True))
+    if isinstance(group, RPR):
+        return list(zip((link.body for link in group.links), group.outer, strict=True))
+    if isinstance(group, RRP | RPP):
+        return [(group.first.body, group.outer)]
+    return []
+
+
+def required(moving: Moving, *, inertia: bool = True, gravity: bool = True, loads: bool = True) -> dict[str, Wrench]:
+    """What the joints and the driver together must exert on each body (about its start)."""
+    machine = moving.machine
+    found = dict.fromkeys(machine.mechanism.bodies, NOTHING)
+    for body, mass in machine.inertias.items():
+        state = moving.state(body)
+        if inertia:
+            found[body] = wrench(mass.parameters, state, machine.gravity if gravity else (0.0, 0.0))
+        elif gravity:
+            found[body] = wrench(mass.parameters, state._replace(acceleration=(0.0, 0.0), omega=0.0, alpha=0.0), machine.gravity)
+    for load in machine.loads if loads else ():
+        for acting in load.act(moving):
+            if acting.body != FRAME:
+                force, moment = acting.wrench(moving.state(acting.body))
+                found[acting.body] = found[acting.body] + Wrench((-force[0], -force[1]), -moment)
+    return found
+
+
+def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Reactions:
+    """All reactions and the driving torque.
+
+    Parameters
+    ----------
+    moving : Moving
+    needed : mapping of body to Wrench, optional
+        What the joints must exert on each body; that of inertia, gravity and loads together if left out.
+
+    Returns
+    -------
+    Reactions; infinite or NaN at a singular position of a group, where `singularity` is zero. The torque of a mechanism that is
+    led through singular positions is finite there.
+    """
+    wrenches = required(moving) if needed is None else needed
+    with np.errstate(all="ignore"):
+        found = _Balance(moving, wrenches).solve()
+        if moving.machine.mechanism.followed and not moving.machine.friction:  # finite where reactions are not
+            found.torque = virtual_torque(wrenches, moving)
+        return found
+
+
+def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
+    """Torque at the crank that wrenches on the bodies need [N m], by virtual power."""
+    source, power = moving.turning, 0.0
+    for body, (force, moment) in wrenches.items():
+        state = source.state(body)
+        power = power + dot(force, state.velocity) + moment * state.omega
+    return power / source.motion.speed
+
+
+def two(row: Vector, right: Value, other: Vector, other_right: Value) -> Vector:
+    """Solve row . x = right, other . x = other_right."""
+    inverse = 1.0 / cross(row, other)
+    return (right * other[1] - other_right * row[1]) * inverse, (row[0] * other_right - other[0] * right) * inverse
+
+
+def _moment_row(lever: Vector) -> Vector:
+    """row . force = moment of the force at that lever."""
+    return -lever[1], lever[0]
+
+
+@dataclass
+class _Solved:
+    """Forces of one group: on `body` at a pin, and by a guide on a body (force, moment about the slider's point)."""
+
+    pins: list[tuple[str, str, Vector]] = field(default_factory=list)
+    guides: list[tuple[Guide, str, Vector, Value]] = field(default_factory=list)
+    rows: tuple[Vector, Vector] = ((1.0, 0.0), (0.0, 1.0))
+
+
+class _Balance:
+    """The wrenches still to be found, group by group."""
+
+    def __init__(self, moving: Moving, needed: Mapping[str, Wrench]) -> None:
+        self.moving, self.mechanism = moving, moving.machine.mechanism
+        self.needed = dict(needed)
+        self.pins: dict[str, dict[str, Vector]] = {}
+        self.guides: dict[str, GuideForce] = {}
+        self.rows: dict[str, tuple[Vector, Vector]] = {}
+        self.jammed: Value = False
+        self.order = {body: k for k, body in enumerate((FRAME, *self.mechanism.bodies))}
+
+    def solve(self) -> Reactions:
+        for group in reversed(self.mechanism.groups):
+            self.commit(group, self.with_friction(group))
+        crank = self.mechanism.crank
+        total = self.needed[crank.body]
+        self.exert(crank.start, crank.body, total.force, FRAME)
+        return Reactions(total.moment, self.pins, self.guides, self.rows, self.jammed)
+
+    # --- one group -------------------------------------------------------------------------------------------------
+
+    def with_friction(self, group: Group) -> _Solved:
+        """Solve a group; where its guides have friction, with the sign of the normal force that is consistent."""
+        solver: Callable[..., _Solved] = _SOLVERS[type(group)]
+        rough = [guide for guide in _guides(group) if guide.name in self.moving.machine.friction]
+        if not rough:
+            return solver(self, group, {})
+        senses = {guide.name: self._slip(guide) for guide in rough}
+        found = []
+        for signs in itertools.product((1.0, -1.0), repeat=len(rough)):
+            tilts = {guide.name: sign * senses[guide.name] for guide, sign in zip(rough, signs, strict=True)}
+            trial = solver(self, group, tilts)
+            least = -ROUNDING * sum(np.abs(force) for force in _forces(trial))
+            fits: Value = True
+            for guide, sign in zip(rough, signs, strict=True):
+                fits = np.logical_and(fits, sign * self._normal(trial, guide) >= least)
+            found.append((fits, trial))
+        # where no signs are consistent friction locks the guide; where several are, and differ, no one can tell (Painleve)
+        chosen = _each(found[0][1], lambda x: np.nan * x)
+        settled: Value = False
+        torn: Value = False
+        for fits, trial in found:
+            if not np.any(settled) and np.all(fits):
+                chosen = trial
+            else:
+                differs = sum(np.abs(a - b) for a, b in zip(_forces(trial), _forces(chosen), strict=True))
+                size = sum(np.abs(a) for a in _forces(chosen))
+                torn = np.logical_or(torn, np.logical_and(np.logical_and(fits, settled), differs > 1e-6 * size))
+                chosen = _either(np.logical_and(fits, np.logical_not(settled)), trial, chosen)
+            settled = np.logical_or(settled, fits)
+        good = np.logical_and(settled, np.logical_not(torn))
+        self.jammed = np.logical_or(self.jammed, np.logical_not(good))
+        return chosen if np.all(good) else _each(chosen, lambda x: np.where(good, x, np.nan))
+
+    def _normal(self, solved: _Solved, guide: Guide) -> Value:
+        """Normal force of a guide on its slider."""
+        _, body, force, _ = next(entry for entry in solved.guides if entry[0] is guide)
+        return cross(self.moving.line(guide.name), force) * (1.0 if body == guide.slider else -1.0)
+
+    def _slip(self, guide: Guide) -> Value:
+        """Coefficient of friction with the sign of the slider's velocity along the line."""
+        sense = self.moving.sense(lambda source: source.slides[guide.name][1:], self.moving.machine.size)
+        return self.moving.machine.friction[guide.name] * sense
+
+    def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
+        """Direction in which a guide exerts no force: its line, tilted by friction."""
+        x, y = self.moving.line(guide.name)
+        if guide.name not in tilts:
+            return x, y
+        tilt = tilts[guide.name]
+        return x - tilt * y, y + tilt * x
+
+    def at(self, guide: Guide) -> Vector:
+        """The point of the slider that slides along the line."""
+        return self.moving.position(guide.at or self.mechanism.bodies[guide.slider].start)
+
+    def about(self, link: Link, point: Vector) -> Value:
+        """Moment that the joints must exert on a body about a point."""
+        return self.needed[link.body].about(self.moving.state(link.body).start, point)
+
+    def total(self, group: Group) -> Vector:
+        """Force that the outer joints must exert on both bodies of a group."""
+        first, second = (self.needed[link.body].force for link in group.links)
+        return plus(first, second)
+
+    # --- what goes on ----------------------------------------------------------------------------------------------
+
+    def commit(self, group: Group, solved: _Solved) -> None:
+        """Note the forces of a group, and hand their counterparts on to the bodies that carry it."""
+        first, second = (link.body for link in group.links)
+        for point, body, force in solved.pins:
+            if point == group.joint:
+                self.exert(point, body, force, second if body == first else first)
+            else:
+                carrier = self.carrier(point, (first, second))
+                self.exert(point, body, force, carrier)
+                self.carry(carrier, self.moving.position(point), force, 0.0)
+        for guide, body, force, moment in solved.guides:
+            other, at = guide.other(body), self.at(guide)
+            if other not in (first, second):
+                self.carry(other, at, force, moment)
+            sign = 1.0 if body == guide.slider else -1.0
+            line, on = self.moving.line(guide.name), (sign * force[0], sign * force[1])
+            self.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
+        self.rows[group.joint] = solved.rows
+
+    def carrier(self, point: str, own: tuple[str, str]) -> str:
+        """The body placed before a group that holds one of its outer joints."""
+        first = min(self.order[body] for body in own)
+        return next(body for body in self.mechanism.pins[point] if self.order[body] < first)
+
+    def exert(self, point: str, body: str, force: Vector, by: str) -> None:
+        """At a pin one body exerts a force on another."""
+        forces = self.pins.setdefault(point, {})
+        forces[body] = plus(forces[body], force) if body in forces else force
+        forces[by] = minus(forces[by], force) if by in forces else (-force[0], -force[1])
+
+    def carry(self, body: str, point: Vector, force: Vector, moment: Value) -> None:
+        """A body must be given what it hands on."""
+        if body != FRAME:
+            start = self.moving.state(body).start
+            self.needed[body] = self.needed[body] + Wrench(force, moment + cross(minus(point, start), force))
+
+
+def _guides(group: Group) -> tuple[Guide, ...]:
+    if isinstance(group, RRP | RPR):
+        return (group.guide,)
+    if isinstance(group, RPP):
+        return group.guide, group.rail
+    return group.guides if isinstance(group, PRP) else ()
+
+
+def _each(solved: _Solved, change: Callable[[Value], Value]) -> _Solved:
+    (a, b), (c, d) = solved.rows
+    return _Solved(
+        [(point, body, (change(x), change(y))) for point, body, (x, y) in solved.pins],
+        [(guide, body, (change(x), change(y)), change(m)) for guide, body, (x, y), m in solved.guides],
+        ((change(a), change(b)), (change(c), change(d))),
+    )
+
+
+def _either(which: Value, one: _Solved, other: _Solved) -> _Solved:
+    """Elementwise choice between two solutions of one group."""
+    leaves = iter(_leaves(other))
+    return _each(one, lambda x: np.where(which, x, next(leaves)))
+
+
+def _forces(solved: _Solved) -> list[Value]:
+    """Components of all forces of a group."""
+    return [part for *_, force in solved.pins for part in force] + [part for _, _, force, _ in solved.guides for part in force]
+
+
+def _leaves(solved: _Solved) -> list[Value]:
+    found: list[Value] = []
+    _each(solved, lambda x: found.append(x) or x)  # type: ignore[func-returns-value]
+    return found
+
+
+# --- the balances of each dyad ----------------------------------------------------------------------------------------
+
+
+def _rrr(balance: _Balance, group: RRR, tilts: Mapping[str, Value]) -> _Solved:
+    """Moments of the first link about the inner joint, of both about the other outer joint."""
+    first, second = group.links
+    p, q, j = (balance.moving.position(name) for name in (*group.pins, group.joint))
+    one, other = minus(p, j), minus(q, j)
+    right = balance.about(first, q) + balance.about(second, q)
+    outer = two(_moment_row(one), balance.about(first, j), _moment_row(minus(p, q)), right)
+    inner = minus(balance.needed[first.body].force, outer)
+    pins = [(group.pins[0], first.body, outer), (group.joint, first.body, inner)]
+    return _Solved([*pins, (group.pins[1], second.body, plus(balance.needed[second.body].force, inner))], [], (one, other))
+
+
+def _rrp(balance: _Balance, group: RRP, tilts: Mapping[str, Value]) -> _Solved:
+    """Moment of the link about the joint, force of both along the guide."""
+    link, slider = group.links
+    p, j, across = balance.moving.position(group.outer), balance.moving.position(group.joint), balance.across(group.guide, tilts)
+    total = balance.total(group)
+    lever = _moment_row(minus(p, j))
+    outer = two(lever, balance.about(link, j), across, dot(across, total))
+    inner = minus(balance.needed[link.body].force, outer)  # on the link
+    at = balance.at(group.guide)
+    moment = balance.about(slider, at) + cross(minus(j, at), inner)
+    return _Solved(
+        [(group.outer, link.body, outer), (group.joint, link.body, inner)],
+        [(group.guide, slider.body, minus(total, outer), moment)],
+        (lever, across),
+    )
+
+
+def _rpr(balance: _Balance, group: RPR, tilts: Mapping[str, Value]) -> _Solved:
+    """Force of the slider along the guide, moment of both about the other outer joint."""
+    slider, second = group.links
+    p, q = (balance.moving.position(name) for name in group.outer)
+    across, needed = balance.across(group.guide, tilts), balance.needed[slider.body].force
+    lever = _moment_row(minus(p, q))
+    outer = two(lever, balance.about(slider, q) + balance.about(second, q), across, dot(across, needed))
+    inner, at = minus(needed, outer), balance.at(group.guide)
+    moment = balance.about(slider, at) - cross(minus(p, at), outer)
+    return _Solved(
+        [(group.outer[0], slider.body, outer), (group.outer[1], second.body, minus(balance.total(group), outer))],
+        [(group.guide, slider.body, inner, moment)],
+        (lever, across),
+    )
+
+
+def _rpp(balance: _Balance, group: RPP, tilts: Mapping[str, Value]) -> _Solved:
+    """Force of the first body along its guide, of both along the rail."""
+    first, yoke = group.links
+    p, needed, total = balance.moving.position(group.outer), balance.needed[first.body].force, balance.total(group)
+    across, rail = (balance.across(guide, tilts) for guide in (group.guide, group.rail))
+    outer = two(across, dot(across, needed), rail, dot(rail, total))
+    inner, at, rest = minus(needed, outer), balance.at(group.guide), balance.at(group.rail)
+    moment = balance.about(first, at) - cross(minus(p, at), outer)
+    held = balance.about(yoke, rest) + cross(minus(at, rest), inner) + moment
+    return _Solved(
+        [(group.outer, first.body, outer)],
+        [(group.guide, first.body, inner, moment), (group.rail, yoke.body, minus(total, outer), held)],
+        (across, rail),
+    )
+
+
+def _prp(balance: _Balance, group: PRP, tilts: Mapping[str, Value]) -> _Solved:
+    """Forces of both sliders along their guides determine the pin between them."""
+    first, second = group.links
+    j = balance.moving.position(group.joint)
+    one, other = (balance.needed[link.body].force for link in group.links)
+    along, across = (balance.across(guide, tilts) for guide in group.guides)
+    inner = two(along, dot(along, one), across, -dot(across, other))  # on the first
+    guides = []
+    for link, guide, needed, sign in ((first, group.guides[0], one, 1.0), (second, group.guides[1], other, -1.0)):
+        at, pin = balance.at(guide), (sign * inner[0], sign * inner[1])
+        guides.append((guide, link.body, minus(needed, pin), balance.about(link, at) - cross(minus(j, at), pin)))
+    return _Solved([(group.joint, first.body, inner)], guides, (along, across))
+
+
+_SOLVERS: dict[type, Callable[..., _Solved]] = {RRR: _rrr, RRP: _rrp, RPR: _rpr, RPP: _rpp, PRP: _prp}
+
+
+# --- what is made of them ----------------------------------------------------------------------------------------------
+
+
+def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Value]:
+    """Driving torque [N m] split into what inertia, gravity and loads need; friction counts among the loads."""
+    smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
+    inertia = reactions(smooth, required(smooth, gravity=False, loads=False)).torque
+    gravity = reactions(smooth, required(smooth, inertia=False, loads=False)).torque
+    total = (whole or reactions(moving)).torque
+    return {"inertia": inertia, "gravity": gravity, "load": total - inertia - gravity}
+
+
+def shaking(moving: Moving) -> Wrench:
+    """Shaking force [N] and shaking moment about the crank pivot [N m]: what the inertia of the machine does to its frame.
+
+    Minus the rate of the momentum, and of the angular momentum about the crank pivot; gravity and loads are not in it.
+
+    Source: R. S. Berkof, G. G. Lowen, A new method for completely force balancing simple linkages, 1969.
+    """
+    needed = required(moving, gravity=False, loads=False)
+    pivot = moving.position(moving.machine.mechanism.crank.start)
+    force: Vector = (0.0, 0.0)
+    moment: Value = 0.0
+    for body, own in needed.items():
+        force = plus(force, own.force)
+        moment = moment + own.about(moving.state(body).start, pivot)
+    return Wrench((-force[0], -force[1]), -moment)
+
+
+def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:
+    """Reactions and torque per unit of each inertial parameter, by body: mass, first moments along and across, moment of inertia.
+
+    With `Inertia.parameters` of all bodies they sum to the part of every reaction that inertia and gravity need.
+    """
+    smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
+    nothing = dict.fromkeys(moving.machine.mechanism.bodies, NOTHING)
+    gravity = moving.machine.gravity
+    return {
+        body: tuple(reactions(smooth, {**nothing, body: wrench(unit, moving.state(body), gravity)}) for unit in UNITS)
+        for body in nothing
+    }

@@ -1,0 +1,199 @@
+"""Atomic files and JSON documents: a file is written under a temporary name in its folder, then renamed."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optlink.errors import Fault, InputError
+from optlink.version import VERSION
+
+LOCK = ".optlink.lock"
+_records: list[set[Path]] = []
+_locked: set[tuple[str, int]] = set()
+
+
+def folder(path: Path, option: str = "--out") -> Path:
+    """Make an output folder and try to write there, before any work is done; `option` is named if that fails.
+
+    Raises
+    ------
+    InputError
+        when nothing can be written there.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(
+            Fault(f"cannot write there: {reason}", "Give a folder that you may write to", key=option, value=str(path))
+        ) from None
+    return path
+
+
+@contextlib.contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Give a temporary name to write to; rename it to `path` if all went well, remove it if not.
+
+    What a link points to is replaced, not the link; a pipe or device is written to as it is.
+    """
+    path = path.resolve() if path.is_symlink() else path
+    if path.exists() and not path.is_file():
+        try:
+            yield path
+        except OSError as error:
+            raise InputError(Fault(f"cannot write there: {error.strerror}", "Choose another place", str(path))) from None
+        return
+    temporary = None
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-", suffix=path.suffix)
+        os.close(handle)
+        temporary = Path(name)
+        yield temporary
+        temporary.chmod(0o644)
+        temporary.replace(path)
+        for record in _records:
+            record.add(path)
+    except OSError as error:
+        raise InputError(
+            Fault(f"cannot write the file: {error.strerror}", "Free some space or choose another folder", str(path))
+        ) from None
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def write_json(path: Path, document: dict[str, Any]) -> None:
+    """Write a JSON document."""
+    with whole(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+@contextlib.contextmanager
+def recorded() -> Iterator[set[Path]]:
+    """Collect the paths of all files that are written by `whole` meanwhile."""
+    record: set[Path] = set()
+    _records.append(record)
+    try:
+        yield record
+    finally:
+        _records.remove(record)
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keep an existing folder for one run: a second one, of this or of another process, is refused.
+
+    The lock is one of the operating system on a file in the folder. The system releases it when the process ends, however it
+    ends; the file alone, which a crash leaves behind, locks nothing. A file system without locks gives no protection. The same
+    thread may take the lock again.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        when another run has the folder.
+    """
+    key = (os.path.realpath(path), threading.get_ident())
+    if key in _locked:
+        yield
+        return
+    place = path / LOCK
+    handle = _opened(path, place)
+    _locked.add(key)
+    try:
+        yield
+    finally:
+        _locked.discard(key)
+        with contextlib.suppress(OSError):  # Windows removes no open file; it stays there, and locks nothing
+            place.unlink()
+        os.close(handle)
+
+
+def _opened(path: Path, place: Path) -> int:
+    """An open lock file whose lock this process has."""
+    while True:
+        try:
+            handle = os.open(place, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+        except OSError as error:
+            raise InputError(
+                Fault(
+                    f"cannot write there: {error.strerror}", "Give a folder that you may write to", key="--out", value=str(path)
+                )
+            ) from None
+        if not _taken(handle):
+            number = ""
+            with contextlib.suppress(OSError, UnicodeDecodeError):
+                number = os.read(handle, 20).decode()
+            os.close(handle)
+            who = f" (process {number})" if number.isdigit() else ""
+            message = f"another run of optlink{who} is writing into this folder"
+            raise InputError(Fault(message, "Wait until it has ended, or choose another folder", key="--out", value=str(path)))
+        with contextlib.suppress(OSError):
+            if os.path.samestat(os.fstat(handle), os.stat(place)):  # not one that its owner has just removed
+                os.ftruncate(handle, 0)
+                os.write(handle, str(os.getpid()).encode())
+                return handle
+        os.close(handle)
+
+
+def _taken(handle: int) -> bool:
+    """Try to lock an open file; whether it is this one's now."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True
+
+
+def finite(value: Any) -> Any:
+    """A document with null where there is no finite number, and plain Python numbers."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return finite(value.tolist())
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def head(schema: str, problem: Any, status: str, seed: int | None = None) -> dict[str, Any]:
+    """What every JSON document about a problem file begins with."""
+    return {
+        "schema": schema,
+        "optlink": VERSION,
+        "problem": problem.name,
+        "title": problem.model.title,
+        "problem_hash": problem.hash,
+        "seed": seed,
+        "status": status,
+    }

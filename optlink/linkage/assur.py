@@ -1,0 +1,329 @@
+"""From bodies and joints to a chain of dyads: who can be placed after whom, and what cannot.
+
+Source: L. V. Assur's classification (1914) - a mechanism is a driving crank plus groups of zero mobility, added one by one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from itertools import combinations
+
+from optlink.linkage.dyad_types import PRP, RPP, RPR, RRP, RRR
+from optlink.linkage.mechanism import FRAME, BodyPoint, Ground, Group, Guide, Link, Mechanism
+
+_SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
+FORWARD = {"forward": 1, "backward": -1}
+CONTINUE = "continue"
+"""Follow the motion smoothly through change points; alone, or behind the assembly mode at the start: "left of B-D, continue"."""
+
+EITHER = "either"
+"""An assembly mode that a search shall choose; until then it counts as left, or forward."""
+
+
+class StructureError(ValueError):
+    """Bodies that do not make a mechanism of dyads: `message`, `remedy`, and the `key` below the mechanism that is to blame."""
+
+    def __init__(self, message: str, remedy: str, key: str = "", value: object = None) -> None:
+        super().__init__(f"{message}. {remedy}")
+        self.message, self.remedy, self.key, self.value = message, remedy, key, value
+
+
+def assemble(
+    name: str,
+    ground: Mapping[str, Ground],
+    links: Sequence[Link],
+    points: Sequence[BodyPoint],
+    guides: Sequence[Guide],
+    driver: str,
+    modes: Mapping[str, str],
+) -> Mechanism:
+    """Find the order in which the bodies can be placed, two at a time.
+
+    Parameters
+    ----------
+    ground : mapping of point name to (x, y) [m] or parameter names
+    links, points, guides : every moving body, its further points, the prismatic joints
+    driver : name of the body that is driven; its start is its pivot on the frame
+    modes : mapping of joint name to assembly mode
+        Of RRR groups "left of B-D" or "right of B-D", of RRP and RPR groups "forward" or "backward" along the guide; with
+        ", continue" behind it the group is led smoothly through its singular positions.
+
+    Raises
+    ------
+    StructureError
+        when the bodies are no such chain, with the names of those that are left.
+    """
+    return _Assembly(ground, links, points, guides, driver, modes).mechanism(name)
+
+
+def modes_of(group: Group) -> tuple[str, ...]:
+    """The assembly modes of a group, as a problem file words them."""
+    if isinstance(group, RRR):
+        p, q = group.pins
+        return f"left of {p}-{q}", f"right of {p}-{q}"
+    return tuple(FORWARD) if isinstance(group, RRP | RPR) else ()
+
+
+def _split(words: str) -> tuple[str, bool]:
+    """An assembly mode and whether it is followed through change points; no mode counts as left, or forward."""
+    mode, _, last = words.rpartition(",")
+    return (mode.strip() or EITHER, True) if last.strip() == CONTINUE else (words, False)
+
+
+def _list(names: Iterable[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+class _Assembly:
+    """The bodies placed so far, and the groups found."""
+
+    def __init__(
+        self,
+        ground: Mapping[str, Ground],
+        links: Sequence[Link],
+        points: Sequence[BodyPoint],
+        guides: Sequence[Guide],
+        driver: str,
+        modes: Mapping[str, str],
+    ) -> None:
+        self.ground, self.points, self.guides, self.modes = ground, tuple(points), tuple(guides), modes
+        self.links = {link.body: link for link in links}
+        self.rank = {link.body: k for k, link in enumerate(links)}
+        self.driver = driver
+        self.members: dict[str, list[str]] = {}  # point -> bodies that have it
+        for point in ground:
+            self.members[point] = [FRAME]
+        for link in links:
+            own = [p.name for p in points if p.body == link.body]
+            for point in (link.start, link.end, *own):
+                if point:
+                    self.members.setdefault(point, []).append(link.body)
+        self.placed = {FRAME, driver}
+        self.groups: list[Group] = []
+        self.used: set[str] = set()
+
+    # --- what the bodies hang on ---------------------------------------------------------------------------------
+
+    def pins(self, body: str) -> list[str]:
+        """Points of a body that another body has too."""
+        return self._pins.get(body, [])
+
+    @cached_property
+    def _pins(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for point, bodies in self.members.items():
+            for body in bodies if len(bodies) > 1 else ():
+                found.setdefault(body, []).append(point)
+        return found
+
+    def rails(self, body: str) -> list[Guide]:
+        """Guides that a body slides in, or carries."""
+        return self._rails.get(body, [])
+
+    @cached_property
+    def _rails(self) -> dict[str, list[Guide]]:
+        found: dict[str, list[Guide]] = {}
+        for guide in self.guides:
+            for body in guide.bodies:
+                found.setdefault(body, []).append(guide)
+        return found
+
+    def neighbours(self, body: str) -> list[str]:
+        """Bodies that share a joint with a body and are not placed yet, in the order of the file."""
+        near = {other for point in self.pins(body) for other in self.members[point]}
+        near |= {guide.other(body) for guide in self.rails(body)}
+        return sorted(near - self.placed - {body}, key=self.rank.__getitem__)
+
+    def known(self, body: str) -> list[str | Guide]:
+        """Joints of a body with what is placed already."""
+        pins = [point for point in self.pins(body) if self.placed.intersection(self.members[point])]
+        return [*pins, *(guide for guide in self.rails(body) if guide.other(body) in self.placed)]
+
+    def shared(self, first: str, second: str) -> list[str | Guide]:
+        """Joints between two bodies that are not placed yet."""
+        pins = [p for p in self.pins(first) if second in self.members[p] and not self.placed.intersection(self.members[p])]
+        return [*pins, *(guide for guide in self.rails(first) if guide.other(first) == second)]
+
+    # --- the search ------------------------------------------------------------------------------------------------
+
+    def mechanism(self, name: str) -> Mechanism:
+        self.check_joints()
+        reached = {body for one in (FRAME, self.driver) for body in self.neighbours(one)}
+        while len(self.placed) <= len(self.links):
+            group = self.next_group(sorted(reached, key=self.rank.__getitem__))
+            if group is None:
+                raise self.refusal([body for body in self.links if body not in self.placed])
+            self.groups.append(group)
+            self.placed.update(link.body for link in group.links)
+            reached.update(body for link in group.links for body in self.neighbours(link.body))
+            reached -= self.placed
+        for joint in self.modes:
+            if joint not in self.used:
+                known = [group.joint for group in self.groups if group.kind in ("RRR", "RRP", "RPR")]
+                remedy = f"Joints with an assembly mode: {', '.join(known) or 'none'}"
+                raise StructureError("no group has its inner joint there, or it has one mode only", remedy, f"assembly.{joint}")
+        return Mechanism(name, self.ground, self.links[self.driver], tuple(self.groups), self.points, self.guides)
+
+    def next_group(self, reached: list[str]) -> Group | None:
+        """The first dyad, in the order of the file, among bodies that hang on what is placed."""
+        for first in reached:
+            for second in self.neighbours(first):
+                if self.rank[first] < self.rank[second] and (found := self.group(first, second)):
+                    return found
+        return None
+
+    def check_joints(self) -> None:
+        crank = self.links[self.driver]
+        if FRAME not in self.members[crank.start]:
+            ends = self.members.get(crank.end, [])
+            remedy = "Exchange its two joints" if FRAME in ends else "Give its first joint a place under [mechanism.ground]"
+            raise StructureError(
+                f"the driven body turns about its first joint, and {crank.start} of {crank.body} is not on the frame",
+                remedy,
+                f"links.{crank.body}.joints",
+                crank.start,
+            )
+        for body in self.links:
+            if not self.pins(body) and not self.rails(body):
+                own = [point for point, bodies in self.members.items() if body in bodies]
+                raise StructureError(
+                    f"the body has no joint: no other body has its {'points' if len(own) > 1 else 'point'} {_list(own)}, "
+                    "and no guide carries it",
+                    "Give one of its joints the name of a joint of another body or of the ground, or take it out",
+                    f"links.{body}",
+                )
+        held = [*(p for p in self.pins(self.driver) if FRAME in self.members[p] and p != crank.start)]
+        held += [guide.name for guide in self.rails(self.driver) if FRAME in guide.bodies]
+        if held:
+            raise StructureError(
+                f"the driven body {self.driver} cannot turn: beside its pivot {crank.start} the frame holds it at {_list(held)}",
+                "Take that joint away",
+                f"links.{self.driver}",
+            )
+
+    def group(self, first: str, second: str) -> Group | None:
+        """The dyad that two bodies make, if they hang on what is placed by one joint each and on one another by one."""
+        outer, inner = [self.known(body) for body in (first, second)], self.shared(first, second)
+        if len(outer[0]) != 1 or len(outer[1]) != 1 or len(inner) != 1:
+            return None
+        joint = inner[0]
+        a, b = outer[0][0], outer[1][0]
+        one, two = self.links[first], self.links[second]
+        if a == b and isinstance(a, str):
+            raise self.one_body(first, second, [a, joint if isinstance(joint, str) else joint.name])
+        if isinstance(joint, str):
+            if isinstance(a, str) and isinstance(b, str):
+                return RRR(one, two, self.side(joint, a, b), (a, b), joint, follow=self.follows(joint))
+            if isinstance(a, Guide) and isinstance(b, Guide):
+                return PRP(one, two, (a, b), joint)
+            if isinstance(a, str) and isinstance(b, Guide):
+                return RRP(one, two, b, a, joint, self.way(joint, b), follow=self.follows(joint))
+            if isinstance(a, Guide) and isinstance(b, str):
+                return RRP(two, one, a, b, joint, self.way(joint, a), follow=self.follows(joint))
+        elif isinstance(a, str) and isinstance(b, str):
+            way, follow = self.way(joint.name, joint), self.follows(joint.name)
+            if joint.slider == first:
+                return RPR(one, two, joint, (a, b), way, follow=follow)
+            return RPR(two, one, joint, (b, a), way, follow=follow)
+        elif isinstance(a, str) and isinstance(b, Guide):
+            return RPP(one, two, joint, a, b)
+        elif isinstance(a, Guide) and isinstance(b, str):
+            return RPP(two, one, joint, b, a)
+        return None  # three prismatic joints place nothing
+
+    def follows(self, joint: str) -> bool:
+        """Whether a group is to be led through its singular positions."""
+        return _split(self.modes[joint])[1]
+
+    def side(self, joint: str, p: str, q: str) -> int:
+        """Assembly mode of an RRR group."""
+        options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
+        words = self.mode(joint, options)
+        if words == EITHER:
+            return 1
+        match = _SIDE.fullmatch(words)
+        if match is None or {match[2], match[3]} != {p, q} or p == q:
+            raise StructureError("not an assembly mode of this group", f"Write {options}", f"assembly.{joint}", words)
+        return (1 if match[1] == "left" else -1) * (1 if match[2] == p else -1)
+
+    def way(self, joint: str, guide: Guide) -> int:
+        """Assembly mode of a group with one slider."""
+        options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
+        words = self.mode(joint, options).strip()
+        if words == EITHER:
+            return 1
+        if words not in FORWARD:
+            raise StructureError("not an assembly mode of this group", f"Write {options}", f"assembly.{joint}", words)
+        return FORWARD[words]
+
+    def mode(self, joint: str, options: str) -> str:
+        self.used.add(joint)
+        if joint not in self.modes:
+            raise StructureError(
+                "the group with this joint can be assembled in two ways, and the file does not say in which",
+                f"Add {options}",
+                f"assembly.{joint}",
+            )
+        return _split(self.modes[joint])[0]
+
+    def one_body(self, first: str, second: str, both: list[str]) -> StructureError:
+        """Two bodies that cannot move against one another."""
+        return StructureError(
+            f"{first} and {second} share the joints {_list(both)}, which makes them one body",
+            "Give the points to one body, or take one joint away",
+            f"links.{second}",
+        )
+
+    # --- what is no chain of dyads -----------------------------------------------------------------------------------
+
+    def mobility(self) -> int:
+        """Degrees of freedom by Gruebler's count."""
+        joints = sum(len(bodies) - 1 for bodies in self.members.values()) + len(self.guides)
+        return 3 * len(self.links) - 2 * joints
+
+    def refusal(self, left: list[str]) -> StructureError:
+        """Say why no further group can be found."""
+        for body in left:
+            known = [joint if isinstance(joint, str) else joint.name for joint in self.known(body)]
+            if len(known) > 1:
+                return StructureError(
+                    f"{body} cannot move on its own: {_list(known)} hold it already, which leaves it no freedom",
+                    "Take one of these joints away, or add a body between",
+                    f"links.{body}",
+                )
+        for first, second in combinations(left, 2):
+            both = [joint if isinstance(joint, str) else joint.name for joint in self.shared(first, second)]
+            if len(both) > 1:
+                return self.one_body(first, second, both)
+        free = self.mobility()
+        if free > 1:
+            return StructureError(
+                f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom and one driver",
+                "Join them to the frame or to another body, or take them out",
+                f"links.{left[-1]}",
+            )
+        if free < 1:
+            return StructureError(
+                f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom, it is a rigid structure",
+                "Take a joint away, or add a body",
+                f"links.{left[-1]}",
+            )
+        for first, second in combinations(left, 2):
+            outer, inner = [self.known(body) for body in (first, second)], self.shared(first, second)
+            if len(outer[0]) == len(outer[1]) == len(inner) == 1 and not any(
+                isinstance(j, str) for j in (*outer[0], *outer[1], *inner)
+            ):
+                return StructureError(
+                    f"{first} and {second} hang on three guides and no pin, which does not place them",
+                    "Replace one guide by a pin",
+                    f"links.{first}",
+                )
+        return StructureError(
+            f"{_list(left)} are no chain of dyads: they form a group of a higher class (Assur class III or above), "
+            "or hang on one another in a ring",
+            "Drive another body, or change the structure so that the bodies can be placed two at a time",
+            f"links.{left[0]}",
+        )

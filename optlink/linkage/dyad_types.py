@@ -1,0 +1,267 @@
+"""The five dyads as data: which bodies, which joints, which assembly mode; the formulas are in `dyads`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from optlink.linkage.dyads import prp, rpp, rpr, rrp, rrr
+from optlink.linkage.mechanism import Guide, Link, Pose
+from optlink.linkage.passage import Course
+from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus, turn, turn_back
+
+PARALLEL = 1e-12
+"""Squared sine of the angle between two lines below which they count as parallel and meet nowhere."""
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """What all dyads have: two bodies."""
+
+    first: Link
+    second: Link
+
+    @property
+    def links(self) -> tuple[Link, Link]:
+        """The bodies that the group adds."""
+        return self.first, self.second
+
+
+@dataclass(frozen=True)
+class _Modal(_Pair):
+    """A dyad with two assembly modes; `side` is one of them.
+
+    `follow`: lead it smoothly through its singular positions, from the mode `side` on, which holds at the crank angle `holds_at`
+    [rad], else where the drive starts. `course`: its way through them, once sizes are known (`continuation.follow`).
+    """
+
+    follow: bool = field(default=False, kw_only=True)
+    holds_at: float | None = field(default=None, kw_only=True)
+    course: Course | None = field(default=None, kw_only=True, compare=False)
+
+    def mode(self, pose: Pose) -> Value:
+        """Assembly mode at the crank angles of a pose."""
+        return self.side if self.course is None else self.course.side(pose.angle)  # type: ignore[attr-defined]
+
+    def through(self, pose: Pose, new: Vector, margin: Value) -> tuple[Vector, Value]:
+        """What the formula adds, or near singular positions what continues it."""
+        return (new, margin) if self.course is None else self.course.through(pose.angle, new, margin)
+
+
+@dataclass(frozen=True)
+class RRR(_Modal):
+    """Two links pinned to known joints and to one another.
+
+    Where nothing else is said the outer joints are the starts of the links and the joint is their common end.
+    """
+
+    side: int  # +1: new joint left of the outer joint of first -> that of second
+    outer: tuple[str, str] = ("", "")
+    inner: str = ""
+
+    kind = "RRR"
+    least = 0.0
+
+    @property
+    def joint(self) -> str:
+        """Name of the joint that the group adds."""
+        return self.inner or self.first.end
+
+    @property
+    def pins(self) -> tuple[str, str]:
+        """The outer joints, of the first and of the second link."""
+        return self.outer[0] or self.first.start, self.outer[1] or self.second.start
+
+    def solve(self, pose: Pose) -> Value:
+        """Add the new joint and both links; return the assembly margin."""
+        p, q = self.pins
+        a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
+        joint, margin = rrr(pose.point(p), pose.point(q), a, b, self.mode(pose))
+        pose.points[self.joint], margin = self.through(pose, joint, margin)
+        pose.fit(self.first, p, self.joint)
+        pose.fit(self.second, q, self.joint)
+        return margin
+
+    def cosine(self, pose: Pose) -> Value:
+        """Cosine of the transmission angle, between the two links, by their lengths: beyond -1 and 1 where they cannot close."""
+        p, q = self.pins
+        a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
+        between = minus(pose.point(q), pose.point(p))
+        return (a * a + b * b - dot(between, between)) / (2.0 * (a * b))
+
+    def gap(self, pose: Pose) -> Value:
+        """Distance of the outer joints beyond what the links span, or below what they leave [m]."""
+        p, q = self.pins
+        a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
+        between = minus(pose.point(q), pose.point(p))
+        distance = np.sqrt(dot(between, between))
+        return np.maximum(distance - (a + b), np.abs(a - b) - distance)
+
+    def alignment(self, pose: Pose) -> Value:
+        """Squared sine of the transmission angle, from the lengths alone."""
+        p, q = self.pins
+        a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
+        between = minus(pose.point(q), pose.point(p))
+        square = dot(between, between)
+        return (square - (a - b) * (a - b)) * ((a + b) * (a + b) - square) / (4.0 * a * a * b * b)
+
+
+@dataclass(frozen=True)
+class RRP(_Modal):
+    """A link pinned to a known joint, and to a slider on a known line."""
+
+    guide: Guide
+    outer: str
+    inner: str
+    side: int  # +1: the joint lies forward, along the guide, of the foot of the outer joint
+
+    kind = "RRP"
+    least = 0.0
+
+    @property
+    def joint(self) -> str:
+        """Name of the joint between link and slider."""
+        return self.inner
+
+    def solve(self, pose: Pose) -> Value:
+        """Add the joint, the link and the slider; return the assembly margin."""
+        begin, line = pose.line(self.guide, self.guide.other(self.second.body))
+        offset = pose.offset(self.guide, self.second, self.joint)
+        length = pose.distance(self.first, self.outer, self.joint)
+        joint, margin = rrp(pose.point(self.outer), begin, line, length, offset, self.mode(pose))
+        pose.points[self.joint], margin = self.through(pose, joint, margin)
+        pose.fit(self.first, self.outer, self.joint)
+        pose.place(self.second, turn_back(line, pose.local_line(self.guide, self.second.body)[1]), self.joint)
+        return margin
+
+    def gap(self, pose: Pose) -> Value:
+        """Distance of the outer joint from the path of the slider's joint beyond the link [m]."""
+        begin, line = pose.line(self.guide, self.guide.other(self.second.body))
+        height = cross(line, minus(pose.point(self.outer), begin)) - pose.offset(self.guide, self.second, self.joint)
+        return np.abs(height) - pose.distance(self.first, self.outer, self.joint)
+
+    def alignment(self, pose: Pose) -> Value:
+        """Squared sine of the angle between the link and the normal of the guide."""
+        return pose.margins[self.joint]
+
+
+@dataclass(frozen=True)
+class RPR(_Modal):
+    """A slider (first) and the body that carries its line (second), each pinned to a known joint."""
+
+    guide: Guide
+    outer: tuple[str, str]
+    side: int  # +1: the slider's pin lies forward, along the guide, of the other
+
+    kind = "RPR"
+    least = 0.0
+
+    @property
+    def joint(self) -> str:
+        """Name of the guide between the two."""
+        return self.guide.name
+
+    def solve(self, pose: Pose) -> Value:
+        """Add both bodies; return the assembly margin."""
+        q, p = (pose.point(name) for name in self.outer)
+        line, margin = self.through(pose, *rpr(p, q, self._offset(pose), self.mode(pose)))
+        for link, pin in zip(self.links, self.outer, strict=True):
+            pose.place(link, turn_back(line, pose.local_line(self.guide, link.body)[1]), pin)
+        return margin
+
+    def gap(self, pose: Pose) -> Value:
+        """Offset of the pins across the guide beyond their distance [m]."""
+        between = minus(*(pose.point(name) for name in self.outer))
+        return np.abs(self._offset(pose)) - np.sqrt(dot(between, between))
+
+    def alignment(self, pose: Pose) -> Value:
+        """Squared distance of the two pins along the guide, in lengths of the crank: at zero its normal force has no lever."""
+        between, offset = minus(*(pose.point(name) for name in self.outer)), self._offset(pose)
+        crank = pose.size(pose.mechanism.crank.length)
+        return (dot(between, between) - offset * offset) / (crank * crank)
+
+    def _offset(self, pose: Pose) -> Value:
+        of_slider, of_other = (pose.offset(self.guide, link, pin) for link, pin in zip(self.links, self.outer, strict=True))
+        return of_slider - of_other
+
+
+@dataclass(frozen=True)
+class RPP(_Pair):
+    """A slider (first) pinned to a known joint, on a yoke (second) that slides on a known line."""
+
+    guide: Guide  # between the two
+    outer: str
+    rail: Guide  # of the yoke
+
+    kind = "RPP"
+    least = PARALLEL
+    course = None
+
+    @property
+    def joint(self) -> str:
+        """Name of the guide between the two."""
+        return self.guide.name
+
+    def solve(self, pose: Pose) -> Value:
+        """Add both bodies; return the squared sine of the angle between the two lines."""
+        yoke = self.second.body
+        begin, line = pose.line(self.rail, self.rail.other(yoke))
+        (own, own_line), (inner, inner_line) = (pose.local_line(guide, yoke) for guide in (self.rail, self.guide))
+        axis = turn_back(line, own_line)
+        slot = turn(inner_line, axis)
+        zero = minus(begin, turn(own, axis))  # where the yoke's own axes begin when it is at zero
+        offset = pose.offset(self.guide, self.first, self.outer)
+        shift, margin = rpp(pose.point(self.outer), plus(zero, turn(inner, axis)), line, slot, offset)
+        pose.points[self.second.start] = plus(zero, (shift * line[0], shift * line[1]))
+        pose.place(self.second, axis, self.second.start)
+        pose.place(self.first, turn_back(slot, pose.local_line(self.guide, self.first.body)[1]), self.outer)
+        return margin
+
+    def gap(self, pose: Pose) -> Value:
+        """Nothing: two lines meet unless they are parallel."""
+        return 0.0 * pose.margins[self.joint]
+
+    def alignment(self, pose: Pose) -> Value:
+        """Squared sine of the angle between the two lines."""
+        return pose.margins[self.joint]
+
+
+@dataclass(frozen=True)
+class PRP(_Pair):
+    """Two sliders on known lines, pinned to one another."""
+
+    guides: tuple[Guide, Guide]
+    inner: str
+
+    kind = "PRP"
+    least = PARALLEL
+    course = None
+
+    @property
+    def joint(self) -> str:
+        """Name of the pin between the two."""
+        return self.inner
+
+    def solve(self, pose: Pose) -> Value:
+        """Add the pin and both sliders; return the squared sine of the angle between the two lines."""
+        pairs = tuple(zip(self.links, self.guides, strict=True))
+        (g, w), (h, u) = (pose.line(guide, guide.other(link.body)) for link, guide in pairs)
+        first, second = (pose.offset(guide, link, self.joint) for link, guide in pairs)
+        pose.points[self.joint], margin = prp(g, w, h, u, first, second)
+        for (link, guide), line in zip(pairs, (w, u), strict=True):
+            pose.place(link, turn_back(line, pose.local_line(guide, link.body)[1]), self.joint)
+        return margin
+
+    def sine(self, pose: Pose) -> Value:
+        """Sine of the angle from the first line to the second: changes its sign where they become parallel."""
+        (_, w), (_, u) = (pose.line(guide, guide.other(link.body)) for link, guide in zip(self.links, self.guides, strict=True))
+        return cross(w, u)
+
+    def gap(self, pose: Pose) -> Value:
+        """Nothing: two lines meet unless they are parallel."""
+        return 0.0 * pose.margins[self.joint]
+
+    def alignment(self, pose: Pose) -> Value:
+        """Squared sine of the angle between the two lines."""
+        return pose.margins[self.joint]

@@ -1,0 +1,352 @@
+"""What a mechanism does over its whole motion: where the crank can turn, dead centres, strokes, swings, time ratios."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.alignment import Aligned, least_alignments, slack
+from optlink.linkage.dyad_types import PRP
+from optlink.linkage.extrema import zeros
+from optlink.linkage.jet import Jet
+from optlink.linkage.mechanism import Group, Mechanism, Pose
+from optlink.linkage.motion import sweep
+from optlink.linkage.vector2d import Value
+
+Array = NDArray[np.float64]
+TURN = 2.0 * math.pi
+GRID = 1440
+"""Positions per revolution among which everything is bracketed."""
+SEAM = 1e-6
+"""Crank rotation [rad] below a whole cycle that counts as one: as exactly as flat extremes are found."""
+PARALLEL_AT_END = 1e-4
+"""Sine of the angle of two guides below which they count as parallel at the end of a range."""
+LEAST_DIFFERENCE = math.radians(0.1)
+"""Crank rotations [rad] of two strokes that differ by less count as equally long: neither is the slow one."""
+Direction = Literal["forward", "backward"]
+Pace = Literal["slow", "quick", "equal"]
+OTHER: dict[Direction, Direction] = {"forward": "backward", "backward": "forward"}
+"""The opposite of each direction of motion."""
+
+
+def within_cycle(crank_angle: float, cycle: float = TURN) -> float:
+    """Crank angle [rad] of a motion that repeats, from 0 to below the cycle; what rounding leaves below the cycle is 0."""
+    found = float(crank_angle) % cycle
+    return 0.0 if cycle - found < SEAM else found
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A position that cannot be reached: which group fails there, and by how much it does not close [m]."""
+
+    crank_angle: float
+    group: Group
+    gap: float
+
+    def __str__(self) -> str:
+        first, second = (link.body for link in self.group.links)
+        what = f"the {self.group.kind} group {first}-{second} (joint {self.group.joint})"
+        where = f"at crank angle {math.degrees(self.crank_angle):.6g} deg"
+        if self.group.least > 0.0:
+            return f"{where} {what} has no place: its two guides are parallel"
+        amount = f" by {self.gap * 1e3:.6g} mm" if self.gap > 0.0 else ""
+        return f"{where} {what} fails to close{amount}"
+
+
+def stopping(mechanism: Mechanism, sizes: Mapping[str, Value], end: float, way: float) -> str:
+    """Why the crank does not turn beyond the end [rad] of a range, `way` = +1 or -1; empty where that is not known."""
+    if failed := failure(mechanism, sizes, end + way * math.radians(1.0)):
+        return f"one degree further, {failed}"
+    with np.errstate(all="ignore"):
+        pose = mechanism.at(sizes, np.array([end]))
+        for group in mechanism.groups:
+            if isinstance(group, PRP) and float(np.abs(group.sine(pose)).item()) <= PARALLEL_AT_END:
+                return f"{Failure(end, group, 0.0)}"
+    return ""
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Ranges of crank angle [rad] in which every group closes; `full` where that is the whole revolution.
+
+    `aligned`: positions within the ranges in which a group is near alignment, or in a singular position.
+    """
+
+    ranges: tuple[tuple[float, float], ...]
+    full: bool
+    aligned: tuple[Aligned, ...] = ()
+
+    @property
+    def singular(self) -> tuple[Aligned, ...]:
+        """Positions beyond which the motion is not determined, in the order of the crank angle."""
+        return self._meeting(followed=False)
+
+    @property
+    def followed(self) -> tuple[Aligned, ...]:
+        """Singular positions through which a group is led, in the order of the crank angle."""
+        return self._meeting(followed=True)
+
+    def _meeting(self, *, followed: bool) -> tuple[Aligned, ...]:
+        found = [position for position in self.aligned if position.singular and position.followed == followed]
+        return tuple(sorted(found, key=lambda position: position.crank_angle))
+
+    def holding(self, crank_angle: float) -> tuple[float, float] | None:
+        """The range that holds a crank angle, shifted by whole turns to it."""
+        for low, high in self.ranges:
+            shift = TURN * math.ceil((low - crank_angle) / TURN - 1e-12)
+            if low - 1e-12 <= crank_angle + shift <= high + 1e-12:
+                return low - shift, high - shift
+        return None
+
+
+def closing(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Array) -> Array:
+    """Least assembly margin of all groups [-] at crank angles (n,); negative (never NaN) where one fails to close."""
+    with np.errstate(all="ignore"):
+        return _closing(mechanism.at(sizes, crank_angle))
+
+
+def _closing(pose: Pose) -> Array:
+    least = np.full(np.shape(pose.directions[pose.mechanism.crank.body][0]), np.inf)
+    for group in pose.mechanism.groups:
+        margin = pose.margins[group.joint] - group.least
+        least = np.minimum(least, np.where(np.isnan(margin), np.where(least < 0.0, np.inf, -1.0), margin))
+    return least
+
+
+def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
+    """Where the crank can turn, ends to the last digits.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float [m, rad]
+    """
+    aligned = least_alignments(mechanism, sizes)
+    lowest = [position.crank_angle for position in aligned if not position.singular]
+    cycle = mechanism.cycle
+    grid = np.unique(np.concatenate([np.linspace(0.0, cycle, GRID * round(cycle / TURN) + 1), lowest]))
+    crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel in passing
+
+    def function(angles: Array) -> Array:
+        with np.errstate(all="ignore"):
+            pose = mechanism.at(sizes, angles)
+        sines = [np.broadcast_to(np.asarray(group.sine(pose), dtype=float), angles.shape) for group in crossing]
+        return np.array([_closing(pose), *sines])
+
+    def closed(angles: Array) -> bool:
+        with np.errstate(all="ignore"):
+            return bool(np.all(slack(mechanism.at(sizes, angles)) >= 0.0))
+
+    failing = not closed(grid)
+    margin, *sines = zeros(function, grid)
+    ends = np.unique(np.concatenate([margin if failing else [], *sines]))  # a margin that but touches zero is no end
+    if len(ends) == 0:
+        return Ranges((), False) if failing else Ranges(((0.0, cycle),), True, tuple(aligned))
+    ranges = [
+        (_inside(function, a, 1.0), _inside(function, b, -1.0))
+        for a, b in zip(ends, [*ends[1:], ends[0] + cycle], strict=True)
+        if function(np.array([0.5 * (a + b)]))[0, 0] >= 0.0
+    ]
+    if not sines:
+        ranges = _joined(ranges, closed)
+    found = Ranges(tuple(ranges), False)
+    return Ranges(found.ranges, False, tuple(p for p in aligned if _within(found, p.crank_angle)))
+
+
+def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) -> list[tuple[float, float]]:
+    """Ranges that are apart by no more than rounding at a singular position as one."""
+    found: list[tuple[float, float]] = []
+    for low, high in ranges:
+        if found and closed(np.linspace(found[-1][1], low, 9)):
+            found[-1] = found[-1][0], high
+        else:
+            found.append((low, high))
+    if len(found) > 1 and closed(np.linspace(found[-1][1], found[0][0] + TURN, 9)):
+        (_, high), (low, _) = found.pop(0), found.pop()
+        found.append((low, high + TURN))
+    return found
+
+
+def _within(ranges: Ranges, crank_angle: float) -> bool:
+    """Whether a crank angle lies inside a range, not at its end."""
+    holding = ranges.holding(crank_angle)
+    return holding is not None and min(crank_angle - holding[0], holding[1] - crank_angle) > 1e-6
+
+
+def _inside(function: Callable[[Array], Array], end: float, way: float) -> float:
+    """The end of a range, on the side where the mechanism closes."""
+    for step in (0.0, 1e-15, 1e-14, 1e-13, 1e-12, 1e-7, 1e-6):  # the last for lines that are almost parallel
+        at = end + way * step * TURN
+        if function(np.array([at]))[0, 0] >= 0.0:
+            return float(at)
+    return float(end)
+
+
+def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float) -> Failure | None:
+    """What fails to close at a crank angle [rad], if anything."""
+    with np.errstate(all="ignore"):
+        pose = mechanism.at(sizes, np.array([crank_angle]))
+        for group in mechanism.groups:
+            margin = float(np.asarray(pose.margins[group.joint]).ravel()[0])
+            if not margin >= group.least:
+                return Failure(crank_angle, group, float(np.asarray(group.gap(pose)).ravel()[0]))
+    return None
+
+
+def slow_stroke(forward: float, backward: float) -> Direction | None:
+    """Which of two strokes is the slow one, by the crank rotation [rad] of each; None where they are equally long.
+
+    Equally long are crank rotations that differ by less than `LEAST_DIFFERENCE`, so that rounding never decides.
+    """
+    if not abs(forward - backward) >= LEAST_DIFFERENCE:
+        return None
+    return "forward" if forward > backward else "backward"
+
+
+@dataclass(frozen=True)
+class StrokeRange:
+    """One stroke of an output at constant crank speed.
+
+    `name`: "forward" where the output moves along its guide or counter-clockwise, else "backward"; `begin`, `end`: crank angles
+    [rad] at which it begins (0 ... 2 pi) and ends, the end beyond the begin in the sense in which the crank turns; `pace`:
+    "slow", "quick", or "equal" where the two strokes take equally long.
+    """
+
+    name: Direction
+    begin: float
+    end: float
+    pace: Pace
+
+    @property
+    def rotation(self) -> float:
+        """Crank rotation during the stroke [rad], positive."""
+        return abs(self.end - self.begin)
+
+
+@dataclass(frozen=True)
+class Travel:
+    """The limited motion of a body or slider.
+
+    `dead_centres`: crank angles [rad] at which it reverses, rising within a turn; `low`, `high`: its limits, and `low_at`,
+    `high_at` the crank angles there; `span` = high - low: stroke [m] or swing [rad]; `time_ratio`: duration of the slow stroke
+    over that of the quick one, for two dead centres and an evenly turning crank (NaN else).
+    """
+
+    dead_centres: tuple[float, ...]
+    low: float
+    high: float
+    low_at: float
+    high_at: float
+    time_ratio: float
+
+    @property
+    def span(self) -> float:
+        """Stroke [m] or swing angle [rad]."""
+        return self.high - self.low
+
+    def strokes(self, speed: float = 1.0) -> tuple[StrokeRange, ...]:
+        """The forward and the backward stroke; none unless there are two dead centres in a full revolution.
+
+        Parameters
+        ----------
+        speed : float
+            Speed of the crank; only its sign counts, negative clockwise.
+        """
+        if not math.isfinite(self.time_ratio):
+            return ()
+        sense = math.copysign(1.0, speed)
+        forward = (sense * (self.high_at - self.low_at)) % TURN
+        slow = slow_stroke(forward, TURN - forward)
+        found = []
+        name: Direction
+        for name, at, rotation in (("forward", self.low_at, forward), ("backward", self.high_at, TURN - forward)):
+            begin = at % TURN
+            found.append(StrokeRange(name, begin, begin + sense * rotation, pace_of(name, slow)))
+        return tuple(found)
+
+
+def pace_of(stroke: Direction, slow: Direction | None) -> Pace:
+    """Pace of a stroke, "slow", "quick" or "equal", where the slow one is known or there is none."""
+    return "equal" if slow is None else "slow" if stroke == slow else "quick"
+
+
+def travels(
+    mechanism: Mechanism, sizes: Mapping[str, Value], low: float, high: float, full: bool
+) -> tuple[dict[str, Travel], dict[str, Travel]]:
+    """Swinging bodies, and sliders (by guide), over a range of crank angles [rad].
+
+    Parameters
+    ----------
+    low, high : float [rad]
+        The range; one cycle if `full`.
+
+    Returns
+    -------
+    swings, strokes : mappings of body and of guide to Travel; bodies that turn fully or do not turn are left out
+    """
+    outputs = [link.body for link in mechanism.links] + [guide.name for guide in mechanism.guides]
+    is_body = [True] * len(mechanism.links) + [False] * len(mechanism.guides)
+    count = GRID * (max(1, round(mechanism.cycle / TURN)) if full else 1)
+    grid = low + (high - low) * np.linspace(0.0, 1.0, count + 1)
+    if full:
+        grid = grid + 0.37 * (grid[1] - grid[0])  # so that no dead centre at a round angle lies on the seam
+
+    def place(angle: float) -> float:
+        return within_cycle(angle, mechanism.cycle) if full else float(angle)
+
+    motion = sweep(mechanism, sizes, grid)
+    jets = [motion.body_angle(name) if body else motion.slide(name) for name, body in zip(outputs, is_body, strict=True)]
+    moving = [
+        k for k, jet in enumerate(jets) if _moves(jet, 1.0 if is_body[k] else float(np.nanmax(np.abs(jet.value), initial=1e-12)))
+    ]
+
+    def rates(angles: Array) -> Array:
+        at = sweep(mechanism, sizes, angles)
+        found = [at.body_rate(outputs[k]) if is_body[k] else at.slide(outputs[k]).rate for k in moving]
+        return np.array(found).reshape(-1, len(angles))
+
+    reversals: dict[int, Array] = {}
+    for k, centres in zip(moving, zeros(rates, grid, still=True), strict=True):
+        turns = is_body[k] and full and (len(centres) == 0 or abs(jets[k].value[-1] - jets[k].value[0]) > math.pi)
+        if not turns and (len(centres) or not full):
+            reversals[k] = centres
+    ends_of = {k: np.sort(np.concatenate([centres, [] if full else [low, high]])) for k, centres in reversals.items()}
+    there = sweep(mechanism, sizes, np.concatenate([grid[:1], *ends_of.values()]))
+    swings: dict[str, Travel] = {}
+    strokes: dict[str, Travel] = {}
+    done = 1
+    for k, ends in ends_of.items():
+        own, done = slice(done, done + len(ends)), done + len(ends)
+        centres = reversals[k]
+        if is_body[k]:
+            values = np.interp(ends, grid, np.asarray(jets[k].value))
+            exact = np.asarray(there.body_angle(outputs[k]).value)[own]
+            values = exact + TURN * np.round((values - exact) / TURN)
+            values = values - TURN * np.round(0.5 * (np.min(values) + np.max(values)) / TURN)
+        else:
+            values = np.asarray(there.slide(outputs[k]).value)[own]
+        ratio = math.nan
+        if full and len(centres) == 2 and mechanism.cycle == TURN:
+            one = float(centres[1] - centres[0])
+            ratio = max(one, TURN - one) / min(one, TURN - one)
+        first, last = int(np.argmin(values)), int(np.argmax(values))
+        travel = Travel(
+            tuple(place(c) for c in centres),
+            float(values[first]),
+            float(values[last]),
+            place(ends[first]),
+            place(ends[last]),
+            ratio,
+        )
+        (swings if is_body[k] else strokes)[outputs[k]] = travel
+    return swings, strokes
+
+
+def _moves(jet: Jet, scale: float) -> bool:
+    """Whether a motion is more than rounding."""
+    return float(np.nanmax(np.abs(jet.rate), initial=0.0)) > 1e-9 * scale

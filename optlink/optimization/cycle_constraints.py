@@ -1,0 +1,364 @@
+"""The expressions of the programme of a machine's cycle, part by part: positions, events, figures, rows of limits and terms."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.stroke import LEAST_DIFFERENCE
+from optlink.optimization.constraints import DEGREES, PLAIN, Row, Scale, alignment_row
+from optlink.optimization.cycle_signals import TURN, Structure, Trace
+from optlink.optimization.nlp import Variable
+from optlink.problem.cycle import Bound
+from optlink.problem.cycle_terms import Goal, Term
+from optlink.problem.function import EPIGRAPH
+from optlink.problem.quantity import Quantity
+from optlink.units import KINDS, factor
+
+Array = NDArray[np.float64]
+
+EVENT = "end of a stroke"
+"""Name of the rows that define the crank angles at which motions reverse."""
+FEWEST = 4  # positions per stroke
+ROOM = 1.01  # of the least difference of slow and quick stroke, which a programme keeps
+APART = 1e-3  # rad, least crank rotation between two events
+
+
+@dataclass(frozen=True)
+class Rooted(Scale):
+    """A row that holds the square of what people read: smooth also where a force vanishes."""
+
+    def people(self, value: float) -> float:
+        """The figure in `unit`."""
+        return math.sqrt(max(value, 0.0)) * self.factor
+
+    def own(self, people: float) -> float:
+        """The row's own value."""
+        return (people / self.factor) ** 2
+
+    def slope(self, value: float) -> float:
+        """d people / d value."""
+        return 0.5 * self.factor / math.sqrt(max(value, 1e-300))
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A term that must be followed between the nodes: where its components are among the signals, and how it is judged.
+
+    `level`: index of the variable that is its largest value; else `bound` [SI] limits it. `sign`: -1 for a least value.
+    """
+
+    first: int
+    width: int
+    peak: bool
+    sign: float
+    size: float
+    level: int | None
+    bound: float
+
+    def score(self, signals: Array) -> Array:
+        """What counts at each position, in units of `size`: the larger the worse."""
+        own = signals[self.first : self.first + self.width]
+        if self.width > 1:
+            return np.asarray(np.hypot(*own) / self.size)
+        return np.asarray(np.abs(own[0]) / self.size if self.peak else self.sign * own[0] / self.size)
+
+    def height(self, signals: Any) -> Any:
+        """A smooth expression that is largest where the score is: its square, where that has corners."""
+        own = [signals[self.first + k] / self.size for k in range(self.width)]
+        return casadi.sumsqr(casadi.vertcat(*own)) if self.width > 1 or self.peak else self.sign * own[0]
+
+
+def variable_of(name: str, quantity: Quantity, size: float) -> Variable:
+    """How a quantity is scaled: lengths and coordinates by the size of the machine, angles by 1 rad."""
+    if quantity.kind not in ("length", "coordinate"):
+        return Variable(name, 1.0, DEGREES)
+    return Variable(name, size, Scale("mm", 1e3 * size))
+
+
+def people_scale(kind: str, unit: str, size: float) -> Scale:
+    """From multiples of `size` [SI] to a unit of people."""
+    return Scale(unit, size / factor(unit or KINDS[kind].people, kind)) if kind else Scale("", size)
+
+
+def _keeps_slow(bound: Bound) -> bool:
+    """Whether a limit of a time ratio itself keeps the slow stroke the slow one."""
+    if bound.term.stroke == "quick":
+        return bound.interval.high is not None
+    return bound.interval.low is not None
+
+
+class Parts:
+    """The expressions of a programme, part by part."""
+
+    def __init__(
+        self,
+        trace: Trace,
+        structure: Structure,
+        start: Mapping[str, float],
+        nodes: int,
+        roaming: int,
+        size: float | None = None,
+    ) -> None:
+        self.trace, self.structure, self.problem = trace, structure, trace.problem
+        problem = self.problem
+        self.size = problem.longest if size is None else size
+        self.free = problem.free
+        self.fixed = tuple(name for name in problem.quantities if name not in self.free)
+        self.goals = problem.goals
+        self.epigraphs = [goal for goal in self.goals if goal.extreme]
+        events = len(structure.which)
+        self.cuts = trace.cuts(structure)
+        self.strokes = max(1, self.cuts)
+        self.variables = [variable_of(name, problem.quantities[name], self.size) for name in self.free]
+        self.variables += [Variable(f"{EVENT} {k + 1}", 1.0, DEGREES) for k in range(events)]
+        self.variables += [Variable(f"{goal.words} {k + 1}", 1.0, PLAIN) for k, goal in enumerate(self.epigraphs)]
+        self.constants = [variable_of(name, problem.quantities[name], self.size) for name in self.fixed]
+        self.x = casadi.SX.sym("x", len(self.variables))
+        self.roaming, self.slots = roaming, self.strokes * roaming
+        self.p = casadi.SX.sym("p", 1 + len(self.fixed) + self.slots)
+        self.values: dict[str, Any] = {v.name: v.size * self.x[i] for i, v in enumerate(self.variables[: len(self.free)])}
+        self.values |= {v.name: v.size * self.p[1 + i] for i, v in enumerate(self.constants)}
+        self.known = casadi.vertcat(*[self.values[name] for name in trace.names])
+        self.events = [self.x[len(self.free) + k] for k in range(events)]
+        self.levels = [self.x[len(self.free) + events + k] for k in range(len(self.epigraphs))]
+        self.x_fixed = [problem.quantities[v.name].value / v.size for v in self.constants]
+        self.start = dict(start)
+        self.rows: list[Row] = []
+        self._cut(nodes)
+        self._at_events()
+
+    # --- positions -------------------------------------------------------------------------------------------------------
+
+    def _cut(self, nodes: int) -> None:
+        """Nodes and roaming positions of every stroke, with the signals there."""
+        edges: list[Any] = [*self.events[: self.cuts], self.events[0] + TURN] if self.cuts else [0.0, TURN]
+        self.edges = edges
+        if self.cuts:
+            count = max(FEWEST, math.ceil(nodes / self.strokes))
+            at, weights = np.polynomial.legendre.leggauss(count)
+            shares, weights = 0.5 * (at + 1.0), 0.5 * weights
+        else:  # of what is periodic and smooth even steps integrate best
+            shares, weights = np.arange(nodes) / nodes, np.full(nodes, 1.0 / nodes)
+        self.spans = [b - a for a, b in itertools.pairwise(edges)]
+        self.at: list[tuple[int, Any, Any]] = []  # stroke, weight or None, signals
+        self.roamed: list[Any] = []  # signals at the roaming positions
+        roaming = [self.p[1 + len(self.fixed) + k] for k in range(self.slots)]
+        for j, span in enumerate(self.spans):
+            senses = self.trace.sensed(casadi.vertcat(self.known, edges[j] + 0.5 * span))
+            for share, weight in zip(shares, weights, strict=True):
+                phi = casadi.vertcat(self.known, edges[j] + share * span)
+                self.at.append((j, weight * span, self.trace.at(phi, senses)))
+            for share in (0.0, 1.0) if self.cuts else ():  # where forces jump they are largest more often than not
+                self.at.append((j, None, self.trace.at(casadi.vertcat(self.known, edges[j] + share * span), senses)))
+            for share in roaming[j * self.roaming : (j + 1) * self.roaming]:
+                self.roamed.append(self.trace.at(casadi.vertcat(self.known, edges[j] + share * span), senses))
+                self.at.append((j, None, self.roamed[-1]))
+
+    def _at_events(self) -> None:
+        """What there is to know at the events: their own values, which must vanish, and how far the outputs have moved."""
+        self.there = [self.trace.at_event(casadi.vertcat(self.known, phi)) for phi in self.events]
+        speed = abs(self.trace.speed)
+        for k, (which, there) in enumerate(zip(self.structure.which, self.there, strict=True)):
+            key = self.trace.events[which].key
+            size = 1.0 if key[0] == "body" else self.size
+            size *= 1.0 if key[0] == "corner" else speed
+            self.rows.append(Row(EVENT, f"{EVENT} {k + 1}: {' '.join(key)}", there[which] / size, 0.0, 0.0, PLAIN))
+        angles = [*self.structure.angles[: self.cuts], self.structure.angles[0] + TURN] if self.cuts > 1 else []
+        for k, (span, (begin, end)) in enumerate(zip(self.spans, itertools.pairwise(angles), strict=False)):
+            if end - begin > APART:  # else both are one event by the nature of the machine
+                self.rows.append(Row(EVENT, f"order of {EVENT} {k + 1}", span, APART, math.inf, DEGREES))
+        self._slow()
+
+    def _slow(self) -> None:
+        """The slow stroke stays the slow one: of a load by the least difference, of a time ratio where no limit says so."""
+        for name, which in self.trace.paced_loads.items() if self.events else ():
+            label = f"slow minus quick stroke of {name}"
+            least = ROOM * LEAST_DIFFERENCE
+            self.rows.append(Row(f"loads.{name}.stroke", label, self._slower(which), least, math.inf, DEGREES))
+        implied = {id(bound.term) for bound in self.problem.bounds if _keeps_slow(bound)}
+        for term in self.trace.terms:
+            if term.by_pace and id(term) not in implied:
+                label = f"slow minus quick stroke of {term.of}"
+                self.rows.append(Row(EVENT, label, self._slower(self.trace.event_of(term)), 0.0, math.inf, DEGREES))
+
+    def _forward_slow(self, which: int) -> bool:
+        """Whether the forward stroke of a motion counts as the slow one in this programme."""
+        return self.structure.slow[self.trace.paced.index(which)] is not False
+
+    def _slower(self, which: int) -> Any:
+        """Crank rotation [rad] by which the slow stroke is longer than the quick one."""
+        slow = self._forward_slow(which)
+        return self.duration(which, slow) - self.duration(which, not slow)
+
+    def forward(self, which: int) -> list[bool]:
+        """For every stroke whether an output, whose reversals cut, moves forward in it."""
+        own = [k for k in range(self.cuts) if self.structure.which[k] == which]
+        if not own:
+            return [True] * self.strokes
+        state, found = not self.structure.rising[own[0]], []
+        for k in range(self.cuts):
+            state = self.structure.rising[k] if k in own else state
+            found.append(state)
+        return found
+
+    def duration(self, which: int, forward: bool) -> Any:
+        """Crank rotation [rad] during which an output moves forward, or backward."""
+        own = [k for k, event in enumerate(self.structure.which) if event == which]
+        total, angles = casadi.SX(0.0), [*(self.events[k] for k in own), self.events[own[0]] + TURN]
+        for k, (begin, end) in zip(own, itertools.pairwise(angles), strict=True):
+            if self.structure.rising[k] is forward:
+                total += end - begin
+        return total
+
+    # --- figures ---------------------------------------------------------------------------------------------------------
+
+    def place(self, term: Term) -> tuple[int, int]:
+        """Where the components of a cyclic term are among the signals, and how many they are."""
+        index = next(k for k, known in enumerate(self.trace.cyclic) if known is term)
+        return sum(self.trace.widths[:index]), self.trace.widths[index]
+
+    def components(self, term: Term) -> Iterator[tuple[Any, list[Any]]]:
+        """(weight or None, components) at every position."""
+        first, width = self.place(term)
+        for _, weight, signals in self.at:
+            yield weight, [signals[first + k] for k in range(width)]
+
+    def figure(self, term: Term) -> Any:
+        """A term that is one figure [SI]."""
+        if term.how in ("rms", "mean"):
+            square = term.how == "rms"
+            total = casadi.SX(0.0)
+            for weight, parts in self.components(term):
+                if weight is not None:
+                    total += weight * (sum(part * part for part in parts) if square else parts[0])
+            return casadi.sqrt(total / TURN) if square else total / TURN
+        if term.quantity == "length":
+            return self.values[str(term.of)]
+        if term.quantity == "work":
+            return self._work(term)
+        return self._ratio(term) if term.quantity == "time ratio" else self._stroke(term)
+
+    def natural(self, goal: Goal) -> Any:
+        """The size of the course that a mean or a work is taken of [SI]; zero for what vanishes by no cancelling."""
+        if goal.quantity == "work":
+            last = sum(self.trace.widths) - 1
+            return casadi.vertcat(*[TURN * casadi.fabs(signals[last]) for *_, signals in self.at])
+        if goal.how == "mean":
+            return casadi.vertcat(*[casadi.fabs(parts[0]) for _, parts in self.components(goal)])
+        return casadi.SX(0.0)
+
+    def _work(self, term: Term) -> Any:
+        """Work of the drive per revolution, or in the strokes in which a slider moves one way."""
+        last = sum(self.trace.widths) - 1
+        way = [True] * self.strokes
+        if term.stroke is not None:
+            way = [forward is (term.stroke == "forward") for forward in self.forward(self.trace.event_of(term))]
+        total = casadi.SX(0.0)
+        for stroke, weight, signals in self.at:
+            if weight is not None and way[stroke]:
+                total += weight * self.trace.direction * signals[last]
+        return total
+
+    def _ends(self, term: Term) -> list[int]:
+        """Events at which the output of a term reverses."""
+        which = self.trace.event_of(term)
+        return [k for k, event in enumerate(self.structure.which) if event == which]
+
+    def _stroke(self, term: Term) -> Any:
+        """From the least to the largest position of the output at its dead centres, or one of them.
+
+        Which dead centres these are is that of the start.
+        """
+        place = len(self.trace.events)
+        for known in self.trace.ended:
+            width = 2 if self.problem.kind(known) == "angle" else 1
+            if known is term:
+                break
+            place += width
+        ends = self._ends(term)
+        numbers = [
+            np.asarray(self.trace.at_event([*self.trace.known(self.start), self.structure.angles[k]])).ravel() for k in ends
+        ]
+        if width == 1:
+            low, high = (ends[pick([row[place] for row in numbers])] for pick in (np.argmin, np.argmax))
+            if term.quantity == "end":
+                return self.there[high if term.stroke == "forward" else low][place]
+            return self.there[high][place] - self.there[low][place]
+        angles = np.unwrap([math.atan2(row[place + 1], row[place]) for row in numbers])
+        low, high = ends[int(np.argmin(angles))], ends[int(np.argmax(angles))]
+        (a, b), (c, d) = ((self.there[k][place], self.there[k][place + 1]) for k in (low, high))
+        return casadi.atan2(a * d - b * c, a * c + b * d)
+
+    def _ratio(self, term: Term) -> Any:
+        """Duration of a stroke over that of the other; which is the slow one is fixed in a programme."""
+        which = self.trace.event_of(term)
+        own = self._forward_slow(which) is (term.stroke != "quick") if term.by_pace else term.stroke == "forward"
+        return self.duration(which, own) / self.duration(which, not own)
+
+    # --- rows ------------------------------------------------------------------------------------------------------------
+
+    def close(self) -> Iterator[Watched]:
+        """Every group keeps off the position where its assembly modes meet, everywhere."""
+        first, limits = sum(self.trace.widths), self.problem.limits
+        for k, group in enumerate(self.trace.mechanism.groups):
+            self.rows += [alignment_row(limits, group, signals[first + k]) for *_, signals in self.at]
+            yield Watched(first + k, 1, False, -1.0, 1.0, None, -self.rows[-1].low)
+
+    def limit(self, bound: Bound) -> Watched | None:
+        """The rows of a limit."""
+        term, interval = bound.term, bound.interval
+        kind = interval.kind or ""
+        ends = [abs(x) for x in (interval.low, interval.high) if x is not None]
+        size = max(ends) or (self.size if kind in ("length", "coordinate") else 1.0)
+        low, high = (
+            None if interval.low is None else interval.low / size,
+            None if interval.high is None else interval.high / size,
+        )
+        scale = people_scale(kind, interval.unit, size)
+        below, above = -math.inf if low is None else low, math.inf if high is None else high
+        if not term.extreme:
+            self.rows.append(Row(bound.key, term.words, self.figure(term) / size, below, above, scale))
+            return None
+        for _, parts in self.components(term):
+            if len(parts) > 1:
+                square = sum(part * part for part in parts) / size**2
+                self.rows.append(Row(bound.key, term.words, square, -math.inf, above**2, Rooted(scale.unit, scale.factor)))
+                continue
+            for sign in (1.0, -1.0) if term.how == "peak" else (1.0,):
+                self.rows.append(Row(bound.key, term.words, sign * parts[0] / size, below, above, scale))
+        first, width = self.place(term)
+        limit, sign = (above, 1.0) if high is not None else (-below, -1.0)
+        return Watched(first, width, term.how == "peak", sign, size, None, limit)
+
+    def goal(self, goal: Goal, size: float, level: Any, index: int) -> Watched:
+        """The rows that make a variable the largest value of a term."""
+        label = f"{goal.words}, above"
+        for _, parts in self.components(goal):
+            if len(parts) > 1:
+                square = level * level - sum(part * part for part in parts) / size**2
+                self.rows.append(Row(EPIGRAPH, label, square, 0.0, math.inf, PLAIN))
+                continue
+            signs = {"peak": (1.0, -1.0), "largest": (1.0,), "least": (-1.0,)}[goal.how]
+            self.rows += [Row(EPIGRAPH, label, level - sign * parts[0] / size, 0.0, math.inf, PLAIN) for sign in signs]
+        first, width = self.place(goal)
+        return Watched(first, width, goal.how == "peak", -1.0 if goal.how == "least" else 1.0, size, index, math.inf)
+
+    def heights(self, goal: Goal, size: float) -> Any:
+        """The values of which the largest is the level of a term."""
+        found = []
+        for _, parts in self.components(goal):
+            if len(parts) > 1:
+                found.append(casadi.sqrt(sum(part * part for part in parts)) / size)
+            elif goal.how == "peak":
+                found.append(casadi.fabs(parts[0]) / size)
+            else:
+                found.append((-1.0 if goal.how == "least" else 1.0) * parts[0] / size)
+        return casadi.vertcat(*found)

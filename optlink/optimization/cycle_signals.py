@@ -1,0 +1,355 @@
+"""What a machine does at one crank angle, traced once: signals of the terms, margins, reversals; and where the strokes meet.
+
+The formulas are those of `linkage` and `dynamics`. Forces jump where a motion reverses, so a revolution is cut there: the crank
+angles of these events are unknowns of the programme, and within a stroke everything is smooth in the sizes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.inverse import Reactions, reactions, reported_on, required, shaking
+from optlink.dynamics.loads import Force, Load
+from optlink.dynamics.machine import Machine, Moving, parts
+from optlink.linkage.dyad_types import RRP, RRR
+from optlink.linkage.extrema import zeros
+from optlink.linkage.jet import Jet
+from optlink.linkage.motion import Motion
+from optlink.linkage.stroke import Direction, slow_stroke
+from optlink.linkage.vector2d import Value, cross, dot, magnitude, minus, sign, unit
+from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle_terms import STATIC, Term, guide_of, output_of
+from optlink.problem.machine.load_curves import Curve
+from optlink.problem.mechanism import sizes_of
+from optlink.symbolic import Tape, tracing
+
+Array = NDArray[np.float64]
+TURN = 2.0 * np.pi
+GRID = 240  # crank angles among which events are bracketed
+AHEAD = 1e-6  # rad beyond an event at which it is asked whether it rose or fell
+
+
+class _Sensed(Moving):
+    """A machine in motion that is told the sense of every motion, instead of asking for the sign of its velocity.
+
+    `asked` collects what was asked for, and the symbol that stands for the answer.
+    """
+
+    def __init__(self, machine: Machine, motion: Motion, direction: float) -> None:
+        super().__init__(machine, motion, 1, direction)
+        self.asked: list[tuple[Callable[[Moving], tuple[Value, Value]], Any]] = []
+
+    def sense(self, of: Callable[[Moving], tuple[Value, Value]], size: Value = 1.0) -> Value:
+        """A symbol for the sense, to be put in later."""
+        symbol = casadi.SX.sym(f"sense {len(self.asked)}")
+        self.asked.append((of, symbol))
+        return symbol
+
+
+@dataclass(frozen=True)
+class Event:
+    """What changes its sign where a stroke ends: a velocity, or the distance from a corner of a load's table.
+
+    `cuts`: whether forces, or what is integrated of them, change there, so that the revolution is cut into parts.
+    """
+
+    key: tuple[str, ...]
+    value: Callable[[Moving], Value]
+    cuts: bool
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The events of a revolution: which, whether it rises, where [rad].
+
+    First those that cut, in their order from a rise of the first of them on; then output by output those that do not: motions
+    that are told alone may reverse at one crank angle.
+    """
+
+    which: tuple[int, ...]
+    rising: tuple[bool, ...]
+    angles: tuple[float, ...]
+    slow: tuple[bool | None, ...] = ()
+    """For every event of `Trace.paced`: whether the forward stroke is the slow one; None where both take equally long."""
+
+    def like(self, other: Structure) -> bool:
+        """Whether the same events come in the same order."""
+        return (self.which, self.rising) == (other.which, other.rising)
+
+
+def _reversal(load: Load) -> Callable[[Moving], Value]:
+    """The velocity at whose reversal a load jumps."""
+    return lambda moving: (load.reversing(moving) or (0.0, 0.0))[0]
+
+
+def _corner(guide: str, at: float) -> Callable[[Moving], Value]:
+    """How far a slider is beyond a row of its load's table."""
+    return lambda moving: moving.slides[guide][0] - at
+
+
+class Trace:
+    """The functions of one problem.
+
+    Parameters
+    ----------
+    problem : CycleProblem
+    values : mapping of quantity to float [SI], optional
+        The sizes that decide which stroke is the slow one.
+    slow : mapping of load to "forward" or "backward", optional
+        In place of `values`: the slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise.
+
+    Raises
+    ------
+    Unusable
+        when the machine of these sizes cannot be made, with the full key that is to blame.
+    """
+
+    def __init__(
+        self,
+        problem: CycleProblem,
+        values: Mapping[str, float] | None = None,
+        slow: Mapping[str, Direction] | None = None,
+    ) -> None:
+        self.problem, self.mechanism = problem, problem.linkage
+        self.speed = problem.drive.speed.value
+        self.direction = -1.0 if self.speed < 0.0 else 1.0
+        self.names = list(problem.quantities)
+        self.base, self.slow = problem.machine(values, slow), slow
+        self.terms: tuple[Term, ...] = (*problem.goals, *(bound.term for bound in problem.bounds))
+        self.cyclic = [term for term in self.terms if term.nature.cyclic]
+        self.works = any(term.quantity == "work" for term in self.terms)
+        self.events = self._events()
+        inputs = casadi.SX.sym("inputs", len(self.names) + 1)
+        with tracing():
+            moving = self._moving(inputs)
+            self.widths: list[int] = []
+            outputs: list[Any] = []
+            for signal in self._signals(moving):
+                self.widths.append(len(signal))
+                outputs += signal
+            begin = len(outputs)
+            outputs += [parts(group.alignment(moving.pose))[0] - group.least for group in self.mechanism.groups]
+            margins = outputs[begin:]
+            ends = [part for term in self.ended for part in self._output(term, moving)]
+            found = [event.value(moving) for event in self.events]
+            senses = [self.direction * sign(of(moving)[0] / self.speed) for of, _ in moving.asked]
+        symbols = casadi.vertcat(*[symbol for _, symbol in moving.asked])
+        self.senses = len(moving.asked)
+        self._known = casadi.vertcat(inputs, symbols)
+        self._outputs = casadi.vertcat(*outputs)
+        self.at = casadi.Function("at", [inputs, symbols], [self._outputs])
+        self.sensed = casadi.Function("sensed", [inputs], [casadi.vertcat(*senses)])
+        self.at_event = casadi.Function("event", [inputs], [casadi.vertcat(*found, *ends)])
+        self._inputs, self._found, self._margins = inputs, found, margins
+
+    # --- the machine in symbols ------------------------------------------------------------------------------------------
+
+    def _moving(self, inputs: Any) -> _Sensed:
+        sizes = {name: inputs[i] for i, name in enumerate(self.names)}
+        machine = self.base.with_(sizes=sizes, inertias=self.problem.inertias(sizes))
+        phi = inputs[len(self.names)]
+        still = {name: Jet(size) for name, size in sizes.items()}  # casadi's operators know no jets: nothing else may stand left
+        pose = self.mechanism.pose(still, unit(Jet(phi, self.speed, 0.0)))
+        return _Sensed(machine, Motion(self.mechanism, sizes, phi, self.speed, pose, 0.0), self.direction)
+
+    @cached_property
+    def ended(self) -> list[Term]:
+        """Terms that are told from where a stroke ends."""
+        return [term for term in self.terms if term.quantity in ("stroke", "end")]
+
+    def _signals(self, moving: Moving) -> list[tuple[Value, ...]]:
+        """Components of every cyclic term, and last the driving torque where work is asked for."""
+        forced = [term for term in self.cyclic if term.quantity in STATIC]
+        if not forced and not self.works:  # friction, which reactions cannot be traced with, does not matter to motion alone
+            return [self._signal(term, moving, None) for term in self.cyclic]
+        whole = reactions(moving)
+        still = reactions(moving, required(moving, inertia=False)) if any(t.static for t in forced) else whole
+        found = [self._signal(term, moving, still if term.static else whole) for term in self.cyclic]
+        return [*found, (whole.torque,)] if self.works else found
+
+    def _signal(self, term: Term, moving: Moving, found: Reactions | None) -> tuple[Value, ...]:
+        what, name = term.quantity, str(term.of)
+        if found is not None and what == "torque":
+            return (found.torque,)
+        if found is not None and what == "reaction":
+            return found.pins[name][term.on or reported_on(moving.machine)[name]]
+        if what in ("shaking force", "shaking moment"):
+            shaken = shaking(moving)
+            return shaken.force if what == "shaking force" else (shaken.moment,)
+        if what == "velocity":
+            return moving.velocity(name)
+        if what == "acceleration":
+            return moving.acceleration(name)
+        if what == "transmission angle":
+            return (self._transmission(name, moving),)
+        guide = str(guide_of(name, self.mechanism))
+        if found is not None and what == "guide force":
+            return (found.guides[guide].normal,)
+        if found is not None and what == "guide moment":
+            return (found.guides[guide].moment,)
+        s, v, _ = moving.slides[guide]
+        return (s,) if what == "slide" else (v / self.speed,)
+
+    def _transmission(self, joint: str, moving: Moving) -> Value:
+        """Angle between two links, or between a link and the normal of a slider's line [rad]: 90 deg is best."""
+        group = next(group for group in self.mechanism.groups if group.joint == joint)
+        if isinstance(group, RRR):
+            p, q = (minus(moving.position(pin), moving.position(joint)) for pin in group.pins)
+            return np.arctan2(magnitude(cross(p, q)), dot(p, q))
+        assert isinstance(group, RRP)
+        link, line = minus(moving.position(joint), moving.position(group.outer)), moving.line(group.guide.name)
+        return np.arctan2(magnitude(dot(link, line)), cross(line, link))
+
+    def _output(self, term: Term, moving: Moving) -> tuple[Value, ...]:
+        """What tells how far an output has moved: the slide, the coordinate of a point, the direction of a body."""
+        kind, name = output_of(term, self.mechanism)
+        if kind == "guide":
+            return (moving.slides[name][0],)
+        if kind == "body":
+            return moving.axis(name)
+        assert term.direction is not None
+        return (dot(unit(term.direction.value), moving.position(name)),)
+
+    # --- events ----------------------------------------------------------------------------------------------------------
+
+    def cuts(self, structure: Structure) -> int:
+        """Number of events that cut the revolution; they come first."""
+        return sum(self.events[which].cuts for which in structure.which)
+
+    def event_of(self, term: Term) -> int:
+        """Index of the event that ends the strokes of a term's output."""
+        return [event.key for event in self.events].index(self._key(term))
+
+    @cached_property
+    def paced_loads(self) -> dict[str, int]:
+        """Loads of the slow or quick stroke, with the index of the event that ends their strokes."""
+        keys = [event.key for event in self.events]
+        guides = {load.name: ("guide", str(getattr(load, "direction", ""))) for load in self.base.loads}
+        return {
+            name: keys.index(guides[name] if guides[name] in keys else ("load", name))
+            for name, section in self.problem.loads.items()
+            if section.by_pace
+        }
+
+    @cached_property
+    def paced(self) -> tuple[int, ...]:
+        """Events of the motions whose slow stroke matters: of loads, and of time ratios, of the slow or quick stroke."""
+        terms = [self.event_of(term) for term in self.terms if term.by_pace]
+        return tuple(dict.fromkeys([*self.paced_loads.values(), *terms]))
+
+    def slow_loads(self, slow: Sequence[bool | None]) -> dict[str, Direction]:
+        """The slow stroke of loads, for a crank that turns counter-clockwise, where `slow` tells that of every paced event."""
+        forward = dict(zip(self.paced, slow, strict=True))
+        same = self.direction > 0.0
+        return {
+            name: "forward" if (forward[which] is not False) is same else "backward" for name, which in self.paced_loads.items()
+        }
+
+    def _key(self, term: Term) -> tuple[str, ...]:
+        if term.quantity == "work":
+            return "guide", str(guide_of(str(term.of), self.mechanism))
+        kind, name = output_of(term, self.mechanism)
+        return (kind, name, repr(term.direction.value)) if term.direction is not None else (kind, name)
+
+    def _events(self) -> list[Event]:
+        found: dict[tuple[str, ...], Event] = {}
+
+        def add(key: tuple[str, ...], value: Callable[[Moving], Value], *, cuts: bool = True) -> None:
+            cuts = cuts or (key in found and found[key].cuts)
+            found[key] = Event(key, value, cuts)
+
+        for load in self.base.loads:
+            slides = isinstance(load, Force) and isinstance(load.direction, str)
+            guide = str(load.direction) if isinstance(load, Force) else ""
+            if load.switching:
+                add(("guide", guide) if slides else ("load", load.name), _reversal(load))
+            if isinstance(load, Force) and isinstance(load.magnitude, Curve) and load.magnitude.over == "s":
+                for row, at in enumerate(load.magnitude.at):
+                    add(("corner", load.name, str(row)), _corner(guide, at))
+        for term in self.terms:
+            if term.ended:
+                add(self._key(term), self._rate(self._key(term), term), cuts=term.quantity == "work")
+        return list(found.values())
+
+    def _rate(self, key: tuple[str, ...], term: Term) -> Callable[[Moving], Value]:
+        kind, name = key[:2]
+        if kind == "guide":
+            return lambda moving: moving.slides[name][1]
+        if kind == "body":
+            return lambda moving: moving.state(name).omega
+        way = 0.0 if term.direction is None else term.direction.value
+        return lambda moving: dot(unit(way), moving.velocity(name))
+
+    # --- numbers ---------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _watch(self) -> Tape:
+        """Margins, then events, over (sizes, crank angle)."""
+        outputs = [*self._margins, *self._found] or [casadi.SX(1, 1)]
+        return Tape([self._inputs], outputs)
+
+    @cached_property
+    def signals(self) -> Tape:
+        """Signals, then margins, over (sizes, crank angle, senses)."""
+        return Tape([self._known], [self._outputs])
+
+    def known(self, values: Mapping[str, float]) -> list[float]:
+        """The sizes in the order of the inputs; those that are not given as in the file."""
+        sizes = {**sizes_of(self.problem.quantities), **values}
+        return [sizes[name] for name in self.names]
+
+    def structure(self, values: Mapping[str, float]) -> Structure | None:
+        """Where the strokes meet for given sizes; None where the crank cannot turn fully."""
+        known, groups = self.known(values), len(self.mechanism.groups)
+        grid = np.linspace(0.0, TURN, GRID + 1) + 0.37 * TURN / GRID
+        there = self._watch(*known, grid)
+        if not np.all(np.isfinite(there)) or np.any(there[:groups] < 0.0):
+            return None
+        if not self.events:
+            return Structure((), (), ())
+        count = len(self.events)
+
+        def values_at(angles: Array) -> Array:
+            return self._watch(*known, angles)[groups : groups + count]
+
+        cutting: list[tuple[float, int, bool]] = []
+        every: dict[int, list[tuple[float, int, bool]]] = {}
+        told: list[tuple[float, int, bool]] = []
+        for k, places in enumerate(zeros(values_at, grid, still=True)):
+            rises = values_at(places + AHEAD)[k] > 0.0 if places.size else []
+            own = [(float(at) % TURN, k, bool(up)) for at, up in zip(places, rises, strict=True)]
+            every[k] = own
+            if self.events[k].cuts:
+                cutting += own
+            else:
+                told += _from_rise(own)
+        ordered = [*_from_rise(cutting), *told]
+        slow = tuple(_forward_slow(every[k]) for k in self.paced)
+        return Structure(tuple(k for _, k, _ in ordered), tuple(up for *_, up in ordered), tuple(at for at, *_ in ordered), slow)
+
+
+def _forward_slow(found: list[tuple[float, int, bool]]) -> bool | None:
+    """Whether the forward stroke between reversals (angle, which, rising) is the slow one; None where it cannot be said."""
+    if len(found) < 2:
+        return None
+    found = sorted(found)
+    ends = [*(at for at, *_ in found[1:]), found[0][0] + TURN]
+    forward = sum(end - at for (at, _, up), end in zip(found, ends, strict=True) if up)
+    slow = slow_stroke(forward, TURN - forward)
+    return None if slow is None else slow == "forward"
+
+
+def _from_rise(found: list[tuple[float, int, bool]]) -> list[tuple[float, int, bool]]:
+    """Events (angle, which, rising) in their order within a turn from the first rise of the first of them on."""
+    if not found:
+        return []
+    found = sorted(found)
+    first = min(range(len(found)), key=lambda i: (found[i][1], not found[i][2], found[i][0]))
+    return [*found[first:], *((at + TURN, k, up) for at, k, up in found[:first])]

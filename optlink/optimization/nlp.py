@@ -1,0 +1,290 @@
+"""build(problem) -> NLP: one scaled nonlinear programme with exact derivatives and a label and unit for every row.
+
+The formulas are those of `linkage`, `objectives` and `constraints`, traced once with casadi symbols.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.vector2d import turn, unit
+from optlink.optimization.constraints import DEGREES, Row, Scale
+from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.objectives import MEASURES, Measure, output_error
+from optlink.optimization.output_derivatives import ErrorSlopes
+from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
+from optlink.problem.limits import Reach
+from optlink.problem.robust import EXPECTED, residuals
+from optlink.symbolic import Compiled, tracing
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A component of the design vector: x = (value - origin) / size."""
+
+    name: str
+    size: float
+    scale: Scale
+    origin: float = 0.0
+
+
+@dataclass(frozen=True)
+class Point:
+    """The programme at one x: objective f, its gradient, rows g and their Jacobian. Not finite where undefined."""
+
+    f: float
+    gradient: Array
+    g: Array
+    jacobian: Array
+
+    @property
+    def finite(self) -> bool:
+        """Whether everything has a value there."""
+        return bool(math.isfinite(self.f) and all(np.all(np.isfinite(a)) for a in (self.gradient, self.g, self.jacobian)))
+
+
+@dataclass(frozen=True)
+class NLP:
+    """minimise f(x, p) subject to low <= g(x, p) <= high, x_low <= x <= x_high.
+
+    `x` (n,) are the scaled free quantities (and, last, the largest error of a minimax problem); `p` is the scale of the
+    objective followed by the fixed quantities, the tolerances that count and crank rotations of roaming positions, so that they
+    can be varied without tracing anew.
+    """
+
+    variables: tuple[Variable, ...]
+    fixed: tuple[str, ...]
+    rows: tuple[Row, ...]
+    measure: Measure
+    x_start: Array
+    x_low: Array
+    x_high: Array
+    p: Array
+    x_symbol: Any
+    p_symbol: Any
+    f_expression: Any
+    g_expression: Any
+    residual_expression: Any
+    exact: float = 1e-9  # a residual below this everywhere leaves nothing to improve
+    helpers: frozenset[str] = frozenset({EPIGRAPH})  # variables and rows that state the objective rather than a limit
+    factor: float = 1.0  # from f * p[0] to what the measure makes of the residuals (of rms: their mean square)
+    states: frozenset[str] = frozenset()  # variables and rows that never give way, such as those that equations define
+    constants: tuple[Variable, ...] = ()  # the fixed quantities and tolerances as `p` holds them, from its second component on
+    cache: dict[str, Any] = field(default_factory=dict, compare=False)  # what a back end compiles for this programme
+
+    @cached_property
+    def low(self) -> Array:
+        """Lower bounds of the rows."""
+        return np.array([row.low for row in self.rows])
+
+    @cached_property
+    def high(self) -> Array:
+        """Upper bounds of the rows."""
+        return np.array([row.high for row in self.rows])
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lower bounds of x, then of the rows."""
+        return np.concatenate([self.x_low, self.low])
+
+    @cached_property
+    def upper(self) -> Array:
+        """Upper bounds of x, then of the rows."""
+        return np.concatenate([self.x_high, self.high])
+
+    @cached_property
+    def _values(self) -> Compiled:
+        return Compiled([self.x_symbol, self.p_symbol], [self.f_expression, self.g_expression])
+
+    @cached_property
+    def _all(self) -> Compiled:
+        x, f, g = self.x_symbol, self.f_expression, self.g_expression
+        return Compiled([x, self.p_symbol], [f, casadi.gradient(f, x), g, casadi.jacobian(g, x)])
+
+    @cached_property
+    def _residuals(self) -> Compiled:
+        return Compiled([self.x_symbol, self.p_symbol], [self.residual_expression])
+
+    @cached_property
+    def _residual_slopes(self) -> Compiled:
+        return Compiled([self.x_symbol, self.p_symbol], [casadi.jacobian(self.residual_expression, self.x_symbol)])
+
+    @cached_property
+    def _hessian(self) -> Compiled:
+        multipliers = casadi.SX.sym("multipliers", len(self.rows))
+        lagrangian = self.f_expression + casadi.dot(multipliers, self.g_expression)
+        return Compiled([self.x_symbol, self.p_symbol, multipliers], [casadi.hessian(lagrangian, self.x_symbol)[0]])
+
+    def values(self, x: Array, p: Array) -> tuple[float, Array]:
+        """Objective and rows."""
+        f, g = self._values(x, p)
+        return float(f[0]), g
+
+    def at(self, x: Array, p: Array) -> Point:
+        """Objective, rows and their first derivatives, exact."""
+        f, gradient, g, jacobian = self._all(x, p)
+        return Point(float(f[0]), gradient, g, jacobian.reshape((len(g), len(x)), order="F"))
+
+    def hessian(self, x: Array, p: Array, multipliers: Array) -> Array:
+        """Second derivatives of the Lagrangian f + multipliers . g, exact, (n, n)."""
+        return self._hessian(x, p, multipliers)[0].reshape(len(x), len(x))
+
+    def residuals(self, x: Array) -> Array:
+        """Residuals of the objective [rad], not scaled."""
+        return self._residuals(x, self.p)[0]
+
+    def residual_slopes(self, x: Array) -> Array:
+        """Derivatives of the residuals [rad] by x, exact, (residuals, n)."""
+        return self._residual_slopes(x, self.p)[0].reshape((-1, len(x)), order="F")
+
+    def design(self, x: Array) -> dict[str, float]:
+        """Free quantities of the problem [SI] at x."""
+        names = ((v, value) for v, value in zip(self.variables, x, strict=True) if v.name != EPIGRAPH)
+        return {variable.name: variable.origin + float(value) * variable.size for variable, value in names}
+
+    def x_of(self, values: dict[str, float]) -> Array:
+        """x of the given free quantities [SI], within the bounds; the epigraph variable is set to its least value."""
+        x = np.array([(values.get(v.name, 0.0) - v.origin) / v.size for v in self.variables])
+        return self.lifted(np.clip(x, self.x_low, self.x_high))
+
+    @property
+    def roaming(self) -> int:
+        """How many positions roam."""
+        return len(self.p) - 1 - len(self.constants)
+
+    def roam(self, offsets: Array) -> None:
+        """Move the roaming positions to these crank rotations [rad], `roaming` at most."""
+        self.p[len(self.p) - len(offsets) :] = offsets
+
+    def limit(self, entry: int, bound: float, *, upper: bool) -> None:
+        """Move a bound [scaled] of a component of x, or (from n on) of a row; `rows` keep those that they were made with."""
+        both, own, rows = (self.upper, self.x_high, self.high) if upper else (self.lower, self.x_low, self.low)
+        both[entry] = bound
+        if entry < len(own):
+            own[entry] = bound
+        else:
+            rows[entry - len(own)] = bound
+
+    def lifted(self, x: Array) -> Array:
+        """The same design with the epigraph variable (if there is one) at the largest residual."""
+        if self.variables[-1].name != EPIGRAPH:
+            return x
+        largest = float(np.max(self.measure.sizes(self.residuals(x)))) / self.variables[-1].size
+        return np.append(x[:-1], largest if math.isfinite(largest) else 1.0)
+
+
+SMALLEST_SCALE = 1e-6  # of the objective: where the law can be met exactly, rounding errors must not be blown up
+
+
+ROAMING = 12  # positions of a function's programme that are moved to where its error is largest
+
+
+def _residuals(
+    problem: DesignProblem, values: dict[str, Any], counted: dict[str, Any], start: StartPosition, roaming: list[Any]
+) -> list[Any]:
+    """Residuals at each position, a column each: of `optlink.problem.robust.residuals`.
+
+    Traced once, at a symbolic position, then the design positions are put in (numpy's dispatch is paid once).
+    """
+    names = [*values, *counted]
+    inputs = casadi.SX.sym("inputs", len(names) + 6)
+    given = {name: inputs[i] for i, name in enumerate(names)}
+    at = StartPosition((inputs[-6], inputs[-5]), inputs[-4], inputs[-3])
+    error, slopes, robust = output_error(problem, given, at, inputs[-2], inputs[-1]), [], problem.requirement.robust
+    if robust is not None:
+        slopes = ErrorSlopes(problem).symbolic(given, turn(at.crank, unit(inputs[-2])))
+    deviations = [replace(d, tolerance=given.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
+    one = casadi.Function("error", [inputs], [casadi.vertcat(*residuals(robust, deviations, error, slopes))])
+    known = [*values.values(), *counted.values(), *start.crank, start.phi0, start.psi0]
+    law = problem.law
+    fixed = [
+        one(casadi.vertcat(*known, float(offset), float(tabulated)))
+        for offset, tabulated in zip(law.offsets, law.tabulated, strict=True)
+    ]
+    return fixed + [one(casadi.vertcat(*known, offset, 0.0)) for offset in roaming]
+
+
+def build(problem: DesignProblem) -> NLP:
+    """Trace a problem into a nonlinear programme.
+
+    Lengths are scaled by the frame (its start, if it is free), angles by 1 rad, the objective by its value at the start.
+    """
+    size = problem.quantities["frame"].value
+    sizes = {name: size if name in LENGTHS else 1.0 for name in problem.quantities}
+    free = problem.free
+    fixed = tuple(name for name in problem.quantities if name not in free)
+    measure = MEASURES[problem.requirement.measure]
+    minimax = measure.name == "max"
+    robust, counted = problem.requirement.robust, problem.counted
+    if robust is not None and robust.text == EXPECTED:
+        measure = replace(measure, width=1 + len(problem.deviations))
+
+    x = casadi.SX.sym("x", len(free) + minimax)
+    many = 0 if not problem.everywhere else ROAMING if robust is None else 2 * ROAMING  # with its scatter an error is flatter
+    constant = len(fixed) + len(counted)
+    p = casadi.SX.sym("p", 1 + constant + many)
+    values = {name: x[i] * sizes[name] for i, name in enumerate(free)}
+    values |= {name: p[1 + i] * sizes[name] for i, name in enumerate(fixed)}
+    tolerances = {name: p[1 + len(fixed) + i] * size for i, name in enumerate(counted)}
+    with tracing():
+        start = problem.start_position(values)
+        columns = _residuals(problem, values, tolerances, start, [p[1 + constant + i] for i in range(many)])
+        rows = limit_rows(problem, values, Reach(start.phi0, problem.span, problem.sense), size)
+        if minimax:
+            labels = [f"error {math.degrees(offset):.4g} deg from the start" for offset in problem.law.offsets]
+            labels += [f"error at its peak {i + 1}" for i in range(many)]
+            # as shares of the objective's scale: else all rows of a small error would count as active
+            for label, column in zip(labels, columns, strict=True):
+                rows.append(Row(EPIGRAPH, f"{label}, above", (x[-1] - column[0]) / p[0], 0.0, math.inf, DEGREES))
+                rows.append(Row(EPIGRAPH, f"{label}, below", (x[-1] + column[-1]) / p[0], 0.0, math.inf, DEGREES))
+        vector = casadi.vertcat(*columns)
+        f = x[-1] if minimax else casadi.sumsqr(vector) / (len(columns) if measure.name == "rms" else 1)
+        g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
+
+    quantities = [problem.quantities[name] for name in free]
+
+    def scaled(name: str) -> Variable:
+        return Variable(name, sizes[name], Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES)
+
+    others = [Variable(name, size, Scale("mm", 1e3 * size)) for name in counted]
+    variables = [scaled(name) for name in free]
+    low = [q.bounds[0] / sizes[name] for q, name in zip(quantities, free, strict=True)]
+    high = [q.bounds[1] / sizes[name] for q, name in zip(quantities, free, strict=True)]
+    at = [q.value / sizes[name] for q, name in zip(quantities, free, strict=True)]
+    if minimax:
+        variables.append(Variable(EPIGRAPH, 1.0, DEGREES))
+        low, high, at = [*low, 0.0], [*high, math.inf], [*at, 1.0]
+    nlp = NLP(
+        variables=tuple(variables),
+        fixed=fixed,
+        rows=tuple(rows),
+        measure=measure,
+        x_start=np.array(at),
+        x_low=np.array(low),
+        x_high=np.array(high),
+        p=np.array(
+            [
+                1.0,
+                *(problem.quantities[name].value / sizes[name] for name in fixed),
+                *(tolerance / size for tolerance in counted.values()),
+                *np.zeros(many),
+            ]
+        ),
+        x_symbol=x,
+        p_symbol=p,
+        f_expression=f / p[0],
+        g_expression=g,
+        residual_expression=vector,
+        constants=(*(scaled(name) for name in fixed), *others),
+    )
+    return nlp

@@ -1,0 +1,113 @@
+"""Exact derivatives of an output by sizes, traced from the formulas of the motion; and the error of a law with its scatter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.vector2d import Value, Vector, cross, turn, unit
+from optlink.optimization.objectives import output_error
+from optlink.problem.function import DesignProblem
+from optlink.problem.robust import EXPECTED, residuals, sizes_of
+from optlink.problem.targets.law import Table
+from optlink.problem.tolerances import Deviation, loosened
+from optlink.symbolic import Tape, tracing
+
+Array = NDArray[np.float64]
+
+
+def output_slopes(
+    mechanism: Mechanism, sizes: Mapping[str, Any], crank: Vector, output: str, by: Sequence[str]
+) -> tuple[Any, list[Any]]:
+    """An output and its derivatives by sizes, as symbols; to be called while `tracing`.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : casadi symbol of every size
+    crank : direction of the crank
+    output : name of a body (its angle), or "P.x", "P.y" of a point
+    by : names of sizes
+    """
+    pose = mechanism.pose(sizes, crank)
+    if output in mechanism.bodies:
+        x, y = axis = pose.direction(output)
+        slopes = [cross(axis, (casadi.jacobian(x, sizes[n]), casadi.jacobian(y, sizes[n]))) for n in by]
+        return casadi.atan2(y, x), slopes
+    point, _, axis_name = output.rpartition(".")
+    value = casadi.SX(pose.point(point)["xy".index(axis_name)])
+    return value, [casadi.jacobian(value, sizes[n]) for n in by]
+
+
+class ErrorSlopes:
+    """Derivatives of the error of a law (wanted minus actual, the law as drawn) by the size of every deviation of a problem."""
+
+    def __init__(self, problem: DesignProblem) -> None:
+        self.deviations: tuple[Deviation, ...] = problem.deviations
+        mechanism, self._pivots = loosened(problem.mechanism, problem.linkage)
+        self._names = [*problem.mechanism.quantities, *self._pivots]
+        symbols = {name: casadi.SX.sym(name) for name in self._names}
+        crank = casadi.SX.sym("crank direction", 2)
+        with tracing():
+            _, slopes = output_slopes(
+                mechanism, symbols, (crank[0], crank[1]), "rocker", list(dict.fromkeys(d.size for d in self.deviations))
+            )
+        self._inputs, self._outputs = [*symbols.values(), crank[0], crank[1]], [-slope for slope in slopes]
+        self._place = [list(dict.fromkeys(d.size for d in self.deviations)).index(d.size) for d in self.deviations]
+
+    def _arguments(self, values: Mapping[str, Value], crank: Vector) -> list[Value]:
+        return [*(values.get(name, self._pivots.get(name, 0.0)) for name in self._names), *crank]
+
+    def symbolic(self, values: Mapping[str, Value], crank: Vector) -> list[Any]:
+        """As symbols, of sizes and a direction of the crank that are symbols."""
+        made = casadi.Function("slopes", [casadi.vertcat(*self._inputs)], [casadi.vertcat(*self._outputs)])
+        found = made(casadi.vertcat(*self._arguments(values, crank)))
+        return [found[i] for i in self._place]
+
+    def numeric(self, values: Mapping[str, Value], crank: Vector) -> list[Array]:
+        """As arrays, of whatever shape the sizes and the direction of the crank broadcast to."""
+        if "tape" not in vars(self):
+            self.tape = Tape(self._inputs, self._outputs)
+        found = self.tape(*self._arguments(values, crank))
+        return [found[i] for i in self._place]
+
+
+class Judge:
+    """What the measure of a problem is of, on numpy arrays: the error, or with the scatter of a robust design."""
+
+    def __init__(self, problem: DesignProblem) -> None:
+        self.problem, self.robust = problem, problem.requirement.robust
+        self.slopes = None if self.robust is None else ErrorSlopes(problem)
+
+    def objective(self, values: Mapping[str, Value]) -> Array:
+        """The figure that is made least, at the design positions; for arrays of sizes with a last axis of one."""
+        law, measure = self.problem.law, self.problem.requirement.measure
+        parts = self.parts(values, law.offsets, law.tabulated)
+        if measure == "max":
+            return np.asarray(np.max(sizes_of(parts), axis=-1), dtype=float)
+        square = np.sum([np.sum(part * part, axis=-1) for part in parts], axis=0)
+        return np.asarray(np.sqrt(square / len(law.offsets)) if measure == "rms" else square, dtype=float)
+
+    def band(self, values: Mapping[str, Value], offsets: Array) -> tuple[Array, Array]:
+        """Lower and upper end [rad] of what the error counts as along the span; of an expected square, one standard deviation."""
+        source = self.problem.requirement.law
+        tabulated = source.at(offsets) if isinstance(source, Table) else np.zeros(len(offsets))
+        mean, *rest = parts = self.parts(values, offsets, tabulated)
+        if self.robust is not None and self.robust.text == EXPECTED:
+            sigma = np.sqrt(np.sum(np.square(rest), axis=0))
+            return mean - sigma, mean + sigma
+        return parts[-1], mean
+
+    def parts(self, values: Mapping[str, Value], offsets: Array, tabulated: Array) -> list[Array]:
+        """Residuals at crank rotations [rad] from the start (`optlink.problem.robust.residuals`), for arrays of sizes too."""
+        problem = self.problem
+        with np.errstate(all="ignore"):
+            start = problem.start_position(values)
+            error = output_error(problem, values, start, offsets, tabulated)
+            slopes = [] if self.slopes is None else self.slopes.numeric(values, turn(start.crank, unit(offsets)))
+            return residuals(self.robust, problem.deviations, error, slopes)

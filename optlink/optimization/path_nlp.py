@@ -1,0 +1,219 @@
+"""build_generation(problem, direction) -> NLP: path and motion generation as one scaled nonlinear programme.
+
+Its variables are the free quantities and, where the timing is free, the crank angle of every point.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.vector2d import Value, unit
+from optlink.optimization.constraints import DEGREES, PLAIN, Row, Scale, position_rows
+from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.nlp import NLP, Variable
+from optlink.optimization.objectives import Measure, measures
+from optlink.problem.function import EPIGRAPH
+from optlink.problem.limits import Reach
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.path import START, STEP, TURN, GenerationProblem
+from optlink.symbolic import tracing
+
+Array = NDArray[np.float64]
+
+GRID = 36  # crank angles at which a mechanism that is no four-bar is asked whether it closes
+ROAMING = 24  # further ones, which an exchange moves to where a limit is exceeded between them
+ROAMING_ROWS = "rows of the roaming positions"  # in a programme's cache: the first one, and how many belong to each position
+BETWEEN = 3  # positions between two points, where the crank need not turn fully
+EXACT = 1e-10  # of the size of the curve: a residual that leaves nothing to improve
+
+
+def measure_of(problem: GenerationProblem) -> Measure:
+    """The measure of the deviations."""
+    return measures(problem.unit, problem.width)[problem.measure]
+
+
+def angle_name(index: int) -> str:
+    """Name of the variable that is the crank angle of a point; points count from 1."""
+    return f"crank angle of point {index + 1}"
+
+
+def variable_of(problem: GenerationProblem, name: str) -> Variable:
+    """How a quantity is scaled: lengths by the size of the curve, coordinates on the frame from its centre."""
+    quantity = problem.quantities[name]
+    if quantity.kind not in ("length", "coordinate"):
+        return Variable(name, 1.0, DEGREES)
+    axis = name.rpartition(".")[2] if quantity.kind == "coordinate" else ""
+    origin = problem.centre["xy".index(axis)] if axis in ("x", "y") else 0.0
+    return Variable(name, problem.size, Scale("mm", 1e3 * problem.size, offset=1e3 * origin), origin)
+
+
+def positioned(problem: GenerationProblem) -> bool:
+    """Whether limits of single crank angles (`position_rows`) must hold: the extremes of a four-bar are known."""
+    return not isinstance(problem.mechanism, FourBarSection)
+
+
+def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
+    """Trace a problem into a nonlinear programme.
+
+    Parameters
+    ----------
+    problem : GenerationProblem
+        With definite assembly modes.
+    direction : int
+        Which way the crank turns from point to point where the timing is free: +1 counter-clockwise, -1 clockwise.
+
+    Returns
+    -------
+    NLP; its roaming positions are shares of the motion over which position limits must hold, see `required_motion`
+    """
+    size, share, free, data = problem.size, problem.whole, problem.free, problem.data
+    fixed = tuple(name for name in problem.quantities if name not in free)
+    own = data.offsets is None
+    count, measure = len(data.columns), measure_of(problem)
+    minimax = measure.name == "max"
+    variables = [variable_of(problem, name) for name in free]
+    if own:
+        variables += [Variable(angle_name(i), 1.0, DEGREES) for i in range(count)]
+    if minimax:
+        variables.append(Variable(EPIGRAPH, share, Scale("", share)))
+    constants = [variable_of(problem, name) for name in fixed]
+
+    x = casadi.SX.sym("x", len(variables))
+    many = ROAMING if positioned(problem) else 0
+    p = casadi.SX.sym("p", 1 + len(fixed) + many)
+    values: dict[str, Any] = {v.name: v.origin + v.size * x[i] for i, v in enumerate(variables[: len(free)])}
+    values |= {v.name: v.origin + v.size * p[1 + i] for i, v in enumerate(constants)}
+    if own:
+        angles: list[Any] = [x[len(free) + i] for i in range(count)]
+    else:
+        start: Any = values[START] if problem.timing == "from start" else 0.0
+        assert data.offsets is not None
+        angles = [start + offset for offset in data.offsets]
+        direction = 1 if data.offsets[-1] >= data.offsets[0] else -1
+    with tracing():
+        residual, at_angle = _traced(problem, values)
+        names = [values[name] for name in problem.quantities]
+        errors = [
+            residual(casadi.vertcat(*names, angle, *row)) * root
+            for angle, row, root in zip(angles, data.columns, data.roots, strict=True)
+        ]
+        span = angles[-1] - angles[0]
+        if problem.closed and own:
+            span = direction * TURN
+        rows = limit_rows(problem, values, Reach(angles[0], span, direction), size)
+        asked: list[Any] = []
+        if not positioned(problem):
+            pass  # the extremes of a four-bar are known
+        elif problem.limits.crank == "span":
+            asked = [a + (b - a) * (k / (BETWEEN + 1)) for a, b in itertools.pairwise(angles) for k in range(BETWEEN + 1)]
+            asked.append(angles[-1])
+        else:
+            asked = list(np.linspace(0.0, TURN, GRID, endpoint=False))
+        begin, whole = required_motion(problem, angles)
+        asked += [begin + whole * p[1 + len(fixed) + k] for k in range(many)]
+        first = len(rows) + (len(asked) - many) * len(at_angle[1])
+        for angle in asked:
+            found = at_angle[0](casadi.vertcat(*names, angle))
+            rows += [Row(r.limit, r.label, found[k], r.low, r.high, r.scale) for k, r in enumerate(at_angle[1])]
+        if own:
+            steps = [(b - a) * direction for a, b in itertools.pairwise(angles)]
+            rows += [
+                Row("requirement.points", f"order of points {i + 1} and {i + 2}", step, STEP, math.inf, DEGREES)
+                for i, step in enumerate(steps)
+            ]
+            passed = (angles[-1] - angles[0]) * direction
+            most = TURN - (0.0 if problem.meets_again else STEP)
+            rows.append(Row("requirement.points", "points within one revolution", passed, -math.inf, most, DEGREES))
+        for i, (error, tolerance) in enumerate(zip(errors, data.tolerances, strict=True)):
+            if math.isfinite(tolerance):
+                square = casadi.sumsqr(error[:2]) / (data.roots[i] * size) ** 2
+                label = f"tolerance of point {i + 1}, squared share of the curve's size"
+                rows.append(Row("requirement.points", label, square, -math.inf, (tolerance / size) ** 2, PLAIN))
+            if minimax:
+                largest = (x[-1] * x[-1] - casadi.sumsqr(error) / share**2) / (p[0] * p[0])
+                rows.append(Row(EPIGRAPH, f"deviation at point {i + 1}", largest, 0.0, math.inf, PLAIN))
+        vector = casadi.vertcat(*errors)
+        f = x[-1] if minimax else casadi.sumsqr(vector) / (share**2 * (count if measure.name == "rms" else 1))
+        g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
+
+    quantities = [problem.quantities[name] for name in free]
+    between = (np.arange(ROAMING) + 0.5) / ROAMING  # half-way between two positions of the grid, until they are moved
+    low = [(q.bounds[0] - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
+    high = [(q.bounds[1] - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
+    begin = [(q.value - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
+    if own:
+        low, high = [*low, *[-4.0 * math.pi] * count], [*high, *[4.0 * math.pi] * count]
+        begin = [*begin, *(direction * TURN / count * np.arange(count))]
+    if minimax:
+        low, high, begin = [*low, 0.0], [*high, math.inf], [*begin, 1.0]
+    helpers = {EPIGRAPH, *(angle_name(i) for i in range(count if own else 0))}
+    return NLP(
+        variables=tuple(variables),
+        fixed=fixed,
+        rows=tuple(rows),
+        measure=measure,
+        x_start=np.array(begin),
+        x_low=np.array(low),
+        x_high=np.array(high),
+        p=np.array([1.0, *((problem.quantities[v.name].value - v.origin) / v.size for v in constants), *between[:many]]),
+        x_symbol=x,
+        p_symbol=p,
+        f_expression=f / p[0],
+        g_expression=g,
+        residual_expression=vector,
+        exact=EXACT * share,
+        factor=share if minimax else share**2,
+        helpers=frozenset(helpers),
+        cache={ROAMING_ROWS: (first, len(at_angle[1]))},
+        constants=tuple(constants),
+    )
+
+
+def required_motion(problem: GenerationProblem, angles: Any) -> tuple[Any, Any]:
+    """Crank angle [rad] at which the motion begins over which position limits must hold, and the rotation from there."""
+    return (angles[0], angles[-1] - angles[0]) if problem.limits.crank == "span" else (0.0, TURN)
+
+
+def excesses(problem: GenerationProblem, values: Mapping[str, Value], angles: Array) -> Array:
+    """By how much every position limit is exceeded, in the rows' own units: negative where it holds, -inf where it has no value.
+
+    Parameters
+    ----------
+    values : mapping of every quantity [m, rad]
+        Each a number, or (designs, 1) for many designs.
+    angles : (n,) or (designs, n) float
+        Crank angles [rad].
+
+    Returns
+    -------
+    (rows, n) or (rows, designs, n) float; what does not close is exceeded by the row of its assembly margin
+    """
+    with np.errstate(all="ignore"):
+        rows = position_rows(problem, problem.linkage.pose(values, unit(angles)))
+        over = [np.maximum(row.low - row.value, row.value - row.high) for row in rows]
+        found = np.array(np.broadcast_arrays(*over, angles)[:-1])
+    return np.where(np.isfinite(found), found, -np.inf)
+
+
+def _traced(problem: GenerationProblem, values: dict[str, Any]) -> tuple[Any, tuple[Any, list[Row]]]:
+    """The residual and the limits at one crank angle, traced once (numpy's dispatch is paid once) for many to be put in."""
+    names, width = list(problem.quantities), problem.data.columns.shape[1]
+    inputs = casadi.SX.sym("inputs", len(names) + 1 + width)
+    own = {name: inputs[i] for i, name in enumerate(names)}
+    pose = problem.linkage.pose(own, unit(inputs[len(names)]))
+    wanted = tuple(inputs[len(names) + 1 + k] for k in range(width))
+    residual = casadi.Function("residual", [inputs], [casadi.vertcat(*problem.deviation(pose, own, wanted))])
+    rows = position_rows(problem, pose)
+    cut = inputs[: len(names) + 1]
+    limits = casadi.Function("limits", [cut], [casadi.vertcat(*[row.value for row in rows])])
+    return residual, (limits, rows)
+
+
+__all__ = ["angle_name", "build_generation", "excesses", "measure_of", "required_motion", "variable_of"]

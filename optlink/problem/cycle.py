@@ -1,0 +1,144 @@
+"""CycleProblem: a machine whose free sizes are chosen by what happens over its cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from pydantic import ConfigDict, Field
+
+from optlink.dynamics.inertia import Inertia
+from optlink.linkage.vector2d import Value
+from optlink.problem.base_model import Name
+from optlink.problem.cycle_terms import Goal, Limit, Objective, Term, check_term, read_figure
+from optlink.problem.limits import Alignment
+from optlink.problem.machine.model import Problem
+from optlink.problem.mechanism import check_one_mode, sizes_of
+from optlink.problem.quantity import Interval, Unusable
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A limit with its name in the file and its bounds [SI]."""
+
+    name: str
+    term: Limit
+    interval: Interval
+
+    @property
+    def key(self) -> str:
+        """Its key in the problem file."""
+        return f"limits.{self.name}"
+
+
+class CycleLimits(Alignment):
+    """Limits under names of the user's choice, beside those that every design problem has."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[Name, Limit] = Field(init=False)
+
+    @property
+    def named(self) -> dict[str, Limit]:
+        """The limits of the user by their names."""
+        return dict(self.__pydantic_extra__ or {})
+
+
+class CycleProblem(Problem):
+    """A problem file with an objective over the cycle: what `solve` takes. Immutable."""
+
+    objective: Objective
+    """What is minimised over the cycle."""
+    limits: CycleLimits = CycleLimits()
+    """Terms of the cycle that must stay within bounds, each under a name of your choice, and how far the mechanism keeps from
+    positions where it locks."""
+
+    @cached_property
+    def goals(self) -> tuple[Goal, ...]:
+        """The terms of the objective."""
+        return self.objective.goals
+
+    @cached_property
+    def bounds(self) -> tuple[Bound, ...]:
+        """The limits with their bounds."""
+        found = []
+        for name, limit in self.limits.named.items():
+            try:
+                found.append(Bound(name, limit, limit.interval(self.linkage, self.quantities)))
+            except Unusable as error:
+                error.key = f"limits.{name}.{error.key}"
+                raise
+        return tuple(found)
+
+    @cached_property
+    def scales(self) -> tuple[float | None, ...]:
+        """What counts as one of each goal [SI]; None where the file does not say."""
+        return tuple(None if goal.scale is None else read_figure(goal.scale, self.kind(goal), "scale")[0] for goal in self.goals)
+
+    @property
+    def unit_kind(self) -> str:
+        """Physical kind of the objective; empty for a weighted sum, which is a plain number."""
+        return self.kind(self.goals[0]) if self.single else ""
+
+    @property
+    def single(self) -> bool:
+        """Whether the objective is one term, in its own unit."""
+        return not self.objective.terms
+
+    def kind(self, term: Term) -> str:
+        """Physical kind of a term."""
+        if term.quantity == "length":
+            return self.quantities[str(term.of)].kind
+        return term.kind(self.linkage)
+
+    def inertias(self, values: Mapping[str, Value]) -> dict[str, Inertia]:
+        """Mass properties of all bodies for sizes that may be symbols [SI]: centroids and bars follow the lengths."""
+        sizes = {**sizes_of(self.mechanism.quantities), **values}
+        return {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
+
+
+def cross_check_cycle(problem: CycleProblem) -> None:
+    """Find what no single key shows.
+
+    Raises
+    ------
+    Unusable
+        with the full key that is to blame.
+    """
+    check_one_mode(problem.mechanism)
+    mechanism = problem.linkage
+    if problem.drive.speed.value == 0.0:
+        raise Unusable("the crank stands still", "Give the constant speed of the cycle", "drive.speed", str(problem.drive.speed))
+    for k, goal in enumerate(problem.goals):
+        place = "objective" if problem.single else f"objective.terms.{k}"
+        try:
+            check_term(goal, mechanism, problem.quantities)
+            if goal.scale is not None and read_figure(goal.scale, problem.kind(goal), "scale")[0] <= 0.0:
+                raise Unusable("a scale is positive", "Give one above zero", "scale", goal.scale)
+        except Unusable as error:
+            error.key = f"{place}.{error.key}"
+            raise
+    for name, limit in problem.limits.named.items():
+        try:
+            check_term(limit, mechanism, problem.quantities)
+        except Unusable as error:
+            error.key = f"limits.{name}.{error.key}"
+            raise
+    _ = problem.bounds
+    if problem.mechanism.friction and any(_forced(term) for term in (*problem.goals, *problem.limits.named.values())):
+        guide = next(iter(problem.mechanism.friction))
+        raise Unusable(
+            "where a normal force changes its sign friction has a corner that no derivative sees",
+            "Leave the friction out of the design and `optlink analyze` its result with it",
+            f"mechanism.guides.{guide}.friction",
+            problem.mechanism.friction[guide],
+        )
+    if not problem.bodies and not problem.loads and any(_forced(goal) for goal in problem.goals):
+        raise Unusable("no masses and no loads are given, so there are no forces", "Add [bodies] or [loads]", "objective")
+
+
+def _forced(term: Term) -> bool:
+    return term.nature.kind in ("torque", "force", "energy")
+
+
+__all__ = ["Bound", "CycleProblem", "cross_check_cycle", "replace"]

@@ -1,0 +1,430 @@
+"""Terms over the cycle of a machine, each to be minimised or limited: torque, forces, motion, strokes, work, sizes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Self, get_args
+
+from pydantic import model_validator
+
+from optlink.linkage.dyad_types import RRP, RRR
+from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.problem.base_model import Section
+from optlink.problem.quantity import (
+    STROKES,
+    FixedAngle,
+    Interval,
+    Number,
+    Quantity,
+    Unusable,
+    check_time_ratio,
+    nearest,
+    read_scalar,
+)
+
+Measure = Literal["peak", "rms", "mean", "largest", "least"]
+What = Literal[
+    "torque",
+    "reaction",
+    "guide force",
+    "guide moment",
+    "shaking force",
+    "shaking moment",
+    "velocity",
+    "acceleration",
+    "transmission angle",
+    "slide",
+    "lever arm",
+    "stroke",
+    "end",
+    "time ratio",
+    "work",
+    "length",
+]
+EXTREME = ("peak", "largest", "least")
+"""Measures that a single position decides: as many rows as positions, rather than one figure."""
+
+
+@dataclass(frozen=True)
+class Nature:
+    """What a quantity is: its physical kind ("" for a plain number), the measures that it has, and what `of` must name.
+
+    `vector`: it has two components and only its size counts; `cyclic`: it has a value at every crank angle.
+    """
+
+    kind: str
+    measures: tuple[str, ...]
+    of: str
+    vector: bool = False
+    cyclic: bool = True
+
+
+_SIGNED = ("peak", "rms", "mean", "largest", "least")
+NATURES: dict[str, Nature] = {
+    "torque": Nature("torque", _SIGNED, ""),
+    "reaction": Nature("force", ("peak", "rms"), "pin joint", vector=True),
+    "guide force": Nature("force", _SIGNED, "guide"),
+    "guide moment": Nature("torque", _SIGNED, "guide"),
+    "shaking force": Nature("force", ("peak", "rms"), "", vector=True),
+    "shaking moment": Nature("torque", _SIGNED, ""),
+    "velocity": Nature("velocity", ("peak", "rms"), "moving point", vector=True),
+    "acceleration": Nature("acceleration", ("peak", "rms"), "moving point", vector=True),
+    "transmission angle": Nature("angle", ("least", "largest"), "joint of two links, or of a link and a slider"),
+    "slide": Nature("coordinate", ("least", "largest"), "guide"),
+    "lever arm": Nature("length", ("peak", "rms"), "guide"),
+    "stroke": Nature("length", (), "slider, body or point", cyclic=False),
+    "end": Nature("coordinate", (), "slider or point", cyclic=False),
+    "time ratio": Nature("", (), "slider, body or point", cyclic=False),
+    "work": Nature("energy", (), "slider", cyclic=False),
+    "length": Nature("coordinate", (), "size", cyclic=False),
+}
+STATIC = ("torque", "reaction", "guide force", "guide moment")
+"""Quantities that can be asked for without the inertia of the bodies."""
+
+
+class Term(Section):
+    """A figure of the cycle: a quantity, where it is taken, and how its course becomes one figure."""
+
+    quantity: What
+    """What is meant."""
+    of: str | None = None
+    """Where it is taken: the name of a pin, guide, slider, body, point or size, whichever the quantity asks for."""
+    on: str | None = None
+    """Of a reaction: the body on which it acts."""
+    measure: Measure | None = None
+    """How the course over the cycle becomes one figure; left out: the first that the quantity has."""
+    static: bool = False
+    """Leave the inertia of the bodies out; weights and loads stay."""
+    direction: FixedAngle | None = None
+    """Of the stroke of a point: along what, from +x."""
+    stroke: Literal["forward", "backward", "slow", "quick"] | None = None
+    """Of an end, and of the work of a slider: in which stroke, forward or backward. Of a time ratio: the stroke whose time is
+    divided by that of the other; left out: the slow one."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        check_shape(self)
+        return self
+
+    @property
+    def nature(self) -> Nature:
+        """What the quantity is."""
+        return NATURES[self.quantity]
+
+    @property
+    def how(self) -> str:
+        """The measure, the usual one where the file says none; empty for what is one figure."""
+        return (self.measure or self.nature.measures[0]) if self.nature.cyclic else ""
+
+    @property
+    def extreme(self) -> bool:
+        """Whether a single position decides it."""
+        return self.how in EXTREME
+
+    @property
+    def integral(self) -> bool:
+        """Whether it is an integral over the cycle."""
+        return self.how in ("rms", "mean") or self.quantity == "work"
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is told from where the strokes of an output end."""
+        return self.quantity in ("stroke", "end", "time ratio") or self.stroke is not None
+
+    @property
+    def by_pace(self) -> bool:
+        """Whether the sizes decide in which direction its stroke is: a time ratio of the slow or the quick stroke."""
+        return self.quantity == "time ratio" and self.stroke in (None, "slow", "quick")
+
+    @property
+    def words(self) -> str:
+        """The term as people call it."""
+        measure = {"": "", "rms": "RMS "}.get(self.how, f"{self.how} ")
+        words = f"{measure}{'static ' if self.static else ''}{self.quantity}"
+        if self.quantity == "work":
+            return words + (f" in the {self.stroke} stroke of {self.of}" if self.of else " per revolution")
+        if self.quantity == "end":
+            along = f" along {self.direction}" if self.direction is not None else ""
+            return f"end of the {self.stroke} stroke of {self.of}{along}"
+        if self.quantity == "length":
+            return str(self.of)
+        where = {"reaction": "at", "transmission angle": "at", "guide force": "in", "guide moment": "in", "slide": "in"}
+        words += f" {where.get(self.quantity, 'of')} {self.of}" if self.of else ""
+        words += f" on {self.on}" if self.on else ""
+        words += f", {self.stroke} over {STROKES[self.stroke]}" if self.quantity == "time ratio" and self.stroke else ""
+        return words + (f" along {self.direction}" if self.direction is not None else "")
+
+    def kind(self, mechanism: Mechanism) -> str:
+        """Physical kind: the stroke of a body that turns is an angle, a size of the file may be an angle."""
+        if self.quantity == "stroke" and output_of(self, mechanism)[0] == "body":
+            return "angle"
+        return self.nature.kind
+
+
+def check_shape(term: Term) -> None:
+    """Whether the keys of a term go together.
+
+    Raises
+    ------
+    Unusable
+        naming the key below the term.
+    """
+    nature, what = term.nature, term.quantity
+    if term.measure is not None and not nature.cyclic:
+        raise Unusable(f"{_a(what)} is one figure, it has no measure", "Leave it out", "measure", term.measure)
+    if term.measure is None and nature.cyclic and len(nature.measures) > 1 and nature.measures[0] != "peak":
+        raise Unusable(f"which {what}", f'Add measure = "{nature.measures[0]}" or "{nature.measures[1]}"', "measure")
+    if term.measure is not None and term.measure not in nature.measures:
+        raise Unusable(f"not a measure of {_a(what)}", nearest(term.measure, nature.measures), "measure", term.measure)
+    if nature.of and term.of is None and what != "work":
+        raise Unusable(f"of which {nature.of}", 'Add of = "..."', "of")
+    if not nature.of and term.of is not None:
+        raise Unusable(f"the {what} is that of the whole machine", "Leave it out", "of", term.of)
+    if term.on is not None and what != "reaction":
+        raise Unusable("only a reaction acts on a body", "Leave it out", "on", term.on)
+    if term.static and what not in STATIC:
+        raise Unusable(f"{_a(what)} has no static part", f"Leave it out; only {', '.join(STATIC)} have one", "static")
+    if term.stroke is not None and what not in ("end", "time ratio") and (what != "work" or term.of is None):
+        message = "only an end, a time ratio, and the work during a stroke of a slider have one"
+        raise Unusable(message, 'Write quantity = "work" and of', "stroke")
+    if term.stroke in ("slow", "quick") and what != "time ratio":
+        raise Unusable(f"{_a(what)} has its stroke by direction", 'Write "forward" or "backward"', "stroke", term.stroke)
+    if (what == "end" or (what == "work" and term.of is not None)) and term.stroke is None:
+        raise Unusable("which stroke", 'Add stroke = "forward" or "backward"', "stroke")
+
+
+class Goal(Term):
+    """A term of the objective: weight * value / scale."""
+
+    weight: Number = 1.0
+    """How much the term counts, positive."""
+    scale: Any = None
+    """What counts as one, a quantity of the term's own kind; required where several terms are added."""
+    sense: Literal["minimise", "maximise"] = "minimise"
+    """Whether it shall be small or large."""
+
+    @model_validator(mode="after")
+    def _one_sided(self) -> Self:
+        check_sense(self)
+        if self.weight <= 0.0:
+            raise Unusable("a weight is positive", 'Give one above zero; what shall be large has sense = "maximise"', "weight")
+        return self
+
+
+class Objective(Section):
+    """What is minimised: one term, or a weighted sum of several under `terms`."""
+
+    quantity: What | None = None
+    """What is minimised."""
+    of: str | None = None
+    """Where it is taken: the name of a pin, guide, slider, body, point or size, whichever the quantity asks for."""
+    on: str | None = None
+    """Of a reaction: the body on which it acts."""
+    measure: Measure | None = None
+    """How the course over the cycle becomes one figure; left out: the first that the quantity has."""
+    static: bool = False
+    """Leave the inertia of the bodies out; weights and loads stay."""
+    direction: FixedAngle | None = None
+    """Of the stroke of a point: along what, from +x."""
+    stroke: Literal["forward", "backward", "slow", "quick"] | None = None
+    """Of an end, and of the work of a slider: in which stroke, forward or backward. Of a time ratio: the stroke whose time is
+    divided by that of the other; left out: the slow one."""
+    sense: Literal["minimise", "maximise"] = "minimise"
+    """Whether it shall be small or large."""
+    terms: tuple[Goal, ...] = ()
+    """In place of all the keys above: the terms of a weighted sum."""
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        own = [key for key in type(self).model_fields if key != "terms" and key in self.model_fields_set]
+        if self.terms and own:
+            raise Unusable("the objective is one term or a sum of terms", "Put all of them under [[objective.terms]]", own[0])
+        if not self.terms and self.quantity is None:
+            raise Unusable(
+                "nothing is to be minimised", f'Add quantity = "torque"; known: {", ".join(get_args(What))}', "quantity"
+            )
+        if not self.terms:
+            _ = self.goals  # its own checks
+        for k, goal in enumerate(self.terms):
+            if goal.scale is None and len(self.terms) > 1:
+                raise Unusable(
+                    "terms of different units are added", 'Say what counts as much: scale = "1000 N"', f"terms.{k}.scale"
+                )
+        return self
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """The terms of the sum."""
+        if self.terms:
+            return self.terms
+        stated = {key: getattr(self, key) for key in type(self).model_fields if key != "terms"}
+        goal = Goal.model_construct(weight=1.0, scale=None, **stated)
+        check_shape(goal)
+        check_sense(goal)
+        return (goal,)
+
+
+def check_sense(goal: Goal) -> None:
+    """The largest value can only be made smaller, the least one only larger.
+
+    Raises
+    ------
+    Unusable
+        where the other is asked for: a peak that is raised at one position says nothing of the others.
+    """
+    wanted = {"peak": "minimise", "largest": "minimise", "least": "maximise"}.get(goal.how)
+    if wanted is not None and goal.sense != wanted:
+        raise Unusable(
+            f"the {goal.how} value over the cycle can only be {wanted}d", f'Write sense = "{wanted}"', "sense", goal.sense
+        )
+
+
+class Limit(Term):
+    """A term that must stay within bounds: `min`, `max` or both, or `exactly` a value."""
+
+    min: Any = None
+    """At least this, a quantity of the term's own kind."""
+    max: Any = None
+    """At most this."""
+    exactly: Any = None
+    """In place of both: this."""
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if self.min is None and self.max is None and self.exactly is None:
+            raise Unusable("the limit limits nothing", f"Add max = {self._example}, min or exactly", "max")
+        if self.exactly is not None and (self.min is not None or self.max is not None):
+            raise Unusable("exactly leaves no room for min and max", "Give the one or the others", "exactly", self.exactly)
+        if self.extreme:
+            wrong = {"least": "max"}.get(self.how, "min")
+            for key in (wrong, "exactly"):
+                if getattr(self, key) is not None:
+                    right = "min" if wrong == "max" else "max"
+                    raise Unusable(
+                        f"the {self.how} value over the cycle can only be limited by {right}",
+                        f"Write {right}",
+                        key,
+                        getattr(self, key),
+                    )
+        return self
+
+    @property
+    def _example(self) -> str:
+        from optlink.units import KINDS
+
+        return f'"{KINDS[self.nature.kind].example}"' if self.nature.kind else "1.8"
+
+    def interval(self, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> Interval:
+        """Bounds [SI].
+
+        Raises
+        ------
+        Unusable
+            naming the key below the limit.
+        """
+        named = quantities.get(str(self.of)) if self.quantity == "length" else None
+        kind = self.kind(mechanism) if named is None else named.kind
+        found: dict[str, tuple[float, str]] = {}
+        for key in ("min", "max", "exactly"):
+            if getattr(self, key) is not None:
+                found[key] = read_figure(getattr(self, key), kind, key)
+        low, high = (found.get(key, found.get("exactly")) for key in ("min", "max"))
+        if low and high and low[0] > high[0]:
+            raise Unusable("min is above max", "Exchange them", "min", self.min)
+        for key, (value, _) in found.items():
+            if self.how == "peak" and value <= 0.0:
+                raise Unusable("the largest size over the cycle is positive", "Give a limit above zero", key, getattr(self, key))
+            if self.quantity == "time ratio":
+                check_time_ratio(self.stroke, value, key)
+            if self.quantity == "transmission angle" and not 0.0 < value < math.pi:
+                raise Unusable("out of range", 'Give an angle between 0 and 180 deg, for example "45 deg"', key, str(value))
+        first = next(iter(found.values()))
+        return Interval(low[0] if low else None, high[0] if high else None, kind or None, first[1])
+
+
+def read_figure(raw: object, kind: str, key: str) -> tuple[float, str]:
+    """A value in SI and its unit as written; a plain number where the kind is empty."""
+    if kind:
+        return read_scalar(raw, kind, key)
+    if isinstance(raw, bool) or not isinstance(raw, int | float) or not math.isfinite(raw):
+        raise Unusable("expected a plain number", "Write a number without a unit, for example 1.8", key, raw)
+    return float(raw), ""
+
+
+def _a(words: str) -> str:
+    return f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
+
+
+# --- what `of` names ---------------------------------------------------------------------------------------------------
+
+
+def guide_of(name: str, mechanism: Mechanism) -> str | None:
+    """The guide of that name, or the only one in which a body of that name slides."""
+    if any(guide.name == name for guide in mechanism.guides):
+        return name
+    own = [guide.name for guide in mechanism.guides if guide.slider == name]
+    return own[0] if len(own) == 1 else None
+
+
+def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
+    """Whose stroke is meant: ("guide" | "body" | "point", name).
+
+    Raises
+    ------
+    Unusable
+        naming the key below the term.
+    """
+    name = str(term.of)
+    points = [point for point, bodies in mechanism.owners.items() if FRAME not in bodies]
+    if name in points:
+        if term.direction is None:
+            raise Unusable("a point moves in the plane", 'Say along what: direction = "0 deg"', "direction")
+        return "point", name
+    if term.direction is not None:
+        raise Unusable("only the stroke of a point has a direction", "Leave it out", "direction", str(term.direction))
+    guide = guide_of(name, mechanism)
+    if guide is not None:
+        return "guide", guide
+    if name in mechanism.bodies:
+        return "body", name
+    known = [*mechanism.bodies, *(g.name for g in mechanism.guides), *points]
+    raise Unusable("no such slider, body or point", nearest(name, known), "of", term.of)
+
+
+def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> None:
+    """Whether what a term names exists.
+
+    Raises
+    ------
+    Unusable
+        naming the key below the term.
+    """
+    what, name = term.quantity, str(term.of)
+    if what in ("stroke", "end", "time ratio"):
+        kind, body = output_of(term, mechanism)
+        if kind == "body" and (what == "end" or body == mechanism.crank.body):
+            message = f"{body} turns, its end has no place" if what == "end" else f"{body} turns fully, it has no stroke"
+            raise Unusable(message, "Name a slider or a point", "of", term.of)
+    elif term.direction is not None:
+        raise Unusable("only the stroke of a point has a direction", "Leave it out", "direction", str(term.direction))
+    if what == "reaction":
+        if name not in mechanism.pins:
+            raise Unusable("no such pin joint", nearest(name, mechanism.pins), "of", term.of)
+        if term.on is not None and term.on not in mechanism.pins[name]:
+            raise Unusable("the joint is not one of that body", nearest(term.on, mechanism.pins[name]), "on", term.on)
+    if what in ("guide force", "guide moment", "slide", "lever arm") or (what == "work" and term.of is not None):
+        guides = [guide.name for guide in mechanism.guides]
+        if guide_of(name, mechanism) is None:
+            raise Unusable("no such guide", nearest(name, guides) if guides else "This machine has none", "of", term.of)
+    if what in ("velocity", "acceleration"):
+        points = [point for point, bodies in mechanism.owners.items() if FRAME not in bodies]
+        if name not in points:
+            raise Unusable("no moving body has such a point", nearest(name, points), "of", term.of)
+    if what == "transmission angle":
+        joints = [group.joint for group in mechanism.groups if isinstance(group, RRR | RRP)]
+        if name not in joints:
+            raise Unusable("no group has its transmission angle there", nearest(name, joints), "of", term.of)
+    if what == "length" and name not in quantities:
+        raise Unusable("no such size", nearest(name, quantities), "of", term.of)

@@ -1,0 +1,475 @@
+"""Problem files: TOML to DesignProblem and back, shipped problems, `--set` overrides; every fault named with file and key."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pydantic
+
+from optlink.errors import Fault, InputError, shown
+from optlink.problem.cycle import CycleLimits, CycleProblem, cross_check_cycle
+from optlink.problem.cycle_terms import Limit
+from optlink.problem.function import DesignProblem, cross_check_design
+from optlink.problem.limits import MARGINS, Alignment
+from optlink.problem.machine.model import Problem, cross_check
+from optlink.problem.path import GenerationProblem
+from optlink.problem.path_checks import FOUR_BAR_LIMITS, cross_check_generation, foreign
+from optlink.problem.quantity import Unusable, nearest
+from optlink.problem.tolerances import assigned
+
+MAX_BYTES = 1_000_000
+GENERATED = ("path", "motion", "transmission")
+SIDES = ("min", "max")
+
+
+@dataclass(frozen=True)
+class ProblemFile:
+    """A problem with where it came from.
+
+    `name` and `file` for people, `raw` as written (overrides applied), `model` read and checked.
+    """
+
+    name: str
+    file: str
+    folder: Path
+    raw: Mapping[str, Any]
+    model: Problem
+
+    @property
+    def spec(self) -> DesignProblem:
+        """The model of a problem that states a requirement.
+
+        Raises
+        ------
+        InputError
+            when it states none: there is nothing to solve.
+        """
+        if isinstance(self.model, DesignProblem):
+            return self.model
+        remedy = "Add one, or use `optlink analyze`, `study sweep --analyze`, `study sensitivity --output NAME`"
+        raise InputError(Fault("the problem has no [requirement], so there is nothing to solve", remedy, self.file))
+
+    @property
+    def generated(self) -> bool:
+        """Whether points or poses are wanted: a problem for `optlink.tasks.path`."""
+        return isinstance(self.model, GenerationProblem)
+
+    @property
+    def machined(self) -> bool:
+        """Whether a machine is to be designed by its cycle: a problem for `optlink.tasks.cycle`."""
+        return isinstance(self.model, CycleProblem)
+
+    @property
+    def kind(self) -> str:
+        """The type of the linkage, and what is asked of it."""
+        asked = "cycle design" if self.machined else "analysis" if self.model.balance is None else "balancing"
+        if isinstance(self.model, DesignProblem | GenerationProblem):
+            asked = f"{self.model.requirement.kind} design"
+        return f"{self.model.mechanism.type}, {asked}"
+
+    @property
+    def hash(self) -> str:
+        """Sixteen hexadecimal digits that change with anything that can change the answer."""
+        task = getattr(self.model, "requirement", None)
+        law = getattr(task, "law", getattr(task, "points", None))
+        read = [repr(part) for part in (self.model.loads, self.model.drive)] if self._tabled else []  # from files beside this
+        read += [repr(deviation.values) for deviation in self.model.deviations if deviation.values]
+        stated = _stated({key: value for key, value in self.raw.items() if key not in _WORDS})
+        text = json.dumps([stated, repr(law), *read], sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @property
+    def _tabled(self) -> bool:
+        return "csv" in json.dumps([self.raw.get("loads"), self.raw.get("drive")], default=str)
+
+    def override(self, changes: Mapping[str, object]) -> ProblemFile:
+        """The same problem with other values: {"mechanism.frame": "480 mm"}; None takes a key away.
+
+        One side of a range has a key too: "limits.transmission_angle.max", "mechanism.coupler.min".
+
+        `[expected]` is dropped when something that it depends on changes.
+        """
+        raw = copy.deepcopy(dict(self.raw))
+        for key, value in changes.items():
+            _assign(raw, key, value, self.file)
+        if any(key.split(".")[0] not in ("expected", *_WORDS) for key in changes):
+            raw.pop("expected", None)
+        return read(raw, self.name, self.file, self.folder)
+
+
+_WORDS = ("title", "source", "about", "expected")
+
+
+def _stated(raw: dict[str, Any]) -> dict[str, Any]:
+    """Without limits that say what holds by default anyhow."""
+    limits = raw.get("limits")
+    if not isinstance(limits, dict) or not any(limits.get(key) == value for key, value in MARGINS.items()):
+        return raw
+    own = {key: value for key, value in limits.items() if key not in MARGINS or value != MARGINS[key]}
+    return {key: value for key, value in {**raw, "limits": own}.items() if key != "limits" or value}
+
+
+def problems_folder() -> Path:
+    """Where the shipped problems are: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parent.parent
+    inside = package / "problems"
+    return inside if inside.is_dir() else package.parent / "problems"
+
+
+def shipped() -> dict[str, Path]:
+    """Names of the shipped problems and their files."""
+    return {path.stem: path for path in sorted(problems_folder().glob("*.toml"))}
+
+
+def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> ProblemFile:
+    """Load a shipped problem by its name, or a problem file by its path.
+
+    Parameters
+    ----------
+    problem : str or Path
+        "crank-rocker", or "my/problem.toml".
+    overrides : mapping of dotted key to value, applied before checking
+
+    Raises
+    ------
+    InputError
+        whatever is wrong with the file or the overrides.
+    """
+    text = str(problem)
+    names = shipped()
+    if text in names:
+        path, name = names[text], text
+    else:
+        path = Path(text)
+        name = path.stem
+        if not text.endswith(".toml") and not os.path.exists(text):  # false, no error, for a name that is too long
+            raise InputError(
+                Fault("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
+            )
+    raw = _read_toml(path)
+    if overrides:
+        for key, value in overrides.items():
+            _assign(raw, key, value, path.name if text in names else text)
+        if any(key.split(".")[0] not in ("expected", *_WORDS) for key in overrides):
+            raw.pop("expected", None)
+    return read(raw, name, path.name if text in names else text, path.parent)
+
+
+def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", folder: Path | None = None) -> ProblemFile:
+    """Check a problem given as nested tables (the content of a TOML file).
+
+    Raises
+    ------
+    InputError
+        with one fault per thing to mend.
+    """
+    where = folder or Path()
+    _check_integers(raw, file)
+    raw = _typed(raw)
+    task = raw.get("requirement")
+    dyads = _dyads(raw)
+    output = dyads and isinstance(task, dict) and isinstance(task.get("law"), dict) and "function" in task["law"]
+    kinds = ("function", *GENERATED)
+    if isinstance(task, dict) and task.get("kind", "function") not in kinds:
+        raise InputError(Fault("unknown kind", nearest(str(task["kind"]), kinds), file, "requirement.kind", task["kind"]))
+    generation = isinstance(task, dict) and (task.get("kind") in GENERATED or output)
+    if "requirement" in raw and not generation and dyads:
+        remedy = 'Use type = "four-bar", or leave the section out and `optlink analyze` it'
+        raise InputError(Fault("a motion law is designed for a four-bar only", remedy, file, "requirement"))
+    model: type[Problem] = DesignProblem if "requirement" in raw or "limits" in raw else Problem
+    if generation:
+        model = GenerationProblem
+    if "objective" in raw and "requirement" not in raw:
+        model = CycleProblem
+    if generation and isinstance(task, dict) and "robust" in task:
+        remedy = "Leave it out; `optlink study tolerance` judges any design"
+        fault = Fault("a robust design is found for motion laws of a four-bar only", remedy, file, "requirement.robust")
+        raise InputError(fault)
+    try:
+        problem = model.model_validate(raw, context={"folder": where})
+    except pydantic.ValidationError as error:
+        raise InputError(list(_faults(error, model, raw, file))) from None
+    try:
+        if isinstance(problem, DesignProblem):
+            cross_check_design(problem)
+        if isinstance(problem, GenerationProblem):
+            cross_check_generation(problem)
+        if isinstance(problem, CycleProblem):
+            cross_check_cycle(problem)
+        cross_check(problem)
+    except Unusable as error:
+        raise InputError(Fault(error.message, error.remedy, file, error.key, error.value)) from None
+    return ProblemFile(name, file, where, raw, problem)
+
+
+def _check_integers(raw: Mapping[str, Any], file: str) -> None:
+    """Refuse integers beyond the 64 bits of TOML, wherever they stand: no float holds them."""
+    todo: list[tuple[str, object]] = [("", raw)]
+    while todo:
+        key, value = todo.pop()
+        if isinstance(value, int) and value.bit_length() > 64:
+            raise InputError(Fault("the number is too large", "Write a number of at most 19 digits", file, key, value))
+        if isinstance(value, Mapping):
+            todo += [(f"{key}.{name}" if key else str(name), item) for name, item in value.items()]
+        elif isinstance(value, list | tuple):
+            todo += [(f"{key}[{place}]", item) for place, item in enumerate(value)]
+
+
+def _dyads(raw: Mapping[str, Any]) -> bool:
+    """Whether the linkage is stated as links and guides."""
+    return isinstance(raw.get("mechanism"), dict) and raw["mechanism"].get("type") == "dyads"
+
+
+def _typed(raw: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A mechanism without a type is a four-bar, unless it has links."""
+    mechanism = raw.get("mechanism")
+    if isinstance(mechanism, dict) and "type" not in mechanism:
+        kind = "dyads" if {"links", "ground", "guides"} & set(mechanism) else "four-bar"
+        return {**raw, "mechanism": {"type": kind, **mechanism}}
+    return raw
+
+
+def dump(problem: ProblemFile) -> str:
+    """The problem as TOML text that `load` reads back."""
+    import tomli_w
+
+    return tomli_w.dumps(problem.raw)
+
+
+def complete(problem: ProblemFile) -> dict[str, Any]:
+    """The problem as nested tables, with the limits that hold by default."""
+    raw = copy.deepcopy(dict(problem.raw))
+    limits = getattr(problem.model, "limits", None)
+    if isinstance(limits, Alignment):
+        four_bar = not _dyads(problem.raw)
+        held = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in FOUR_BAR_LIMITS)}
+        own = {key: value for key, value in MARGINS.items() if key in held}
+        raw["limits"] = {**own, **raw.get("limits", {})}
+    return raw
+
+
+def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
+    """Split KEY=VALUE; the value is read as TOML, or as plain text if it is not TOML (so that quotes may be left out).
+
+    Raises
+    ------
+    InputError
+        when there is no "=" or no key, or when a list or table is broken.
+    """
+    key, equals, value = text.partition("=")
+    key, value = key.strip(), value.strip()
+    if not equals or not key or not value:
+        raise InputError(Fault("expected KEY=VALUE", 'Write for example mechanism.frame="480 mm"', key=option, value=text))
+    try:
+        read_back = tomllib.loads(f"value = {value}")
+        if len(read_back) == 1:
+            return key, read_back["value"]
+        raise InputError(Fault("a value is one line", f"Repeat {option} for every key", key=key, value=value))
+    except (tomllib.TOMLDecodeError, ValueError, RecursionError):
+        if value[0] in "[{\"'":
+            raise InputError(Fault("the value is not valid TOML", "Check brackets and quotes", key=key, value=value)) from None
+        return key, value
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    file = str(path)
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise InputError(Fault("no such file", "Check the path; `optlink list` names the shipped problems", file)) from None
+    except IsADirectoryError:
+        raise InputError(Fault("this is a folder", "Give the path of a .toml file", file)) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(Fault(f"cannot read the file: {reason}", "Check the path and its permissions", shown(file))) from None
+    if len(data) > MAX_BYTES:
+        raise InputError(Fault(f"the file is larger than {MAX_BYTES:,} bytes", "Put long tables into a CSV file", file))
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(Fault(f"not UTF-8 text: byte {error.start}", "Save the file as UTF-8", file)) from None
+    except RecursionError:
+        raise InputError(Fault("brackets are nested too deep", "Simplify the file", file)) from None
+    except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
+        raise InputError(Fault(f"not valid TOML: {error}", "Correct that line; text stands in quotes", file)) from None
+
+
+def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
+    key, value = _whole(raw, key, value, file)
+    section, _, name = key.partition(".")
+    if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):
+        assigned(raw[section], name, value)
+        return
+    steps = key.split(".")
+    table: Any = raw
+    for depth, step in enumerate(steps[:-1]):
+        path = tuple(steps[:depth])
+        place = _coordinate(path, table, step)
+        if place is None and step not in table:
+            known = _known(path) if _fixed(path) else list(table)
+            if step not in known:
+                remedy = nearest(step, known)
+                if not _fixed(path):
+                    remedy += f". A new one is given whole: {'.'.join(steps[: depth + 1])}={{ ... }}"
+                raise InputError(Fault("unknown key", remedy, file, key))
+            table[step] = {}
+        table = table[step if place is None else place]
+        following = steps[depth + 1]
+        if not isinstance(table, dict) and _coordinate(tuple(steps[: depth + 1]), table, following) is None:
+            above = ".".join(steps[: depth + 1])
+            raise InputError(Fault(f"{above} is one value, it has no {following}", f"Set {above} itself", file, key, value))
+    place = _coordinate(tuple(steps[:-1]), table, steps[-1])
+    if place is not None:
+        table[place] = value
+    elif value is None:
+        table.pop(steps[-1], None)
+    else:
+        table[steps[-1]] = value
+
+
+def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
+    """Number of a coordinate in the pair that it belongs to, `mechanism.ground.A.x`; None where the key means something else."""
+    placed = path[:1] == ("mechanism",) or path == ("gravity",) or path[-1:] == ("centroid",)
+    if not placed or not isinstance(table, list) or len(table) != 2 or path[-1] in ("bounds", "joints"):
+        return None
+    names = ("along", "across") if "points" in path or path[-1] == "centroid" else ("x", "y")
+    return names.index(step) if step in names else None
+
+
+def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[str, object]:
+    """A side of a range, `limits.transmission_angle.max`, or of a free quantity, `mechanism.coupler.min`, as the whole of it."""
+    above, _, side = key.rpartition(".")
+    known: Any = raw
+    steps = above.split(".")
+    for depth, step in enumerate(steps):
+        place = _coordinate(tuple(steps[:depth]), known, step)
+        known = known[place] if place is not None else known.get(step) if isinstance(known, Mapping) else None
+    if side not in SIDES or value is None or known is None:
+        return key, value
+    if isinstance(known, Mapping):
+        bounds = known.get("bounds")
+        if "exactly" in known:  # a value that had to be met
+            both = dict.fromkeys(SIDES, known["exactly"]) | {side: value}
+            return above, {**{name: item for name, item in known.items() if name != "exactly"}, **both}
+        return (above, {**known, "bounds": _side(bounds, side, value)}) if isinstance(bounds, list) else (key, value)
+    if not isinstance(known, list):
+        if above.startswith("mechanism."):
+            message = f"{above.removeprefix('mechanism.')} is fixed at {known}, it has no bounds"
+            raise InputError(Fault(message, f"Name {above} itself, or free it", file, key, value))
+        known = [known, known]  # a value that had to be met
+    return above, _side(known, side, value)
+
+
+def _side(pair: list[Any], side: str, value: object) -> list[Any]:
+    return [value, *pair[1:]] if side == SIDES[0] else [*pair[:1], value]
+
+
+def _known(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
+    """Keys that a model of these kinds (of any kind if none is given) knows at a path of sections."""
+    models: list[Any] = list(kinds) or [DesignProblem, GenerationProblem, CycleProblem, Problem]
+    for step in path:
+        fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
+        if fields:  # else the step is the name of a body, a point ...: what it names has the fields of the models
+            models = [model for f in fields for model in _models(f.annotation)]
+        if not models:
+            return ["start", "bounds"]
+    return list(dict.fromkeys(field.alias or name for model in models for name, field in model.model_fields.items()))
+
+
+def _fixed(path: tuple[str, ...]) -> bool:
+    """Whether the keys at a path are those of a section, not names that the file gives."""
+    return path not in {
+        ("mechanism", "ground"),
+        ("mechanism", "links"),
+        ("mechanism", "guides"),
+        ("mechanism", "points"),
+        ("bodies",),
+        ("joints",),
+        ("loads",),
+    }
+
+
+def _models(annotation: Any) -> Iterator[Any]:
+    """The sections that a key may hold; of the limits of a cycle also what is named there."""
+    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+        yield annotation
+        if annotation is CycleLimits:
+            yield Limit
+    for inner in getattr(annotation, "__args__", ()):
+        yield from _models(inner)
+
+
+def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
+    """Keys that go with what a file asks for, at a path of sections."""
+    known = _known(path, model)
+    if model is GenerationProblem and len(path) == 1:
+        others = foreign(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not _dyads(raw))
+        known = [key for key in known if key not in others]
+    return known
+
+
+def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
+    for item in error.errors(include_url=False):
+        path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
+        path = [step for step in path if step != "[key]"]
+        if path[:1] == ["mechanism"] and path[1:2] in (["four-bar"], ["dyads"]):
+            del path[1]  # the type that pydantic chose the model by
+        key = ".".join(str(step) for step in path)
+        value, kind, context = item["input"], item["type"], item.get("ctx", {})
+        problem = context.get("error")
+        if isinstance(problem, Unusable):
+            below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
+            yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
+        elif kind == "extra_forbidden":
+            yield Fault("unknown key", nearest(str(path[-1]), _fitting(tuple(path[:-1]), model, raw)), file, key)
+        elif kind == "union_tag_invalid":
+            given = raw["mechanism"].get("type")
+            yield Fault("not a type of linkage", nearest(str(given), ("four-bar", "dyads")), file, f"{key}.type", _plain(given))
+        elif kind == "missing":
+            yield Fault("this key is missing", _example(key), file, key)
+        elif kind == "literal_error":
+            options = str(context.get("expected", "")).replace("'", '"').replace(" or ", ", ").split(", ")
+            yield Fault("not one of the choices", nearest(str(value), [o.strip('"') for o in options]), file, key, _plain(value))
+        elif kind in ("model_type", "model_attributes_type"):
+            yield Fault("expected a table", f"Begin it with [{key}]" if key else "Write the sections", file, key, _plain(value))
+        else:
+            message = item["msg"][0].lower() + item["msg"][1:]
+            yield Fault(message, _example(key), file, key, _plain(value))
+
+
+def _plain(value: object) -> object:
+    return value if isinstance(value, str | int | float | list | dict) else type(value).__name__
+
+
+_EXAMPLES = {
+    "title": 'Add title = "..."',
+    "mechanism": "Add the section [mechanism]",
+    "requirement": "Add the section [requirement]",
+    "requirement.law": 'Add law = "psi0 + 0.5*(phi - phi0)"',
+    "requirement.points": "Give a whole number from 1 to 10000, for example points = 30",
+    "expected.source": "Say where the expected values come from",
+}
+
+
+def _example(key: str) -> str:
+    section, _, last = key.partition(".")[0], *key.rpartition(".")[1:]
+    if section == "bodies" and last == "mass":
+        return 'Add mass = "1.2 kg"'
+    if last == "joints":
+        return 'Add joints = ["B", "C"], or joints = ["E"] for a body that a guide carries'
+    if key.startswith(
+        ("mechanism.links", "mechanism.guides", "mechanism.ground", "bodies", "joints", "loads", "drive", "gravity")
+    ):
+        return "See `optlink show six-bar --toml` for an example"
+    if key.startswith("mechanism."):
+        return f'Add {key.split(".")[1]} = "100 mm", or {{ start = "400 mm", bounds = ["100 mm", "900 mm"] }}'
+    return _EXAMPLES.get(key, "See `optlink show crank-rocker --toml` for an example")

@@ -1,0 +1,333 @@
+"""DesignProblem: what is wanted, checked. The file's sections are the models of this module; its keys are their fields."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+
+from optlink.linkage.assur import EITHER
+from optlink.linkage.fourbar import dead_centre, lengths_of
+from optlink.linkage.vector2d import Value, Vector, angle, unit
+from optlink.problem.base_model import Section
+from optlink.problem.limits import Limits, Reach, check_ranges
+from optlink.problem.machine.model import Expected, Problem
+from optlink.problem.mechanism import FourBarSection, check_one_mode
+from optlink.problem.quantity import (
+    Angle,
+    FixedAngle,
+    Quantity,
+    Unusable,
+    nearest,
+    read_quantity,
+)
+from optlink.problem.robust import Robustness, check_robust
+from optlink.problem.targets.expression import Expression
+from optlink.problem.targets.function import Function
+from optlink.problem.targets.law import Law, Table, read_law
+
+MAX_POINTS = 10_000
+POSITIONS = 60  # design positions of a function, where the file does not say how many
+DEAD_CENTRES = ("outer dead centre", "inner dead centre")
+EPIGRAPH = "largest error"  # name of the extra variable of a minimax programme, and of its rows
+ABSURD = 1e3  # rad; a rocker that shall turn further follows a slip of the pen, or a pole
+FULL_TURN = 2.0 * float(np.pi)
+
+
+def _read_start(raw: object) -> str | Quantity:
+    if isinstance(raw, str) and not any(character.isdigit() for character in raw):
+        if raw not in DEAD_CENTRES:
+            raise Unusable("unknown start", nearest(raw, DEAD_CENTRES) + ', or an angle such as "60 deg"')
+        return raw
+    return read_quantity(raw, "angle")
+
+
+class Requirement(Section):
+    """What the linkage must do: the rocker follows a law while the crank turns through the span."""
+
+    kind: Literal["function"] = "function"
+    """What is asked for."""
+    law: Any
+    """Rocker angle over crank angle: an expression in phi, phi0, psi0; a table of angles, or its CSV file; or a function y(x)."""
+    start: Annotated[Any, BeforeValidator(_read_start), Field(alias="from")] = DEAD_CENTRES[0]
+    """Where the span begins: a dead centre of the rocker, or the crank angle phi0, fixed or free."""
+    psi0: Angle | None = None
+    """Rocker angle at the start, fixed or free; left out: the rocker's own angle there (of a function: free)."""
+    span: FixedAngle | None = None
+    """Crank rotation over which the law holds, negative clockwise; a table or a function brings its own."""
+    points: Annotated[int, Field(strict=True, ge=1, le=MAX_POINTS)] | None = None
+    """Positions after the start, evenly spaced; left out: the rows of a table, 60 of a function."""
+    measure: Literal["sum of squares", "rms", "max"] = "sum of squares"
+    """What makes one figure of all errors; `max` is the largest."""
+    robust: Robustness = None
+    """How the scatter by `[tolerances]` counts: `"3 sigma"` or `"worst case"` beside the largest error, or the `"expected value"`
+    of squares; left out: not at all."""
+
+    @field_validator("law", mode="before")
+    @classmethod
+    def _law(cls, raw: object, info: ValidationInfo) -> Expression | Function | Table:
+        return read_law(raw, (info.context or {}).get("folder", Path()))
+
+
+@dataclass(frozen=True)
+class StartPosition:
+    """Where the requirement begins: crank direction, crank angle and wanted rocker angle [rad] there."""
+
+    crank: Vector
+    phi0: Value
+    psi0: Value
+
+
+class DesignProblem(Problem):
+    """A problem file that states a requirement: what `solve` takes. Immutable; change it with `optlink.load(..., overrides)`."""
+
+    mechanism: FourBarSection
+    """The four-bar, with at least one free quantity."""
+    requirement: Requirement
+    """The law that the rocker shall follow."""
+    limits: Limits = Limits()
+    """What must hold beside the law."""
+    expected: Expected | None = None
+    """What a trusted source says that the answer is; checked by the tests for every shipped problem."""
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every quantity that can be fixed or free, by name: the four lengths, phi0 and psi0 where they are given."""
+        found = dict(self.mechanism.quantities)
+        anywhere = Quantity(0.0, "angle", "deg", -FULL_TURN, FULL_TURN)
+        if isinstance(self.requirement.start, Quantity):
+            found["phi0"] = self.requirement.start
+        elif isinstance(self.requirement.law, Function):
+            found["phi0"] = anywhere
+        elif isinstance(self.requirement.law, Table) and not self.requirement.law.from_start:
+            found["phi0"] = Quantity(self.requirement.law.phi[0], "angle", "deg")
+        if self.requirement.psi0 is not None:
+            found["psi0"] = self.requirement.psi0
+        elif isinstance(self.requirement.law, Function):
+            found["psi0"] = anywhere
+        return found
+
+    @property
+    def side(self) -> int:
+        """Assembly mode: +1 left, -1 right of B -> D."""
+        return self.mechanism.side
+
+    @cached_property
+    def span(self) -> float:
+        """Crank rotation [rad] of the requirement, negative clockwise."""
+        if isinstance(self.requirement.law, Table):
+            return self.requirement.law.span
+        if isinstance(self.requirement.law, Function):
+            return self.requirement.law.input
+        assert self.requirement.span is not None
+        return self.requirement.span.value
+
+    @property
+    def sense(self) -> int:
+        """Sense in which the crank turns: +1 counter-clockwise, -1 clockwise."""
+        return 1 if self.span > 0.0 else -1
+
+    @property
+    def tied(self) -> bool:
+        """Whether psi0 is the rocker's own angle at the start."""
+        return "psi0" not in self.quantities
+
+    @property
+    def _itself(self) -> bool:
+        """Whether the error at the start is nothing by definition."""
+        return self.tied and self.requirement.robust is None
+
+    @property
+    def counted(self) -> dict[str, float]:
+        """Tolerances [SI] that the objective counts with, by their keys; those of measured deviations are no numbers."""
+        if self.requirement.robust is None:
+            return {}
+        return {f"tolerances.{d.name}": d.tolerance for d in self.deviations if not d.values}
+
+    @cached_property
+    def law(self) -> Law:
+        """The law at its design positions.
+
+        Where psi0 is the rocker's own start, the start position would compare the rocker with itself and is left out; of a robust
+        design it is that of the drawing, from which what is built differs there too.
+        """
+        source, points = self.requirement.law, self.requirement.points
+        first = 0.0
+        if isinstance(source, Table):
+            first = source.phi[0] if source.from_start else 0.0
+            if points is None:
+                offsets = np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0])
+                own = self._itself and source.from_start and offsets[0] == 0.0 and source.psi[0] == 0.0
+                return Law(source, offsets[1:] if own else offsets)
+        count = points or POSITIONS
+        steps = np.arange(1 if self._itself and first == 0.0 else 0, count + 1) / count
+        return Law(source, first + (self.span - first) * steps)
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether the largest error is that of the whole range, not of the design positions alone: so for functions."""
+        return self.requirement.measure == "max" and isinstance(self.requirement.law, Function)
+
+    @property
+    def transmission_over(self) -> str:
+        """Where the transmission limits hold: "revolution" or "span"."""
+        return self.limits.transmission_over or ("span" if self.limits.crank == "span" else "revolution")
+
+    def start_position(self, values: Mapping[str, Value]) -> StartPosition:
+        """Start of the requirement for given quantities; elementwise, NaN where it does not exist."""
+        lengths = lengths_of(values)
+        if "phi0" in self.quantities:
+            phi0 = values["phi0"]
+            crank = unit(phi0)
+            rocker = self.linkage.pose(values, crank).direction("rocker")
+        else:
+            limit = dead_centre(*lengths, self.side, outer=self.requirement.start == DEAD_CENTRES[0])
+            crank, phi0, rocker = limit.crank, limit.phi, limit.rocker
+        return StartPosition(crank, phi0, values["psi0"] if "psi0" in self.quantities else angle(rocker))
+
+    def reach(self, values: Mapping[str, Value]) -> Reach:
+        """Crank angles that the law asks for, for given quantities."""
+        return Reach(self.start_position(values).phi0, self.span, self.sense)
+
+    def sizes(self, design: Mapping[str, float]) -> dict[str, float]:
+        """Every size of the linkage [SI], as a design has it or else the file: places of further points need not be given."""
+        return {name: float(design.get(name, quantity.value)) for name, quantity in self.mechanism.quantities.items()}
+
+    def design(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Complete free quantities [SI] to a design: every length, phi0 and psi0."""
+        full = {name: float(values.get(name, quantity.value)) for name, quantity in self.quantities.items()}
+        start = self.start_position(full)
+        return {**full, "phi0": float(start.phi0), "psi0": float(start.psi0)}
+
+
+def cross_check_design(problem: DesignProblem) -> None:
+    """Find what no single key shows.
+
+    Raises
+    ------
+    Unusable
+        with the full key that is to blame.
+    """
+    requirement, limits = problem.requirement, problem.limits
+    function = requirement.law if isinstance(requirement.law, Function) else None
+    check_one_mode(problem.mechanism)
+    if problem.mechanism.placed:
+        raise Unusable("a motion law has no place in the plane", "Leave pivot and direction out", "mechanism.pivot")
+    if problem.mechanism.assembly == EITHER and function is None:
+        remedy = 'Write "left" or "right"'
+        raise Unusable("a motion law is designed for one assembly mode", remedy, "mechanism.assembly", EITHER)
+    table = requirement.law if isinstance(requirement.law, Table) else None
+    if function is not None and requirement.span is not None:
+        raise Unusable("a function brings its own span, the input", "Leave span out", "requirement.span", str(requirement.span))
+    if function is not None and "start" in requirement.model_fields_set and not isinstance(requirement.start, Quantity):
+        raise Unusable(
+            "a function starts at an angle, given or to be found",
+            'Write from = { start = "50 deg", bounds = ["0 deg", "180 deg"] }, or leave it out: then the search finds it',
+            "requirement.from",
+            requirement.start,
+        )
+    if table is None:
+        for key in ("span", "points") if function is None else ():
+            if getattr(requirement, key) is None:
+                example = 'span = "90 deg"' if key == "span" else "points = 30"
+                raise Unusable("an expression as the law needs it", f"Add {example}", f"requirement.{key}")
+    elif requirement.span is not None and abs(requirement.span.value - table.span) > 1e-9:
+        raise Unusable(
+            f"the span differs from that of the table, {np.degrees(table.span):.6g} deg",
+            "Leave span out: a table brings its own",
+            "requirement.span",
+            str(requirement.span),
+        )
+    elif not table.from_start and "start" in requirement.model_fields_set:
+        raise Unusable(
+            "a table measured from the frame brings its own start",
+            "Leave from out",
+            "requirement.from",
+            str(requirement.start),
+        )
+    if table is not None and not table.from_start and requirement.psi0 is not None:
+        raise Unusable("a table measured from the frame has no psi0", "Leave psi0 out", "requirement.psi0", str(requirement.psi0))
+    if not 1e-6 <= abs(problem.span) <= FULL_TURN * (1.0 + 1e-9):
+        raise Unusable(
+            "the span must not be zero, nor exceed one revolution",
+            'Give one such as "90 deg" (negative: clockwise)',
+            "requirement.span",
+            f"{np.degrees(problem.span):.6g} deg",
+        )
+    turns = problem.quantities.get("phi0")
+    if turns is not None and max(abs(bound) for bound in turns.bounds) > FULL_TURN * (1.0 + 1e-9):
+        raise Unusable(
+            "the start angle lies beyond one revolution", "Give it within -360 deg ... 360 deg", "requirement.from", str(turns)
+        )
+    if limits.transmission_angle is not None and limits.transmission_cosine is not None:
+        raise Unusable(
+            "the transmission angle is limited twice",
+            "Keep transmission_angle or transmission_cosine",
+            "limits.transmission_cosine",
+        )
+    check_ranges(limits)
+    check_robust(requirement.robust, requirement.measure, len(problem.tolerances))
+    if limits.crank != "full rotation":
+        for key in ("swing_angle", "time_ratio"):
+            if getattr(limits, key) is not None:
+                raise Unusable(
+                    "only a crank-rocker has it",
+                    'Set limits.crank = "full rotation", or leave the limit out',
+                    f"limits.{key}",
+                )
+    if limits.crank == "double-crank" and requirement.start in DEAD_CENTRES and "phi0" not in problem.quantities:
+        raise Unusable(
+            "a double-crank has no dead centres",
+            'Start at an angle: from = "60 deg"',
+            "requirement.from",
+            requirement.start,
+        )
+    if limits.crank == "span" and limits.transmission_over == "revolution":
+        raise Unusable(
+            "a crank that need not turn fully has no whole revolution",
+            'Write transmission_over = "span", or crank = "full rotation"',
+            "limits.transmission_over",
+            "revolution",
+        )
+    _check_law(problem)
+
+
+def _check_law(problem: DesignProblem) -> None:
+    """Follow an expression over the span: it must have a sensible value everywhere, whatever the start angle."""
+    law = problem.requirement.law
+    if not isinstance(law, Expression | Function):
+        return
+    nominal = problem.design({})
+    known = (nominal["phi0"], nominal["psi0"])
+    starts = [known] if np.all(np.isfinite(known)) else [(0.3, 0.5), (0.9, 1.2), (1.7, 2.1)]
+    worries = [_worry(law, problem.span, phi0, psi0) for phi0, psi0 in starts]
+    if all(worries):
+        span, begin = (f"{np.degrees(angle):.6g} deg" for angle in (problem.span, starts[0][0]))
+        raise Unusable(
+            f"the law {worries[0]} on the span, {span} from {begin} on",
+            "Change the law, the span or the start",
+            "requirement.law",
+            law.text,
+        )
+
+
+def _worry(law: Expression | Function, span: float, phi0: float, psi0: float) -> str | None:
+    """What is wrong with a law along the span, if anything; poles of even order are found by closing in on the largest value."""
+    low, high = 0.0, 1.0
+    for _ in range(5):
+        share = np.linspace(low, high, 721)
+        values = {"phi": phi0 + span * share, "phi0": phi0, "psi0": psi0}
+        worry = law.hazards(values)
+        if worry:
+            return worry
+        size = np.abs(np.asarray(law(values), dtype=float) + 0.0 * share)
+        peak, step = float(share[int(np.argmax(size))]), (high - low) / 720.0
+        if np.max(size) > ABSURD:
+            return f"exceeds {ABSURD:g} rad"
+        low, high = max(0.0, peak - 2.0 * step), min(1.0, peak + 2.0 * step)
+    return None

@@ -1,0 +1,439 @@
+"""The section [balance] of a problem file: which counterweights and springs may be added, what is made small, what is limited."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, field_validator
+
+from optlink.dynamics.counterweights import KINDS, Counterweight, FreeSpring, Kind, Measure
+from optlink.dynamics.machine import Machine
+from optlink.linkage.mechanism import FRAME
+from optlink.problem.base_model import RESERVED, Name, Section
+from optlink.problem.quantity import (
+    Density,
+    FixedForce,
+    FixedLength,
+    Interval,
+    LengthInterval,
+    MassInterval,
+    StiffnessInterval,
+    Unusable,
+    nearest,
+    read_fixed,
+    read_scalar,
+)
+
+MOST = 100_000
+EXAMPLES = '"rms shaking force", "largest driving torque", "rms shaking moment", "largest reaction at D"'
+_MEASURE = re.compile(
+    r"(?:(?P<of>rms|largest)\s+)?"
+    r"(?:(?:shaking\s+)?(?P<shaking>force|moment)|(?:driving\s+)?(?P<torque>torque)"
+    r"|reaction\s+at\s+(?P<joint>\w+)(?:\s+on\s+(?P<on>\w+))?)"
+    r"(?:\s+from\s+(?P<low>[-+.\d]+)(?:\s*deg)?\s+to\s+(?P<high>[-+.\d]+)\s*deg)?",
+    re.ASCII,
+)
+
+
+def read_measure(text: object) -> Measure:
+    """Read a measure, for example "rms shaking force" or "largest reaction at D from 90 to 180 deg"; rms if neither is said.
+
+    Raises
+    ------
+    Unusable
+    """
+    found = _MEASURE.fullmatch(" ".join(str(text).split())) if isinstance(text, str) else None
+    if found is None:
+        if isinstance(text, str) and re.match(r"\s*(?:maxim|largest\s+possible|most)", text):
+            raise Unusable("only making it small is a convex problem", f"Write for example {EXAMPLES}", "", text)
+        raise Unusable("not a measure", f"Write for example {EXAMPLES}", "", text)
+    kind: Kind = "reaction"
+    if found["shaking"] or found["torque"]:
+        kind = next(k for k in KINDS if k.endswith(found["shaking"] or found["torque"]))
+    arc = None
+    if found["low"]:
+        try:
+            arc = math.radians(float(found["low"])), math.radians(float(found["high"]))
+        except ValueError:
+            raise Unusable("not a range of crank angles", "Write for example: from 90 to 180 deg", "", text) from None
+        if not 0.0 < arc[1] - arc[0] < 2.0 * math.pi:
+            raise Unusable(
+                "a range of crank angles rises, by less than a turn", "Write for example: from 300 to 420 deg", "", text
+            )
+    return Measure(kind, "largest" if found["of"] == "largest" else "rms", found["joint"] or "", found["on"] or "", arc)
+
+
+def check_measure(measure: Measure, machine: Machine) -> None:
+    """Find what the machine does not have, and what is not linear.
+
+    Raises
+    ------
+    Unusable
+    """
+    mechanism = machine.mechanism
+    guides = [guide.name for guide in mechanism.guides]
+    if measure.kind == "reaction":
+        if measure.joint not in (*mechanism.pins, *guides):
+            raise Unusable("no such joint", nearest(measure.joint, [*mechanism.pins, *guides]), "", str(measure))
+        bodies = mechanism.pins.get(measure.joint, ())
+        if measure.on and measure.on not in bodies:
+            raise Unusable("the joint is not one of that body", nearest(measure.on, bodies), "", str(measure))
+        if len(bodies) > 2 and not measure.on:
+            remedy = f"Name the body: reaction at {measure.joint} on {bodies[0]}"
+            raise Unusable(f"{len(bodies)} bodies meet there", remedy, "", str(measure))
+    if machine.friction and measure.kind in ("reaction", "driving torque"):
+        remedy = "Take friction out of the guides, or choose the shaking force or moment"
+        raise Unusable("with friction it is not linear in the masses, so no optimum could be proven", remedy, "", str(measure))
+
+
+def _read_goal(raw: object) -> tuple[tuple[Measure, float], ...]:
+    if isinstance(raw, tuple):
+        return raw
+    if isinstance(raw, str):
+        return ((read_measure(raw), 1.0),)
+    if not isinstance(raw, dict) or not raw:
+        raise Unusable("not a measure", f"Write one of {EXAMPLES}, or a table of measures and their weights", "", raw)
+    found = []
+    for text, weight in raw.items():
+        measure = read_measure(text)
+        if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
+            raise Unusable("expected the weight of the measure", f'Write {{ "{text}" = 1.0 }}', "", weight)
+        if weight <= 0.0:
+            message = "a weight that is not positive makes the problem non-convex, or says nothing"
+            raise Unusable(message, "Give a positive one, or take the measure out", "", f"{text} = {weight}")
+        found.append((measure, float(weight)))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Ceiling:
+    """What a measure may be at most: `value` [SI], or `share` of its value in the given machine; `text` as written."""
+
+    measure: Measure
+    value: float | None
+    share: float | None
+    text: str
+
+    def of(self, before: float) -> float:
+        """The limit [SI]."""
+        return self.share * before if self.share is not None else float(self.value or 0.0)
+
+
+def read_ceiling(name: str, raw: object) -> Ceiling:
+    """Read the limit of a measure: "50 N", "5 N*m", or "80 %" of its value in the given machine.
+
+    Raises
+    ------
+    Unusable
+    """
+    measure = read_measure(name)
+    text = str(raw).strip()
+    if isinstance(raw, str) and text.endswith("%"):
+        try:
+            share = float(text[:-1]) / 100.0
+        except ValueError:
+            share = math.nan
+        if not 0.0 <= share < 1e6:
+            raise Unusable("not a share", 'Write for example "80 %"', name, raw)
+        return Ceiling(measure, None, share, text)
+    value, _ = read_scalar(raw, "force" if measure.unit == "N" else "torque", name)
+    if value < 0.0:
+        raise Unusable("an amount is not negative, so nothing can meet this limit", "Give zero or more", name, raw)
+    return Ceiling(measure, value, None, text)
+
+
+def _read_place(raw: object) -> Any:
+    """A point by its name, or two coordinates."""
+    if raw is None or isinstance(raw, str | tuple):
+        return raw
+    if not isinstance(raw, list) or len(raw) != 2:
+        raise Unusable("expected a point or two coordinates", 'Write its name, or ["100 mm", "0 mm"]', "", raw)
+    return tuple(read_fixed(part, "coordinate").value for part in raw)
+
+
+Place = Annotated[Any, BeforeValidator(_read_place)]
+
+
+class CounterweightSection(Section):
+    """A mass that may be added to a body: a disc, or one of any shape."""
+
+    body: str
+    """The body that it is fixed to."""
+    kind: Literal["disc", "free"] = "disc"
+    """A disc, or any shape that is physically consistent."""
+    mass: MassInterval | None = None
+    """Exactly, or in a range; left out: from zero on."""
+    thickness: FixedLength | None = None
+    """Of a disc whose radius follows from its mass."""
+    radius: LengthInterval | None = None
+    """In place of a thickness: one value. Beside it: bounds."""
+    density: Density | None = None
+    """Of the disc's material; required with a thickness."""
+    reach: FixedLength | None = None
+    """Largest distance of its centre from `origin`."""
+    extent: FixedLength | None = None
+    """Largest distance of its edge from `origin`."""
+    origin: str | None = None
+    """A point of the body; left out: its pivot on the frame, else its start."""
+    at: Place = None
+    """Its place: a point of the body, or so far along and across it. One of `reach`, `extent`, `at` is required."""
+
+    @field_validator("mass", mode="after")
+    @classmethod
+    def _positive(cls, mass: Interval | None) -> Interval | None:
+        if mass is not None and ((mass.low or 0.0) < 0.0 or (mass.high is not None and mass.high < 0.0)):
+            message = "a counterweight has no negative mass: what is taken away from a body is no convex request"
+            raise Unusable(message, "Give zero or more, and take material away in [bodies]", "", str(mass))
+        return mass
+
+    def counterweight(self, machine: Machine) -> Counterweight:
+        """The counterweight.
+
+        Raises
+        ------
+        Unusable
+            naming the key below it.
+        """
+        mechanism = machine.mechanism
+        if self.body not in mechanism.bodies:
+            raise Unusable("no such body", nearest(self.body, mechanism.bodies), "body", self.body)
+        low, high = (self.mass.low or 0.0, self.mass.high) if self.mass else (0.0, None)
+        most = math.inf if high is None else high
+        thickness, density = (None if part is None else part.value for part in (self.thickness, self.density))
+        radius: float | None = None
+        if self.kind == "free":
+            for key in ("thickness", "radius", "density"):
+                if getattr(self, key) is not None:
+                    remedy = 'Take it out, or write kind = "disc"'
+                    raise Unusable("a free counterweight has any shape", remedy, key, str(getattr(self, key)))
+        else:
+            low, most, radius = self._disc(low, most, thickness, density)
+        if low > most:
+            message = f"no mass is left: at least {low:.6g} kg, at most {most:.6g} kg"
+            raise Unusable(message, "Widen mass, radius or thickness", "mass", str(self.mass))
+        extent = math.inf if self.extent is None else self.extent.value
+        if radius is not None and extent < radius:
+            raise Unusable(
+                "the disc is larger than its extent", "Give a smaller radius, or a larger extent", "extent", str(self.extent)
+            )
+        if self.at is None and self.reach is None and self.extent is None:
+            message = "nothing bounds its place: ever less mass could be put ever further out"
+            raise Unusable(message, 'Add reach = "100 mm" (of its centre), extent (of its edge), or at (its place)', "reach")
+        return Counterweight(
+            self.body,
+            self.kind,
+            (low, most),
+            thickness,
+            radius,
+            density,
+            math.inf if self.reach is None else self.reach.value,
+            extent,
+            self._origin(machine),
+            self._at(machine),
+        )
+
+    def _disc(self, low: float, most: float, thickness: float | None, density: float | None) -> tuple[float, float, float | None]:
+        """Least and largest mass, and the radius where that is fixed."""
+        if density is not None and density <= 0.0:
+            raise Unusable(
+                "a disc without density has no mass", 'Write density = "7850 kg/m^3" (steel)', "density", str(self.density)
+            )
+        if thickness is None and self.radius is None:
+            remedy = 'Add thickness = "10 mm" and density = "7850 kg/m^3", or radius = "40 mm"; or write kind = "free"'
+            raise Unusable("a disc has a thickness and density, or a radius", remedy, "thickness")
+        if thickness is None:
+            assert self.radius is not None
+            if self.radius.low is None or self.radius.low != self.radius.high:
+                message = "radius and thickness are both free: the moment of inertia is then no convex function of the mass"
+                raise Unusable(
+                    message, 'Give one radius, or a thickness and density, or kind = "free"', "radius", str(self.radius)
+                )
+            return low, most, self.radius.low
+        if density is None:
+            raise Unusable("the mass of a disc follows from its density", 'Add density = "7850 kg/m^3" (steel)', "density")
+        if self.radius is not None:
+            per = math.pi * density * thickness
+            low = max(low, per * (self.radius.low or 0.0) ** 2)
+            most = min(most, per * self.radius.high**2) if self.radius.high is not None else most
+        return low, most, None
+
+    def _points(self, machine: Machine) -> list[str]:
+        return [point for point, bodies in machine.mechanism.owners.items() if self.body in bodies]
+
+    def _local(self, machine: Machine, point: str, key: str) -> tuple[float, float]:
+        """A point of the body in its own axes [m]."""
+        if point not in self._points(machine):
+            raise Unusable("the body has no such point", nearest(point, self._points(machine)), key, point)
+        link, sizes = machine.mechanism.bodies[self.body], machine.sizes
+        if point == link.start:
+            return 0.0, 0.0
+        if point == link.end:
+            return float(sizes[link.length] if isinstance(link.length, str) else link.length), 0.0
+        mark = machine.mechanism.marks[self.body, point]
+        along, across = (float(sizes[part] if isinstance(part, str) else part) for part in (mark.along, mark.across))
+        return along, across
+
+    def _origin(self, machine: Machine) -> tuple[float, float]:
+        if self.origin is not None:
+            return self._local(machine, self.origin, "origin")
+        fixed = [point for point in self._points(machine) if FRAME in machine.mechanism.owners[point]]
+        return self._local(machine, fixed[0], "origin") if fixed else (0.0, 0.0)
+
+    def _at(self, machine: Machine) -> tuple[float, float] | None:
+        if self.at is None:
+            return None
+        if self.reach is not None:
+            raise Unusable("the place is given, so it has no reach", "Take one of the two out", "reach", str(self.reach))
+        if isinstance(self.at, str):
+            return self._local(machine, self.at, "at")
+        along, across = self.at
+        return along, across
+
+
+class SpringSection(Section):
+    """A spring that may be added between two points: its stiffness is free, and its free length if that is a range."""
+
+    name: Name
+    """Its name among the loads of the balanced machine."""
+    between: tuple[str, str]
+    """The two points that it joins."""
+    stiffness: StiffnessInterval | None = None
+    """Exactly, or in a range; left out: from zero on."""
+    free_length: Annotated[Any, BeforeValidator(lambda raw: raw)] = None
+    """Fixed, or free within a range of two values; left out: 0."""
+    force: FixedForce | None = None
+    """Its largest force; left out: none."""
+
+    @field_validator("free_length", mode="before")
+    @classmethod
+    def _lengths(cls, raw: object) -> object:
+        if raw is None or isinstance(raw, tuple):
+            return raw
+        texts = raw if isinstance(raw, list) else [raw, raw]
+        if len(texts) != 2:
+            raise Unusable("a range is a list of two lengths", 'Write ["50 mm", "200 mm"], or one length', "", raw)
+        low, high = (read_scalar(text, "coordinate")[0] for text in texts)
+        if not 0.0 <= low <= high:
+            raise Unusable("free lengths rise from zero", 'Write ["0 mm", "200 mm"], or one length', "", raw)
+        return low, high
+
+    def spring(self, machine: Machine) -> FreeSpring:
+        """The spring.
+
+        Raises
+        ------
+        Unusable
+            naming the key below it.
+        """
+        mechanism = machine.mechanism
+        taken = (*mechanism.bodies, *mechanism.owners, *(g.name for g in mechanism.guides), *(x.name for x in machine.loads))
+        if self.name in (*taken, *RESERVED):
+            raise Unusable("the name is taken", "Choose another for the spring", "name", self.name)
+        ends = []
+        for point in self.between:
+            if point not in mechanism.owners:
+                raise Unusable("no such point", nearest(point, mechanism.owners), "between", point)
+            ends.append((mechanism.owners[point][0], point))
+        if set(mechanism.owners[self.between[0]]) & set(mechanism.owners[self.between[1]]):
+            raise Unusable("both ends are on one body", "Name two points of different bodies", "between", list(self.between))
+        low, high = (self.stiffness.low or 0.0, self.stiffness.high) if self.stiffness else (0.0, None)
+        if low < 0.0 or (high is not None and high < 0.0):
+            raise Unusable("a spring has no negative stiffness", "Give zero or more", "stiffness", str(self.stiffness))
+        free = self.free_length or (0.0, 0.0)
+        most = math.inf if high is None else high
+        return FreeSpring(self.name, (ends[0], ends[1]), (low, most), free, math.inf if self.force is None else self.force.value)
+
+
+class BalanceSection(Section):
+    """What `optlink balance` is asked."""
+
+    minimise: Annotated[Any, BeforeValidator(_read_goal)]
+    """A measure, or a table of measures and their weights."""
+    counterweights: tuple[CounterweightSection, ...] = ()
+    """What may be added to bodies."""
+    springs: tuple[SpringSection, ...] = ()
+    """What may be added between points."""
+    limits: dict[str, Any] = Field(default_factory=dict)
+    """Measures with their limits: a quantity, or a share of the given machine's."""
+    mass: MassInterval | None = None
+    """Of all counterweights together."""
+    about: Place = None
+    """Point of the frame that shaking moments are about; left out: the crank pivot."""
+    positions: int = Field(default=360, ge=8, le=MOST)
+    """Crank angles at which the machine is looked at, even over the revolution, 8 to 100000."""
+
+    @field_validator("limits", mode="after")
+    @classmethod
+    def _ceilings(cls, limits: dict[str, Any]) -> dict[str, Ceiling]:
+        return {name: raw if isinstance(raw, Ceiling) else read_ceiling(name, raw) for name, raw in limits.items()}
+
+    @field_validator("counterweights", "springs", mode="before")
+    @classmethod
+    def _list(cls, raw: object) -> object:
+        if not isinstance(raw, list | tuple):
+            raise Unusable("expected a list of tables", "Begin each with [[balance.counterweights]]", "", raw)
+        return tuple(raw)
+
+    @property
+    def goal(self) -> tuple[tuple[Measure, float], ...]:
+        """Measures that are made small, with their weights."""
+        found: tuple[tuple[Measure, float], ...] = self.minimise
+        return found
+
+    def build(self, machine: Machine) -> tuple[tuple[Counterweight, ...], tuple[FreeSpring, ...]]:
+        """The counterweights and springs, all names checked.
+
+        Raises
+        ------
+        Unusable
+            naming the key below the section.
+        """
+        if not self.counterweights and not self.springs:
+            example = '[[balance.counterweights]] with body = "crank", thickness = "10 mm", density = "7850 kg/m^3"'
+            raise Unusable("nothing may be added, so nothing can be balanced", f"Add {example}", "counterweights")
+        weights, springs = [], []
+        for k, section in enumerate(self.counterweights):
+            try:
+                weights.append(section.counterweight(machine))
+            except Unusable as error:
+                error.key = f"counterweights.{k}.{error.key}"
+                raise
+        for k, weight in enumerate(weights):
+            if weight.kind == "free" and math.isinf(weight.mass[1]) and (self.mass is None or self.mass.high is None):
+                message = "nothing bounds its mass: ever more of it could have ever less moment of inertia"
+                raise Unusable(message, 'Add mass = { max = "2 kg" }, to it or to [balance]', f"counterweights.{k}.mass")
+        bodies = [weight.body for weight in weights]
+        for k, body in enumerate(bodies):
+            if body in bodies[:k]:
+                remedy = "Together they are one counterweight: give that its mass and reach"
+                raise Unusable("the body has two counterweights", remedy, f"counterweights.{k}.body", body)
+        for k, spring in enumerate(self.springs):
+            try:
+                springs.append(spring.spring(machine))
+            except Unusable as error:
+                error.key = f"springs.{k}.{error.key}"
+                raise
+        for key, measures in (("minimise", [m for m, _ in self.goal]), ("limits", [c.measure for c in self.limits.values()])):
+            for measure in measures:
+                try:
+                    check_measure(measure, machine)
+                except Unusable as error:
+                    error.key = key
+                    raise
+        self.place(machine)
+        return tuple(weights), tuple(springs)
+
+    def place(self, machine: Machine) -> tuple[float, float]:
+        """Where shaking moments are measured [m]: the crank's pivot if nothing is said."""
+        mechanism = machine.mechanism
+        if isinstance(self.about, tuple):
+            x, y = self.about
+            return x, y
+        point = mechanism.crank.start if self.about is None else self.about
+        if point not in mechanism.ground:
+            raise Unusable("not a point of the frame", nearest(point, mechanism.ground), "about", point)
+        x, y = machine.moving([0.0]).position(point)
+        return float(x), float(y)

@@ -1,0 +1,166 @@
+"""Masses, joints, gravity and the drive of a problem file, read and turned into those of a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+
+from optlink.dynamics.inertia import Inertia
+from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.vector2d import Value
+from optlink.problem.base_model import Section
+from optlink.problem.machine.control import ServoSection
+from optlink.problem.machine.load_curves import Size, read_size
+from optlink.problem.quantity import (
+    Duration,
+    FixedAngle,
+    Mass,
+    Number,
+    Quantity,
+    Speed,
+    Unusable,
+    nearest,
+    read_fixed,
+    read_positive,
+)
+
+# --- bodies ----------------------------------------------------------------------------------------------------------
+
+
+def _read_centroid(raw: object) -> Any:
+    if isinstance(raw, str | tuple):
+        return raw
+    if not isinstance(raw, list) or len(raw) != 2:
+        raise Unusable("a centroid is a point of the body", 'Write "middle", a point, or ["100 mm", "0 mm"]', "", raw)
+    return tuple(read_fixed(part, "coordinate") for part in raw)
+
+
+def _read_moment(raw: object) -> Any:
+    return raw if raw == "uniform bar" else read_positive(raw, "moment of inertia")
+
+
+class BodySection(Section):
+    """Mass properties of a body: mass, centroid in its own axes, moment of inertia about the centroid."""
+
+    mass: Mass
+    """Mass of the body."""
+    centroid: Annotated[Any, BeforeValidator(_read_centroid)] = None
+    """`middle`, a point of the body, or so far along and across it; left out: the middle, of a body with one joint that joint."""
+    inertia: Annotated[Any, BeforeValidator(_read_moment)] = None
+    """Moment of inertia about the centroid, or `uniform bar`; required for a link that has a mass."""
+
+    def inertia_of(self, body: str, mechanism: Mechanism, sizes: Mapping[str, Value]) -> Inertia:
+        """Mass properties for given sizes [SI].
+
+        Raises
+        ------
+        Unusable
+            naming the key below the body, when no body can be so.
+        """
+        link, mass = mechanism.bodies[body], self.mass.value
+        length = (sizes[link.length] if isinstance(link.length, str) else link.length) if link.end else 0.0
+        along: Value = 0.5 * length
+        across: Value = 0.0
+        if isinstance(self.centroid, tuple):
+            along, across = (part.value for part in self.centroid)
+        elif self.centroid not in (None, "middle"):
+            own = [point for point, bodies in mechanism.owners.items() if body in bodies]
+            if self.centroid not in own:
+                raise Unusable("the body has no such point", nearest(self.centroid, ["middle", *own]), "centroid", self.centroid)
+            if self.centroid == link.start:
+                along = 0.0
+            elif self.centroid == link.end:
+                along = length
+            else:
+                mark = mechanism.marks[body, self.centroid]
+                along, across = (sizes[part] if isinstance(part, str) else part for part in (mark.along, mark.across))
+        if self.inertia == "uniform bar":
+            if not link.end:
+                raise Unusable("only a link with two joints is a bar", 'Write inertia = "0.016 kg*m^2"', "inertia", self.inertia)
+            moment: Value = mass * length * length / 12.0
+        elif self.inertia is None:
+            if mass > 0.0 and link.end:
+                example = f'inertia = "{mass * float(np.max(length)) ** 2 / 12.0:.3g} kg*m^2", or "uniform bar"'
+                raise Unusable("a link with a mass has a moment of inertia about its centroid", f"Add {example}", "inertia")
+            moment = 0.0
+        else:
+            moment = self.inertia.value
+        if mass == 0.0 and np.any(np.asarray(moment) > 0.0):
+            raise Unusable(
+                "a body without mass has no moment of inertia",
+                "Give it a mass, or take inertia out",
+                "inertia",
+                str(self.inertia),
+            )
+        return Inertia(mass, along, across, moment)
+
+
+# --- the drive --------------------------------------------------------------------------------------------------------
+
+
+class DriveSection(Section):
+    """What drives the machine: at a constant speed, or (for `simulate`) by a torque or motor curve."""
+
+    body: str | None = None
+    """The driven body; left out: the one called `crank`."""
+    start: FixedAngle = Quantity(0.0, "angle", "deg")
+    """Crank angle of the first row."""
+    speed: Speed = Quantity(1.0, "angular velocity", "rad/s")
+    """Constant speed of the crank, negative clockwise."""
+    torque: Any = None
+    """For `optlink simulate`, in place of the constant speed: a torque, or a table or expression over phi or omega."""
+    servo: ServoSection | None = None
+    """For `optlink simulate` with clearance: the crank follows a command; not beside `torque`."""
+    initial_speed: Speed | None = None
+    """For `optlink simulate` under a torque; left out: `speed`."""
+    duration: Duration | None = None
+    """For `optlink simulate`: how long."""
+    fluctuation: Number | None = None
+    """Share of the mean speed by which it may vary: `optlink analyze` gives the flywheel for it."""
+
+    @field_validator("body", mode="before")
+    @classmethod
+    def _one(cls, raw: object) -> object:
+        if isinstance(raw, list):
+            raise Unusable("one body is driven, the others follow", 'Name one: body = "crank"', "", raw)
+        return raw
+
+    @field_validator("torque", mode="before")
+    @classmethod
+    def _size(cls, raw: object, info: ValidationInfo) -> Size | None:
+        if raw is None:
+            return None
+        return read_size(raw, "torque", ("phi", "omega"), (info.context or {}).get("folder", Path()))
+
+    @field_validator("fluctuation", mode="after")
+    @classmethod
+    def _small(cls, share: float | None) -> float | None:
+        if share is not None and not 0.0 < share < 2.0:
+            raise Unusable("out of range", "Give the share of the mean speed by which it may vary, for example 0.02", "", share)
+        return share
+
+    @model_validator(mode="after")
+    def _turns(self) -> Self:
+        if self.speed.value == 0.0 and self.torque is None:
+            remedy = 'Give a speed, for statics a low one such as "0.01 rpm"; from rest the drive needs a torque'
+            raise Unusable("the crank stands still", remedy, "speed", str(self.speed))
+        return self
+
+
+def read_gravity(raw: object) -> Any:
+    """Gravity: a value along -y, or two components."""
+    if isinstance(raw, tuple):
+        return raw
+    if isinstance(raw, list):
+        if len(raw) != 2:
+            raise Unusable("gravity has two components", 'Write "9.81 m/s^2" (downwards) or ["0 m/s^2", "-9.81 m/s^2"]', "", raw)
+        return tuple(read_fixed(part, "acceleration").value for part in raw)
+    return 0.0, -read_fixed(raw, "acceleration").value
+
+
+Gravity = Annotated[Any, BeforeValidator(read_gravity)]
+Bodies = Annotated[dict[str, BodySection], Field(default_factory=dict)]

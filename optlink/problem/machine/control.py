@@ -1,0 +1,111 @@
+"""The controller of a problem file: what it wants, what it knows of the machine, its gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+
+from optlink.clearance.joint import Gap
+from optlink.clearance.output import outputs, usual
+from optlink.dynamics.machine import Machine
+from optlink.problem.base_model import Section
+from optlink.problem.quantity import Duration, FixedAngle, Frequency, Number, Quantity, Unusable, nearest, read_fixed
+
+
+class ServoSection(Section):
+    """A drive that follows a command of angle and speed: second order, with bandwidth and damping ratio."""
+
+    bandwidth: Frequency
+    """Undamped natural frequency."""
+    damping: Number = 0.7
+    """Damping ratio, above 0 and at most 10."""
+
+    def check(self) -> None:
+        """Refuse what is no servo.
+
+        Raises
+        ------
+        Unusable
+        """
+        if not self.bandwidth.value > 0.0:
+            raise Unusable("a servo has a bandwidth", 'Give for example "300 Hz"', "bandwidth", str(self.bandwidth))
+        if not 0.0 < self.damping <= 10.0:
+            raise Unusable("a damping ratio lies above 0 and not above 10", "Give for example 0.7", "damping", self.damping)
+
+
+def _read_joints(raw: object) -> Any:
+    if not isinstance(raw, list | tuple) or not all(isinstance(name, str) for name in raw):
+        raise Unusable("expected a list of joints", 'Write known = ["C"]', "", raw)
+    return tuple(raw)
+
+
+def _read_either(raw: object) -> Quantity:
+    """A length or an angle."""
+    try:
+        return read_fixed(raw, "length")
+    except Unusable as error:
+        try:
+            return read_fixed(raw, "angle")
+        except Unusable:
+            raise error from None
+
+
+class ControlSection(Section):
+    """How the crank's command is corrected so that the output moves as it would without clearance.
+
+    By an inverse model of the joints that it knows, by a PID on the output's error, or by both.
+    """
+
+    output: str | None = None
+    """Slider (its slide) or body (its angle) that is watched; left out: the last slider on the frame, else the last body pinned
+    to it."""
+    known: Annotated[Any, BeforeValidator(_read_joints)] | None = None
+    """Joints whose clearance the inverse model knows; left out: all."""
+    regularisation: Annotated[Quantity, BeforeValidator(_read_either)] | None = None
+    """Of the inverse at dead centres, per radian of the crank: a length for a slider, an angle for a body; left out: a tenth of
+    the largest travel."""
+    bandwidth: Frequency | None = None
+    """Up to which the inverse model corrects; left out: half of the servo's."""
+    sample_time: Duration = Quantity(2.5e-4, "time", "s")
+    """Of the PID; the nearest that divides the revolution is taken."""
+    proportional: Number = 0.0
+    """Gain of the PID on the output's error, referred to the crank [-]."""
+    integral: Number = 0.0
+    """The same for its integral [1/s]."""
+    derivative: Number = 0.0
+    """The same for its rate [s]."""
+    limit: FixedAngle = Quantity(0.08726646259971647, "angle", "deg")
+    """The PID turns the crank by so much at most."""
+
+    def check(self, machine: Machine, gaps: Sequence[Gap]) -> None:
+        """Refuse what does not fit the machine.
+
+        Raises
+        ------
+        Unusable
+            naming the key below the controller.
+        """
+        known, points = outputs(machine), [gap.point for gap in gaps]
+        if self.output is not None and self.output not in known:
+            raise Unusable("no such slider or body", nearest(self.output, known), "output", self.output)
+        for point in self.known or ():
+            if point not in points:
+                raise Unusable("the joint has no clearance", nearest(point, points), "known", point)
+        output, given = known[self.output] if self.output is not None else usual(machine), self.regularisation
+        if given is not None:
+            wanted, example = ("a length", '"5 mm"') if output.guide else ("an angle", '"5 deg"')
+            if (given.kind == "length") != bool(output.guide):
+                message = f"{output.name} moves by {wanted} per radian"
+                raise Unusable(message, f"Give {wanted}: {example}", "regularisation", str(given))
+            if not given.value > 0.0:
+                message = "without it the inverse has no solution at a dead centre"
+                raise Unusable(message, f"Give for example {example}", "regularisation", str(given))
+        if not self.sample_time.value >= 1e-6:
+            message = "a controller samples at intervals, of a microsecond at least"
+            raise Unusable(message, 'Give for example "0.25 ms"', "sample_time", str(self.sample_time))
+        if self.bandwidth is not None and not self.bandwidth.value > 0.0:
+            raise Unusable("a bandwidth is positive", 'Give for example "200 Hz"', "bandwidth", str(self.bandwidth))
+        if not self.limit.value > 0.0:
+            raise Unusable("the PID may not move anything", 'Give for example "5 deg"', "limit", str(self.limit))

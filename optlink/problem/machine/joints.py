@@ -1,0 +1,197 @@
+"""The joints of a problem file: on which body a reaction is told, and the clearance of a pin."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from optlink.clearance.contact_laws import NORMAL, compliance, stiffness
+from optlink.clearance.joint import Gap
+from optlink.linkage.mechanism import Mechanism
+from optlink.problem.base_model import Section
+from optlink.problem.quantity import (
+    SHORTEST,
+    ContactStiffness,
+    Damping,
+    FixedLength,
+    Number,
+    Quantity,
+    Unusable,
+    Velocity,
+    nearest,
+    read_positive,
+    read_scalar,
+)
+
+RADII_AGREE = 1e-6
+"""Share of the clearance by which the difference of two given radii may differ from it."""
+
+EXAMPLE = 'clearance = "0.5 mm", bearing_radius = "10 mm", modulus = "207 GPa", poisson = 0.3'
+
+
+def _read_clearance(raw: object) -> Quantity:
+    if isinstance(raw, Quantity):
+        return raw
+    value, unit = read_scalar(raw, "coordinate")
+    if value <= 0.0:
+        message = "a clearance is positive: the radius of the bearing minus that of the journal"
+        raise Unusable(message, 'Give one such as "0.5 mm", or take the key out for an ideal joint', "", raw)
+    if value < SHORTEST:
+        raise Unusable("no joint has such a clearance", "Give 1e-9 m or more, and check its unit", "", raw)
+    return Quantity(value, "length", unit)
+
+
+def _read_pair(raw: object, kind: str) -> tuple[float, float]:
+    """One value for both parts, or that of the journal and that of the bearing."""
+    if isinstance(raw, tuple):
+        return raw
+    if isinstance(raw, list):
+        if len(raw) != 2:
+            raise Unusable("one value, or two: of the journal and of the bearing", "Give one or two", "", raw)
+        first, second = (_one(part, kind) for part in raw)
+        return first, second
+    value = _one(raw, kind)
+    return value, value
+
+
+def _one(raw: object, kind: str) -> float:
+    if kind:
+        value = read_positive(raw, kind).value
+        if value == 0.0:
+            raise Unusable(f"a modulus of elasticity is positive, and this {kind} is not", 'Give for example "207 GPa"', "", raw)
+        return value
+    if isinstance(raw, bool) or not isinstance(raw, int | float):
+        raise Unusable("expected a plain number", "Write a number without a unit, for example 0.3", "", raw)
+    if not -1.0 < raw <= 0.5:
+        raise Unusable("Poisson's ratio lies above -1 and not above 0.5", "Give for example 0.3, that of steel", "", raw)
+    return float(raw)
+
+
+class JointSection(Section):
+    """A joint: `on` is the body whose reaction is told; `clearance` and what follows make it a journal in a bearing."""
+
+    on: str | None = None
+    """The body on which the reaction is told; left out: the one that is placed last."""
+    clearance: Annotated[Quantity, BeforeValidator(_read_clearance)] | None = None
+    """Radial: radius of the bearing minus that of the journal."""
+    bearing_radius: FixedLength | None = None
+    """Radius of the bearing; beside `clearance` one of the two radii, else both."""
+    journal_radius: FixedLength | None = None
+    """Radius of the journal."""
+    journal: str | None = None
+    """The body with the journal; left out: the one that is placed last. Required where three bodies meet."""
+    modulus: Annotated[Any, BeforeValidator(lambda raw: _read_pair(raw, "pressure"))] = None
+    """Modulus of elasticity of both parts, or of journal and bearing; Hertz's stiffness follows from it."""
+    poisson: Annotated[Any, BeforeValidator(lambda raw: _read_pair(raw, ""))] = Field(default=(0.3, 0.3))
+    """Poisson's ratio of both parts, or of journal and bearing."""
+    stiffness: ContactStiffness | None = None
+    """In place of `modulus`: contact force over penetration to the power 1.5."""
+    restitution: Number = 0.9
+    """Coefficient of restitution, above 0 and at most 1."""
+    law: str = "lankarani-nikravesh"
+    """Contact law."""
+    friction: Number = 0.0
+    """Coulomb's coefficient, below 10."""
+    slip_speed: Velocity = Quantity(0.01, "velocity", "m/s")
+    """Friction is `friction` times normal force times tanh(slip / `slip_speed`)."""
+    damping: Damping = Quantity(0.0, "damping", "N*s/m")
+    """Tangential and viscous, while there is contact."""
+
+    @property
+    def loose(self) -> bool:
+        """Whether the joint has clearance."""
+        both = self.bearing_radius is not None and self.journal_radius is not None
+        return self.clearance is not None or both
+
+    def gap(self, point: str, mechanism: Mechanism) -> Gap:
+        """The joint with clearance.
+
+        Raises
+        ------
+        Unusable
+            naming the key below the joint.
+        """
+        bodies = mechanism.pins[point]
+        journal = self.journal if self.journal is not None else bodies[-1] if len(bodies) == 2 else None
+        if journal is None:
+            message = f"the pin joins {', '.join(bodies)}, and only one of them can have the journal"
+            raise Unusable(message, f'Add journal = "{bodies[-1]}"', "journal")
+        if journal not in bodies:
+            raise Unusable("the joint is not one of that body", nearest(journal, bodies), "journal", journal)
+        clearance, radius = self._radii()
+        if not 0.0 < self.restitution <= 1.0:
+            message = "a coefficient of restitution lies above 0 and not above 1"
+            raise Unusable(message, "Give for example 0.9", "restitution", self.restitution)
+        if self.law not in NORMAL:
+            raise Unusable("no such contact law", nearest(self.law, NORMAL), "law", self.law)
+        if not 0.0 <= self.friction < 10.0:
+            raise Unusable("out of range", "A coefficient of friction lies between 0 and 10", "friction", self.friction)
+        if self.slip_speed.value <= 0.0:
+            message = "friction changes its sign over some speed"
+            raise Unusable(message, 'Give for example "0.01 m/s"', "slip_speed", str(self.slip_speed))
+        return Gap(
+            point,
+            journal,
+            next(body for body in bodies if body != journal),
+            clearance,
+            radius,
+            self._stiffness(clearance, radius),
+            self.restitution,
+            self.law,
+            self.friction,
+            slip_speed=self.slip_speed.value,
+            damping=self.damping.value,
+        )
+
+    def _radii(self) -> tuple[float, float]:
+        """Clearance and radius of the journal [m]."""
+        bearing, journal, clearance = self.bearing_radius, self.journal_radius, self.clearance
+        if bearing is not None and journal is not None:
+            found = bearing.value - journal.value
+            if found <= 0.0:
+                message = f"the journal ({journal}) is not smaller than the bearing ({bearing})"
+                raise Unusable(message, "Exchange the radii, or make the bearing larger", "journal_radius", str(journal))
+            if clearance is not None and abs(found - clearance.value) > RADII_AGREE * found:
+                message = f"the radii differ by {found * 1e3:.6g} mm, the clearance is said to be {clearance}"
+                raise Unusable(message, "Take one of the three out", "clearance", str(clearance))
+            return found, journal.value
+        if clearance is None:
+            raise Unusable("the joint has radii, but no clearance", f"Add the other radius, or {EXAMPLE}", "clearance")
+        if bearing is not None:
+            if clearance.value >= bearing.value:
+                message = f"the clearance ({clearance}) is not smaller than the bearing ({bearing}): no journal is left"
+                raise Unusable(message, "Check both", "clearance", str(clearance))
+            return clearance.value, bearing.value - clearance.value
+        if journal is None:
+            message = "how large journal and bearing are is not said"
+            raise Unusable(message, 'Add bearing_radius = "10 mm" (or journal_radius)', "bearing_radius")
+        return clearance.value, journal.value
+
+    def _stiffness(self, clearance: float, radius: float) -> float:
+        if self.stiffness is not None:
+            if self.modulus is not None:
+                message = "the contact has a stiffness and a modulus of elasticity"
+                raise Unusable(message, "Give one of the two", "stiffness", str(self.stiffness))
+            if self.stiffness.value <= 0.0:
+                raise Unusable(
+                    "a contact needs a stiffness", 'Give for example "6.6e+10 N/m^1.5"', "stiffness", str(self.stiffness)
+                )
+            return self.stiffness.value
+        if self.modulus is None:
+            message = "the contact has no stiffness and no material"
+            raise Unusable(message, 'Add modulus = "207 GPa" (and poisson = 0.3), or stiffness = "6.6e+10 N/m^1.5"', "stiffness")
+        first, second = (compliance(e, nu) for e, nu in zip(self.modulus, self.poisson, strict=True))
+        return float(stiffness(radius + clearance, radius, first, second))
+
+    def check_unused(self) -> None:
+        """Refuse what says nothing without a clearance.
+
+        Raises
+        ------
+        Unusable
+        """
+        said = sorted(key for key in self.model_fields_set - {"on"} if getattr(self, key) is not None)
+        if said and not self.loose:
+            message = f"the joint has no clearance, so {said[0]} says nothing"
+            raise Unusable(message, f"Add {EXAMPLE}, or take the key out", said[0])

@@ -1,0 +1,139 @@
+"""How large a force or torque is: a quantity, an expression with its unit, or a table over crank angle, slide or crank speed."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from optlink.linkage.vector2d import Value
+from optlink.problem.quantity import Unusable, nearest, read_scalar
+from optlink.problem.targets.expression import Expression, LawError, parse
+from optlink.problem.targets.law import read_columns
+from optlink.units import UnitProblem, factor
+
+OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
+"""What a table of forces may run over: crank angle, slider position, crank speed."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same everywhere; `text` as written."""
+
+    value: float
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __call__(self, known: Mapping[str, Value]) -> Value:
+        """The value [SI]."""
+        return self.value
+
+
+@dataclass(frozen=True)
+class Formula:
+    """An expression, in a unit of `size` SI."""
+
+    expression: Expression
+    unit: str
+    size: float
+
+    def __str__(self) -> str:
+        return f"{self.expression.text} [{self.unit}]"
+
+    def __call__(self, known: Mapping[str, Value]) -> Value:
+        """The value [SI]."""
+        return self.expression(known) * self.size
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A table over one variable, straight between its rows; over the crank angle it repeats every turn, else its ends go on."""
+
+    over: str
+    at: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def __str__(self) -> str:
+        return f"a table over {self.over}, {len(self.at)} rows"
+
+    def __call__(self, known: Mapping[str, Value]) -> Value:
+        """The value [SI]."""
+        x, period = known[self.over], 2.0 * np.pi if self.over == "phi" else None
+        if isinstance(x, float | int | np.ndarray | np.generic):
+            return np.interp(np.asarray(x, dtype=float), self.at, self.values, period=period)
+        return self._ramps(x, period)
+
+    def _ramps(self, x: Value, period: float | None) -> Value:
+        """The same for symbols, as a sum of ramps that begin at the rows."""
+        at, values = list(self.at), list(self.values)
+        if period is not None:
+            x = x - period * np.floor((x - at[0]) / period)
+            if at[-1] < at[0] + period:
+                at, values = [*at, at[0] + period], [*values, values[0]]
+        slopes = [0.0, *np.diff(values) / np.diff(at), 0.0]
+        found: Value = values[0]
+        for begin, change in zip(at, np.diff(slopes), strict=True):
+            found = found + change * np.maximum(x - begin, 0.0)
+        return found
+
+
+Size = Constant | Formula | Curve
+
+
+def read_size(raw: object, kind: str, names: Iterable[str], folder: Path) -> Size:
+    """Read a force or torque: a quantity, an expression with its unit, or a table over phi, s or omega."""
+    if isinstance(raw, Constant | Formula | Curve):
+        return raw
+    if not isinstance(raw, dict):
+        return Constant(read_scalar(raw, kind)[0], " ".join(str(raw).split()))
+    known = [name for name in names if name in OVER]
+    if "expression" in raw:
+        for key in raw:
+            if key not in ("expression", "unit"):
+                raise Unusable("unknown key", nearest(str(key), ("expression", "unit")), str(key))
+        if not isinstance(raw["expression"], str):
+            raise Unusable("an expression is text", 'Write expression = "1000 + 200*sin(phi)"', "expression", raw["expression"])
+        try:
+            expression = parse(raw["expression"], names)
+        except LawError as error:
+            raise Unusable(error.message, error.remedy, "expression", raw["expression"]) from None
+        unit = raw.get("unit")
+        if not isinstance(unit, str):
+            raise Unusable(
+                "an expression gives a plain number", f'Add its unit: unit = "{"N" if kind == "force" else "N*m"}"', "unit", unit
+            )
+        try:
+            return Formula(expression, unit, factor(unit, kind))
+        except UnitProblem as problem:
+            raise Unusable(problem.message, problem.remedy, "unit", unit) from None
+    over = raw.get("over")
+    if over not in known:
+        raise Unusable("a table needs what it runs over", f"Write over = one of: {', '.join(known)}", "over", over)
+    for key in raw:
+        if key not in ("over", "at", "values", "csv"):
+            raise Unusable("unknown key", nearest(str(key), ("over", "at", "values", "csv")), str(key))
+    if "csv" in raw and ("at" in raw or "values" in raw):
+        raise Unusable("the table is given twice", "Give csv, or at and values, not both", "csv", raw["csv"])
+    if "csv" in raw:
+        at, values = read_columns(raw, folder, {str(over): OVER[str(over)], kind: kind})
+    else:
+        columns = []
+        for key, of in (("at", OVER[str(over)]), ("values", kind)):
+            if not isinstance(raw.get(key), list):
+                raise Unusable("the table needs a list here", f"Write {key} = [...], with units", key, raw.get(key))
+            columns.append([read_scalar(cell, of, f"{key}[{row}]")[0] for row, cell in enumerate(raw[key])])
+        at, values = columns
+    if len(at) != len(values) or len(at) < 2:
+        raise Unusable(f"at has {len(at)} values, values has {len(values)}", "Give as many, and two or more", "values")
+    falls = next((row for row, (a, b) in enumerate(itertools.pairwise(at), start=2) if b <= a), None)
+    if falls:
+        raise Unusable(f"the rows must rise, and row {falls} does not", "Sort them and remove repeated ones", "at")
+    if over == "phi" and at[-1] - at[0] > 2.0 * math.pi * (1.0 + 1e-12):
+        raise Unusable("the table is longer than one revolution", "It repeats every revolution: give one", "at")
+    return Curve(str(over), tuple(at), tuple(values))

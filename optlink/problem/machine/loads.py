@@ -1,0 +1,213 @@
+"""The loads of a problem file, read and turned into those of a machine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+from pydantic import ValidationInfo, field_validator
+
+from optlink.dynamics.loads import Force, Load, SlideDamper, Spring, Torque, TorsionSpring
+from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.stroke import OTHER, Direction
+from optlink.problem.base_model import Section
+from optlink.problem.machine.load_curves import Curve, Formula, Size, read_size
+from optlink.problem.quantity import (
+    Damping,
+    FixedAngle,
+    FixedLength,
+    Stiffness,
+    TorsionalDamping,
+    TorsionalStiffness,
+    Unusable,
+    nearest,
+)
+
+
+class Samples(Protocol):
+    """What a load must know of the motion of its machine."""
+
+    def slow(self, load: Load) -> Direction:
+        """Which stroke of a load's motion takes longer."""
+        ...
+
+    def check_moves(self, load: Load) -> None:
+        """Refuse a load that opposes a motion that does not exist."""
+        ...
+
+    def middle(self, body: str, against: str, free: float) -> float:
+        """The midst of the swing of a body against another [rad], at most half a turn from `free`."""
+        ...
+
+
+class LoadSection(Section):
+    """A load; which keys it has says what it is."""
+
+    on: str | None = None
+    """The body that it acts on."""
+    at: str | None = None
+    """Of a force: the point of that body; left out: the point of a slider on its guide."""
+    force: Any = None
+    """Size of the force: a quantity, a table over phi, omega or s, or an expression."""
+    torque: Any = None
+    """Size of the torque: a quantity, a table over phi or omega, or an expression."""
+    direction: FixedAngle | None = None
+    """Of the force, from +x; left out: along the guide of a slider."""
+    acts: Literal["constant", "opposing"] = "constant"
+    """As it is, or against the motion."""
+    stroke: Literal["both", "forward", "backward", "slow", "quick"] = "both"
+    """In which stroke it acts; forward is along the guide, or counter-clockwise."""
+    between: tuple[str, str] | None = None
+    """Of a spring or damper: the two points that it joins."""
+    against: str | None = None
+    """The body that feels the opposite; left out: the frame."""
+    stiffness: Stiffness | None = None
+    """Of a spring between two points."""
+    free_length: FixedLength | None = None
+    """Length of that spring without a force; left out: 0."""
+    damping: Damping | None = None
+    """Of a damper between two points, or of the guide of a slider."""
+    torsional_stiffness: TorsionalStiffness | None = None
+    """Of a spring that turns `on` back towards `against`."""
+    free_angle: FixedAngle | None = None
+    """Angle of that spring without a torque; left out: 0."""
+    torsional_damping: TorsionalDamping | None = None
+    """Of the rotation of `on` against `against`."""
+
+    @field_validator("stroke", mode="before")
+    @classmethod
+    def _older_word(cls, raw: object) -> object:
+        return "quick" if raw == "fast" else raw
+
+    @field_validator("force", "torque", mode="before")
+    @classmethod
+    def _size(cls, raw: object, info: ValidationInfo) -> Size | None:
+        if raw is None:
+            return None
+        names = ("phi", "omega", "s", "v") if info.field_name == "force" else ("phi", "omega", "theta", "w")
+        return read_size(raw, str(info.field_name), names, (info.context or {}).get("folder", Path()))
+
+    def build(self, name: str, mechanism: Mechanism, motion: Samples) -> Load:
+        """The load of a machine; `motion` are samples of it over a revolution.
+
+        Raises
+        ------
+        Unusable
+            naming the key below the load.
+        """
+        self._check_keys()
+        if self.force is not None:
+            body, point, guide = self._target(mechanism)
+            direction: float | str | None = None if self.direction is None else self.direction.value
+            if direction is None:
+                if not guide:
+                    raise Unusable("the force has no direction", 'Add direction = "90 deg" (from +x)', "direction")
+                direction = guide
+            if isinstance(self.force, Formula) and self.force.expression.names & {"s", "v"} and not isinstance(direction, str):
+                raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
+            if isinstance(self.force, Curve) and self.force.over == "s" and not isinstance(direction, str):
+                raise Unusable("s is the position of a slider along its guide", "Leave direction out, or use phi", "force")
+            load = Force(name, body, point, self.force, direction, opposing=self.acts == "opposing")
+            self._check_against(mechanism)
+            return replace(load, against=self.against or FRAME, **self._stroke(load, motion))
+        if self.torque is not None:
+            body = self._body(mechanism, self.on, "on")
+            twist = Torque(name, body, self.torque, opposing=self.acts == "opposing")
+            self._check_against(mechanism)
+            twist = replace(twist, against=self.against or FRAME)
+            return replace(twist, **self._stroke(twist, motion))
+        if self.between is not None:
+            ends = []
+            for point in self.between:
+                if point not in mechanism.owners:
+                    raise Unusable("no such point", nearest(point, mechanism.owners), "between", point)
+                ends.append((mechanism.owners[point][0], point))
+            if self.between[0] == self.between[1] or set(mechanism.owners[ends[0][1]]) & set(mechanism.owners[ends[1][1]]):
+                raise Unusable("both ends are on one body", "Name two points of different bodies", "between", list(self.between))
+            stiffness, damping = (0.0 if x is None else x.value for x in (self.stiffness, self.damping))
+            return Spring(name, (ends[0], ends[1]), stiffness, self.free_length.value if self.free_length else 0.0, damping)
+        if self.torsional_stiffness is not None or self.torsional_damping is not None:
+            body = self._body(mechanism, self.on, "on")
+            self._check_against(mechanism)
+            against = self.against or FRAME
+            stiffness, free, damping = (
+                0.0 if x is None else x.value for x in (self.torsional_stiffness, self.free_angle, self.torsional_damping)
+            )
+            middle = motion.middle(body, against, free) if stiffness else 0.0
+            return TorsionSpring(name, body, against, stiffness, free, damping, middle)
+        if not any(guide.slider == self.on for guide in mechanism.guides):
+            self._body(mechanism, self.on, "on")
+            raise Unusable("only a body in a guide is damped so", "Name a slider, or two points: between = [...]", "on", self.on)
+        _, _, guide = self._target(mechanism)
+        known = next(g for g in mechanism.guides if g.name == guide)
+        assert self.damping is not None
+        return SlideDamper(
+            name, guide, known.slider, known.on, known.at or mechanism.bodies[known.slider].start, self.damping.value
+        )
+
+    @property
+    def by_pace(self) -> bool:
+        """Whether the sizes decide in which direction it acts: in the slow or in the quick stroke."""
+        return self.stroke in ("slow", "quick")
+
+    def _check_keys(self) -> None:
+        """Keys that say nothing together."""
+        given = {key for key in self.model_fields_set if getattr(self, key) is not None}
+        kinds: dict[str, set[str]] = {
+            "force": {"on", "at", "direction", "acts", "stroke", "against"},
+            "torque": {"on", "acts", "stroke", "against"},
+            "between": {"stiffness", "free_length", "damping"},
+            "torsional_stiffness": {"on", "against", "free_angle", "torsional_damping"},
+            "torsional_damping": {"on", "against"},
+            "damping": {"on"},
+        }
+        kind = next((kind for kind in kinds if kind in given), None)
+        if kind is None:
+            raise Unusable(
+                "the load has no size",
+                'Give force = "1000 N", torque = "5 N*m", between = [...] with stiffness, or damping',
+            )
+        wrong = sorted(given - kinds[kind] - {kind})
+        if wrong:
+            raise Unusable(f"a load with {kind} has no {wrong[0]}", f"It may have: {', '.join(sorted(kinds[kind]))}", wrong[0])
+        if kind == "between" and not {"stiffness", "damping"} & given:
+            raise Unusable("a spring needs a stiffness", 'Add stiffness = "500 N/m" or damping = "20 N*s/m"', "stiffness")
+        if kind != "between" and "on" not in given:
+            raise Unusable("the load acts on nothing", 'Name a body: on = "slider"', "on")
+
+    def _body(self, mechanism: Mechanism, body: str | None, key: str) -> str:
+        if body not in mechanism.bodies:
+            raise Unusable("no such body", nearest(str(body), mechanism.bodies), key, body)
+        return str(body)
+
+    def _target(self, mechanism: Mechanism) -> tuple[str, str, str]:
+        """Body, point and guide (or "") of a force."""
+        body = self._body(mechanism, self.on, "on")
+        guide = next((g for g in mechanism.guides if g.slider == body), None)
+        link = mechanism.bodies[body]
+        if self.at is None:
+            if link.end and guide is None:
+                raise Unusable("the force has no point", f"Add at, one of: {link.start}, {link.end} or another", "at")
+            point = (guide.at if guide else "") or link.start
+        else:
+            own = [point for point, bodies in mechanism.owners.items() if body in bodies]
+            if self.at not in own:
+                raise Unusable("the body has no such point", nearest(self.at, own), "at", self.at)
+            point = self.at
+        return body, point, guide.name if guide else ""
+
+    def _check_against(self, mechanism: Mechanism) -> None:
+        if self.against not in (None, FRAME):
+            self._body(mechanism, self.against, "against")
+            if self.against == self.on:
+                raise Unusable("a load does not act against itself", "Name another body, or frame", "against", self.against)
+
+    def _stroke(self, load: Force | Torque, motion: Samples) -> dict[str, Any]:
+        """In which stroke it acts, and whether that goes with the sense of the crank."""
+        if load.opposing or self.stroke != "both":
+            motion.check_moves(load)
+        if not self.by_pace:
+            return {"stroke": self.stroke}
+        found = motion.slow(load)
+        return {"stroke": found if self.stroke == "slow" else OTHER[found], "turning": True}

@@ -1,0 +1,369 @@
+"""Problem: a linkage with its masses, loads and drive, checked; what `analyze` and `simulate` take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from optlink.clearance.joint import Gap
+from optlink.dynamics.loads import Force, Load
+from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.strokes import slow_stroke_of
+from optlink.linkage.continuation import follow
+from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.stroke import LEAST_DIFFERENCE, Direction
+from optlink.linkage.vector2d import Value, cross, dot
+from optlink.problem.base_model import RESERVED, Name, Section
+from optlink.problem.machine.balance import BalanceSection
+from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity
+from optlink.problem.machine.control import ControlSection
+from optlink.problem.machine.joints import JointSection
+from optlink.problem.machine.loads import LoadSection
+from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
+from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
+from optlink.problem.tolerances import Deviation, Tolerances, deviations, loosened
+
+Array = NDArray[np.float64]
+STROKES = 720  # positions of a revolution at which the motion of a load is sampled
+_SENSE: dict[Direction | None, float] = {"forward": 1.0, "backward": -1.0, None: 0.0}
+
+
+class Expected(Section):
+    """What a trusted source says that the answer is, and how closely it must be met."""
+
+    source: str
+    """Where the figures come from."""
+    crank: FixedLength | None = None
+    """Length of the crank."""
+    coupler: FixedLength | None = None
+    """Length of the coupler."""
+    rocker: FixedLength | None = None
+    """Length of the rocker."""
+    frame: FixedLength | None = None
+    """Length of the frame."""
+    phi0: FixedAngle | None = None
+    """Crank angle at the start of the law."""
+    psi0: FixedAngle | None = None
+    """Rocker angle at the start of the law."""
+    length_tolerance: FixedLength | None = None
+    """By how much a length may differ."""
+    objective: Number | None = None
+    """The objective of the best design, a plain number in SI units."""
+    objective_tolerance: Number | None = None
+    """By how much the objective may differ."""
+    figures: dict[str, Number] = Field(default_factory=dict)
+    """Figures of the analysis by their names, plain numbers in SI units, of the machine without clearance."""
+    figure_tolerance: Number = 1e-6
+    """By which share a figure may differ."""
+
+
+class Problem(Section):
+    """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
+
+    title: str = Field(min_length=1, max_length=200)
+    """One line for people, at most 200 characters."""
+    source: str = ""
+    """Where the problem comes from."""
+    about: str = ""
+    """What is given and what is wanted, in a few sentences."""
+    gravity: Gravity = (0.0, 0.0)
+    """Acceleration of gravity along -y, or its two components."""
+    mechanism: FourBarSection | DyadsSection = Field(discriminator="type")
+    """The linkage: a four-bar by its lengths, or any chain of dyads."""
+    bodies: dict[Name, BodySection] = Field(default_factory=dict)
+    """Mass properties by the name of the body; a body that is not named has no mass."""
+    joints: dict[Name, JointSection] = Field(default_factory=dict)
+    """By the name of the pin: on which body its reaction is told, and its clearance."""
+    loads: dict[Name, LoadSection] = Field(default_factory=dict)
+    """Forces, torques, springs and dampers, each under a name of your choice."""
+    drive: DriveSection = DriveSection()
+    """What drives the machine, and how fast."""
+    control: ControlSection | None = None
+    """How the crank is corrected so that the output moves as it would without clearance."""
+    balance: BalanceSection | None = None
+    """Which counterweights and springs may be added, what they shall make small, what is limited."""
+    tolerances: Tolerances = Field(default_factory=dict)
+    """How exactly sizes, pivots and clearances are built, by their names: `"0.1 mm"`, `"0.1 mm uniform"`, a CSV file with
+    deviations, or `{ tolerance, distribution, cost }`."""
+    expected: Expected | None = None
+    """What a trusted source says that the answer is; checked by the tests for every shipped problem."""
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every quantity that can be fixed or free, by name."""
+        return self.mechanism.quantities
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the free quantities, in the order of the design vector."""
+        return tuple(name for name, quantity in self.quantities.items() if quantity.free)
+
+    @cached_property
+    def longest(self) -> float:
+        """The longest length of the file [m], of the start where it is free."""
+        lengths = [q.value for q in self.mechanism.quantities.values() if q.kind == "length"]
+        coordinates = [abs(q.value) for q in self.mechanism.quantities.values() if q.kind == "coordinate"]
+        return max([*lengths, *coordinates, 1e-9])
+
+    @cached_property
+    def linkage(self) -> Mechanism:
+        """The mechanism as data."""
+        return self.mechanism.linkage(self.title, self.drive.body)
+
+    @cached_property
+    def deviations(self) -> tuple[Deviation, ...]:
+        """How sizes may differ when the linkage is built.
+
+        Raises
+        ------
+        Unusable
+            whose key is the name of the size.
+        """
+        quantities = self.mechanism.quantities
+        mechanism, pivots = loosened(self.mechanism, self.linkage)
+        largest = {name: quantity.bounds[1] for name, quantity in quantities.items()}
+        return deviations(self.tolerances, mechanism, quantities, largest | pivots)
+
+    def machine(self, design: Mapping[str, Value] | None = None, slow: Mapping[str, Direction] | None = None) -> Machine:
+        """The machine for given quantities [SI] (the values and starts of the file where none are given).
+
+        Parameters
+        ----------
+        design : mapping of quantity to value [SI], optional
+        slow : mapping of load to "forward" or "backward", optional
+            The slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise; that of the machine
+            of this design if left out.
+
+        Raises
+        ------
+        Unusable
+            naming the full key that is to blame.
+        """
+        mechanism, sizes = self.linkage, {**sizes_of(self.mechanism.quantities), **(design or {})}
+        for section, names in (("bodies", mechanism.bodies), ("joints", mechanism.pins)):
+            for name in getattr(self, section):
+                if name not in names:
+                    what = "no such body" if section == "bodies" else "no such pin joint"
+                    if section == "joints" and name in [guide.name for guide in mechanism.guides]:
+                        what = "a guide, which is a sliding joint: clearance and reactions are told of pins"
+                    raise Unusable(what, nearest(name, names), f"{section}.{name}")
+        for name, joint in self.joints.items():
+            if joint.on is not None and joint.on not in mechanism.pins[name]:
+                remedy = nearest(joint.on, mechanism.pins[name])
+                raise Unusable("the joint is not one of that body", remedy, f"joints.{name}.on", joint.on)
+            with _below(f"joints.{name}"):
+                joint.check_unused()
+        inertias = {}
+        for name, body in self.bodies.items():
+            with _below(f"bodies.{name}"):
+                inertias[name] = body.inertia_of(name, mechanism, sizes)
+        if self.mechanism.follows and all(np.ndim(size) == 0 for size in sizes.values()):
+            self.mechanism.check_mode(sizes)
+            mechanism = follow(mechanism, sizes, self.drive.start.value)
+        motion = Revolution(Machine(mechanism, sizes), slow or {})
+        loads = []
+        for name, section_ in self.loads.items():
+            if name in RESERVED:
+                raise Unusable(f"{name} is a reserved name", "Choose another", f"loads.{name}")
+            if name in (*mechanism.bodies, *mechanism.owners, *(guide.name for guide in mechanism.guides), FRAME):
+                raise Unusable("the name of a body, point or guide", "Choose another for the load", f"loads.{name}")
+            with _below(f"loads.{name}"):
+                loads.append(section_.build(name, mechanism, motion))
+        return Machine(
+            mechanism,
+            sizes,
+            inertias,
+            self.gravity,
+            tuple(loads),
+            self.mechanism.friction,
+            {name: joint.on for name, joint in self.joints.items() if joint.on is not None},
+        )
+
+    @property
+    def slow_assumed(self) -> dict[str, Direction] | None:
+        """A slow stroke of every load where free sizes decide it, and the starts of the file may leave it open; else None."""
+        return dict.fromkeys(self.loads, "forward") if self.free else None
+
+    def slow_senses(self, design: Mapping[str, Value]) -> Array:
+        """Slow strokes of the loads that act by pace (loads, designs): 1 forward, -1 backward, 0 where neither is slow.
+
+        Parameters
+        ----------
+        design : mapping of quantity to array (designs, 1) [SI]
+        """
+        machine = self.machine(design, dict.fromkeys(self.loads, "forward"))
+        motion = Revolution(Machine(machine.mechanism, machine.sizes))
+        return np.array([motion.slow_senses(load) for load in machine.loads if self.loads[load.name].by_pace])
+
+    @property
+    def loose(self) -> bool:
+        """Whether some joint has clearance."""
+        return any(joint.loose for joint in self.joints.values())
+
+    def gaps(self, machine: Machine) -> tuple[Gap, ...]:
+        """The joints with clearance.
+
+        Raises
+        ------
+        Unusable
+            naming the full key that is to blame.
+        """
+        found = []
+        for name, joint in self.joints.items():
+            if joint.loose:
+                with _below(f"joints.{name}"):
+                    found.append(joint.gap(name, machine.mechanism))
+        if found:
+            Revolution(machine).check_holds(found)
+        return tuple(found)
+
+
+class _below:
+    """Put a key before the one that an error names."""
+
+    def __init__(self, key: str) -> None:
+        self.key = key
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, Unusable):
+            error.key = f"{self.key}.{error.key}" if error.key else self.key
+
+
+class Revolution:
+    """Samples of a machine's motion over a revolution (or as much of it as can be assembled)."""
+
+    def __init__(self, machine: Machine, slow: Mapping[str, Direction] | None = None) -> None:
+        self.machine, self._slow = machine, slow or {}
+
+    @cached_property
+    def moving(self) -> Moving:
+        """The machine at evenly spaced crank angles."""
+        return self.machine.moving(np.linspace(0.0, self.machine.mechanism.cycle, STROKES, endpoint=False) + 1e-4)
+
+    def check_holds(self, gaps: Sequence[Gap]) -> None:
+        """Refuse clearances that let a group of the mechanism come apart, or turn over into its other assembly mode."""
+        mechanism, assembled = self.machine.mechanism, self.moving.motion.assembled
+        with np.errstate(all="ignore"):
+            pose = mechanism.at(self.machine.sizes, self.moving.motion.crank_angle)
+        for group in mechanism.groups if np.all(assembled) else ():
+            own = {link.body for link in group.links}
+            loose = [gap for gap in gaps if own & {gap.journal, gap.bearing}]
+            with np.errstate(all="ignore"):
+                gap = group.gap(pose)
+            spare = -np.broadcast_to(np.asarray(gap, dtype=float), assembled.shape)[assembled]
+            if not loose or not spare.size or not np.any(spare > 0.0):
+                continue
+            play, least = sum(gap.clearance for gap in loose), float(np.min(spare))
+            if play >= least:
+                at = float(np.degrees(self.moving.motion.crank_angle[assembled][int(np.argmin(spare))]))
+                message = (
+                    f"the clearance lets the mechanism come apart: at a crank angle of {at:.0f} deg the group of {group.joint} "
+                    f"closes with {least * 1e3:.4g} mm to spare, and its joints have {play * 1e3:.4g} mm of play"
+                )
+                raise Unusable(message, "Give a smaller clearance, or other lengths", f"joints.{loose[0].point}.clearance")
+
+    def _rates(self, load: Load) -> Array:
+        velocity = load.reversing(self.moving)
+        shape = np.shape(self.moving.motion.assembled)
+        rate = np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), shape)
+        known: Array = rate[np.isfinite(rate)]
+        return known
+
+    def check_moves(self, load: Load) -> None:
+        """Refuse a load that opposes a motion that does not exist."""
+        rates = self._rates(load)
+        size = float(np.max(self.machine.size)) if isinstance(load, Force) else 1.0
+        if rates.size and float(np.median(np.abs(rates))) <= 1e-12 * size:  # beside singular positions rounding is larger
+            what = "does not move in this direction" if isinstance(load, Force) else "does not turn"
+            raise Unusable(f"what it opposes {what}", 'Take the load out, or write acts = "constant"', "acts")
+
+    def slow(self, load: Load) -> Direction:
+        """Which stroke of a load's motion takes longer while the crank turns evenly counter-clockwise.
+
+        Raises
+        ------
+        Unusable
+            when both take equally long.
+        """
+        if load.name in self._slow:
+            return self._slow[load.name]
+        sense = self.slow_senses(load)  # many designs share one machine only where they have the same slow stroke
+        found: Direction | None = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
+        if found is None:
+            least = f"{math.degrees(LEAST_DIFFERENCE):g} deg"
+            message = f"both strokes take equally long (to {least} of crank rotation), so there is no slow stroke"
+            raise Unusable(message, 'Write stroke = "forward" or "backward", or change the sizes', "stroke")
+        return found
+
+    def slow_senses(self, load: Load) -> Array:
+        """Slow stroke of a load's motion for one or many designs: 1 forward, -1 backward, 0 where both take equally long.
+
+        Of one design whose crank turns fully by the exact crank angles of its reversals, else by the sampled positions that can
+        be reached, reversals interpolated between them.
+        """
+        assembled = self.moving.motion.assembled
+        if np.ndim(assembled) == 1 and np.all(assembled):
+            return np.array([_SENSE[slow_stroke_of(self.machine, load)]])
+        velocity = load.reversing(self.moving)
+        rate = np.asarray(velocity[0] if velocity else 0.0, dtype=float)
+        rate = np.broadcast_to(rate, np.shape(assembled)) + np.zeros(STROKES)
+        rate = np.concatenate([rate, rate[..., :1]], axis=-1)
+        size = np.abs(rate[..., 1:]) + np.abs(rate[..., :-1])
+        with np.errstate(all="ignore"):
+            difference = self.machine.mechanism.cycle * np.nanmean((rate[..., 1:] + rate[..., :-1]) / size, axis=-1)
+        sense = np.where(np.abs(difference) >= LEAST_DIFFERENCE, np.sign(difference), 0.0)
+        return np.asarray(sense, dtype=float).reshape(-1)
+
+    def middle(self, body: str, against: str, free: float) -> float:
+        """The midst of the swing of a body against another [rad], at most half a turn from `free`.
+
+        Raises
+        ------
+        Unusable
+            when it turns fully: no torsion spring follows that.
+        """
+        one, other = (self.moving.state(name).axis for name in (body, against))
+        angle = np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle
+        turned = np.unwrap(angle[np.isfinite(angle)]) if np.ndim(angle) == 1 else np.asarray(angle)[np.isfinite(angle)]
+        if turned.size == 0:
+            return free
+        low, high = float(np.min(turned)), float(np.max(turned))
+        if high - low > 2.0 * np.pi - 0.02:
+            message = f"{body} turns fully against {against}, which no torsion spring follows"
+            raise Unusable(message, "Use torsional_damping, or a spring between two points", "on")
+        middle = 0.5 * (low + high)
+        return middle - 2.0 * np.pi * round((middle - free) / (2.0 * np.pi))
+
+
+def cross_check(problem: Problem) -> None:
+    """Find what no single key shows.
+
+    Raises
+    ------
+    Unusable
+        with the full key that is to blame.
+    """
+    machine = problem.machine(slow=problem.slow_assumed)
+    gaps = problem.gaps(machine)
+    with _below("tolerances"):
+        _ = problem.deviations
+    if problem.control is not None:
+        with _below("control"):
+            problem.control.check(machine, gaps)
+    if problem.balance is not None:
+        with _below("balance"):
+            problem.balance.build(machine)
+    if problem.drive.servo is not None:
+        with _below("drive.servo"):
+            problem.drive.servo.check()
+        if problem.drive.torque is not None:
+            message = "the drive has a torque and a servo"
+            raise Unusable(message, "Give one of the two", "drive.servo")

@@ -1,0 +1,352 @@
+"""The linkage of a problem file: a four-bar in four lengths, or any chain of dyads as ground points, links and guides."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from optlink.linkage.assur import CONTINUE, EITHER, StructureError, assemble, modes_of
+from optlink.linkage.fourbar import LENGTHS, four_bar
+from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
+from optlink.problem.base_model import RESERVED, Name, Section
+from optlink.problem.quantity import Angle, Coordinate, Length, Number, Quantity, Unusable, nearest, read_quantity
+
+
+def _read_place(raw: object) -> tuple[Quantity, Quantity]:
+    if not isinstance(raw, list | tuple) or len(raw) != 2:
+        raise Unusable("a place is a list of two coordinates", 'Write ["100 mm", "0 mm"]', "", raw)
+    found = []
+    for axis, coordinate in zip(("x", "y"), raw, strict=True):
+        try:
+            found.append(read_quantity(coordinate, "coordinate"))
+        except Unusable as error:
+            raise Unusable(error.message, error.remedy, axis, coordinate) from None
+    return found[0], found[1]
+
+
+Place = Annotated[Any, BeforeValidator(_read_place)]
+
+
+EQUAL = 1e-10
+"""Share of their length by which opposite links of a parallelogram may differ."""
+
+
+class FourBarSection(Section):
+    """A four-bar: its sizes, each fixed or free. Pivots A and D on the frame, joints B and C, further points on the coupler.
+
+    Where `pivot` (of the crank, A) and `direction` (of the frame A -> D) are not given, A lies in the origin and D on the x axis.
+    """
+
+    type: Literal["four-bar"] = "four-bar"
+    """A mechanism without links is a four-bar."""
+    crank: Length
+    """Length A-B."""
+    coupler: Length
+    """Length B-C."""
+    rocker: Length
+    """Length D-C."""
+    frame: Length
+    """Length A-D."""
+    points: dict[Name, Place] = Field(default_factory=dict)
+    """Further points of the coupler: so far from B towards C, and so far to the left of that line."""
+    pivot: Place | None = None
+    """Place of the crank pivot A; left out: the origin."""
+    direction: Angle | None = None
+    """Angle of the frame A -> D, from +x; left out: 0."""
+    assembly: Annotated[
+        Literal[
+            "left",
+            "right",
+            "either",
+            "continue",
+            "left, continue",
+            "right, continue",
+            "parallelogram",
+            "antiparallelogram",
+        ],
+        BeforeValidator(lambda raw: ", ".join(part.strip() for part in raw.split(",")) if isinstance(raw, str) else raw),
+    ] = "left"
+    """On which side of B -> D the joint C lies; `either`: both are searched. With `continue` it lies there at the start and
+    moves on smoothly through change points; a parallelogram or antiparallelogram stays one."""
+
+    @property
+    def side(self) -> int:
+        """Assembly mode: +1 left, -1 right of B -> D; of parallelograms at a crank angle of 90 deg."""
+        return -1 if self.assembly in ("right", "right, continue", "antiparallelogram") else 1
+
+    @property
+    def follows(self) -> bool:
+        """Whether the motion is followed through change points."""
+        return self.assembly not in ("left", "right", "either")
+
+    def check_mode(self, sizes: Mapping[str, Any]) -> None:
+        """Refuse an assembly mode that four-bars of these lengths do not have.
+
+        Raises
+        ------
+        Unusable
+        """
+        crank, coupler, rocker, frame = (sizes[name] for name in LENGTHS)
+        if "parallelogram" in self.assembly:
+            for one, other, names in ((crank, rocker, "crank and rocker"), (coupler, frame, "coupler and frame")):
+                if abs(one - other) > EQUAL * max(one, other):
+                    message = f"{names} of a parallelogram are equally long, and these differ by {abs(one - other) * 1e3:.6g} mm"
+                    raise Unusable(message, 'Change the lengths, or write "left" or "right"', "mechanism.assembly", self.assembly)
+
+    @property
+    def placed(self) -> bool:
+        """Whether the file says where the frame lies."""
+        return self.pivot is not None or self.direction is not None
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """The four lengths; P.along and P.across of each point; A.x, A.y and direction where the frame is placed."""
+        found = {name: getattr(self, name) for name in LENGTHS}
+        for point, (along, across) in self.points.items():
+            found[f"{point}.along"], found[f"{point}.across"] = along, across
+        if self.placed:
+            nowhere = Quantity(0.0, "coordinate", "mm")
+            found["A.x"], found["A.y"] = self.pivot or (nowhere, nowhere)
+            found["direction"] = self.direction or Quantity(0.0, "angle", "deg")
+        return found
+
+    def linkage(self, name: str, driver: str | None) -> Mechanism:
+        """The mechanism as data; an assembly mode that is to be chosen counts as left."""
+        if driver not in (None, "crank"):
+            raise Unusable("a four-bar is driven at its crank", 'Leave body out, or write body = "crank"', "drive.body", driver)
+        for point in self.points:
+            if point in RESERVED or point in "ABCD" or point in LENGTHS:
+                raise Unusable(f"{point} is a name of the four-bar itself", "Choose another", "mechanism.points", point)
+        upright = 0.5 * math.pi if "parallelogram" in self.assembly else None
+        return four_bar(self.side, self.points, placed=self.placed, follow=self.follows, holds_at=upright)
+
+    def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
+        """Changes of the file that settle what the search shall choose, one per combination of assembly modes."""
+        if self.assembly != EITHER:
+            return [{}]
+        return [{"mechanism.assembly": "left"}, {"mechanism.assembly": "right"}]
+
+    @property
+    def friction(self) -> dict[str, float]:
+        """It has no guides."""
+        return {}
+
+
+def _read_joints(raw: object) -> tuple[str, ...]:
+    if not isinstance(raw, list | tuple) or not 1 <= len(raw) <= 2 or not all(isinstance(name, str) for name in raw):
+        raise Unusable(
+            "expected the names of one or two joints",
+            'Write joints = ["B", "C"] (more under points), or joints = ["E"] for a body that a guide carries',
+            "",
+            raw,
+        )
+    return tuple(raw)
+
+
+def _read_through(raw: object) -> Any:
+    return raw if isinstance(raw, str) else _read_place(raw)
+
+
+class LinkSection(Section):
+    """A moving body: one or two joints, their distance, and further points (along and across the line of the two)."""
+
+    joints: Annotated[tuple[Name, ...], BeforeValidator(_read_joints)]
+    """Names of its two joints; of one for a body that a guide carries."""
+    length: Length | None = None
+    """Between its two joints; of a body with one joint none."""
+    points: dict[Name, Place] = Field(default_factory=dict)
+    """Further points: so far along the line from the first to the second joint, and so far to the left of it."""
+
+
+class GuideSection(Section):
+    """A sliding joint: a line on one body, along which another slides without turning against it."""
+
+    slider: str
+    """The body that slides."""
+    on: str = FRAME
+    """The body that carries the line."""
+    through: Annotated[Any, BeforeValidator(_read_through)] = None
+    """A point of that body, or its coordinates there; left out: the body's first joint. Required on the frame."""
+    direction: Angle | None = None
+    """Angle of the line to the body's own x axis; left out: 0."""
+    offset: Coordinate | None = None
+    """The line passes so far to the left of `through`; left out: 0."""
+    at: str = ""
+    """The point of the slider that runs on the line; left out: its first joint."""
+    tilt: Angle | None = None
+    """Angle of the slider's x axis to the line; left out: 0."""
+    friction: Number = 0.0
+    """Coulomb's coefficient, below 10."""
+
+
+class DyadsSection(Section):
+    """Any linkage that is a driving crank and dyads: points on the ground, links, guides, assembly modes."""
+
+    type: Literal["dyads"] = "dyads"
+    """A mechanism with links is one of dyads."""
+    ground: dict[Name, Place]
+    """Points on the frame."""
+    links: dict[Name, LinkSection]
+    """Every moving body."""
+    guides: dict[Name, GuideSection] = Field(default_factory=dict)
+    """Sliding joints."""
+    assembly: dict[str, str] = Field(default_factory=dict)
+    """Which way each group closes: at an RRR joint `left of B-D` or `right of B-D`, at an RRP pin or an RPR guide `forward` or
+    `backward`; `left of B-D, continue` is where it lies at the start, and it moves on smoothly through change points; in a design
+    problem also `either`."""
+
+    @property
+    def follows(self) -> bool:
+        """Whether the motion is followed through change points anywhere."""
+        return any(mode.rpartition(",")[2].strip() == CONTINUE for mode in self.assembly.values())
+
+    def check_mode(self, sizes: Mapping[str, Any]) -> None:
+        """Any lengths have the assembly modes of a dyad."""
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every size of the file by name: D.x, crank.length, link2.P.along, F.offset, F.direction."""
+        found = {}
+        for point, (x, y) in self.ground.items():
+            found[f"{point}.x"], found[f"{point}.y"] = x, y
+        for name, link in self.links.items():
+            if link.length is not None:
+                found[f"{name}.length"] = link.length
+            for point, (along, across) in link.points.items():
+                found[f"{name}.{point}.along"], found[f"{name}.{point}.across"] = along, across
+        for name, guide in self.guides.items():
+            if isinstance(guide.through, tuple):
+                found[f"{name}.x"], found[f"{name}.y"] = guide.through
+            for key in ("direction", "offset", "tilt"):
+                if getattr(guide, key) is not None:
+                    found[f"{name}.{key}"] = getattr(guide, key)
+        return found
+
+    @property
+    def friction(self) -> dict[str, float]:
+        """Coefficients of friction of the guides that have one."""
+        return {name: guide.friction for name, guide in self.guides.items() if guide.friction}
+
+    def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
+        """Changes of the file that settle what the search shall choose, one per combination of assembly modes."""
+        found: list[dict[str, str]] = [{}]
+        for group in mechanism.groups:
+            if self.assembly.get(group.joint) == EITHER:
+                found = [{**known, f"mechanism.assembly.{group.joint}": mode} for known in found for mode in modes_of(group)]
+        return found
+
+    def linkage(self, name: str, driver: str | None) -> Mechanism:
+        """The mechanism as data; assembly modes that are to be chosen count as left, or forward.
+
+        Raises
+        ------
+        Unusable
+            when the bodies are no chain of dyads.
+        """
+        self._check_names()
+        links = [link for link, _ in self._links()]
+        body = driver or ("crank" if "crank" in self.links else None)
+        if body is None:
+            raise Unusable("no body is driven", f"Add [drive] body, one of: {', '.join(self.links)}", "drive.body")
+        if body not in self.links:
+            raise Unusable("no such body", nearest(body, self.links), "drive.body", body)
+        points = [point for _, own in self._links() for point in own]
+        try:
+            return assemble(name, self._ground(), links, points, list(self._guides()), body, self.assembly)
+        except StructureError as error:
+            raise Unusable(
+                error.message, error.remedy, f"mechanism.{error.key}" if error.key else "mechanism", error.value
+            ) from None
+
+    def _ground(self) -> dict[str, tuple[Size, Size]]:
+        return {point: (f"{point}.x", f"{point}.y") for point in self.ground}
+
+    def _links(self) -> Iterator[tuple[Link, list[BodyPoint]]]:
+        for name, link in self.links.items():
+            key = f"mechanism.links.{name}"
+            start, end = (*link.joints, "")[:2]
+            if end and link.length is None:
+                raise Unusable("a link with two joints has a length", 'Add length = "100 mm"', f"{key}.length")
+            if not end and link.length is not None:
+                raise Unusable("a body with one joint has no length", 'Add its other joint: joints = ["B", "C"]', f"{key}.joints")
+            own = [start, *([end] if end else []), *link.points]
+            for point in own:
+                if own.count(point) > 1:
+                    raise Unusable("the point is given twice", "Take one of the two out, or rename it", key, point)
+            points = [BodyPoint(p, name, f"{name}.{p}.along", f"{name}.{p}.across") for p in link.points]
+            yield Link(name, start, end, f"{name}.length" if end else 0.0), points
+
+    def _guides(self) -> Iterator[Guide]:
+        for name, guide in self.guides.items():
+            key = f"mechanism.guides.{name}"
+            for what in ("slider", "on"):
+                body = getattr(guide, what)
+                if body not in self.links and not (what == "on" and body == FRAME):
+                    known = [*self.links, FRAME] if what == "on" else list(self.links)
+                    raise Unusable("no such body", nearest(body, known), f"{key}.{what}", body)
+            if guide.slider == guide.on:
+                raise Unusable("a body cannot slide on itself", "Name the body that carries the line", f"{key}.on", guide.on)
+            through: str | tuple[Size, Size]
+            if isinstance(guide.through, tuple):
+                through = (f"{name}.x", f"{name}.y")
+            elif guide.through is None:
+                if guide.on == FRAME:
+                    example = f'through = "{next(iter(self.ground), "D")}", or through = ["0 mm", "575 mm"]'
+                    raise Unusable("a guide on the frame passes through a point", f"Add {example}", f"{key}.through")
+                through = self.links[guide.on].joints[0]
+            else:
+                through = self._point(guide.through, guide.on, f"{key}.through")
+            at = self._point(guide.at, guide.slider, f"{key}.at") if guide.at else ""
+            sizes = {k: f"{name}.{k}" if getattr(guide, k) is not None else 0.0 for k in ("direction", "offset", "tilt")}
+            if not 0.0 <= guide.friction < 10.0:
+                raise Unusable(
+                    "out of range", "A coefficient of friction lies between 0 and 10", f"{key}.friction", guide.friction
+                )
+            yield Guide(name, guide.slider, guide.on, through, at=at, **sizes)
+
+    def _point(self, point: str, body: str, key: str) -> str:
+        known = [*self.ground] if body == FRAME else [*self.links[body].joints, *self.links[body].points]
+        if point not in known:
+            raise Unusable(f"{body} has no such point", nearest(point, known), key, point)
+        return point
+
+    def _check_names(self) -> None:
+        seen: dict[str, str] = {}
+        points = dict.fromkeys(
+            [*self.ground, *(p for link in self.links.values() for p in (*link.joints, *link.points))], "point"
+        )
+        for kind, names in (("body", self.links), ("point", points), ("guide", self.guides)):
+            for name in names:
+                if name in RESERVED:
+                    raise Unusable(f"{name} is a reserved name", "Choose another", "mechanism", name)
+                if name in seen:
+                    raise Unusable(f"{name} names a {seen[name]} and a {kind}", "Rename one of them", "mechanism", name)
+                seen[name] = kind
+        if not self.ground:
+            raise Unusable("nothing is fixed on the ground", 'Add A = ["0 mm", "0 mm"]', "mechanism.ground")
+        if not self.links:
+            raise Unusable("no link is given", 'Add crank = { joints = ["A", "B"], length = "100 mm" }', "mechanism.links")
+
+
+def check_one_mode(mechanism: FourBarSection | DyadsSection) -> None:
+    """Refuse to design a linkage that changes its assembly mode in motion.
+
+    Raises
+    ------
+    Unusable
+    """
+    if mechanism.follows:
+        message = "a linkage is designed for one assembly mode, without change points"
+        if isinstance(mechanism, FourBarSection):
+            raise Unusable(message, 'Write "left", "right" or "either"', "mechanism.assembly", mechanism.assembly)
+        joint, mode = next((joint, mode) for joint, mode in mechanism.assembly.items() if CONTINUE in mode)
+        raise Unusable(message, f'Take "{CONTINUE}" out', f"mechanism.assembly.{joint}", mode)
+
+
+def sizes_of(quantities: Mapping[str, Quantity]) -> dict[str, float]:
+    """Values [SI] of quantities; the start of those that are free."""
+    return {name: quantity.value for name, quantity in quantities.items()}

@@ -1,0 +1,345 @@
+"""GenerationProblem: a linkage whose point shall pass points, whose body shall take poses, whose output shall be a function of
+the crank angle, or which shall transmit force as well as it can.
+
+Its unknowns are the free sizes of the mechanism and, where the file leaves them open, the crank angles at the points.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, ValidationInfo, field_validator
+
+from optlink.linkage.dyad_types import RRR
+from optlink.linkage.mechanism import FRAME, Pose
+from optlink.linkage.vector2d import Value, angle_from, dot, minus, turn, unit
+from optlink.problem.base_model import Section
+from optlink.problem.limits import Limits
+from optlink.problem.machine.model import Problem
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.quantity import (
+    Angle,
+    Coordinate,
+    CoordinateInterval,
+    FixedLength,
+    Quantity,
+    Unusable,
+    nearest,
+)
+from optlink.problem.targets.function import Function, read_function
+from optlink.problem.targets.points import Wanted, closed, read_points
+
+Array = NDArray[np.float64]
+TURN = 2.0 * math.pi
+START, MARK, ZERO = "start", "mark", "zero"
+"""Names of the quantities that a task adds to those of the mechanism."""
+
+KINDS = ("path", "motion", "function", "transmission")
+POSITIONS = 60  # of a function, where the file does not say how many
+GRID = 36  # crank angles at which the transmission of a mechanism that is no four-bar is followed
+
+STEP = 1e-4  # rad, least crank rotation from a point to the next
+
+
+def _read_crank(raw: object) -> object:
+    if isinstance(raw, str) and raw in ("free", "from start", "given"):
+        return raw
+    raise Unusable("not a kind of timing", nearest(str(raw), ("free", "from start", "given")), "", raw)
+
+
+class Task(Section):
+    """What the linkage must do.
+
+    Its point passes the points (path) or its body takes the poses (motion) in the order listed; its output is a function of the
+    crank angle (function); or the worst cosine of its transmission angles is as small as can be (transmission).
+    """
+
+    kind: Literal["path", "motion", "function", "transmission"] = "function"
+    """What the linkage shall do."""
+    point: str = "P"
+    """The moving point that takes the places; its body takes the angles."""
+    points: Any = None
+    """Points or poses: a list, a CSV file, a drawing or expressions; of a function the number of positions (60)."""
+    law: Any = None
+    """The function y(x) that the output follows while x runs evenly with the crank."""
+    output: str | None = None
+    """Of a function: the guide whose slide is meant, or the body that turns."""
+    zero: Coordinate | None = None
+    """Of a function: the slide at the least y, fixed or free; left out: free."""
+    timing: Annotated[Literal["free", "from start", "given"] | None, BeforeValidator(_read_crank)] = None
+    """Crank angles at the points: those given, those given but for a common start, or any in order; left out: as the points
+    have it."""
+    start: Angle | None = None
+    """The common start of the crank angles, fixed or free; left out: anywhere."""
+    rotation: Literal["either", "counter-clockwise", "clockwise"] = "either"
+    """Sense in which the crank meets the points, where the timing is free."""
+    closed: bool | None = None
+    """Whether the last point leads back to the first within the revolution; left out: as the points have it."""
+    mark: Angle | None = None
+    """Angle of the poses to the body's own direction, fixed or free; left out: free."""
+    angle_length: FixedLength | None = None
+    """The length that an error of one radian counts as; left out: the size of the curve."""
+    measure: Literal["sum of squares", "rms", "max"] | None = None
+    """What makes one figure of all deviations; left out: the sum of squares, of a transmission the largest."""
+
+    @field_validator("points", mode="before")
+    @classmethod
+    def _points(cls, raw: object, info: ValidationInfo) -> Wanted | int | None:
+        kind = info.data.get("kind")
+        if kind in ("function", "transmission"):
+            if raw is not None and (
+                kind == "transmission" or isinstance(raw, bool) or not isinstance(raw, int) or not 2 <= raw <= 400
+            ):
+                remedy = "Leave points out" if kind == "transmission" else "Give a whole number from 2 to 400, or leave it out"
+                raise Unusable(f"no points belong to a {kind}" if kind == "transmission" else "no number of positions", remedy)
+            return raw
+        return read_points(raw, (info.context or {}).get("folder", Path()))
+
+    @field_validator("law", mode="before")
+    @classmethod
+    def _law(cls, raw: object) -> Function | None:
+        if raw is None or isinstance(raw, Function):
+            return raw
+        if not isinstance(raw, dict):
+            raise Unusable("the output of this mechanism follows a function y(x)", f"Write {SLIDES}")
+        try:
+            return read_function(raw, "coordinate")
+        except Unusable as error:
+            if error.key != "output":
+                raise
+        return read_function(raw, "angle")
+
+
+SLIDES = 'law = { function = "sqrt(x)", x = [0.1, 1], input = "90 deg", output = "40 mm" }'
+
+
+class RegionSection(Section):
+    """A rectangle of the plane: ranges of x and y."""
+
+    x: CoordinateInterval | None = None
+    """Range of x; left out: anywhere."""
+    y: CoordinateInterval | None = None
+    """Range of y; left out: anywhere."""
+
+
+class GenerationLimits(Limits):
+    """What must hold beside the points."""
+
+    pivots: RegionSection | None = None
+    """Rectangle that every point of the frame lies in."""
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """What is wanted at each point, as arrays.
+
+    `columns` (points, k): x, y [m] and, of poses, cosine and sine of the angle; `roots` (points,) of the weights;
+    `offsets` (points,) [rad]: crank angles as given, or None where they are free; `tolerances` (points,) [m], infinite where
+    there is none.
+    """
+
+    columns: Array
+    roots: Array
+    offsets: Array | None
+    tolerances: Array
+
+
+class GenerationProblem(Problem):
+    """A problem file that states points or poses: what `solve` takes. Change it with `optlink.load(..., overrides)`."""
+
+    requirement: Task
+    """Points, poses, a function, or the best transmission."""
+    limits: GenerationLimits = GenerationLimits()
+    """What must hold beside the points."""
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every quantity that can be fixed or free, by name: those of the mechanism, and what the task adds."""
+        found, task = dict(self.mechanism.quantities), self.requirement
+        anywhere = Quantity(0.0, "angle", "deg", -math.pi, math.pi)
+        if self.timing == "from start":
+            found[START] = task.start or anywhere
+        if task.kind == "motion":
+            found[MARK] = task.mark or anywhere
+        if task.kind == "function" and self.slides:
+            far = 10.0 * max([abs(task.law.output), *(q.value for q in found.values() if q.kind == "length")])
+            found[ZERO] = task.zero or Quantity(0.0, "coordinate", "mm", -far, far)
+        elif task.kind == "function":
+            found[ZERO] = anywhere
+        return found
+
+    @property
+    def slides(self) -> bool:
+        """Whether the output of a function is a slider, not the angle of a body."""
+        return isinstance(self.requirement.law, Function) and self.requirement.law.kind == "coordinate"
+
+    @property
+    def measure(self) -> str:
+        """How deviations become one figure."""
+        return self.requirement.measure or ("max" if self.requirement.kind == "transmission" else "sum of squares")
+
+    @property
+    def unit(self) -> str:
+        """SI unit of a deviation: empty for cosines."""
+        if self.requirement.kind == "transmission":
+            return ""
+        return "rad" if self.requirement.kind == "function" and not self.slides else "m"
+
+    @property
+    def width(self) -> int:
+        """Components of the deviation at one position."""
+        if self.requirement.kind == "transmission":
+            return len([group for group in self.linkage.groups if isinstance(group, RRR)])
+        return {"path": 2, "motion": 3, "function": 1}[self.requirement.kind]
+
+    @property
+    def whole(self) -> float:
+        """What a deviation is measured by in the programme: the size of the curve, 1 for angles and cosines."""
+        return self.size if self.unit == "m" else 1.0
+
+    @property
+    def wanted(self) -> Wanted:
+        """The points as they were read; none of a function or transmission."""
+        points = self.requirement.points
+        return points if isinstance(points, Wanted) else Wanted(points=())
+
+    @property
+    def timing(self) -> str:
+        """ "given": crank angles belong to the points; "from start": up to a common start; "free": in order."""
+        if self.requirement.kind == "function":
+            return "from start"
+        if self.requirement.kind == "transmission":
+            return "given"
+        return self.requirement.timing or ("free" if self.wanted.crank is None else "given")
+
+    @cached_property
+    def closed(self) -> bool:
+        """Whether the points go once round a closed curve: the last step leads back to the first point."""
+        if self.requirement.closed is not None:
+            return self.requirement.closed
+        return len(self.wanted.points) > 3 and closed(self.wanted)
+
+    @property
+    def meets_again(self) -> bool:
+        """Whether the last point is the first again: only then may it be met at the first crank angle again."""
+        columns = self.data.columns
+        return bool(np.max(np.abs(columns[0, :2] - columns[-1, :2])) <= 1e-9 * self.size)
+
+    @property
+    def side(self) -> int:
+        """Assembly mode of a four-bar: +1 left, -1 right of B -> D."""
+        assert isinstance(self.mechanism, FourBarSection)
+        return self.mechanism.side
+
+    @cached_property
+    def data(self) -> Data:
+        """What is wanted, as arrays."""
+        wanted, task = self.wanted, self.requirement
+        if task.kind == "function":
+            offsets = task.law.input * np.linspace(0.0, 1.0, (task.points or POSITIONS) + 1)
+            return _plain(np.asarray(task.law.rise(offsets), dtype=float)[:, None], offsets)
+        if task.kind == "transmission":
+            exact = isinstance(self.mechanism, FourBarSection)
+            offsets = np.array([0.0, math.pi]) if exact else np.linspace(0.0, TURN, GRID, endpoint=False)
+            return _plain(np.zeros((len(offsets), 1)), offsets)
+        columns = np.array(wanted.points, dtype=float)
+        if task.kind == "motion":
+            assert wanted.angles is not None
+            columns = np.column_stack([columns, *unit(np.array(wanted.angles))])
+        count = len(columns)
+        roots = np.ones(count) if wanted.weights is None else np.sqrt(np.array(wanted.weights))
+        tolerances = np.full(count, np.inf) if wanted.tolerances is None else np.array(wanted.tolerances)
+        offsets = None if self.timing == "free" or wanted.crank is None else np.array(wanted.crank)
+        return Data(columns, roots, offsets, tolerances)
+
+    @property
+    def pointed(self) -> bool:
+        """Whether points in the plane are wanted."""
+        return self.requirement.kind in ("path", "motion")
+
+    @cached_property
+    def centre(self) -> tuple[float, float]:
+        """Mean of the points [m]; the origin where there are none."""
+        if not self.pointed:
+            return 0.0, 0.0
+        x, y = np.mean(self.data.columns[:, :2], axis=0)
+        return float(x), float(y)
+
+    @cached_property
+    def size(self) -> float:
+        """How large the curve is [m]: root mean square of the points' distances from their centre; else the stroke, or a link."""
+        if self.pointed:
+            spread = self.data.columns[:, :2] - np.array(self.centre)
+            size = float(np.sqrt(np.mean(np.sum(spread * spread, axis=1))))
+            if size > 0.0:
+                return size
+        if self.slides:
+            return float(abs(self.requirement.law.output))
+        quantities = [q for q in self.mechanism.quantities.values() if q.kind == "length"]
+        fixed = [q.value for q in quantities if not q.free]
+        return max(fixed or [q.value for q in quantities])
+
+    @cached_property
+    def radian(self) -> float:
+        """Length [m] that one radian of a pose counts as."""
+        given = self.requirement.angle_length
+        return self.size if given is None else given.value
+
+    @property
+    def body(self) -> str:
+        """The body that carries the point."""
+        owners = [body for body in self.linkage.owners.get(self.requirement.point, ()) if body != FRAME]
+        return owners[-1] if owners else ""
+
+    def deviation(self, pose: Pose, values: Mapping[str, Value], wanted: tuple[Value, ...]) -> list[Value]:
+        """Generated minus wanted at one position, elementwise; `wanted` is a row of `Data.columns`.
+
+        Of a path x and y [m]; of a pose also the angle times `radian`; of a function the slide [m] or angle [rad]; for the
+        transmission the cosine of the angle at each joint of two links.
+        """
+        kind = self.requirement.kind
+        if kind == "transmission":
+            return [joint_cosine(pose, group) for group in self.linkage.groups if isinstance(group, RRR)]
+        if kind == "function":
+            if self.slides:
+                guide = next(guide for guide in self.linkage.guides if guide.name == self.requirement.output)
+                return [pose.slide(guide) - values[ZERO] - wanted[0]]
+            return [angle_from(unit(values[ZERO] + wanted[0]), pose.direction(str(self.requirement.output)))]
+        x, y = pose.point(self.requirement.point)
+        found = [x - wanted[0], y - wanted[1]]
+        if kind == "motion":
+            turned = turn(pose.direction(self.body), unit(values[MARK]))
+            found.append(self.radian * angle_from((wanted[2], wanted[3]), turned))
+        return found
+
+    @property
+    def transmission_over(self) -> str:
+        """Where the transmission limits hold: "revolution" or "span"."""
+        return self.limits.transmission_over or ("span" if self.limits.crank == "span" else "revolution")
+
+    def crank_angles(self, values: Mapping[str, float], angles: Array | None) -> Array:
+        """Crank angle [rad] at each point: as found (`angles`) where they are free."""
+        offsets = self.data.offsets
+        if offsets is None:
+            assert angles is not None
+            return angles
+        return offsets + (values[START] if self.timing == "from start" else 0.0)
+
+
+def _plain(columns: Array, offsets: Array) -> Data:
+    """Positions of equal weight without tolerances."""
+    return Data(columns, np.ones(len(columns)), offsets, np.full(len(columns), np.inf))
+
+
+def joint_cosine(pose: Pose, group: RRR) -> Value:
+    """Cosine of the angle between the two links of a group."""
+    joint = pose.point(group.joint)
+    one, other = (minus(pose.point(pin), joint) for pin in group.pins)
+    return dot(one, other) / np.sqrt(dot(one, one) * dot(other, other))

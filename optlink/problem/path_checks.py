@@ -1,0 +1,159 @@
+"""What no single key of a generation problem shows: whether its task, its points, its output and its limits go together."""
+
+from __future__ import annotations
+
+from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.problem.limits import check_ranges
+from optlink.problem.mechanism import FourBarSection, check_one_mode
+from optlink.problem.path import SLIDES, GenerationProblem
+from optlink.problem.quantity import Unusable, nearest
+
+MAX_SHIFT = 1e6  # sizes of the curve that it may lie away from the origin
+
+BELONGS = {
+    "law": ("function",),
+    "output": ("function",),
+    "zero": ("function",),
+    "mark": ("motion",),
+    "angle_length": ("motion",),
+    "start": ("path", "motion", "function"),
+    "timing": ("path", "motion"),
+    "closed": ("path", "motion"),
+}
+"""What only some kinds of task have."""
+
+FOUR_BAR_LIMITS = ("length_margin", "frame_length", "link_ratio", "swing_angle", "time_ratio", "transmission_cosine")
+"""Limits that only a four-bar has."""
+
+
+def cross_check_generation(problem: GenerationProblem) -> None:
+    """Find what no single key shows.
+
+    Raises
+    ------
+    Unusable
+        with the full key that is to blame.
+    """
+    check_one_mode(problem.mechanism)
+    task, mechanism = problem.requirement, problem.linkage
+    for key, kinds in BELONGS.items():
+        if getattr(task, key) is not None and task.kind not in kinds:
+            raise Unusable(f"a {task.kind} has no {key}", f'Leave it out, or write kind = "{kinds[0]}"', f"requirement.{key}")
+    if task.kind == "function":
+        _check_output(problem, mechanism)
+    elif task.kind == "transmission":
+        if problem.width == 0:
+            raise Unusable(
+                "no group of this mechanism has a transmission angle", "Take another requirement", "requirement.kind", task.kind
+            )
+        if problem.limits.crank == "span":
+            raise Unusable(
+                "the transmission is that of a whole revolution", 'Write crank = "full rotation"', "limits.crank", "span"
+            )
+    else:
+        _check_points(problem, mechanism)
+    _check_limits(problem, mechanism)
+
+
+def foreign(section: str, kind: str, *, four_bar: bool) -> set[str]:
+    """Keys of a section that a task of this kind cannot have."""
+    if section == "requirement":
+        return {key for key, kinds in BELONGS.items() if kind not in kinds}
+    return set() if section != "limits" or four_bar else set(FOUR_BAR_LIMITS)
+
+
+def _check_output(problem: GenerationProblem, mechanism: Mechanism) -> None:
+    task = problem.requirement
+    if task.law is None:
+        raise Unusable("the function is missing", f"Write {SLIDES}", "requirement.law")
+    guides, bodies = [guide.name for guide in mechanism.guides], [link.body for link in mechanism.links[1:]]
+    known = guides if problem.slides else bodies
+    what = "guide" if problem.slides else "body that turns"
+    if task.output not in known:
+        remedy = f"Write output = one of: {', '.join(known)}" if task.output is None else nearest(task.output, known)
+        raise Unusable(f"the output is the name of a {what}", remedy, "requirement.output", task.output)
+    if task.zero is not None and not problem.slides:
+        raise Unusable("only a slider has it", "Leave it out", "requirement.zero", str(task.zero))
+
+
+def _check_points(problem: GenerationProblem, mechanism: Mechanism) -> None:
+    task, wanted = problem.requirement, problem.wanted
+    named = [name for name, bodies in mechanism.owners.items() if FRAME not in bodies]
+    if task.point not in named:
+        remedy = nearest(task.point, named)
+        if isinstance(problem.mechanism, FourBarSection) and not problem.mechanism.points:
+            remedy = f'Give the coupler a point: mechanism.points = {{ {task.point} = ["60 mm", "20 mm"] }}. {remedy}'
+        raise Unusable("no moving body has such a point", remedy, "requirement.point", task.point)
+    count = len(wanted.points)
+    if task.kind == "motion" and wanted.angles is None:
+        raise Unusable(
+            "a pose is a point and an angle, and the angles are missing",
+            'Write points = [{ x = "20 mm", y = "5 mm", angle = "30 deg" }, ...]',
+            "requirement.points",
+        )
+    if task.kind == "path" and wanted.angles is not None:
+        raise Unusable("a path has no angles", 'Leave them out, or write kind = "motion"', "requirement.points")
+    if not count:
+        example = 'points = [["20 mm", "5 mm"], ["25 mm", "8 mm"]], { csv = "curve.csv" } or { svg = "drawing.svg" }'
+        raise Unusable("the points are missing", f"Write {example}", "requirement.points")
+    least = 3 if task.closed else 2
+    if count < least:
+        raise Unusable(
+            f"{count} point{'s are' if count > 1 else ' is'} no {'closed curve' if task.closed else task.kind}",
+            f"Give at least {least}",
+            "requirement.points",
+            f"{count} point{'s' * (count > 1)}",
+        )
+    if task.timing in ("given", "from start") and wanted.crank is None:
+        raise Unusable(
+            "the timing is wanted, and the points have no crank angles",
+            'Write points = [{ x = "20 mm", y = "5 mm", crank = "30 deg" }, ...], or timing = "free"',
+            "requirement.timing",
+            task.timing,
+        )
+    if task.start is not None and problem.timing != "from start":
+        raise Unusable(
+            "only points that are timed from a start have one",
+            'Write timing = "from start", or leave start out',
+            "requirement.start",
+            str(task.start),
+        )
+    if task.rotation != "either" and problem.timing != "free":
+        raise Unusable(
+            "the crank angles of the points say which way the crank turns",
+            'Leave rotation out, or write timing = "free"',
+            "requirement.rotation",
+            task.rotation,
+        )
+    if max(map(abs, problem.centre)) > MAX_SHIFT * problem.size:
+        raise Unusable(
+            f"the points lie {max(map(abs, problem.centre)) / problem.size:.1e} times their own size away from the origin, "
+            "where no digits are left for their shape",
+            "Check the units, or move the origin near the points",
+            "requirement.points",
+        )
+
+
+def _check_limits(problem: GenerationProblem, mechanism: Mechanism) -> None:
+    limits, four_bar = problem.limits, isinstance(problem.mechanism, FourBarSection)
+    for key in FOUR_BAR_LIMITS:
+        if key in limits.model_fields_set and not four_bar:
+            raise Unusable("only a four-bar has it", "Leave it out, and bound the lengths themselves", f"limits.{key}")
+    if limits.crank == "double-crank" and not four_bar:
+        raise Unusable("only a four-bar can be one", 'Write crank = "full rotation"', "limits.crank", limits.crank)
+    if limits.crank == "span" and limits.transmission_over == "revolution":
+        raise Unusable(
+            "a crank that need not turn fully has no whole revolution",
+            'Write transmission_over = "span", or crank = "full rotation"',
+            "limits.transmission_over",
+            "revolution",
+        )
+    if limits.transmission_angle is not None and not any(group.kind == "RRR" for group in mechanism.groups):
+        raise Unusable("no group of this mechanism has a transmission angle", "Leave it out", "limits.transmission_angle")
+    check_ranges(limits)
+    if limits.crank != "full rotation":
+        for key in ("swing_angle", "time_ratio"):
+            if getattr(limits, key) is not None:
+                raise Unusable(
+                    "only a crank-rocker has it", 'Set limits.crank = "full rotation", or leave the limit out', f"limits.{key}"
+                )

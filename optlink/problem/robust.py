@@ -1,0 +1,143 @@
+"""What is made least of an error that scatters because its sizes do: with standard deviations, the worst case, or on average.
+
+To first order a size that is off by d changes the error by its slope times d; the slopes are derivatives of the linkage.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from optlink.linkage.vector2d import Value
+from optlink.problem.quantity import Unusable
+from optlink.problem.tolerances import Deviation
+
+MOST = 100.0  # standard deviations
+WORST, EXPECTED = "worst case", "expected value"
+SQUARES, LARGEST = ("sum of squares", "rms"), ("max",)  # measures that go with the expected value, and with the others
+FLOOR = 1e-24  # rad^2; keeps the slope of a standard deviation finite where nothing scatters, and is worth 1e-12 rad there
+_SIGMAS = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *sigma")
+_REMEDY = f'Write robust = "3 sigma" or "{WORST}" with measure = "max", or "{EXPECTED}" with squares'
+
+
+@dataclass(frozen=True)
+class Robust:
+    """How the scatter counts: `sigmas` standard deviations or the worst case beside each error, or the expected square of it."""
+
+    text: str
+    sigmas: float = 0.0
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """Measures that it goes with."""
+        return SQUARES if self.text == EXPECTED else LARGEST
+
+    @property
+    def band(self) -> str:
+        """What is drawn to both sides of an error."""
+        return "1 sigma" if self.text == EXPECTED else self.text
+
+    def named(self, measure: str) -> str:
+        """The measure with it, in words."""
+        if self.text != EXPECTED:
+            return f"{measure} with {self.text}"
+        return "root of the expected mean square" if measure == "rms" else f"expected {measure}"
+
+
+def read_robust(raw: object) -> Robust | None:
+    """Read "3 sigma", "worst case" or "expected value".
+
+    Raises
+    ------
+    Unusable
+    """
+    if raw is None or isinstance(raw, Robust):
+        return raw
+    text = raw.strip() if isinstance(raw, str) else ""
+    if text in (WORST, EXPECTED):
+        return Robust(text)
+    match = _SIGMAS.fullmatch(text)
+    if match is None:
+        raise Unusable("this says not how tolerances count", _REMEDY, "", raw)
+    sigmas = float(match[1])
+    if not 0.0 <= sigmas <= MOST:
+        raise Unusable("out of range", f'Give 0 to {MOST:g} standard deviations, such as "3 sigma"', "", raw)
+    return Robust(f"{sigmas:g} sigma", sigmas)
+
+
+Robustness = Annotated[Robust | None, BeforeValidator(read_robust)]
+
+
+def residuals(robust: Robust | None, deviations: Sequence[Deviation], error: Value, slopes: Sequence[Value]) -> list[Value]:
+    """What the measure is of at one position, elementwise: the error, or with its scatter.
+
+    Parameters
+    ----------
+    robust : None where only the error as drawn counts
+    deviations : of sizes; their tolerances may be symbols
+    error : as drawn [rad]
+    slopes : its derivative by the size of every deviation [rad/SI]
+
+    Returns
+    -------
+    list [rad]
+        The error. Or the upper and the lower end of what it counts as: the larger of their sizes is that of the mean error and
+        what is added to it. Or the mean error and the standard deviation that every size is to blame for, whose squares add up to
+        the expected square of the error.
+    """
+    if robust is None:
+        return [error]
+    if robust.text == WORST:
+        ends = [d.ends for d in deviations]
+        middle = error + sum(0.5 * (low + high) * by for (low, high), by in zip(ends, slopes, strict=True))
+        spread = sum(0.5 * (high - low) * np.abs(by) for (low, high), by in zip(ends, slopes, strict=True))
+        return [middle + spread, middle - spread]
+    mean = error + sum(d.mean * by for d, by in zip(deviations, slopes, strict=True))
+    each = [d.sigma * by for d, by in zip(deviations, slopes, strict=True)]
+    if robust.text == EXPECTED:
+        return [mean, *each]
+    spread = robust.sigmas * np.sqrt(sum(part * part for part in each) + FLOOR)
+    return [mean + spread, mean - spread]
+
+
+def check_robust(robust: Robust | None, measure: str, stated: int) -> None:
+    """Whether it goes with the measure and the tolerances that are stated.
+
+    Raises
+    ------
+    Unusable
+        with the full key that is to blame.
+    """
+    if robust is None:
+        return
+    if not stated:
+        raise Unusable(
+            "a robust design needs tolerances",
+            'Add the section [tolerances], for example coupler = "0.1 mm"',
+            "requirement.robust",
+            robust.text,
+        )
+    if measure not in robust.measures:
+        other = f'robust = "{EXPECTED}"' if measure in SQUARES else 'robust = "3 sigma"'
+        raise Unusable(
+            f'"{robust.text}" does not go with measure = "{measure}"',
+            f'Write measure = "{robust.measures[0]}", or {other}',
+            "requirement.robust",
+            robust.text,
+        )
+
+
+def sizes_of(parts: Sequence[Value]) -> Value:
+    """Size of the error with what is added to it, of its upper and lower end; elementwise on arrays."""
+    return np.max([np.abs(part) for part in parts], axis=0)
+
+
+__all__ = ["EXPECTED", "WORST", "Robust", "Robustness", "check_robust", "read_robust", "residuals", "sizes_of"]

@@ -1,0 +1,127 @@
+"""Curves sampled evenly by their arc length; and curves that expressions in t describe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.problem.quantity import LONGEST, SHORTEST, Unusable
+from optlink.problem.targets.expression import Expression, LawError, parse
+from optlink.problem.targets.point_table import Rows, check_apart
+from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, Wanted, asked_count, cut, metres, pairs
+from optlink.units import show
+
+Array = NDArray[np.float64]
+
+FINE = 100_000  # chords that a curve is measured by; of one turn of a circle, they miss 2e-10 of the length
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A piece of a curve: `at` gives its points (n, 2) [m] at u (n,) from 0 to 1; measured by `chords` chords."""
+
+    at: Callable[[Array], Array]
+    chords: int
+
+
+def evenly(pieces: Sequence[Piece], count: int) -> tuple[Array, bool, float]:
+    """Sample a curve evenly by its arc length.
+
+    Returns
+    -------
+    points (count, 2) [m], exactly on the curve; whether it is closed: then the first is not repeated; its length [m]
+    """
+    traced = [piece.at(np.linspace(0.0, 1.0, piece.chords + 1)) for piece in pieces]
+    chords = np.concatenate([np.hypot(*np.diff(points, axis=0).T) for points in traced])
+    starts = np.concatenate([[0], np.cumsum([piece.chords for piece in pieces])])
+    here = np.concatenate([[0.0], np.cumsum(chords)])
+    low = np.min([points.min(axis=0) for points in traced], axis=0)
+    high = np.max([points.max(axis=0) for points in traced], axis=0)
+    size = float(np.hypot(*(high - low)))
+    if not max(np.max(np.abs(low)), np.max(np.abs(high))) <= LONGEST:  # NaN too
+        raise Unusable("the curve is too large for a linkage", "Check its numbers and its unit")
+    if size < SHORTEST:
+        raise Unusable("the curve has no length", "Check its numbers and its unit")
+    loop = bool(np.hypot(*(traced[-1][-1] - traced[0][0])) <= COINCIDENT * size)
+    targets = np.linspace(0.0, here[-1], count, endpoint=not loop)
+    index = np.clip(np.searchsorted(here, targets, side="right") - 1, 0, len(chords) - 1)
+    fraction = (targets - here[index]) / np.where(chords[index] > 0.0, chords[index], 1.0)
+    piece = np.clip(np.searchsorted(starts, index, side="right") - 1, 0, len(pieces) - 1)
+    u = np.clip([(i - starts[p] + f) / pieces[p].chords for i, f, p in zip(index, fraction, piece, strict=True)], 0.0, 1.0)
+    return np.concatenate([pieces[p].at(at[None]) for p, at in zip(piece, u, strict=True)]), loop, float(here[-1])
+
+
+def sampled(points: Array, unit: str, loop: bool, note: str) -> Wanted:
+    """Points (n, 2) [m] that were sampled from a curve, apart from each other."""
+    check_apart(Rows({"x": points[:, 0], "y": points[:, 1]}, unit, key="points"))
+    return Wanted(pairs(points), unit=unit, note=f"{note}; closed, the first is not repeated" if loop else note, loop=loop)
+
+
+def expressed(raw: Mapping[str, Any]) -> Wanted:
+    """Points of a curve whose coordinates are expressions in t."""
+    for key, example in (("x", '"20*cos(t)"'), ("y", '"10*sin(t)"'), ("t", '[0, "2*pi"]'), ("unit", '"mm"')):
+        if key not in raw:
+            raise Unusable(
+                f"expressions of points need {key}",
+                f'Add {key} = {example}; listed points are written [["20 mm", "25 mm"], ...]',
+                key,
+            )
+    unit, size, count = raw["unit"], metres(raw), asked_count(raw)
+    spacing = raw.get("spacing", "t")
+    if spacing not in ("t", "arc length"):
+        raise Unusable("unknown spacing of the points", 'Write "t" or "arc length"', "spacing", spacing)
+    x, y = (_expression(raw[key], ("t",), key) for key in ("x", "y"))
+    bounds = raw["t"]
+    if not isinstance(bounds, list | tuple) or len(bounds) != 2:
+        raise Unusable("t needs two values, first and last", 'Write t = [0, "2*pi"]', "t", bounds)
+    begin, end = (_bound(bound, f"t[{number}]") for number, bound in enumerate(bounds))
+    if begin == end:
+        raise Unusable("t starts where it ends", 'Write t = [0, "2*pi"], for example', "t[1]", bounds[1])
+    fine = np.linspace(begin, end, FINE + 1)
+    for key, law in (("x", x), ("y", y)):
+        worry = law.hazards({"t": fine})
+        if not worry and np.max(np.abs(np.asarray(law({"t": fine}), dtype=float))) * size > LONGEST:
+            worry = f"exceeds {LONGEST / 1e3:g} km"
+        if worry:
+            raise Unusable(
+                f"{key} {worry} between t = {begin:.6g} and t = {end:.6g}", "Choose another range of t", key, cut(raw[key])
+            )
+
+    def at(u: Array) -> Array:
+        known = {"t": begin + (end - begin) * u}
+        return np.stack([np.broadcast_to(np.asarray(law(known), dtype=float), u.shape) for law in (x, y)], axis=1) * size
+
+    points, loop, length = evenly([Piece(at, FINE)], count)
+    if spacing == "t":
+        points = at(np.linspace(0.0, 1.0, count, endpoint=not loop))
+    note = f"a curve {show(length, 'length', unit)} long, sampled at {count} points evenly by {spacing}"
+    return sampled(points, unit, loop, note)
+
+
+def _expression(raw: object, names: Iterable[str], key: str) -> Expression:
+    if not isinstance(raw, str):
+        raise Unusable("an expression is text", f'Write {key} = "20*cos(t)", for example', key, raw)
+    try:
+        return parse(raw, names)
+    except LawError as error:
+        raise Unusable(error.message, error.remedy, key, cut(raw)) from None
+
+
+def _bound(raw: object, key: str) -> float:
+    remedy = 'Write a plain number or a constant expression, for example 0 or "2*pi"'
+    if isinstance(raw, bool) or not isinstance(raw, int | float | str):
+        raise Unusable("expected a bound of t", remedy, key, raw)
+    if not isinstance(raw, str):
+        value: Any = raw
+    else:
+        try:
+            value = parse(raw, ())({})
+        except LawError as error:
+            raise Unusable(error.message, remedy, key, cut(raw)) from None
+    if not abs(value) <= HEAVIEST:  # NaN too
+        raise Unusable("the bound of t is not finite, or too large", remedy, key, cut(raw))
+    return float(value)

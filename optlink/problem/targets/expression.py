@@ -1,0 +1,249 @@
+"""The safe little language of target laws: "psi0 + 2/(3*pi)*(phi - phi0)^2".
+
+Numbers, the names that the caller allows, pi, + - * / ^ (or **), brackets and the functions of `FUNCTIONS`. A law is parsed
+here into a postfix programme and run on numpy ufuncs, so floats, arrays, casadi symbols and jets all pass; nothing is ever
+given to Python to evaluate.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from optlink.linkage.vector2d import Value
+from optlink.problem.quantity import nearest
+
+MAX_CHARACTERS = 2_000
+MAX_DEPTH = 60
+SPACE = " \t\r\n\f\v"
+
+FUNCTIONS: dict[str, np.ufunc] = {
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "exp": np.exp,
+    "log": np.log,
+    "log10": np.log10,
+    "sqrt": np.sqrt,
+    "abs": np.absolute,
+}
+CONSTANTS = {"pi": float(np.pi)}
+_BINARY: dict[str, np.ufunc] = {
+    "+": np.add,
+    "-": np.subtract,
+    "*": np.multiply,
+    "/": np.divide,
+    "^": np.power,
+}
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)|(?P<sign>\*\*|[-+*/^()]))",
+    re.ASCII,
+)
+# binding powers: left, right; a higher one binds tighter. -x^2 is -(x^2), 2^-1 is 0.5, 2^3^2 is 2^9
+_POWER = {"+": (10, 11), "-": (10, 11), "*": (20, 21), "/": (20, 21), "^": (41, 40)}
+_NEGATE = 30
+
+Step = tuple[str, Any]
+
+
+class LawError(ValueError):
+    """A law that cannot be read: `message` says what is wrong and where, `remedy` what would do."""
+
+    def __init__(self, message: str, remedy: str) -> None:
+        super().__init__(f"{message}. {remedy}")
+        self.message, self.remedy = message, remedy
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A parsed law: its text, the names it uses, and its postfix programme."""
+
+    text: str
+    names: frozenset[str] = field(repr=False)  # a set has no order, and the hash of a problem reads this
+    program: tuple[Step, ...]
+
+    def __call__(self, values: Mapping[str, Value]) -> Value:
+        """Evaluate with a Value for every name; NaN or infinity where it is not defined, silently."""
+        return self._run(values, None)
+
+    def hazards(self, values: Mapping[str, Value]) -> str | None:
+        """Say what goes wrong when the law is followed along arrays of values (one after the other), or None.
+
+        Finds poles that lie between two of the values too: a denominator that changes its sign.
+        """
+        found: list[str] = []
+
+        def watch(sign: str, left: Any, right: Any) -> None:
+            denominator = right if sign == "/" else left
+            if sign == "tan":
+                denominator = np.cos(left)
+            elif sign == "^" and not np.any(np.asarray(right) < 0.0):
+                return
+            array = np.atleast_1d(np.asarray(denominator, dtype=float))
+            if np.any(array == 0.0) or (np.any(array < 0.0) and np.any(array > 0.0)):
+                what = {"/": "divides by zero", "^": "raises zero to a negative power", "tan": "passes a pole of tan"}
+                found.append(what[sign])
+
+        result = np.asarray(self._run(values, watch), dtype=float)
+        if found:
+            return found[0]
+        if not np.all(np.isfinite(result)):
+            return "has no finite real value (a root or logarithm of a negative number, or an overflow)"
+        return None
+
+    def _run(self, values: Mapping[str, Value], watch: Callable[[str, Any, Any], None] | None) -> Value:
+        stack: list[Value] = []
+        with np.errstate(all="ignore"):
+            for kind, what in self.program:
+                if kind == "number":
+                    stack.append(what)
+                elif kind == "name":
+                    stack.append(values[what])
+                elif kind == "negate":
+                    stack.append(-stack.pop())
+                elif kind == "function":
+                    x = stack.pop()
+                    if watch and what == "tan":
+                        watch("tan", x, None)
+                    stack.append(FUNCTIONS[what](x))
+                else:
+                    right, left = stack.pop(), stack.pop()
+                    if watch and what in "/^":
+                        watch(what, left, right)
+                    stack.append(_BINARY[what](left, right))
+        return stack.pop()
+
+
+def parse(text: str, names: Iterable[str]) -> Expression:
+    """Read a law.
+
+    Parameters
+    ----------
+    text : str
+        At most `MAX_CHARACTERS` characters, brackets nested at most `MAX_DEPTH` deep.
+    names : the variables that it may use, beside pi and the functions
+
+    Raises
+    ------
+    LawError
+        when the text is anything else than such an expression.
+    """
+    if len(text) > MAX_CHARACTERS:
+        raise LawError(f"the law has {len(text):,} characters, more than {MAX_CHARACTERS:,}", "Shorten it, or give it as a table")
+    parser = _Parser(text, frozenset(names))
+    parser.expression(0, 0)
+    if parser.here is not None:
+        parser.fail(f'"{parser.here.text}" is not expected here', "Check brackets and operators; write 2*pi, not 2 pi")
+    return Expression(text, frozenset(parser.used), tuple(parser.program))
+
+
+class _Token(NamedTuple):
+    """A number, a name or a sign, and the column where it begins, from 1."""
+
+    kind: str
+    text: str
+    column: int
+
+
+class _Parser:
+    """Precedence climbing (Pratt); emits postfix as it goes. `here` is the token that is read next, None at the end."""
+
+    def __init__(self, text: str, names: frozenset[str]) -> None:
+        self.text, self.names = text, names
+        self.used: set[str] = set()
+        self.program: list[Step] = []
+        self.end = 0
+        self.here: _Token | None = None
+        self.advance()
+
+    def fail(self, message: str, remedy: str, column: int | None = None) -> NoReturn:
+        """Refuse the law, at the token that is read next if no column is given."""
+        at = column or (self.here.column if self.here is not None else len(self.text.rstrip(SPACE)) + 1)
+        raise LawError(f"{message} (column {at})", remedy)
+
+    def advance(self) -> None:
+        rest = self.text[self.end :]
+        column = self.end + len(rest) - len(rest.lstrip(SPACE)) + 1
+        if not rest.strip(SPACE):
+            self.here = None
+            return
+        match = _TOKEN.match(rest)
+        if match is None:
+            self.fail(
+                f'"{self.text[column - 1]}" does not belong in a law',
+                f"A law has numbers, {', '.join(sorted(self.names))}, pi, + - * / ^, brackets and the usual functions",
+                column,
+            )
+        self.end += match.end()
+        self.here = _Token(str(match.lastgroup), match.group().strip().replace("**", "^"), column)
+
+    def expression(self, power: int, depth: int) -> None:
+        if depth > MAX_DEPTH:
+            self.fail(f"the law is nested more than {MAX_DEPTH} deep", "Simplify it, or give it as a table")
+        self.operand(depth)
+        while self.here is not None and self.here.text in _POWER:
+            sign = self.here.text
+            left, right = _POWER[sign]
+            if left < power:
+                return
+            self.advance()
+            self.expression(right, depth + 1)
+            self.program.append(("binary", sign))
+
+    def operand(self, depth: int) -> None:
+        if self.here is None:
+            self.fail("the law ends too early", "Complete it, for example: psi0 + 0.5*(phi - phi0)")
+        kind, token, column = self.here
+        if kind == "number":
+            self.advance()
+            number = float(token)
+            if not np.isfinite(number):
+                self.fail(f"{token} is too large a number", "Use a smaller one", column)
+            self.program.append(("number", number))
+        elif kind == "name":
+            self.advance()
+            self.name(token, column, depth)
+        elif token in "+-":
+            self.advance()
+            self.expression(_NEGATE, depth + 1)
+            if token == "-":
+                self.program.append(("negate", None))
+        elif token == "(":
+            self.bracket(depth)
+        else:
+            self.fail(f'"{token}" is not expected here', "An operand is missing before it")
+
+    def bracket(self, depth: int) -> None:
+        assert self.here is not None
+        opened = self.here.column
+        self.advance()
+        self.expression(0, depth + 1)
+        if self.here is None:
+            self.fail("a bracket is not closed", 'Add the missing ")"', opened)
+        if self.here.text != ")":
+            self.fail(f'"{self.here.text}" is not expected here', 'Check operators, or add the missing ")"')
+        self.advance()
+
+    def name(self, token: str, column: int, depth: int) -> None:
+        if token in FUNCTIONS:
+            if self.here is None or self.here.text != "(":
+                self.fail(f"the function {token} needs its argument in brackets", f"Write {token}(...)", column)
+            self.bracket(depth)
+            self.program.append(("function", token))
+        elif token in CONSTANTS:
+            self.program.append(("number", CONSTANTS[token]))
+        elif token in self.names:
+            self.used.add(token)
+            self.program.append(("name", token))
+        else:
+            self.fail(f'"{token[:40]}" is unknown', nearest(token, [*sorted(self.names), *CONSTANTS, *FUNCTIONS]), column)

@@ -1,0 +1,129 @@
+"""A function y(x) to be generated: x runs evenly with the crank, y with the output, each over its range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from optlink.linkage.vector2d import Value
+from optlink.problem.quantity import Unusable, nearest, read_scalar
+from optlink.problem.targets.expression import Expression, LawError, parse
+
+KEYS = ("function", "x", "input", "output")
+EXAMPLE = 'law = { function = "log10(x)", x = [1, 2], input = "60 deg", output = "60 deg" }'
+GRID = 2001  # values of x among which the range of y is found
+
+
+@dataclass(frozen=True)
+class Function:
+    """y(x) for `low` <= x <= `high`, which the crank passes in a rotation `input` [rad]; y takes the `output` [rad or m] from its
+    least to its largest value there.
+
+    It is a law of the crank angle: wanted output = psi0 + output * (y(x) - least y) / (largest y - least y), psi0 the output
+    at the least y.
+    """
+
+    expression: Expression
+    low: float
+    high: float
+    input: float
+    output: float
+    kind: str = "angle"  # of the output: or "coordinate"
+    names: frozenset[str] = field(default=frozenset({"phi", "phi0", "psi0"}), repr=False)
+
+    @property
+    def text(self) -> str:
+        """As people write it."""
+        return f"y = {self.expression.text}, x = {self.low:g} ... {self.high:g}"
+
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """Least and largest y; refined between the values of a grid."""
+        x = np.linspace(self.low, self.high, GRID)
+        y = np.asarray(self.expression({"x": x}) + 0.0 * x, dtype=float)
+        found = []
+        for sign in (1.0, -1.0):
+            i = int(np.argmin(sign * y))
+            near = np.linspace(x[max(i - 1, 0)], x[min(i + 1, GRID - 1)], GRID)
+            found.append(sign * float(np.min(sign * np.asarray(self.expression({"x": near}) + 0.0 * near, dtype=float))))
+        return found[0], found[1]
+
+    def rise(self, offset: Value) -> Value:
+        """Wanted output [rad or m] above that of the least y, at a crank rotation [rad] from the start; elementwise."""
+        least, largest = self.ends
+        x = self.low + (self.high - self.low) / self.input * offset
+        return (self.expression({"x": x}) - least) * (self.output / (largest - least))
+
+    def __call__(self, values: Mapping[str, Value]) -> Value:
+        """Wanted output for phi, phi0 and psi0."""
+        return values["psi0"] + self.rise(values["phi"] - values["phi0"])
+
+    def hazards(self, values: Mapping[str, Value]) -> str | None:
+        """Say what goes wrong along the range, or None; see `Expression.hazards`."""
+        return self.expression.hazards({"x": self.low + (self.high - self.low) / self.input * (values["phi"] - values["phi0"])})
+
+
+def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
+    """Read a function as a problem file states it; its output is of that kind ("angle" or "coordinate").
+
+    Raises
+    ------
+    Unusable
+        naming the key that is to blame.
+    """
+    for key in raw:
+        if key not in KEYS:
+            raise Unusable("unknown key", nearest(str(key), KEYS), str(key))
+    for key in KEYS:
+        if key not in raw:
+            raise Unusable("the function needs it", f"Write {EXAMPLE}", key)
+    if not isinstance(raw["function"], str):
+        raise Unusable("a function is text", f"Write {EXAMPLE}", "function", raw["function"])
+    try:
+        expression = parse(raw["function"], ("x",))
+    except LawError as error:
+        raise Unusable(error.message, error.remedy, "function", raw["function"]) from None
+    bounds = raw["x"]
+    if not isinstance(bounds, list) or len(bounds) != 2:
+        raise Unusable("the range of x is a list of two numbers", 'Write x = [1, 2], or x = ["0 deg", "90 deg"]', "x", bounds)
+    low, high = (_bound(bound, k) for k, bound in enumerate(bounds))
+    if not low < high:
+        raise Unusable("the range of x must rise", "Exchange its ends; a negative input turns the crank clockwise", "x", bounds)
+    turned = read_scalar(raw["input"], "angle", "input")[0]
+    if not 1e-6 <= abs(turned) <= 2.0 * math.pi * (1.0 + 1e-9):
+        raise Unusable(
+            "the crank turns by something, and by one revolution at most", 'Write input = "60 deg"', "input", raw["input"]
+        )
+    output = read_scalar(raw["output"], kind, "output")[0]
+    if output == 0.0:
+        raise Unusable("the output must move", 'Write output = "60 deg"', "output", raw["output"])
+    found = Function(expression, low, high, turned, output, kind)
+    span = {"phi": turned * np.linspace(0.0, 1.0, GRID), "phi0": 0.0, "psi0": 0.0}
+    worry = found.hazards(span)
+    if worry:
+        raise Unusable(
+            f"the function {worry} between x = {low:g} and {high:g}",
+            "Change the function or its range",
+            "function",
+            expression.text,
+        )
+    least, largest = found.ends
+    if not math.isfinite(largest - least) or largest - least <= 1e-12 * max(abs(least), abs(largest), 1e-300):
+        raise Unusable("the function is constant there", "A constant needs no linkage", "function", expression.text)
+    return found
+
+
+def _bound(raw: object, index: int) -> float:
+    if isinstance(raw, str):
+        try:
+            return float(parse(raw, ())({}))
+        except LawError:
+            return read_scalar(raw, "angle", f"x[{index}]")[0]
+    if isinstance(raw, bool) or not isinstance(raw, int | float) or not math.isfinite(raw):
+        raise Unusable("expected a plain number", "Write x = [1, 2]", f"x[{index}]", raw)
+    return float(raw)

@@ -1,0 +1,303 @@
+"""Points that are listed, in the problem file or in the rows of a CSV file: read, checked, reduced where they are too many."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, nearest, read_scalar
+from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, MAX_POINTS, Wanted, csv_text, cut, diagonal, pairs
+from optlink.units import factor, show
+
+Array = NDArray[np.float64]
+
+MAX_ROWS = 1_000_000
+
+_TURNED = 1e4  # rad; beyond it an angle has lost its last digits, and nobody meant it
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Columns (n,) [SI] by name: x and y, and of crank, angle, weight and tolerance those that are stated.
+
+    `unit` of x. `file` and `numbers` of the rows in it, where they come from one. `key` to blame; None: that of each listed row.
+    """
+
+    columns: Mapping[str, Array]
+    unit: str
+    file: str = ""
+    numbers: Sequence[int] | None = None
+    key: str | None = None
+
+    @property
+    def points(self) -> Array:
+        """Points (n, 2) [m]."""
+        return np.stack([self.columns["x"], self.columns["y"]], axis=1)
+
+    def named(self, *rows: int) -> str:
+        """The rows as people find them: "points 4 and 5", or "rows 5 and 6 of curve.csv"."""
+        numbers = [row + 1 if self.numbers is None else self.numbers[row] for row in rows]
+        what = ("point" if self.numbers is None else "row") + ("s" if len(rows) > 1 else "")
+        return f"{what} {' and '.join(map(str, numbers))}{f' of {self.file}' if self.file else ''}"
+
+    def refuse(self, bad: NDArray[np.bool_], column: str, message: str, remedy: str) -> None:
+        """Name the first of the rows where `bad` (n,), if there is one; {} in the message stands for it."""
+        if bad.any():
+            row = int(np.argmax(bad))
+            key = f"[{row}].{column}" if self.key is None else self.key
+            raise Unusable(message.format(self.named(row)), remedy, key, _people(column, float(self.columns[column][row])))
+
+
+def _people(column: str, value: float) -> str:
+    kind = _COLUMNS[column]
+    return show(value, kind) if kind else f"{value:.6g}"
+
+
+_COLUMNS = {"x": "coordinate", "y": "coordinate", "crank": "angle", "angle": "angle", "weight": "", "tolerance": "length"}
+_LEFT_OUT = {"weight": 1.0, "tolerance": math.inf}  # what a row has that states none
+
+
+def listed(raw: Sequence[object]) -> Rows:
+    """Rows that the problem file lists, each a list of two or a table."""
+    if len(raw) > MAX_ROWS:
+        raise Unusable(f"there are {len(raw):,} points, more than {MAX_ROWS:,}", "Thin them out", "")
+    example = 'Write ["20 mm", "25 mm"], or { x = "20 mm", y = "25 mm", crank = "30 deg" }'
+    columns: dict[str, list[float]] = {name: [] for name in _COLUMNS}
+    stated: dict[str, int] = {}
+    unit = "mm"
+    for number, row in enumerate(raw):
+        if isinstance(row, list | tuple):
+            if len(row) != 2:
+                raise Unusable(f"point {number + 1} needs two values, x and y", example, f"[{number}]", row)
+            row = dict(zip("xy", row, strict=True))
+        if not isinstance(row, dict):
+            raise Unusable(f"point {number + 1} is neither a list nor a table", example, f"[{number}]", row)
+        for key in row:
+            if key not in _COLUMNS:
+                raise Unusable("unknown key", nearest(str(key), _COLUMNS), f"[{number}].{key}")
+        for name, kind in _COLUMNS.items():
+            key = f"[{number}].{name}"
+            if name not in row and name in ("x", "y"):
+                raise Unusable(f"point {number + 1} has no {name}", example, key)
+            if name not in row:
+                columns[name].append(_LEFT_OUT.get(name, math.nan))
+            elif kind:
+                value, spelled = read_scalar(row[name], kind, key)
+                columns[name].append(value)
+                unit = spelled if number == 0 and name == "x" else unit
+            else:
+                columns[name].append(_number(row[name], key))
+            if name in row:
+                stated.setdefault(name, number)
+    if not raw:
+        raise Unusable("there is no point", "Give at least one", "", raw)
+    for name in ("crank", "angle"):
+        lacks = next((number for number, value in enumerate(columns[name]) if math.isnan(value)), None)
+        if name in stated and lacks is not None:
+            raise Unusable(
+                f"point {lacks + 1} has no {name}, and point {stated[name] + 1} has one",
+                f"Give {name} of all points or of none",
+                f"[{lacks}].{name}",
+            )
+    return Rows({name: np.array(columns[name]) for name in stated}, unit)
+
+
+def _number(raw: object, key: str) -> float:
+    if isinstance(raw, bool) or not isinstance(raw, int | float) or not abs(raw) <= HEAVIEST:
+        raise Unusable(f"expected a plain number above zero, at most {HEAVIEST:g}", "Write weight = 2.0, for example", key, raw)
+    return float(raw)
+
+
+_ENDINGS = {
+    "coordinate": ("mm", "m", "cm", "in"),
+    "length": ("mm", "m", "cm", "in"),
+    "angle": ("deg", "rad"),
+}  # units as they may end the name of a column
+_TITLES = {
+    (f"{name}_{unit}" if unit else name): (name, unit) for name, kind in _COLUMNS.items() for unit in _ENDINGS.get(kind, ("",))
+}
+
+
+def tabled(raw: Mapping[str, Any], folder: Path) -> Rows:
+    """Rows of a CSV file, read here because some columns may be missing and cells be empty, which `law.read_columns` refuses."""
+    name, text = csv_text(raw, folder)
+    first = text[:10_000].lstrip().partition("\n")[0]
+    delimiter = next((sign for sign in ";\t" if sign in first and "," not in first), ",")
+    read: list[tuple[str, str, int, float | None, array[float]]] = []
+    width, numbers = 0, array("q")
+    try:
+        for number, cells in enumerate(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter), start=1):
+            if not "".join(cells).strip():
+                continue
+            if not read:
+                titles = _titles(cells, name)
+                width = len(titles)
+                read = [
+                    (column, title, titles.index(title), _LEFT_OUT.get(column), array("d"))
+                    for title, (column, _) in _TITLES.items()
+                    if title in titles
+                ]
+                continue
+            if len(numbers) == MAX_ROWS:
+                raise Unusable(f"{name} has more than {MAX_ROWS:,} rows", "Thin them out", "csv", name)
+            numbers.append(number)
+            for _, title, index, left_out, values in read:
+                cell = cells[index] if index < len(cells) else ""
+                if left_out is not None and not cell.strip():
+                    values.append(left_out)
+                    continue
+                try:
+                    value = float(cell)
+                except ValueError:
+                    value = math.nan
+                if not math.isfinite(value):
+                    raise Unusable(
+                        f"row {number} of {name} has no finite number in column {title}",
+                        "Leave the cell empty where there is none"
+                        if left_out is not None
+                        else "Correct or remove the row; decimals have a point",
+                        "csv",
+                        cut(cell) or "nothing",
+                    )
+                values.append(value)
+            if len(cells) > width and "".join(cells[width:]).strip():
+                raise Unusable(
+                    f"row {number} of {name} has {len(cells)} cells, and there are {width} columns",
+                    "Correct the row; decimals have a point",
+                    "csv",
+                    cut(cells[width]),
+                )
+    except csv.Error as error:
+        raise Unusable(f"{name} is not a CSV text file: {error}", "Save it as CSV, UTF-8", "csv", name) from None
+    if not numbers:
+        raise Unusable(f"{name} has no rows", "Give the columns x_mm and y_mm, and at least one row below them", "csv", name)
+    columns = {}
+    for column, title, _, _, values in read:
+        unit = _TITLES[title][1]
+        columns[column] = np.array(values) * (factor(unit, _COLUMNS[column]) if unit else 1.0)
+    unit = next(_TITLES[title][1] for column, title, *_ in read if column == "x")
+    return Rows(columns, unit, name, numbers, "csv")
+
+
+def _titles(cells: Iterable[str], name: str) -> list[str]:
+    """The names of the columns, each known and none twice; empty ones at the end are left out."""
+    titles = [cell.strip() for cell in cells]
+    while titles and not titles[-1]:
+        titles.pop()
+    for title in titles:
+        if title not in _TITLES:
+            shown = [known for known in _TITLES if not known.endswith(("_cm", "_in"))]
+            raise Unusable(f'{name} has an unknown column "{cut(title)}"', nearest(title, shown), "csv", cut(title))
+    columns = [_TITLES[title][0] for title in titles]
+    for column in ("x", "y"):
+        if column not in columns:
+            raise Unusable(
+                f"{name} has no column {column}_mm", f"Name the columns in the first row, one of them {column}_mm", "csv", name
+            )
+    for column in columns:
+        if columns.count(column) > 1:
+            raise Unusable(f"{name} has two columns of {column}", "Keep one of them", "csv", name)
+    return titles
+
+
+def reduced(rows: Rows, asked: int | None) -> Wanted:
+    """Check the rows, and reduce them where there are more than asked for, or than `MAX_POINTS`."""
+    _check_ranges(rows)
+    points, of_each = rows.points, set(rows.columns) - {"x", "y"}
+    most, found = asked or MAX_POINTS, len(points)
+    if found > most and not of_each:
+        chords = np.hypot(*np.diff(points, axis=0).T)
+        length, size = float(np.sum(chords)), diagonal(points)
+        _check_size(rows)
+        loop = bool(np.hypot(*(points[-1] - points[0])) <= COINCIDENT * size)
+        at, here = np.linspace(0.0, length, most, endpoint=not loop), np.concatenate([[0.0], np.cumsum(chords)])
+        even = np.stack([np.interp(at, here, points[:, 0]), np.interp(at, here, points[:, 1])], axis=1)
+        check_apart(Rows({"x": even[:, 0], "y": even[:, 1]}, rows.unit, key="points" if asked else rows.key or ""))
+        return Wanted(pairs(even), unit=rows.unit, note=_reduced(rows, most, "arc length"), loop=loop)
+    check_apart(rows)
+    note = ""
+    columns = dict(rows.columns)
+    if found > most:
+        # values of a row hold at its point alone, so rows are picked and nothing is put between them
+        picked = np.round(np.linspace(0, found - 1, most)).astype(int)
+        columns = {name: column[picked] for name, column in columns.items()}
+        note = _reduced(rows, most, "rows")
+    elif asked and found < asked:
+        note = f"{rows.file} has {found:,} points, fewer than the {asked} asked for; all were kept"
+    crank, angles, weights, tolerances = (
+        tuple(columns[name].tolist()) if name in columns else None for name in ("crank", "angle", "weight", "tolerance")
+    )
+    kept = pairs(np.stack([columns["x"], columns["y"]], axis=1))
+    return Wanted(kept, crank, angles, weights, tolerances, rows.unit, note)
+
+
+def _reduced(rows: Rows, count: int, by: str) -> str:
+    of = f" of {rows.file}" if rows.file else ""
+    return f"{len(rows.points):,} points{of} were reduced to {count}, evenly by {by}"
+
+
+def _check_ranges(rows: Rows) -> None:
+    columns = rows.columns
+    for name in ("x", "y"):
+        remedy = f"Give one within {LONGEST / 1e3:g} km, and check its unit"
+        rows.refuse(np.abs(columns[name]) > LONGEST, name, "{} lies too far away for a linkage", remedy)
+    for name in ("crank", "angle"):
+        if name in columns:
+            bad = np.abs(columns[name]) > _TURNED
+            rows.refuse(bad, name, f"the {name} of {{}} is too large an angle", "Give it within one turn")
+    if "weight" in columns:
+        bad = (columns["weight"] <= 0.0) | (columns["weight"] > HEAVIEST)
+        rows.refuse(bad, "weight", "the weight of {} is out of range", f"Give one above zero, at most {HEAVIEST:g}")
+    if "tolerance" in columns:
+        tolerances = columns["tolerance"]
+        bad = np.isfinite(tolerances) & ((tolerances < SHORTEST) | (tolerances > LONGEST))
+        rows.refuse(bad, "tolerance", "the tolerance of {} is out of range", f"Give one above zero, at least {SHORTEST:g} m")
+    if "crank" not in columns or len(columns["crank"]) < 2:
+        return
+    crank = columns["crank"]
+    steps = np.diff(crank)
+    way = 1.0 if 2 * np.count_nonzero(steps > 0.0) >= len(steps) else -1.0  # that of most
+    rows.refuse(
+        np.concatenate([[False], way * steps <= 0.0]),
+        "crank",
+        "the crank angles must rise (or fall) from row to row; that of {} does not",
+        "Sort the rows by crank angle, remove repeated ones, and write 370 deg rather than 10 deg after 350 deg",
+    )
+    turned = np.abs(crank - crank[0]) > 2.0 * math.pi * (1.0 + 1e-9)
+    remedy = "Give the points of one revolution; the motion repeats"
+    rows.refuse(turned, "crank", "the crank angle of {} is more than one revolution from the first", remedy)
+
+
+def _check_size(rows: Rows) -> None:
+    size = diagonal(rows.points)
+    if len(rows.points) > 1 and size < SHORTEST:
+        what = "all points lie in one place" if size == 0.0 else f"the whole path is smaller than {SHORTEST:g} m"
+        raise Unusable(what, "Give points that differ, and check their unit", rows.key or "")
+
+
+def check_apart(rows: Rows) -> None:
+    """Refuse a point on the one before; with a crank angle of its own it is a dwell, and with another angle a turn in place."""
+    points, columns = rows.points, rows.columns
+    if "crank" not in columns:
+        same = np.hypot(*np.diff(points, axis=0).T) <= COINCIDENT * diagonal(points)
+        if "angle" in columns:
+            same &= np.diff(columns["angle"]) == 0.0
+        if same.any():
+            row = int(np.argmax(same))
+            listed = rows.key is None or rows.numbers is not None
+            raise Unusable(
+                f"{rows.named(row, row + 1)} coincide",
+                "Remove one of them" if listed else "Ask for another number of points, or check the curve",
+                f"[{row + 1}]" if rows.key is None else rows.key,
+            )
+    if "angle" not in columns:
+        _check_size(rows)

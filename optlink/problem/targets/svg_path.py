@@ -1,0 +1,374 @@
+"""The shape that is named in a drawing (an SVG file), where it stands there, sampled evenly by its arc length."""
+
+from __future__ import annotations
+
+import cmath
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.problem.quantity import Unusable
+from optlink.problem.targets.curves import FINE, Piece, evenly, sampled
+from optlink.problem.targets.target_points import Wanted, asked_count, contents, cut, metres
+from optlink.units import show
+
+Array = NDArray[np.float64]
+Drawn = NDArray[np.complex128]
+
+MAX_ELEMENTS = 1_000_000
+MAX_SEGMENTS = 100_000  # of a path
+
+_SVG = "http://www.w3.org/2000/svg"
+_SHAPES = ("path", "line", "polyline", "polygon", "rect", "circle", "ellipse")
+_PLAIN = ("g", "a", "switch")  # what a shape may lie in; defs, symbols, nested drawings and the like place it elsewhere
+_MOVING = ("animate", "animateTransform", "animateMotion", "set")
+_PROPERTY = re.compile(r"transform(?:-origin)?|translate|rotate|scale|offset-path|zoom|d|c[xy]|r[xy]?", re.IGNORECASE)
+_MILLIMETRES = {"mm": 1.0, "cm": 10.0, "in": 25.4, "pt": 25.4 / 72.0, "pc": 25.4 / 6.0, "q": 0.25}
+_PIXEL = 25.4 / 96.0  # mm, of CSS
+_FLATTEN = "Flatten it (Inkscape: Path > Object to Path, ungroup, save as Plain SVG)"
+
+_N = r"(?>[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
+_S = r"(?>[ \t\r\n]*)"
+_C = rf"(?>{_S},?{_S})"
+# svg.path leaves off what it cannot read at the end of a command, so the whole text is held against the grammar first; nothing
+# in it is tried twice (atomic groups), so its time is linear
+_GRAMMAR = re.compile(
+    rf"{_S}(?=[Mm])(?>(?:(?:[MmLlTt]{_S}(?>(?:{_N}{_C}){{2}})++|[HhVv]{_S}(?:{_N}{_C})++|[Cc]{_S}(?>(?:{_N}{_C}){{6}})++"
+    rf"|[SsQq]{_S}(?>(?:{_N}{_C}){{4}})++|[Aa]{_S}(?>(?:(?!-){_N}{_C}){{2}}{_N}{_C}[01]{_C}[01]{_C}(?:{_N}{_C}){{2}})++|[Zz]{_S})"
+    rf"(?=[A-Za-z]|\Z))*+)"
+)
+_FUNCTION = re.compile(rf"{_C}(matrix|translate|scale|rotate|skewX|skewY){_S}\(([^()]*)\){_C}")
+
+
+@dataclass
+class _Element:
+    """`drawn`: where it stands, not elsewhere by a copy; `moved`: by an animation."""
+
+    tag: str
+    attributes: Mapping[str, str]
+    parent: _Element | None
+    drawn: bool
+    moved: bool = False
+
+    @property
+    def id(self) -> str:
+        return self.attributes.get("id", "")
+
+    def __str__(self) -> str:
+        return f'<{self.tag} id="{cut(self.id)}">' if self.id else f"<{self.tag}>"
+
+    def chain(self) -> list[_Element]:
+        """From the root to this one."""
+        found: list[_Element] = []
+        here: _Element | None = self
+        while here is not None:
+            found.append(here)
+            here = here.parent
+        return found[::-1]
+
+
+def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
+    """Root, shapes and style sheets of a drawing.
+
+    Read by expat itself rather than into a tree: a file that declares entities is refused before they can grow, and what is no
+    shape takes no memory. A DOCTYPE that only points elsewhere, as most editors write it, is harmless: it is never followed.
+    """
+    parser = expat.ParserCreate(namespace_separator=" ")
+    open_now: list[_Element] = []
+    roots: list[_Element] = []
+    shapes: list[_Element] = []
+    sheets: list[str] = []
+    seen = {"elements": 0, "doctype": 0}
+
+    def start(spelled: str, attributes: dict[str, str]) -> None:
+        seen["elements"] += 1
+        if seen["elements"] > MAX_ELEMENTS:
+            raise Unusable(f"{name} has more than {MAX_ELEMENTS:,} elements", "Save the curve alone", "svg", name)
+        space, _, tag = spelled.rpartition(" ")
+        above = open_now[-1] if open_now else None
+        drawn = above is None or above.parent is None or (above.drawn and above.tag in _PLAIN)
+        element = _Element(tag if space in ("", _SVG) else "", attributes, above, drawn)
+        if not open_now:
+            roots.append(element)
+        elif element.tag in _MOVING:
+            open_now[-1].moved = True
+        elif element.tag in _SHAPES:
+            shapes.append(element)
+        open_now.append(element)
+
+    def text(words: str) -> None:
+        if open_now[-1].tag == "style":
+            sheets.append(words)
+
+    def doctype(_name: str, _system: str | None, _public: str | None, internal: bool) -> None:
+        seen["doctype"] = 1
+        if internal:
+            raise Unusable(f"{name} declares entities of its own", "Save it without (Inkscape: Plain SVG)", "svg", name)
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: open_now.pop()
+    parser.CharacterDataHandler = text
+    parser.StartDoctypeDeclHandler = doctype
+    try:
+        parser.Parse(data, True)
+    except Unusable:
+        raise
+    except (expat.ExpatError, LookupError, ValueError) as error:
+        raise Unusable(f"{name} is not an SVG file: {error}", "Save the drawing as SVG", "svg", name) from None
+    # with a DOCTYPE, expat passes over unknown entities in silence, and part of a path could be lost
+    if seen["doctype"] and re.search(rb"&(?!#|amp;|lt;|gt;|quot;|apos;)", data.replace(b"\0", b"")):
+        raise Unusable(f"{name} uses entities", "Save it without (Inkscape: Plain SVG)", "svg", name)
+    if roots[0].tag != "svg":
+        raise Unusable(f"{name} is not an SVG file: it begins with <{cut(roots[0].tag)}>", "Save the drawing as SVG", "svg", name)
+    return roots[0], shapes, "".join(sheets)
+
+
+def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _Element:
+    """The shape with the id `path`, or the path of that number (of another shape where there are no paths)."""
+    asked = raw.get("path", 1)
+    if isinstance(asked, bool) or not isinstance(asked, int | str):
+        raise Unusable("expected an id or a number", 'Write path = "curve", or path = 1', "path", asked)
+    if isinstance(asked, str) and asked:
+        named = [shape for shape in shapes if shape.id == asked]
+        if len(named) > 1:
+            raise Unusable(f"{name} has {len(named)} shapes of that id", "Give each its own, or name it by number", "path", asked)
+        if named:
+            return named[0]
+    drawn = [shape for shape in shapes if shape.drawn]
+    numbered = [shape for shape in drawn if shape.tag == "path"] or drawn
+    if not numbered:
+        raise Unusable(f"{name} draws no path", "Save a drawing that has one; text and pictures are none", "svg", name)
+    listing = ", ".join(f"{number} {shape}" for number, shape in enumerate(numbered[:8], start=1))
+    remedy = f"It has, by number: {listing}{', ...' if len(numbered) > 8 else ''}"
+    if "path" not in raw and len(numbered) != 1:
+        raise Unusable(f"{name} has {len(numbered)} paths, so the wanted one must be named", remedy, "path")
+    number = asked if isinstance(asked, int) else int(asked) if re.fullmatch("[0-9]{1,7}", asked) else 0
+    if not 1 <= number <= len(numbered):
+        raise Unusable(f"{name} has no such path", remedy, "path", cut(asked))
+    return numbered[number - 1]
+
+
+def _placed(shape: _Element, sheets: str, name: str) -> Array:
+    """Matrix (3, 3) from the shape's own coordinates to those of the drawing.
+
+    Whatever else could move the shape is refused, for a drawing that is read wrongly looks right.
+    """
+    matrix = np.eye(3)
+    chain = shape.chain()
+    for element in chain:
+        if element is not chain[0] and element is not shape and element.tag not in _PLAIN:
+            raise Unusable(f"{shape} of {name} lies in {element}, which places it elsewhere", _FLATTEN, "path", shape.id)
+        style = [part.partition(":")[0].strip() for part in element.attributes.get("style", "").split(";")]
+        if element.moved or any(map(_PROPERTY.fullmatch, style)) or "transform-origin" in element.attributes:
+            why = "an animation" if element.moved else "a style"
+            raise Unusable(f"{element} of {name} is moved by {why}, which is not understood", _FLATTEN, "path", shape.id)
+        matrix = matrix @ _transform(element, name)
+    if any(map(_PROPERTY.fullmatch, re.findall(r"(?<![-\w])([-\w]++)\s*+:", sheets))):
+        raise Unusable(f"{name} has a style sheet that may move shapes, which is not understood", _FLATTEN, "svg", name)
+    return matrix
+
+
+def _transform(element: _Element, name: str) -> Array:
+    text = element.attributes.get("transform", "").strip()
+    matrix, end = np.eye(3), 0
+    while end < len(text):
+        match = _FUNCTION.match(text, end)
+        step = _step(match.group(1), match.group(2)) if match else None
+        if match is None or step is None:
+            raise Unusable(f"the transform of {element} of {name} cannot be read", _FLATTEN, "path", cut(text[end:]))
+        matrix, end = matrix @ step, match.end()
+    return matrix
+
+
+def _step(function: str, text: str) -> Array | None:
+    """Matrix (3, 3) of one function of a transform, or None."""
+    if not re.fullmatch(rf"{_S}(?:{_N}{_C})*+", text):
+        return None
+    values = [float(number) for number in re.findall(_N, text)]
+    a, b, c, d, e, f = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0
+    match function, values:
+        case "matrix", [a, b, c, d, e, f]:
+            pass
+        case "translate", [e]:
+            pass
+        case "translate", [e, f]:
+            pass
+        case "scale", [a]:
+            d = a
+        case "scale", [a, d]:
+            pass
+        case "rotate", [turn, *centre] if len(centre) in (0, 2):
+            a, b = math.cos(math.radians(turn)), math.sin(math.radians(turn))
+            c, d = -b, a
+            x, y = centre or (0.0, 0.0)
+            e, f = x - a * x - c * y, y - b * x - d * y
+        case "skewX", [turn]:
+            c = math.tan(math.radians(turn))
+        case "skewY", [turn]:
+            b = math.tan(math.radians(turn))
+        case _:
+            return None
+    matrix = np.array([[a, c, e], [b, d, f], [0.0, 0.0, 1.0]])
+    return matrix if np.all(np.isfinite(matrix)) else None
+
+
+def _scale(root: _Element, name: str, forgive: bool) -> float | None:
+    """Millimetres of one user unit as the drawing itself says it; None where it does not, or not clearly and we `forgive`."""
+    sides = []
+    for side in ("width", "height"):
+        match = re.fullmatch(rf"({_N})\s*([a-zA-Z]+)", root.attributes.get(side, "").strip())
+        unit = match.group(2).lower() if match else ""
+        sides.append(float(match.group(1)) * _MILLIMETRES[unit] if match and unit in _MILLIMETRES else None)
+    if sides == [None, None]:
+        return None
+    if "viewBox" not in root.attributes:
+        return _PIXEL
+    box, add = root.attributes["viewBox"], 'Correct it, or say how long a user unit is: unit = "mm"'
+    values = [float(number) for number in re.findall(_N, box)] if re.fullmatch(rf"{_S}(?:{_N}{_C}){{4}}", box) else []
+    scales = [side / whole for side, whole in zip(sides, values[2:], strict=False) if side is not None and whole > 0.0]
+    clear = bool(values and scales) and all(math.isfinite(scale) and scale > 0.0 for scale in scales)
+    kept = root.attributes.get("preserveAspectRatio", "")
+    stretched = clear and "none" in kept and max(scales) > min(scales) * (1.0 + 1e-6)
+    if forgive and (stretched or not clear):
+        return None
+    if not clear:
+        raise Unusable(f"the viewBox of {name} cannot be read", add, "svg", cut(box))
+    if stretched:
+        raise Unusable(f"{name} is stretched: its width and height do not go with its viewBox", add, "svg", cut(box))
+    return max(scales) if "slice" in kept else min(scales)
+
+
+def drawn(raw: Mapping[str, Any], folder: Path) -> Wanted:
+    """Points of a shape of an SVG file."""
+    count = asked_count(raw)
+    stated = metres(raw) * 1e3 if "unit" in raw else None
+    name, data = contents(raw, "svg", folder)
+    root, shapes, sheets = _elements(data, name)
+    shape = _chosen(shapes, raw, name)
+    own = _scale(root, name, stated is not None)
+    scale = stated or own or 1.0
+    matrix = np.diag([1e-3 * scale, -1e-3 * scale, 1.0]) @ _placed(shape, sheets, name)
+    try:
+        with np.errstate(all="ignore"):
+            curves = _curves(shape, name)
+            fine = min(max(FINE // max(len(curves), 1), 16), 2048)
+            pieces = [Piece(_onto(curve, matrix), 1 if straight else fine) for curve, straight in curves]
+            points, loop, length = evenly(pieces, count)
+    except Unusable as error:
+        key = error.key or "path"
+        raise Unusable(f"{shape} of {name}: {error.message}", error.remedy, key, error.value) from None
+    unit = raw.get("unit", "mm")
+    said = "as stated" if stated else "as the file says" if own else "as the file does not say"
+    if stated and own and not math.isclose(stated, own, rel_tol=1e-6):
+        said = f"as stated, though the file says {own:.6g} mm"
+    note = f"{shape} of {name}, {show(length, 'length', unit)} long, sampled at {count} points evenly by arc length"
+    return sampled(points, unit, loop, f"{note}; one user unit is {scale:.6g} mm, {said}")
+
+
+_Curve = Callable[[Array], Drawn]  # x + iy in user units at u from 0 to 1
+
+
+def _onto(curve: _Curve, matrix: Array) -> Callable[[Array], Array]:
+    def at(u: Array) -> Array:
+        z = curve(u)
+        x, y = z.real, z.imag
+        return np.stack(
+            [matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2], matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2]], 1
+        )
+
+    return at
+
+
+def _curves(shape: _Element, name: str) -> list[tuple[_Curve, bool]]:
+    """The curves that make up a shape, one beginning where the other ends, each with whether it is straight."""
+
+    def size(key: str) -> float:
+        text = shape.attributes.get(key, "0").strip()
+        if not re.fullmatch(rf"{_N}(?:px)?", text):
+            raise Unusable(f"its {key} is no plain number", _FLATTEN, "", cut(text))
+        return float(text.removesuffix("px"))
+
+    if shape.tag in ("circle", "ellipse"):
+        radii = (size("r"), size("r")) if shape.tag == "circle" else (size("rx"), size("ry"))
+        return [(_ellipse(complex(size("cx"), size("cy")), radii, 1.0 + 0.0j, 0.0, 2.0 * math.pi), False)]
+    if shape.tag == "rect":
+        if "rx" in shape.attributes or "ry" in shape.attributes:
+            raise Unusable("a rectangle with round corners is not understood", _FLATTEN)
+        return _path(f"M {size('x')!r} {size('y')!r} h {size('width')!r} v {size('height')!r} h {-size('width')!r} z")
+    if shape.tag == "line":
+        return _path(f"M {size('x1')!r} {size('y1')!r} L {size('x2')!r} {size('y2')!r}")
+    if shape.tag in ("polyline", "polygon"):
+        return _path(f"M {shape.attributes.get('points', '')} {'Z' if shape.tag == 'polygon' else ''}")
+    return _path(shape.attributes.get("d", ""))
+
+
+def _path(text: str) -> list[tuple[_Curve, bool]]:
+    from svg.path import Arc, Close, Line, Move, parse_path
+
+    broken = "The data is that of the SVG standard: M 0 0 L 10 5 C ..."
+    match = _GRAMMAR.match(text)
+    end = match.end() if match else 0
+    if not text.strip():
+        raise Unusable("there is no path data", broken)
+    if end < len(text):
+        raise Unusable(f"its data cannot be read from character {end + 1} on", broken, "", cut(text[end:]))
+    try:
+        segments = list(parse_path(text))
+    except (ValueError, ArithmeticError) as error:
+        raise Unusable(f"its data cannot be read: {cut(error)}", broken) from None
+    if len(segments) > MAX_SEGMENTS:
+        raise Unusable(f"it has more than {MAX_SEGMENTS:,} segments", "Simplify it (Inkscape: Path > Simplify)")
+    curves: list[tuple[_Curve, bool]] = []
+    here: complex | None = None
+    for segment in segments:
+        if isinstance(segment, Move) or (isinstance(segment, Line | Close) and segment.start == segment.end):
+            continue
+        if here is not None and segment.start != here:
+            raise Unusable("it has more than one part", "Break it apart (Inkscape: Path > Break Apart) and name one part")
+        here = segment.end
+        if not cmath.isfinite(here):
+            raise Unusable("it goes beyond all bounds", broken)
+        if isinstance(segment, Arc):
+            curve = _arc(segment)
+            if curve is not None:
+                curves.append(curve)
+        else:
+            curves.append((segment.point, isinstance(segment, Line | Close)))  # type: ignore[arg-type]  # takes arrays too
+    if not curves:
+        raise Unusable("it has no length", broken)
+    return curves
+
+
+def _ellipse(centre: complex, radii: tuple[float, float], turn: complex, begin: float, sweep: float) -> _Curve:
+    def at(u: Array) -> Drawn:
+        angle = begin + sweep * u
+        return np.asarray(centre + turn * (radii[0] * np.cos(angle) + 1j * radii[1] * np.sin(angle)))
+
+    return at
+
+
+def _arc(segment: Any) -> tuple[_Curve, bool] | None:
+    """An elliptical arc; straight where a radius is zero, and nothing where it ends at its start, as the standard has it."""
+    start, end = segment.start, segment.end
+    if start == end:
+        return None
+    if segment.radius.real == 0.0 or segment.radius.imag == 0.0:
+        return (lambda u: start + (end - start) * u), True
+    radii = (segment.radius.real * segment.radius_scale, segment.radius.imag * segment.radius_scale)
+    turn = complex(math.cos(math.radians(segment.rotation)), math.sin(math.radians(segment.rotation)))
+
+    def angle(point: complex) -> float:
+        # svg.path takes an arc cosine, which loses half the digits of a half turn
+        w = (point - segment.center) / turn
+        return math.atan2(w.imag / radii[1], w.real / radii[0])
+
+    begin = angle(start)
+    sweep = (angle(end) - begin) % (2.0 * math.pi)
+    return _ellipse(segment.center, radii, turn, begin, sweep if segment.sweep else sweep - 2.0 * math.pi), False

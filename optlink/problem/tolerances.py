@@ -1,0 +1,326 @@
+"""Tolerances of sizes: what a problem file or the command line says of them, read and checked; how a size may then deviate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, ValidationInfo
+
+from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.problem.mechanism import DyadsSection, FourBarSection
+from optlink.problem.quantity import Quantity, Unusable, nearest
+from optlink.problem.targets.law import read_columns
+from optlink.units import UnitProblem, parse
+
+Array = NDArray[np.float64]
+NORMAL, CONTACT, MEASURED = "normal", "contact", "measured"
+SIGMAS = 3.0  # of a normal distribution that a tolerance stands for
+CLEARANCE = ".clearance"
+LARGEST = 0.5  # of a length, that a tolerance may be
+KEYS = ("tolerance", "distribution", "cost")
+EXAMPLE = 'Write for example coupler="0.1 mm", coupler="0.1 mm uniform" or coupler="parts.csv"'
+
+
+# --- distributions -----------------------------------------------------------------------------------------------------
+
+
+def _normal(share: Array) -> Array:
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(share), dtype=float) / SIGMAS
+
+
+def _triangular(share: Array) -> Array:
+    low = np.sqrt(2.0 * np.minimum(share, 0.5)) - 1.0
+    return np.asarray(np.where(share < 0.5, low, 1.0 - np.sqrt(2.0 * np.minimum(1.0 - share, 0.5))), dtype=float)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A distribution with a tolerance of 1 and mean 0: its standard deviation, and the deviation below which a share lies."""
+
+    sigma: float
+    quantile: Callable[[Array], Array]
+
+
+SHAPES: Mapping[str, Shape] = {
+    NORMAL: Shape(1.0 / SIGMAS, _normal),
+    "uniform": Shape(1.0 / math.sqrt(3.0), lambda share: 2.0 * share - 1.0),
+    "triangular": Shape(1.0 / math.sqrt(6.0), _triangular),
+    CONTACT: Shape(1.0 / math.sqrt(2.0), lambda share: -np.cos(np.pi * share)),
+}
+"""By name. Contact: the part along a link of a gap whose journal rests on the bearing's wall, in any direction alike."""
+
+CHOICES = tuple(name for name in SHAPES if name != CONTACT)
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How a size may differ from its nominal value.
+
+    `name` as people call it, `size` the quantity of the linkage that it adds to; `kind` "length" or "angle"; `tolerance` [SI]: it
+    lies within +- that (normal: that is three sigma). `values` (parts,) [SI]: deviations that were measured, in place of a shape.
+    `cost`: a tolerance t costs cost/t.
+    """
+
+    name: str
+    size: str
+    kind: str
+    tolerance: Any
+    shape: str = NORMAL
+    values: tuple[float, ...] = field(default=(), repr=False)
+    cost: float = 1.0
+
+    @cached_property
+    def _sorted(self) -> Array:
+        return np.sort(np.asarray(self.values, dtype=float))
+
+    @property
+    def mean(self) -> float:
+        """Mean deviation [SI]."""
+        return float(np.mean(self._sorted)) if self.values else 0.0
+
+    @property
+    def sigma(self) -> Any:
+        """Standard deviation [SI]."""
+        return float(np.std(self._sorted)) if self.values else SHAPES[self.shape].sigma * self.tolerance
+
+    @property
+    def ends(self) -> tuple[Any, Any]:
+        """Least and largest deviation [SI] that the worst case counts with."""
+        return (float(self._sorted[0]), float(self._sorted[-1])) if self.values else (-self.tolerance, self.tolerance)
+
+    def at(self, share: Array) -> Array:
+        """The deviation [SI] below which a share of all lies; of measured ones, one of them."""
+        if self.values:
+            place = np.minimum((share * len(self.values)).astype(int), len(self.values) - 1)
+            return np.asarray(self._sorted[place], dtype=float)
+        return np.asarray(self.tolerance * SHAPES[self.shape].quantile(share), dtype=float)
+
+
+# --- what is said of a size --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What is said of one size: `text` is its tolerance with a unit, or a CSV file in `folder`; `shape` its distribution."""
+
+    text: str
+    shape: str | None = None
+    cost: float = 1.0
+    folder: Path = Path()
+
+    def __str__(self) -> str:
+        words = [self.text if self.measured else f"±{self.text}", self.shape or ""]
+        return " ".join(filter(None, words)) + (f", cost {self.cost:g}" if self.cost != 1.0 else "")
+
+    @property
+    def measured(self) -> bool:
+        """Whether deviations were measured."""
+        return self.text.lower().endswith(".csv")
+
+    @property
+    def raw(self) -> dict[str, Any]:
+        """As a problem file states it, wherever that lies."""
+        found: dict[str, Any] = {"tolerance": str((self.folder / self.text).resolve()) if self.measured else self.text}
+        return found | ({"distribution": self.shape} if self.shape else {}) | ({"cost": self.cost} if self.cost != 1.0 else {})
+
+
+def read_stated(raw: object, folder: Path) -> Stated:
+    """Read "0.1 mm", "0.1 mm uniform", "parts.csv" or { tolerance, distribution, cost }; what the unit is, is not looked at.
+
+    Raises
+    ------
+    Unusable
+    """
+    if isinstance(raw, Stated):
+        return raw
+    if isinstance(raw, dict):
+        for key in raw:
+            if key not in KEYS:
+                raise Unusable("unknown key", nearest(str(key), KEYS), str(key))
+        if "tolerance" not in raw:
+            raise Unusable("this key is missing", 'Add tolerance = "0.1 mm"', "tolerance")
+        found = read_stated(raw["tolerance"], folder) if isinstance(raw["tolerance"], str) else None
+        if found is None:
+            raise Unusable("expected a tolerance with its unit", 'Write tolerance = "0.1 mm"', "tolerance", raw["tolerance"])
+        shape, cost = raw.get("distribution", found.shape), raw.get("cost", 1.0)
+        if shape is not None and (shape not in CHOICES or found.measured):
+            message = "measured deviations are a distribution themselves" if found.measured else "unknown distribution"
+            raise Unusable(message, "Leave it out" if found.measured else nearest(str(shape), CHOICES), "distribution", shape)
+        if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0.0 < cost < math.inf:
+            raise Unusable("a cost coefficient is a number above zero", "Write cost = 2", "cost", cost)
+        return replace(found, shape=shape, cost=float(cost))
+    if not isinstance(raw, str):
+        remedy = f'Write "0.1 mm", "0.1 mm uniform", "parts.csv" or {{ {", ".join(f"{key} = ..." for key in KEYS)} }}'
+        raise Unusable("expected a tolerance with its unit", remedy, "", raw)
+    text = raw.strip().strip("\"'").strip()
+    quantity, _, word = text.rpartition(" ")
+    numbered = any(letter.isdigit() for letter in quantity)
+    if numbered and word.isalpha() and quantity.strip()[-1:].isalpha():  # two words after it: a unit and a distribution
+        if word not in CHOICES:
+            raise Unusable("unknown distribution", nearest(word, CHOICES), "", word)
+        return Stated(quantity.strip(), word)
+    found = Stated(text)
+    return replace(found, folder=folder) if found.measured else found
+
+
+def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Entries by whole name: TOML reads D.x = "..." as a table D with an entry x, and "D.x" = "..." as one name."""
+    for key, entry in table.items():
+        if isinstance(entry, dict) and entry and not set(KEYS) & set(entry):
+            yield from _flat(entry, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", entry
+
+
+def _read_table(raw: object, info: ValidationInfo) -> dict[str, Stated]:
+    if not isinstance(raw, dict):
+        raise Unusable("expected a table", "Begin it with [tolerances]", "", raw)
+    found: dict[str, Stated] = {}
+    for name, entry in _flat(raw):
+        if name in found:
+            raise Unusable("a tolerance is given twice", "Give each once", name)
+        try:
+            found[name] = read_stated(entry, (info.context or {}).get("folder", Path()))
+        except Unusable as error:
+            below = f".{error.key}" if error.key else ""
+            raise Unusable(error.message, error.remedy, name + below, entry if error.value is None else error.value) from None
+    return found
+
+
+Tolerances = Annotated[dict[str, Any], BeforeValidator(_read_table)]
+"""By the name of a size, what is said of it (`Stated`)."""
+
+
+def assigned(table: dict[str, Any], name: str, value: object) -> None:
+    """Give a size of a [tolerances] table another tolerance: distribution and cost stay, unless the new one says its own.
+
+    None takes it away.
+    """
+    before: Any = None
+    for known, entry in list(_flat(table)):
+        if known == name:
+            before = entry
+            _taken(table, name)
+    if value is None:
+        return
+    if before is not None and isinstance(value, str):
+        try:
+            old, new = read_stated(before, Path()), read_stated(value, Path())
+        except Unusable:  # told when the whole is read
+            table[name] = value
+            return
+        shape = new.shape or (None if new.measured else old.shape)
+        kept = ({"distribution": shape} if shape else {}) | ({"cost": old.cost} if old.cost != 1.0 else {})
+        value = {"tolerance": new.text, **kept} if kept else new.text
+    table[name] = value
+
+
+def _taken(table: dict[str, Any], name: str) -> None:
+    """Take an entry out, however its name is nested."""
+    if name in table:
+        del table[name]
+        return
+    for cut, letter in enumerate(name):
+        if letter == "." and isinstance(table.get(name[:cut]), dict):
+            _taken(table[name[:cut]], name[cut + 1 :])
+            if not table[name[:cut]]:
+                del table[name[:cut]]
+
+
+# --- what it is of this linkage ----------------------------------------------------------------------------------------
+
+
+def loosened(section: FourBarSection | DyadsSection, mechanism: Mechanism) -> tuple[Mechanism, dict[str, float]]:
+    """The linkage with pivots that may deviate, and their values: a plain four-bar has them in the origin and on the x axis."""
+    if not isinstance(section, FourBarSection) or section.placed:
+        return mechanism, {}
+    pivots = {"A": ("A.x", "A.y"), "D": ("frame", "D.y")}
+    return replace(mechanism, ground=pivots), {"A.x": 0.0, "A.y": 0.0, "D.y": 0.0}
+
+
+def deviations(
+    stated: Mapping[str, Stated],
+    mechanism: Mechanism,
+    quantities: Mapping[str, Quantity],
+    sizes: Mapping[str, float],
+    shape: str = NORMAL,
+) -> tuple[Deviation, ...]:
+    """What is said of sizes, pivots and clearances, as deviations of a linkage.
+
+    Parameters
+    ----------
+    stated : by name
+    mechanism : Mechanism, `loosened`
+    quantities : of the file, by name
+    sizes : every size of the mechanism [SI], by name
+    shape : the distribution where none is said
+
+    Raises
+    ------
+    Unusable
+        whose key is the name of the size.
+    """
+    pins = {f"{pin}{CLEARANCE}": pin for pin in mechanism.pins}
+    found: list[Deviation] = []
+    for name, said in stated.items():
+        size = "frame" if name == "D.x" and "D.y" in sizes and "D.x" not in sizes else name
+        if name in pins:
+            size = _stretched(mechanism, name, pins[name])
+        elif size not in sizes:
+            raise Unusable("unknown size", nearest(name, [*sizes, *pins]), name)
+        if any(name == other.name or (size == other.size and name not in pins and other.name not in pins) for other in found):
+            raise Unusable("a tolerance is given twice", "Give each once", name)
+        quantity = quantities.get(size)
+        kind = "angle" if quantity is not None and quantity.kind == "angle" else "length"
+        found.append(_deviation(said, name, size, kind, CONTACT if name in pins else shape))
+        low, _ = found[-1].ends
+        if quantity is not None and quantity.kind == "length" and -low > LARGEST * sizes[size]:
+            raise Unusable("more than half of the size itself", "Check its unit", name, said.text)
+    return tuple(found)
+
+
+def _deviation(said: Stated, name: str, size: str, kind: str, shape: str) -> Deviation:
+    if said.measured:
+        try:
+            (values,) = read_columns({"csv": said.text}, said.folder, {name: "angle" if kind == "angle" else "coordinate"})
+        except Unusable as error:
+            remedy = error.remedy.replace("the problem file", "the working folder") if said.folder == Path() else error.remedy
+            raise Unusable(error.message, remedy, name, said.text if error.value is None else error.value) from None
+        if len(values) < 2:
+            raise Unusable("one deviation is no distribution", "Give at least two rows", name, said.text)
+        return Deviation(name, size, kind, max(map(abs, values)), MEASURED, tuple(values), said.cost)
+    try:
+        value, _ = parse(said.text, kind)
+    except UnitProblem as error:
+        raise Unusable(error.message, error.remedy, name, said.text) from None
+    if not value > 0.0:
+        raise Unusable("a tolerance is above zero: it goes to both sides", EXAMPLE, name, said.text)
+    return Deviation(name, size, kind, value, said.shape or shape, cost=said.cost)
+
+
+def _stretched(mechanism: Mechanism, name: str, pin: str) -> str:
+    """The length that the clearance of a pin stretches or shortens: that of the nearest link that is not pinned to the frame.
+
+    Such a link without loads carries force along its line alone, so the journal rests there: the gap adds to its length.
+    """
+    reached, bodies = {pin}, set[str]()
+    held = {body for owners in mechanism.pins.values() if FRAME in owners for body in owners}
+    while True:
+        near = [b for b in mechanism.bodies if b not in bodies and any(b in mechanism.pins[p] for p in reached)]
+        for body in near:
+            if body not in held and isinstance(mechanism.bodies[body].length, str):
+                return str(mechanism.bodies[body].length)
+        if not near:
+            message, remedy = "no link between moving pins has a length that its clearance could add to", "Leave it out"
+            raise Unusable(message, remedy, name)
+        bodies.update(near)
+        reached.update(p for p, owners in mechanism.pins.items() if any(body in owners for body in near))

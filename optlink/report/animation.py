@@ -1,0 +1,88 @@
+"""A mechanism in motion as a film: the moving picture, and a curve with a running mark."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+from PIL import Image
+
+from optlink.linkage.motion import Motion
+from optlink.report.drawing import Sketch
+from optlink.report.style import CRANK, figure, heading, one_palette, styled
+
+Array = NDArray[np.float64]
+WIDE = 0.42  # height over width below which the curve stands below the mechanism
+
+
+@styled
+def film(
+    sketch: Sketch,
+    steps: Motion,
+    curve: Callable[[Axes], None],
+    marks: Array,
+    title: str,
+    *,
+    more: Callable[[Axes], None] | None = None,
+) -> list[Image.Image]:
+    """Draw every position of a motion.
+
+    Parameters
+    ----------
+    sketch : Sketch
+    steps : Motion
+        The positions, one picture each.
+    curve : function that draws the curve and its labels into axes
+    marks : array (pictures, 2)
+        Where the mark stands on the curve; no mark where it is NaN.
+    title : str
+    more : function, optional
+        Draws what else stands still beside the mechanism.
+
+    Returns
+    -------
+    Pictures in one palette.
+    """
+    flat = sketch.ratio < WIDE
+    if flat:
+        drawn = figure(7.8, 7.2 * sketch.ratio + 3.0)
+        stage, strip = drawn.subplots(2, 1, height_ratios=(7.2 * sketch.ratio + 0.5, 1.9))
+    else:
+        drawn = figure(8.4, min(max(4.3 * sketch.ratio + 0.9, 3.5), 5.2))
+        stage, strip = drawn.subplots(1, 2, width_ratios=(1.25, 1.0))
+    drawn.set_dpi(80)
+    canvas = FigureCanvasAgg(drawn)
+    sketch.stage(stage)
+    if more:
+        more(stage)
+    curve(strip)
+    mark = Line2D([], [], linestyle="none", marker="o", markersize=7, color=CRANK, zorder=8, animated=True)
+    strip.add_artist(mark)
+    drawn.suptitle(heading(title, drawn.get_figwidth(), 10.0), fontsize=10)
+    canvas.draw()  # type: ignore[no-untyped-call] # all that stands still is drawn once
+    drawn.set_layout_engine("none")
+    still = canvas.copy_from_bbox(drawn.bbox)  # type: ignore[no-untyped-call]
+    pictures = []
+    for k in range(len(steps.crank_angle)):
+        canvas.restore_region(still)  # type: ignore[no-untyped-call]
+        moving = sketch.pose(stage, steps, k)
+        for artist in sorted(moving, key=lambda one: one.get_zorder()):
+            artist.set_animated(True)
+            stage.draw_artist(artist)
+            artist.remove()
+        mark.set_data([marks[k, 0]], [marks[k, 1]])
+        strip.draw_artist(mark)
+        buffer = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
+        pictures.append(np.array(np.asarray(buffer)[..., :3]))
+    return one_palette(pictures)
+
+
+def there_and_back(low: float, high: float, count: int) -> Array:
+    """Crank angles that swing smoothly through a range and back."""
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    steps: Array = middle - half * np.cos(np.linspace(0.0, 2.0 * np.pi, count, endpoint=False))
+    return steps

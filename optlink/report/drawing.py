@@ -1,0 +1,344 @@
+"""The one way to draw a mechanism: any chain of dyads, in any position, on its ground.
+
+Bodies keep their shape, so each is made once of a few parts in its own axes - bars, plates, blocks, slots - and then only placed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrowPatch, Polygon
+from numpy.typing import NDArray
+
+from optlink.dynamics.loads import Spring
+from optlink.dynamics.machine import Machine, parts
+from optlink.linkage.mechanism import FRAME, Guide
+from optlink.linkage.motion import Motion
+from optlink.linkage.vector2d import Vector
+from optlink.report.labels import Label
+from optlink.report.shapes import Part, finite, hatching, hull, rectangle, spread, stem
+from optlink.report.style import BODIES, CRANK, GROUND, QUIET, WANTED, Scale, scale
+
+Array = NDArray[np.float64]
+FAR = 8.0  # times the usual distance from the crank pivot: such positions do not set the scale
+SHARE = 0.035  # of the mechanism's extent: the height of a ground pivot
+
+
+class Sketch:
+    """How a mechanism is drawn: one scale, one size of symbols, one set of colours for all its positions.
+
+    Parameters
+    ----------
+    motion : Motion
+        The whole motion of one design: it gives the extent, the traces, and how far sliders travel.
+    machine : Machine, optional
+        Its centroids and springs are drawn too.
+    """
+
+    def __init__(self, motion: Motion, machine: Machine | None = None) -> None:
+        self.motion, self.mechanism = motion, motion.mechanism
+        self.names = list(self.mechanism.owners)
+        self.near = self._near(motion)
+        extent = max(float(np.max(spread(finite(self._points(motion, 1.0)[:, self.near])))), 1e-30)
+        self.scale: Scale = scale(extent, "m")
+        self.size = SHARE * extent * self.scale.factor
+        bodies = [body for body in self.mechanism.bodies if body != self.mechanism.crank.body]
+        self.colours = {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)}
+        self.colours[self.mechanism.crank.body] = CRANK
+        self.travel = {guide.name: self._travel(guide) for guide in self.mechanism.guides}
+        self.parts = {body: self._parts(body) for body in self.mechanism.bodies}
+        self.springs = [load for load in machine.loads if isinstance(load, Spring)] if machine else []
+        inertias = machine.inertias if machine else {}
+        self.centroids = {
+            body: np.array([[i.along, i.across]], dtype=float) * self.scale.factor for body, i in inertias.items() if i.mass > 0.0
+        }
+        self.ground = self._ground_lines()
+        self.low, self.high = self._extent()
+
+    # --- where things are --------------------------------------------------------------------------------------------
+
+    def _points(self, motion: Motion, factor: float) -> Array:
+        """Every named point over a motion, (points, positions, 2)."""
+        return np.array([motion.position(name) * factor for name in self.names])
+
+    def _near(self, motion: Motion) -> NDArray[np.bool_]:
+        """Positions in which no point has gone to where the rest cannot be seen (two lines that become parallel)."""
+        points = self._points(motion, 1.0)
+        crank = motion.position(self.mechanism.crank.start)
+        away = np.where(np.isfinite(points).all(axis=-1), np.linalg.norm(points - crank, axis=-1), 0.0).max(axis=0)
+        near: NDArray[np.bool_] = away <= FAR * np.median(away)
+        return near
+
+    def position(self, motion: Motion, name: str) -> Array:
+        """Where a point is, in the unit that is shown, (positions, 2)."""
+        return motion.position(name) * self.scale.factor
+
+    def placed(self, motion: Motion, body: str, outline: Array) -> Array:
+        """Where an outline of a body is, (positions, corners, 2)."""
+        shape = motion.crank_angle.shape
+        with np.errstate(all="ignore"):  # at a dead position of a group its rates are infinite or NaN
+            way = motion.pose.direction(body)
+        x, y = (np.broadcast_to(parts(part)[0], shape)[:, None] for part in way)
+        start = self.position(motion, self.mechanism.bodies[body].start)[:, None, :]
+        along, across = outline[:, 0], outline[:, 1]
+        placed: Array = start + np.stack([along * x - across * y, along * y + across * x], axis=-1)
+        return placed
+
+    def _vector(self, vector: Vector) -> Array:
+        return np.array([float(parts(part)[0]) for part in vector]) * self.scale.factor
+
+    def _own(self, body: str) -> Array:
+        """The named points of a body in its own axes, those that coincide once."""
+        pose = self.motion.pose
+        found: list[Array] = []
+        for point, bodies in self.mechanism.owners.items():
+            if body in bodies:
+                at = self._vector(pose.local(body, point))
+                if all(np.max(np.abs(at - other)) > 1e-3 * self.size for other in found):
+                    found.append(at)
+        return np.array(found).reshape(-1, 2)
+
+    def _line(self, guide: Guide, body: str) -> tuple[Array, Array]:
+        point, way = self.motion.pose.local_line(guide, body)
+        return self._vector(point), self._vector(way) / self.scale.factor
+
+    def _travel(self, guide: Guide) -> tuple[float, float]:
+        slides = np.asarray(self.motion.slide(guide.name).value) * self.scale.factor
+        known = slides[np.isfinite(slides) & self.near]
+        return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+
+    # --- the shapes of bodies ------------------------------------------------------------------------------------------
+
+    def _is_rod(self, guide: Guide) -> bool:
+        """Whether the slider is a rod along the line, and what carries the line is small: then that is drawn as the block."""
+        if guide.on == FRAME or len(self._own(guide.on)) > 1:
+            return False
+        own, (point, way) = self._own(guide.slider), self._line(guide, guide.slider)
+        off = (own - point) @ np.array([-way[1], way[0]])
+        return len(own) > 1 and bool(np.all(np.abs(off) < 0.05 * self.size))
+
+    def _parts(self, body: str) -> list[Part]:
+        own = self._own(body)
+        found: list[Part] = []
+        half = np.array([1.0, 0.62]) * self.size
+        for guide in self.mechanism.guides:
+            if body not in guide.bodies:
+                continue
+            rod = self._is_rod(guide)
+            point, way = self._line(guide, body)
+            low, high = self.travel[guide.name]
+            if rod and body == guide.slider:  # as long as it must be to reach through its block
+                own = np.concatenate([own, [point - (high + half[0]) * way, point - (low - half[0]) * way]])
+            elif (body == guide.slider) != rod:
+                found.append(Part("block", rectangle(point, way, -half[0], half[0], half[1])))
+            else:
+                ends = np.array([point + (low - 1.25 * half[0]) * way, point + (high + 1.25 * half[0]) * way])
+                found.append(Part("slot", rectangle(point, way, low - 1.25 * half[0], high + 1.25 * half[0], 1.2 * half[1])))
+                arm = stem(own, ends)
+                if np.linalg.norm(arm[1] - arm[0]) > 0.5 * self.size:
+                    found.append(Part("bar", arm))
+        if len(own) > 1:
+            first, last = own[0], own[int(np.argmax(np.linalg.norm(own - own[0], axis=1)))]
+            along = (last - first) / np.linalg.norm(last - first)
+            off = (own - first) @ np.array([-along[1], along[0]])
+            if np.max(np.abs(off)) < 0.05 * self.size:
+                order = np.argsort((own - first) @ along)
+                found.append(Part("bar", own[[order[0], order[-1]]]))
+            else:
+                found.append(Part("plate", hull(own)))
+        return found
+
+    # --- the ground ------------------------------------------------------------------------------------------------------
+
+    def _ground_lines(self) -> list[tuple[Array, float, bool]]:
+        """Ground pivots and rails: (line, width, filled white)."""
+        found: list[tuple[Array, float, bool]] = []
+        middle = np.mean(finite(self._points(self.motion, self.scale.factor)[:, self.near]), axis=0)
+        s = self.size
+        held = {point for spring in self.springs for body, point in spring.ends if body == FRAME}
+        for name in self.mechanism.ground:
+            at = self._vector(self.motion.pose.points[name])
+            if name in self.mechanism.pins or name in held:
+                found.append((at + s * np.array([[0.0, 0.0], [-0.55, -1.0], [0.55, -1.0], [0.0, 0.0]]), 1.1, True))
+                found.append((at + s * np.array([[-0.9, -1.0], [0.9, -1.0]]), 1.1, False))
+                found.append(
+                    (hatching(at - s * np.array([0.9, 1.0]), np.array([1.0, 0.0]), 1.8 * s, -0.35 * s, 0.25 * s), 0.8, False)
+                )
+            else:
+                found.append(
+                    (at + 0.35 * s * np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]]), 1.0, False)
+                )
+        for guide in self.mechanism.guides:
+            if guide.on == FRAME:
+                point, way = self._line(guide, FRAME)
+                left = np.array([-way[1], way[0]])
+                away = float((middle - point) @ left)
+                side = -math.copysign(1.0, away if abs(away) > 0.5 * s else left[1] + 1e-9 * left[0])
+                low, high = (end + room * 1.5 * s for end, room in zip(self.travel[guide.name], (-1.0, 1.0), strict=True))
+                begin = point + low * way + side * 0.62 * s * left
+                found.append((np.array([begin, begin + (high - low) * way]), 1.3, False))
+                found.append((hatching(begin, way, high - low, side * 0.35 * s, 0.35 * s), 0.8, False))
+        return found
+
+    # --- how far everything reaches --------------------------------------------------------------------------------------
+
+    def _extent(self) -> tuple[Array, Array]:
+        """Least and largest coordinates of everything that is ever drawn."""
+        corners = [
+            finite(self._points(self.motion, self.scale.factor)[:, self.near]),
+            *(finite(line) for line, _, _ in self.ground),
+        ]
+        for body, own in self.parts.items():
+            outlines = [part.outline for part in own] + ([self.centroids[body]] if body in self.centroids else [])
+            corners += [finite(self.placed(self.motion, body, outline)[self.near]) for outline in outlines]
+        together = np.concatenate(corners)
+        return np.min(together, axis=0), np.max(together, axis=0)
+
+    def widen(self, points: Array) -> None:
+        """Make room for what else is shown, (n, 2)."""
+        known = finite(points)
+        if known.size:
+            self.low, self.high = np.minimum(self.low, known.min(axis=0)), np.maximum(self.high, known.max(axis=0))
+
+    @property
+    def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Limits of x and of y with a margin all around, never thinner than a fifth of their length."""
+        size = self.high - self.low
+        room = 0.07 * float(np.max(size))
+        widths = np.maximum(size + 2.0 * room, 0.22 * float(np.max(size)))
+        middle = 0.5 * (self.low + self.high)
+        (x0, y0), (x1, y1) = middle - 0.5 * widths, middle + 0.5 * widths
+        return (float(x0), float(x1)), (float(y0), float(y1))
+
+    @property
+    def ratio(self) -> float:
+        """Height over width."""
+        (x0, x1), (y0, y1) = self.limits
+        return (y1 - y0) / (x1 - x0)
+
+    # --- drawing -----------------------------------------------------------------------------------------------------------
+
+    def stage(self, axes: Axes, *, traces: bool = True) -> None:
+        """What stands still: equal scales that hold everything, the ground with its rails, the traces of the moving points."""
+        for line, width, filled in self.ground:
+            if filled:
+                axes.add_patch(Polygon(line, closed=True, facecolor="white", edgecolor=GROUND, linewidth=width, zorder=2))
+            else:
+                axes.plot(line[:, 0], line[:, 1], color=GROUND, linewidth=width, zorder=2)
+        if traces:
+            for name, bodies in self.mechanism.owners.items():
+                if FRAME not in bodies:
+                    path = np.where(self.near[:, None], self.position(self.motion, name), np.nan)
+                    free = len(bodies) == 1 and name != self.mechanism.bodies[bodies[0]].start
+                    width, alpha = (1.3, 0.7) if free else (0.9, 0.45)
+                    color = self.colours[bodies[0] if bodies[0] == self.mechanism.crank.body else bodies[-1]]
+                    axes.plot(path[:, 0], path[:, 1], color=color, linewidth=width, alpha=alpha, zorder=1, gid=f"trace {name}")
+        axes.set(xlim=self.limits[0], ylim=self.limits[1], xlabel=f"x [{self.scale.unit}]", ylabel=f"y [{self.scale.unit}]")
+        axes.set_aspect("equal")
+
+    def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
+        """Draw the k-th position of a motion; every body's artists carry its name as their gid."""
+        found: list[Artist] = []
+        for body, own in self.parts.items():
+            color = self.colours[body]
+            first = body == self.mechanism.crank.body
+            tint = tuple(1.0 - 0.35 * (1.0 - c) for c in to_rgb(color))
+            for part in own:
+                xy = self.placed(motion, body, part.outline)[k]
+                if not np.all(np.isfinite(xy)):
+                    continue
+                drawn: Line2D | Polygon
+                if part.kind == "bar":
+                    drawn = Line2D(xy[:, 0], xy[:, 1], color=color, linewidth=3.8 if first else 3.0, solid_capstyle="round")
+                    drawn.set_zorder(3.4 if first else 3.0)
+                elif part.kind == "plate":
+                    drawn = Polygon(xy, closed=True, facecolor=(*to_rgb(color), 0.22), edgecolor=color, linewidth=2.2)
+                    drawn.set(joinstyle="round", zorder=2.8)
+                elif part.kind == "slot":
+                    drawn = Polygon(xy, closed=True, facecolor=(*to_rgb(color), 0.13), edgecolor=color, linewidth=1.1)
+                    drawn.set_zorder(2.6)
+                else:
+                    drawn = Polygon(xy, closed=True, facecolor=tint, edgecolor=color, linewidth=1.5)
+                    drawn.set(joinstyle="round", zorder=3.2)
+                drawn.set_gid(body)
+                found.append(drawn)
+        found += self._springs(motion, k)
+        found += self._markers(motion, k)
+        for artist in found:
+            axes.add_artist(artist)
+        return found
+
+    def _springs(self, motion: Motion, k: int) -> Iterable[Line2D]:
+        for spring in self.springs:
+            p, q = (self.position(motion, point)[k] for _, point in spring.ends)
+            along, across = q - p, np.array([p[1] - q[1], q[0] - p[0]]) / max(float(np.linalg.norm(q - p)), 1e-30)
+            shares = np.concatenate([[0.0, 0.18], np.linspace(0.2, 0.8, 12), [0.82, 1.0]])
+            swings = np.concatenate([[0.0, 0.0], 0.45 * self.size * (-1.0) ** np.arange(12), [0.0, 0.0]])
+            xy = p + shares[:, None] * along + swings[:, None] * across
+            yield Line2D(xy[:, 0], xy[:, 1], color=QUIET, linewidth=1.2, zorder=2.9, gid=spring.name)
+
+    def _markers(self, motion: Motion, k: int) -> Iterable[Line2D]:
+        """Pins as rings, free points as dots in their body's colour, centroids as rings with a cross."""
+        for body, own in self.centroids.items():
+            at = self.placed(motion, body, own)[k, 0]
+            points = finite(np.array([self.position(motion, name)[k] for name in self.names]))
+            if np.all(np.isfinite(at)) and float(np.min(np.linalg.norm(points - at, axis=1))) > 0.4 * self.size:
+                for drawn in _centroid(self.colours[body]):
+                    drawn.set(xdata=[at[0]], ydata=[at[1]], zorder=3.6, gid=f"centroid {body}")
+                    yield drawn
+        for name, bodies in self.mechanism.owners.items():
+            if len(bodies) == 1 and bodies[0] != FRAME:
+                x, y = self.position(motion, name)[k]
+                color = self.colours[bodies[0]]
+                yield Line2D([x], [y], linestyle="none", marker="o", markersize=3.6, mfc=color, mec=color, zorder=4, gid=name)
+        pins = np.array([self.position(motion, name)[k] for name in self.mechanism.pins]).reshape(-1, 2)
+        yield Line2D(
+            pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5.5, mfc="white", mec=GROUND, zorder=4, gid="pins"
+        )
+
+    def legend(self) -> tuple[list[Any], list[str]]:
+        """Handles and labels of a legend: every body in its colour, and what the sign of a centroid means."""
+        handles: list[Any] = [Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.parts]
+        if self.centroids:
+            handles.append(tuple(_centroid(GROUND)))
+        return handles, [*self.parts, "centroid"][: len(handles)]
+
+    def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
+        """The names of all points, for `labels.settle`."""
+        return [
+            Label(axes, (float(x), float(y)), name, GROUND, clear=2.5)
+            for name in self.names
+            for x, y in self.position(motion, name)[k : k + 1]
+        ]
+
+    def arrows(self, motion: Motion, k: int, names: Sequence[str], longest: float) -> dict[str, tuple[Array, Array]]:
+        """Velocity arrows (begin, end) at points; the quickest point's is `longest` long."""
+        speeds = {name: motion.velocity(name)[k] for name in names}
+        top = max((float(np.linalg.norm(v)) for v in speeds.values() if np.all(np.isfinite(v))), default=0.0)
+        found = {}
+        for name, v in speeds.items():
+            if np.all(np.isfinite(v)) and float(np.linalg.norm(v)) > 0.01 * top:
+                at = self.position(motion, name)[k]
+                found[name] = (at, at + v * longest / top)
+        return found
+
+
+def arrow(axes: Axes, begin: Array, end: Array, colour: str = WANTED, gid: str = "") -> FancyArrowPatch:
+    """Draw an arrow from point to point."""
+    ends = (float(begin[0]), float(begin[1])), (float(end[0]), float(end[1]))
+    drawn = FancyArrowPatch(*ends, arrowstyle="-|>", mutation_scale=9.0, linewidth=1.4, color=colour, shrinkA=0.0, shrinkB=0.0)
+    drawn.set(zorder=6, gid=gid)
+    axes.add_patch(drawn)
+    return drawn
+
+
+def _centroid(colour: str) -> list[Line2D]:
+    """The sign of a centroid: a ring and a cross."""
+    return [Line2D([], [], linestyle="none", marker=m, markersize=5.5, mfc="white", mec=colour, mew=0.9) for m in ("o", "+")]

@@ -1,0 +1,238 @@
+"""Drawings for the workshop: every link as a block with its holes at the true distances, and the assembly at a crank angle.
+
+Distances of holes are those of the design, to the last digit. Outlines, hole sizes and slots are a proposal: how wide a link must
+be, and which links pass above which, are questions of strength and of room that nobody has asked yet.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import slider_names
+from optlink.linkage.mechanism import FRAME, Guide
+from optlink.linkage.motion import Motion, sweep
+from optlink.report.files import whole
+from optlink.report.scene import scene
+from optlink.report.shapes import hull
+from optlink.tasks.analyze import Analysis
+
+if TYPE_CHECKING:
+    from ezdxf.document import Drawing
+    from ezdxf.layouts.blocklayout import BlockLayout
+    from ezdxf.layouts.layout import Modelspace
+
+Array = NDArray[np.float64]
+Vertex = tuple[float, float, float]
+"""x and y [mm] of a corner, and the bulge of the edge that begins there: the tangent of a quarter of its arc."""
+
+ASSEMBLY, PARTS, NAMES, TRACES, MARKS = "ASSEMBLY", "PARTS", "NAMES", "TRACES", "MARKS"
+HOLE = 0.03  # of the extent: the usual diameter of a hole, rounded
+WIDTH = 2.5  # diameters of a hole: the usual width of a link
+SAME = 1e-9  # of the extent: distance of corners that are one
+COLOURS = (1, 5, 3, 30, 6, 4, 34, 200, 52, 8)
+"""AutoCAD colours of the links, the crank's first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """A link as it may be cut, in its own axes [mm]: holes and marks by name, slots (from, to), outline."""
+
+    body: str
+    holes: Mapping[str, Array]
+    marks: Mapping[str, Array]
+    slots: tuple[tuple[Array, Array], ...]
+    outline: tuple[Vertex, ...]
+
+    @property
+    def block(self) -> str:
+        """Name of its block and of its layer."""
+        return f"LINK {self.body}" if self.body != FRAME else "FRAME"
+
+
+def write_dxf(cycle: Analysis, path: Path, at: float, title: str, hole: float | None = None, width: float | None = None) -> None:
+    """Write the drawing.
+
+    Parameters
+    ----------
+    cycle : Analysis
+    path : Path
+    at : float [rad]
+        Crank angle of the assembly, one that can be reached.
+    title : str
+        Kept in the file's properties.
+    hole, width : float [m], optional
+        Diameter of the holes, width of the links; suited to the extent if left out.
+    """
+    drawing = document(cycle, at, title, hole, width)
+    with whole(path) as temporary:
+        drawing.saveas(temporary)
+
+
+def document(cycle: Analysis, at: float, title: str, hole: float | None = None, width: float | None = None) -> Drawing:
+    """The drawing; see `write_dxf`."""
+    from ezdxf import units
+    from ezdxf.filemanagement import new
+
+    machine = cycle.machine
+    here = sweep(machine.mechanism, machine.sizes, [at])
+    drawn = scene(cycle)
+    diameter = usual_hole(max(drawn.box[2:])) if hole is None else 1e3 * hole
+    radius = 0.5 * (WIDTH * diameter if width is None else 1e3 * width)
+    made = new("R2010", units=units.MM)
+    made.header.custom_vars.append("TITLE", " ".join(title.split()))
+    made.header.custom_vars.append("CRANK ANGLE [deg]", f"{math.degrees(at):.9g}")
+    for name, colour in ((ASSEMBLY, 7), (PARTS, 7), (NAMES, 7), (TRACES, 9), (MARKS, 8)):
+        made.layers.add(name, color=colour)
+    found = list(plates(cycle, here, radius))
+    for number, plate in enumerate(found):
+        made.layers.add(plate.block, color=COLOURS[number % len(COLOURS)] if plate.body != FRAME else 7)
+        _cut(made.blocks.new(plate.block), plate, diameter, radius)
+    space = made.modelspace()
+    _assemble(space, found, here)
+    for name in drawn.free:
+        line = drawn.points[name] * np.array([1.0, -1.0])
+        space.add_lwpolyline(line[np.all(np.isfinite(line), axis=1)].tolist(), dxfattribs={"layer": TRACES})
+    x, y, wide, _ = drawn.box
+    _lay_out(space, [plate for plate in found if plate.body != FRAME], (x, -y - drawn.box[3]), radius, wide)
+    return made
+
+
+def usual_hole(extent: float) -> float:
+    """A diameter [mm] that suits a mechanism of that extent [mm]: 1, 1.5, 2, 3, 4, 5, 6, 8 or 10 times a power of ten."""
+    size = HOLE * extent
+    power = 10.0 ** math.floor(math.log10(size))
+    return power * max(step for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0) if step * power <= size * (1.0 + 1e-9))
+
+
+# --- plates ------------------------------------------------------------------------------------------------------------------
+
+
+def plates(cycle: Analysis, here: Motion, radius: float) -> Iterator[Plate]:
+    """Every link as a plate whose edge keeps `radius` [mm] from its holes; last the frame, which has no edge."""
+    mechanism, pose = cycle.machine.mechanism, here.pose
+    travel = {guide.name: travelled(cycle, guide) for guide in mechanism.guides}
+    for body in (*mechanism.bodies, FRAME):
+        own = {name: _vector(pose.local(body, name)) for name, bodies in mechanism.owners.items() if body in bodies}
+        holes = {name: at for name, at in own.items() if name in mechanism.pins}
+        marks = {name: at for name, at in own.items() if name not in holes}
+        slots = tuple(_slot(here, guide, travel[guide.name]) for guide in mechanism.guides if guide.on == body)
+        corners = np.array([*own.values(), *(end for slot in slots for end in slot)]).reshape(-1, 2)
+        yield Plate(body, holes, marks, slots, rounded(corners, radius) if body != FRAME else ())
+
+
+def _vector(vector: tuple[object, object]) -> Array:
+    """A vector of plain numbers in millimetres."""
+    return np.array([1e3 * float(part) for part in vector])  # type: ignore[arg-type]
+
+
+def travelled(cycle: Analysis, guide: Guide) -> tuple[float, float]:
+    """From where to where a slider goes along its line [m], counted from where the guide counts it."""
+    slides = cycle[f"{slider_names(cycle.machine)[guide.name]}.s_m"]
+    known = slides[np.isfinite(slides)]
+    travel = cycle.strokes.get(slider_names(cycle.machine)[guide.name])
+    if travel is not None:
+        return travel.low, travel.high
+    return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+
+
+def _slot(here: Motion, guide: Guide, travel: tuple[float, float]) -> tuple[Array, Array]:
+    """Both ends of a slider's way, on the body that carries the guide."""
+    point, way = here.pose.local_line(guide, guide.on)
+    begin, along = _vector(point), _vector(way) / 1e3
+    return begin + 1e3 * travel[0] * along, begin + 1e3 * travel[1] * along
+
+
+def rounded(points: Array, radius: float) -> tuple[Vertex, ...]:
+    """The outline, counter-clockwise, of everything within `radius` of the convex hull of points (n, 2).
+
+    Straight edges and arcs alone: two vertices per corner, the arc between them as a bulge.
+    """
+    extent = float(np.max(np.ptp(points, axis=0)))
+    corners = _distinct(points, SAME * max(extent, radius))
+    if len(corners) > 2:
+        corners = _strict(hull(corners), SAME * extent)
+    if len(corners) == 1:
+        x, y = corners[0]
+        return ((x - radius, y, 1.0), (x + radius, y, 1.0))
+    found: list[Vertex] = []
+    for k, corner in enumerate(corners):
+        before, after = corner - corners[k - 1], corners[(k + 1) % len(corners)] - corner
+        turned = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after)) % (2.0 * math.pi)
+        out = [np.array([edge[1], -edge[0]]) / np.linalg.norm(edge) for edge in (before, after)]
+        first, second = (corner + radius * normal for normal in out)
+        found += [(float(first[0]), float(first[1]), math.tan(turned / 4.0)), (float(second[0]), float(second[1]), 0.0)]
+    return tuple(found)
+
+
+def _distinct(points: Array, near: float) -> Array:
+    kept: list[Array] = []
+    for point in points:
+        if all(np.linalg.norm(point - other) > near for other in kept):
+            kept.append(point)
+    return np.array(kept)
+
+
+def _strict(corners: Array, near: float) -> Array:
+    """The corners of a hull of which none lies on the line of its neighbours; both ends if all lie on one line."""
+    centre = corners[int(np.argmax(np.linalg.norm(corners - corners[0], axis=1)))]
+    along = (centre - corners[0]) / np.linalg.norm(centre - corners[0])
+    off = (corners - corners[0]) @ np.array([-along[1], along[0]])
+    if np.max(np.abs(off)) <= near:
+        shares = (corners - corners[0]) @ along
+        return corners[[int(np.argmin(shares)), int(np.argmax(shares))]]
+    return corners
+
+
+# --- drawing -----------------------------------------------------------------------------------------------------------------
+
+
+def _cut(block: BlockLayout, plate: Plate, diameter: float, radius: float) -> None:
+    """Draw a plate into its block."""
+    layer = {"layer": plate.block}
+    for at in plate.holes.values():
+        block.add_circle(tuple(at), 0.5 * diameter, dxfattribs=layer)
+    for at in plate.marks.values():
+        for way in (np.array([0.5 * diameter, 0.0]), np.array([0.0, 0.5 * diameter])):
+            block.add_line(tuple(at - way), tuple(at + way), dxfattribs={"layer": MARKS})
+    for first, last in plate.slots:
+        if plate.body == FRAME or np.linalg.norm(last - first) <= SAME * radius:
+            block.add_line(tuple(first), tuple(last), dxfattribs=layer)
+        else:
+            outline = rounded(np.array([first, last]), 0.5 * diameter)
+            block.add_lwpolyline(outline, format="xyb", close=True, dxfattribs=layer)
+    if plate.outline:
+        block.add_lwpolyline(plate.outline, format="xyb", close=True, dxfattribs=layer)
+
+
+def _assemble(space: Modelspace, found: list[Plate], here: Motion) -> None:
+    """Put every plate where it is at the crank angle."""
+    for plate in found:
+        place, angle = (0.0, 0.0), 0.0
+        if plate.body != FRAME:
+            start = here.position(here.mechanism.bodies[plate.body].start)[0] * 1e3
+            place = float(start[0]), float(start[1])
+            angle = math.degrees(float(np.asarray(here.body_angle(plate.body).value)[0]))
+        space.add_blockref(plate.block, place, dxfattribs={"rotation": angle, "layer": ASSEMBLY})
+
+
+def _lay_out(space: Modelspace, found: list[Plate], corner: tuple[float, float], radius: float, wide: float) -> None:
+    """Put the plates side by side below the assembly, each with its name, in rows about as wide as the assembly."""
+    left, x, y, deep = corner[0], corner[0], corner[1] - 2.0 * radius, 0.0
+    for plate in found:
+        corners = np.array([*plate.holes.values(), *plate.marks.values(), *(end for slot in plate.slots for end in slot)])
+        low, high = corners.min(axis=0) - radius, corners.max(axis=0) + radius
+        if x > left and x + high[0] - low[0] > left + wide:
+            x, y, deep = left, y - deep - 2.5 * radius, 0.0
+        place = (x - float(low[0]), y - float(high[1]))
+        space.add_blockref(plate.block, place, dxfattribs={"layer": PARTS})
+        text = space.add_text(plate.body, height=0.6 * radius, dxfattribs={"layer": NAMES})
+        text.set_placement((x, y - float(high[1] - low[1]) - 0.9 * radius))
+        x += float(high[0] - low[0]) + radius
+        deep = max(deep, float(high[1] - low[1]))

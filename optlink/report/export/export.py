@@ -1,0 +1,182 @@
+"""A design for other programs: DXF and SVG drawings at a crank angle, the motion as CSV, the geometry as JSON."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optlink.errors import Fault, InputError
+from optlink.io import finite, head
+from optlink.linkage.mechanism import FRAME
+from optlink.linkage.motion import sweep
+from optlink.linkage.stroke import failure
+from optlink.linkage.vector2d import Vector
+from optlink.problem.quantity import nearest
+from optlink.report.export.dxf import travelled, write_dxf
+from optlink.report.export.svg import svg
+from optlink.report.files import folder, whole, write_csv, write_json
+from optlink.report.report_model import Subject
+from optlink.report.scene import scene
+from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
+
+SCHEMA = "optlink/geometry/1"
+LONGEST = 255  # bytes of a file's name that every system takes
+FORCES = ("_N", "_Nm", "_J", "_W")
+"""Endings of columns that say nothing of a linkage without masses and loads."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a design is drawn: crank angle `at` [rad], the start of its motion if not said; hole and width [m]; rows of a table."""
+
+    at: float | None = None
+    hole: float | None = None
+    width: float | None = None
+    points: int = 360
+
+
+def target(path: Path, endings: tuple[str, ...], example: str) -> Path:
+    """A file that can be written, checked before any work is done.
+
+    Raises
+    ------
+    InputError
+        unknown ending, a folder that does not exist or cannot be written to.
+    """
+    key = "-o"
+    if len(os.fsencode(path.name)) > LONGEST:
+        raise InputError(Fault("the name is too long", f"Give a shorter one, for example {example}", key=key, value=str(path)))
+    if path.is_dir():
+        raise InputError(Fault("this is a folder", f"Give the name of a file, for example {example}", key=key, value=str(path)))
+    if path.suffix.lower() not in endings:
+        message = f'"{path.suffix}" is no ending that can be written' if path.suffix else "the name has no ending"
+        remedy = nearest(path.suffix, endings) if path.suffix else f"Write one of {', '.join(endings)}"
+        raise InputError(Fault(message, remedy, key=key, value=str(path)))
+    if not path.parent.is_dir():
+        message = f"there is no folder {path.parent}"
+        raise InputError(Fault(message, "Make it first, or choose another place", key=key, value=str(path)))
+    folder(path.parent, key)
+    return path
+
+
+def export(subject: Subject, path: Path, options: Options | None = None) -> None:
+    """Write a design in the format of the file's ending.
+
+    Raises
+    ------
+    InputError
+        when the ending is unknown, the design cannot be assembled or an option is out of range; then no file is written.
+    """
+    options = options or Options()
+    target(path, tuple(FORMATS), "drawing.dxf")
+    if subject.cycle is None:
+        remedy = "Look at it with optlink validate, and export another design"
+        raise InputError(Fault(f"the design cannot be drawn: {subject.unmoved}", remedy, subject.problem.file))
+    for name in ("hole", "width"):
+        size = getattr(options, name)
+        if size is not None and not 0.0 < size < math.inf:
+            raise InputError(Fault("a size is positive", 'Give one such as "8 mm"', key=f"--{name}", value=f"{size:g} m"))
+    if options.hole is not None and options.width is not None and options.width <= options.hole:
+        remedy = "Give a width greater than the hole"
+        raise InputError(Fault("no link is narrower than its holes", remedy, key="--width", value=f"{options.width:g} m"))
+    FORMATS[path.suffix.lower()](subject, subject.cycle, path, options)
+
+
+def place_of(subject: Subject, cycle: Analysis, at: float | None) -> float:
+    """A crank angle [rad] at which the mechanism can be assembled; the start of its motion if none is asked for.
+
+    Raises
+    ------
+    InputError
+        when the crank cannot get there, with the ranges that it can reach.
+    """
+    if at is None:
+        return math.radians(float(cycle["crank_angle_deg"][0]))
+    if cycle.full:
+        return at
+    if cycle.ranges.holding(at) is None:
+        failed = failure(cycle.machine.mechanism, cycle.machine.sizes, at)
+        reach = ", ".join(f"{math.degrees(low):.6g} ... {math.degrees(high):.6g} deg" for low, high in cycle.ranges.ranges)
+        message = str(failed) if failed else "the mechanism cannot be assembled there"
+        shown = f"{math.degrees(at):.6g} deg"
+        raise InputError(Fault(message, f"Give an angle within {reach}", subject.problem.file, "--at", shown))
+    return at
+
+
+def _dxf(subject: Subject, cycle: Analysis, path: Path, options: Options) -> None:
+    at = place_of(subject, cycle, options.at)
+    write_dxf(cycle, path, at, subject.problem.model.title, options.hole, options.width)
+
+
+def _svg(subject: Subject, cycle: Analysis, path: Path, options: Options) -> None:
+    at = place_of(subject, cycle, options.at)
+    whole_motion, here = scene(cycle), scene(cycle, at=at)
+    text = svg(here, f"{subject.problem.model.title}: crank angle {math.degrees(at):.6g} deg", over=whole_motion)
+    with whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _csv(subject: Subject, cycle: Analysis, path: Path, options: Options) -> None:
+    """The motion as a table, without columns of forces where there are none."""
+    if not 1 <= options.points <= MAX_POINTS:
+        remedy = f"Give a number from 1 to {MAX_POINTS:,}"
+        raise InputError(Fault("out of range", remedy, key="--points", value=options.points))
+    rows = cycle if options.points == len(cycle["time_s"]) - 1 else analyze(cycle.problem, options.points, speed=cycle.speed)
+    columns = {name: values for name, values in rows.columns.items() if subject.forces or not name.endswith(FORCES)}
+    write_csv(path, columns)
+
+
+def _json(subject: Subject, cycle: Analysis, path: Path, options: Options) -> None:
+    write_json(path, geometry(subject, cycle, place_of(subject, cycle, options.at)))
+
+
+def geometry(subject: Subject, cycle: Analysis, at: float) -> dict[str, Any]:
+    """The linkage as a JSON document [SI]: bodies with their points in their own axes, and where all are at a crank angle."""
+    machine = cycle.machine
+    mechanism = machine.mechanism
+    here = sweep(mechanism, machine.sizes, [at])
+
+    def local(body: str) -> dict[str, list[float]]:
+        return {name: _plain(here.pose.local(body, name)) for name, owners in mechanism.owners.items() if body in owners}
+
+    bodies = {}
+    for body, link in mechanism.bodies.items():
+        angle = float(np.asarray(here.body_angle(body).value)[0])
+        bodies[body] = {"points_m": local(body), "at_m": here.position(link.start)[0].tolist(), "angle_rad": angle}
+        if body in machine.inertias:
+            bodies[body] |= {"inertia": vars(machine.inertias[body]) | {}}
+    guides = {}
+    for guide in mechanism.guides:
+        point, way = here.pose.local_line(guide, guide.on)
+        told = {"slider": guide.slider, "on": guide.on, "through_m": _plain(point), "direction": _plain(way)}
+        guides[guide.name] = told | {"travel_m": list(travelled(cycle, guide))}
+    document = {
+        **head(SCHEMA, subject.problem, "valid" if subject.valid else "not valid"),
+        "valid": subject.valid,
+        "crank_angle_rad": at,
+        "full_rotation": cycle.full,
+        "reachable_rad": [list(range_) for range_ in cycle.ranges.ranges],
+        "crank": mechanism.crank.body,
+        "speed_rad_s": cycle.speed,
+        "ground_m": local(FRAME),
+        "bodies": bodies,
+        "pins": {name: list(owners) for name, owners in mechanism.pins.items()},
+        "guides": guides,
+        "points_m": {name: here.position(name)[0].tolist() for name in mechanism.owners},
+    }
+    return finite(document)  # type: ignore[no-any-return]
+
+
+def _plain(vector: Vector) -> list[float]:
+    return [float(part) for part in vector]
+
+
+Writer = Callable[[Subject, Analysis, Path, Options], None]
+FORMATS: dict[str, Writer] = {".dxf": _dxf, ".svg": _svg, ".csv": _csv, ".json": _json}
+"""What can be written, by the ending of the file."""

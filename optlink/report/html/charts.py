@@ -1,0 +1,307 @@
+"""Charts of a report as plain plotly figures: what was asked for and what is done, motion, torque, reactions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import Record, slider_names
+from optlink.io import finite
+from optlink.report.html.chart_plotly import Chart, Panel, Trace, axis, filled, level, line, sheet, short, stacked
+from optlink.report.html.moving_linkage import Readout
+from optlink.report.report_model import Subject
+from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, Scale, scale
+from optlink.report.views.analysis_curves import NOTHING, Course
+from optlink.report.views.analysis_pictures import outputs
+from optlink.report.views.function_pictures import transmission_limits
+from optlink.report.views.path_outputs import output
+from optlink.report.views.path_tables import exact
+from optlink.report.views.path_view import Track, best
+from optlink.report.views.study_tables import step
+from optlink.studies.sensitivity import Sensitivities
+from optlink.tasks.analyze import Analysis
+from optlink.tasks.cycle_result import MachineDesign
+from optlink.tasks.function import Result
+from optlink.tasks.path_result import Generation
+
+Array = NDArray[np.float64]
+BARS = 16  # of what matters
+PARTS = {"inertia": BODIES[0], "gravity": BODIES[1], "load": BODIES[2]}
+
+
+def charts(subject: Subject) -> list[Chart]:
+    """Every chart that a subject has something for."""
+    outcome, found = subject.outcome, []
+    course = None if subject.cycle is None else Course(subject.cycle)
+    if isinstance(outcome, Result) and course is not None:
+        found += _law(outcome)
+    if isinstance(outcome, Generation):
+        found += _generated(outcome)
+    if course is not None:
+        given = Course(outcome.given) if isinstance(outcome, MachineDesign) and outcome.given is not None else None
+        if not isinstance(outcome, Result | Generation) or subject.forces:
+            found += _motion(course, given)
+        if isinstance(outcome, Result):
+            found += _transmission(course, outcome)
+        elif not (isinstance(outcome, Generation) and not _pointed(outcome)):
+            found += _transmission(course)
+        if subject.forces:
+            found += [*_torque(course, given), *_reactions(course), *_shaking(course, given)]
+    return found
+
+
+# --- a motion law ------------------------------------------------------------------------------------------------------------
+
+
+def _law(result: Result) -> list[Chart]:
+    """Wanted and generated rocker angle over the span, and the error."""
+    task, design = result.problem.spec, result.design
+    if not math.isfinite(design["phi0"]):
+        return []
+    offsets, at = task.span * np.linspace(0.0, 1.0, 361), task.law.offsets
+    begin = math.degrees(design["phi0"])
+    wanted, marks = (np.degrees(task.law.curve(places, design["phi0"], design["psi0"])) for places in (offsets, at))
+    error, missed = np.degrees(result.error(offsets)), np.degrees(result.error())
+    x, marked = begin + np.degrees(offsets), begin + np.degrees(at)
+    above = [
+        line(x, wanted - error, "generated", FOUND, width=2.4),
+        line(x, wanted, "wanted", WANTED, width=1.6, dash="dash"),
+        line(marked, marks, "design positions", WANTED, width=5.0, mode="markers"),
+    ]
+    below = [
+        line(x, error, "error", LIMIT),
+        line(marked, missed, "error at the design positions", LIMIT, width=5.0, mode="markers") | {"showlegend": False},
+    ]
+    panels = [Panel("rocker angle ψ [deg]", above, 1.5), Panel("wanted minus generated [deg]", below)]
+    return [Chart("Motion law over the span", stacked(panels))]
+
+
+def _transmission(course: Course, result: Result | None = None) -> list[Chart]:
+    """Transmission angles of all two-link groups over the motion, with their limits."""
+    names = [name for name in course.columns if name.endswith(".transmission_rad")]
+    if not names:
+        return []
+    factor = math.degrees(1.0)
+    curves = [
+        line(*course.line(name, factor), f"at {name.partition('.')[0]}", BODIES[k % len(BODIES)]) for k, name in enumerate(names)
+    ]
+    if result is not None:
+        begin = math.degrees(result.design["phi0"])
+        span = np.array([begin, begin + math.degrees(result.problem.spec.span)])
+        over = course.degrees if result.problem.spec.transmission_over == "revolution" else span
+        for value, low in transmission_limits(result):
+            curves.append(level(over, value, f"at {'least' if low else 'most'} {value:g}°"))
+    return [Chart("Transmission angle", _over_cycle([Panel("angle between the links [deg]", curves, 1.4)], course))]
+
+
+def _over_cycle(panels: Sequence[Panel], course: Course) -> dict[str, Any]:
+    """A figure over the crank angle, to the right as time goes on."""
+    return stacked(panels, reversed_x=course.way < 0.0)
+
+
+# --- points, poses, functions ------------------------------------------------------------------------------------------------
+
+
+def _pointed(result: Generation) -> bool:
+    return result.best is not None and result.best.task.pointed
+
+
+def _generated(result: Generation) -> list[Chart]:
+    track = best(result)
+    if track is None:
+        return []
+    if not track.task.pointed:
+        return [_output(track)]
+    return [_path(track)] if exact(track.design) else [_path(track), _misses(track)]
+
+
+def _path(track: Track) -> Chart:
+    """The curve of the point with the points that were wanted and those that it meets, on equal scales."""
+    unit = track.sketch.scale
+    curve = track.position(track.motion) * unit.factor
+    wanted, met = track.wanted * unit.factor, track.generated * unit.factor
+    curves = [
+        line(curve[:, 0], curve[:, 1], f"curve of {track.task.requirement.point}", track.colour, width=2.2),
+        line(wanted[:, 0], wanted[:, 1], "wanted", WANTED, width=9.0, mode="markers"),
+        line(met[:, 0], met[:, 1], "generated", LIMIT, width=7.0, mode="markers"),
+    ]
+    curves[1]["marker"] |= {"symbol": "circle-open", "line": {"width": 1.6}}
+    curves[2]["marker"] |= {"symbol": "cross-thin-open", "line": {"width": 1.8}}
+    for trace in curves[1:]:
+        trace["text"] = [f"point {k + 1}" for k in range(len(wanted))]
+    layout = sheet(480) | {"hovermode": "closest"}
+    layout["xaxis"] = axis(f"x [{unit.unit}]") | {"constrain": "domain"}
+    layout["yaxis"] = axis(f"y [{unit.unit}]") | {"scaleanchor": "x", "constrain": "domain"}
+    return Chart("Path", {"data": curves, "layout": layout}, cranked=False)
+
+
+def _misses(track: Track) -> Chart:
+    """How far every point is missed, and by how much every pose is turned."""
+    measured = track.design.measured
+    shown = Scale(1e3, "mm") if track.exact else scale(float(np.nanmax(measured.distances)), "m")
+    number = np.arange(1.0, len(measured.distances) + 1.0)
+    bars: list[Trace] = [
+        {"type": "bar", "name": "distance", "x": short(number), "y": short(measured.distances * shown.factor)} | filled(FOUND)
+    ]
+    if np.any(np.isfinite(track.tolerances)):
+        mark = line(number, track.tolerances * shown.factor, "tolerance", LIMIT, width=9.0, mode="markers")
+        mark["marker"]["symbol"] = "line-ew-open"
+        bars.append(mark)
+    panels = [Panel(f"distance [{shown.unit}]", bars)]
+    if measured.turned is not None:
+        turned = {"type": "bar", "name": "turned by", "x": short(number), "y": short(np.degrees(measured.turned))}
+        panels.append(Panel("turned by [deg]", [turned | filled(BODIES[2])]))
+    figure = stacked(panels, "point")
+    figure["layout"]["xaxis"] |= {"dtick": max(1, len(number) // 20), "hoverformat": "d"}
+    return Chart(f"How far the {'points' if measured.turned is None else 'poses'} are missed", figure, cranked=False)
+
+
+def _output(track: Track) -> Chart:
+    """The output of a function beside what is wanted, or the transmission angles."""
+    shown = output(track)
+    curves = [line(shown.crank, shown.found[:, k], name, BODIES[k % len(BODIES)]) for k, name in enumerate(shown.curves)]
+    panels = [Panel(shown.name, curves, 1.5)]
+    if shown.wanted is not None:
+        curves.append(line(shown.crank, shown.wanted, "wanted", WANTED, width=1.6, dash="dash"))
+        error = line(shown.crank, shown.found[:, 0] - shown.wanted, "error", LIMIT)
+        panels.append(Panel(f"generated minus wanted [{shown.name.rpartition('[')[2]}", [error]))
+    title = "Transmission angle" if shown.wanted is None else "Output over the range"
+    return Chart(title, stacked(panels, reversed_x=track.way < 0.0))
+
+
+# --- a machine over its cycle ------------------------------------------------------------------------------------------------
+
+
+def _both(course: Course, given: Course | None, column: str, shown: Scale, name: str, colour: str) -> list[Trace]:
+    """A column, and in grey that of the machine that the search began from."""
+    curves = [line(*course.line(column, shown.factor), name, colour)]
+    if given is not None and column in given.columns:
+        curves.insert(0, line(*given.line(column, shown.factor), f"{name}, given machine", QUIET, width=1.5, dash="dot"))
+    return curves
+
+
+def _motion(course: Course, given: Course | None) -> list[Chart]:
+    """Position, velocity and acceleration of what the machine moves."""
+    found = []
+    for k, out in enumerate(outputs(course)):
+        words = ("position", "velocity", "acceleration") if out.slides else ("angle", "angular velocity", "angular acceleration")
+        panels = [
+            Panel(f"{word} [{shown.unit}]", _both(course, given, column, shown, word, BODIES[k % len(BODIES)]))
+            for word, column, shown in zip(words, out.columns, out.scales(course), strict=True)
+        ]
+        for trace in (trace for panel in panels for trace in panel.traces):
+            trace["showlegend"] = False  # the axes say it; grey is told once
+        if given is not None:
+            panels[0].traces[0].update(name="given machine", showlegend=True)
+        found.append(Chart(f"Motion of {out.name}", _over_cycle(panels, course)))
+    return found
+
+
+def _torque(course: Course, given: Course | None) -> list[Chart]:
+    """The driving torque with what it goes into, and the work."""
+    if not course.has("input.torque_Nm"):
+        return []
+    names = {part: f"input.torque_{part}_Nm" for part in PARTS}
+    shown = scale(course.peak("input.torque_Nm"), "N m")
+    curves = _both(course, given, "input.torque_Nm", shown, "torque", CRANK)
+    for part, column in names.items():
+        if course.has(column, ["input.torque_Nm"]):
+            curves.append(line(*course.line(column, shown.factor), f"for {part}", PARTS[part], width=1.3, dash="dash"))
+    work = scale(course.peak("input.work_J"), "J")
+    panels = [
+        Panel(f"torque of the drive [{shown.unit}]", curves, 1.5),
+        Panel(f"work since the start [{work.unit}]", _both(course, given, "input.work_J", work, "work", BODIES[3])),
+    ]
+    return [Chart("Driving torque and work", _over_cycle(panels, course))]
+
+
+def _reactions(course: Course) -> list[Chart]:
+    """Forces in the pins and in the guides; not those of a given machine, which would be more curves than anybody tells apart."""
+    mechanism = course.result.machine.mechanism
+    pins = [name for name in course.columns if name.endswith(".f_N")]
+    guides = [f"{guide.name}.normal_N" for guide in mechanism.guides]
+    names = [name for name in [*pins, *guides] if course.has(name, [*pins, *guides])]
+    if not names:
+        return []
+    shown = scale(course.peak(*names), "N")
+    curves = []
+    for k, name in enumerate(names):
+        owner = name.rpartition(".")[0]
+        told = f"guide {owner}, normal" if name in guides else f"pin {owner}" if "." not in owner else f"pin on {owner}"
+        dash = "dash" if name in guides else "solid"
+        curves.append(line(*course.line(name, shown.factor), told, BODIES[k % len(BODIES)], width=1.8, dash=dash))
+    return [Chart("Joint reactions", _over_cycle([Panel(f"force [{shown.unit}]", curves, 1.7)], course))]
+
+
+def _shaking(course: Course, given: Course | None) -> list[Chart]:
+    """What shakes the frame."""
+    forces = ["frame.shaking_fx_N", "frame.shaking_fy_N"]
+    if course.peak(*forces) <= NOTHING * course.peak("input.torque_Nm"):
+        return []
+    shown, moment = scale(course.peak(*forces), "N"), scale(course.peak("frame.shaking_moment_Nm"), "N m")
+    curves = [
+        trace
+        for axis, column, colour in zip("xy", forces, BODIES, strict=False)
+        for trace in _both(course, given, column, shown, f"in {axis}", colour)
+    ]
+    panels = [
+        Panel(f"shaking force [{shown.unit}]", curves, 1.2),
+        Panel(
+            f"shaking moment [{moment.unit}]", _both(course, given, "frame.shaking_moment_Nm", moment, "moment", BODIES[3]), 0.8
+        ),
+    ]
+    return [Chart("Shaking of the frame", _over_cycle(panels, course))]
+
+
+# --- what matters ------------------------------------------------------------------------------------------------------------
+
+
+def tornado(found: Sensitivities) -> Chart:
+    """How much one step of everything that is given changes the objective, largest effect on top."""
+    rows = found.moving[:BARS][::-1]
+    base = found.solution.objective
+    factor, unit = (100.0 / base, "%") if base > 0.0 else (1.0, found.unit)
+    names = [escape(f"{row.parameter.name}: {row.parameter.value:.5g} {row.parameter.unit}".rstrip()) for row in rows]
+    effects = np.array([row.effect * factor for row in rows])
+    steps = [f"{names[k]} + {step(row)}" for k, row in enumerate(rows)]
+    bars = {"type": "bar", "orientation": "h", "name": "one step more", "y": names, "x": short(effects), "text": steps}
+    colours = [LIMIT if effect > 0.0 else FOUND for effect in effects]
+    bars |= {"textposition": "none", "hovertemplate": "%{text}: %{x:+.4g} " + unit + "<extra></extra>"}
+    layout = sheet(110 + 26 * len(rows)) | {"hovermode": "closest", "showlegend": False}
+    layout["xaxis"] = axis(f"change of the objective [{unit}], to first order: left is better")
+    layout["yaxis"] = axis("") | {"type": "category"}
+    return Chart(
+        "Effect of one step more: 1 deg of an angle, else 1 %",
+        {"data": [bars | {"marker": {"color": colours}}], "layout": layout},
+        cranked=False,
+    )
+
+
+# --- figures beside the moving drawing ---------------------------------------------------------------------------------------
+
+
+def readouts(cycle: Analysis, angles: Array, *, forces: bool) -> list[Readout]:
+    """What a reader wants to know of every position, at crank angles [deg]."""
+    machine = cycle.machine
+    record = Record(machine.moving(np.radians(angles), cycle.speed))
+    sliders = [f"{name}.s_m" for name in slider_names(machine).values()]
+    asked = [(name, f"slide of {name.removesuffix('.s_m')}", "m") for name in sliders]
+    if not asked:
+        last = machine.mechanism.links[-1].body
+        asked.append((f"{last}.angle_rad", f"angle of {last}", "deg"))
+    for name in record.columns:
+        if name.endswith(".transmission_rad"):
+            asked.append((name, f"transmission angle at {name.partition('.')[0]}", "deg"))
+    if forces:
+        asked.append(("input.torque_Nm", "driving torque", "N m"))
+    found = []
+    for column, words, unit in asked:
+        values = record[column]
+        shown = scale(float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))), unit)
+        found.append(Readout(words, shown.unit, finite(np.round(values * shown.factor, 4))))
+    return found

@@ -1,0 +1,116 @@
+"""A linkage in motion as a part of a page: the drawing, the slider that moves it, the figures that follow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.report.export.svg import svg, zigzag
+from optlink.report.scene import Scene
+
+Array = NDArray[np.float64]
+FLAT = 0.45  # height over width below which the figures stand below the drawing
+TICKS = (("traces", "paths of the points"), ("names", "names of the points"))
+
+
+@dataclass(frozen=True)
+class Readout:
+    """A figure that follows the slider: its name, its unit, its values in that unit over the positions of the scene."""
+
+    name: str
+    unit: str
+    values: list[float | None]
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit as a page writes it."""
+        return "°" if self.unit == "deg" else self.unit
+
+    @property
+    def decimals(self) -> int:
+        """Decimals that tell it to four digits."""
+        largest = max((abs(value) for value in self.values if value is not None), default=0.0)
+        return 3 if largest < 10.0 else 2 if largest < 1000.0 else 1
+
+    def text(self, k: int = 0) -> str:
+        """The k-th value for people."""
+        value = self.values[k]
+        return "–" if value is None else f"{value:.{self.decimals}f}".replace("-", "−")
+
+
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """What the slider runs through: `values` (positions,) in `unit`; `turn` after which one is the first again, if any."""
+
+    name: str
+    unit: str
+    values: Array
+    decimals: int
+    turn: float | None = None
+
+    def text(self, k: int = 0) -> str:
+        """The k-th stop for people."""
+        return f"{self.values[k]:.{self.decimals}f}{self.unit}".replace("-", "−")
+
+
+def crank_stops(scene: Scene) -> Stops:
+    """The crank angles of a scene [deg]."""
+    return Stops("crank angle", "°", scene.angles, 1, 360.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """A scene with its slider and the figures beside it."""
+
+    scene: Scene
+    stops: Stops
+    readouts: Sequence[Readout]
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a script needs to move it."""
+        stops = self.stops
+        values = np.round(stops.values, 9).tolist()
+        slider = {"values": values, "unit": stops.unit, "decimals": stops.decimals, "turn": stops.turn}
+        listed = [{"values": one.values, "decimals": one.decimals} for one in self.readouts]
+        return self.scene.to_dict() | {"zigzag": zigzag(self.scene.size), "readouts": listed, "slider": slider}
+
+    def html(self, title: str) -> str:
+        """The drawing with everything around it."""
+        drawn, stops = self.scene, self.stops
+        _, _, width, height = drawn.box
+        flat = " flat" if height < FLAT * width else ""
+        picture = svg(drawn, f"{title}, drawn to scale")
+        legend = "".join(f'<li><i style="background:{body.colour}"></i>{escape(body.name)}</li>' for body in drawn.bodies)
+        figures = "".join(
+            f"<div><dt>{escape(one.name)}</dt><dd><span data-readout>{one.text()}</span> {escape(one.shown_unit)}</dd></div>"
+            for one in self.readouts
+        )
+        ticks = "".join(
+            f'<label class="tick"><input type="checkbox" checked data-toggle="{layer}"> {words}</label>' for layer, words in TICKS
+        )
+        return f"""<div class="linkage{flat}">
+<div><div class="stage">{picture}</div>
+<div class="controls"><button type="button" id="play" aria-pressed="false">▶ Play</button>
+<label for="crank">{escape(stops.name)}</label>
+<input type="range" id="crank" min="0" max="{len(stops.values) - 1}" step="1" value="0" aria-valuetext="{stops.text()}">
+<output id="crank-angle" for="crank">{stops.text()}</output></div></div>
+<div class="aside"><ul class="legend">{legend}</ul>
+<dl class="readouts">{figures}</dl>{ticks}</div>
+</div>"""
+
+
+def even(count: int, most: int) -> NDArray[np.intp]:
+    """Numbers of at most so many of `count` rows, evenly spaced, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
+
+
+def decimals_of(values: Array) -> int:
+    """Decimals that tell neighbouring stops apart."""
+    step = float(np.min(np.abs(np.diff(values)), initial=math.inf))
+    return min(6, max(0, math.ceil(-math.log10(step)))) if 0.0 < step < math.inf else 3

@@ -1,0 +1,198 @@
+"""The page of a design: figures, proof, what matters, charts, the moving linkage, sources."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from optlink.errors import Status
+from optlink.report.html import tables
+from optlink.report.html.charts import charts, readouts, tornado
+from optlink.report.html.moving_linkage import Moving, crank_stops
+from optlink.report.html.shell import LARGEST, Section, Sheet, cards, fitted, write
+from optlink.report.html.sources import closing
+from optlink.report.report_model import Outcome, Subject
+from optlink.report.scene import scene
+from optlink.report.views import analysis_tables, cycle_tables, function_tables, path_tables, study_tables
+from optlink.studies.sensitivity import Sensitivities, of_solution
+from optlink.tasks.analyze import Analysis
+from optlink.tasks.cycle_result import MachineDesign
+from optlink.tasks.function import Result
+from optlink.tasks.path_result import Generation
+
+__all__ = ["LARGEST", "page", "sensitivities_of", "told", "verdict", "write_page"]
+
+
+def write_page(subject: Subject, path: Path) -> None:
+    """Write the report of a subject.
+
+    Raises
+    ------
+    InputError
+        when nothing can be written there; then no file is left behind.
+    """
+    write(page(subject), path)
+
+
+def page(subject: Subject) -> str:
+    """The report of a subject as HTML."""
+    answers = subject.answers or sensitivities_of(subject)
+    return fitted(lambda steps: _sheet(subject, answers, steps))
+
+
+def _sheet(subject: Subject, answers: Sensitivities | None, steps: int) -> Sheet:
+    moving = moved(subject, steps)
+    return Sheet(
+        title=subject.problem.model.title,
+        kind=f"{subject.problem.name} · {subject.problem.kind}",
+        verdict=verdict(subject),
+        good=subject.valid,
+        status="".join(_status(subject)),
+        sections=tuple(_sections(subject, moving, answers)),
+        moving=moving,
+    )
+
+
+def moved(subject: Subject, steps: int) -> Moving | None:
+    """The machine of a subject over its motion; None where it has none."""
+    if subject.cycle is None:
+        return None
+    drawn = scene(subject.cycle, steps)
+    return Moving(drawn, crank_stops(drawn), readouts(subject.cycle, drawn.angles, forces=subject.forces))
+
+
+# --- what stands where -------------------------------------------------------------------------------------------------------
+
+
+def _sections(subject: Subject, moving: Moving | None, answers: Sensitivities | None) -> Iterator[Section]:
+    if answers is not None and subject.answers is not None:  # what was asked comes first
+        yield _matters(answers)
+    if moving is not None:
+        yield Section("Linkage in motion", (moving.html(subject.problem.model.title),))
+    elif subject.unmoved:
+        yield Section("Linkage", (f"<p>It cannot be shown in motion: {escape(subject.unmoved)}.</p>",))
+    result = [*_result(subject)]
+    if result:
+        yield Section("Analysis" if isinstance(subject.outcome, Analysis) else "Design and proof", (cards(result),))
+    if answers is not None and subject.answers is None:
+        yield _matters(answers)
+    curves = charts(subject)
+    if curves:
+        yield Section("Curves", curves)
+    yield from closing(subject.problem, _by(subject))
+
+
+def _matters(answers: Sensitivities) -> Section:
+    """How the optimum answers to what is given."""
+    rest = [part for part in tables.flat(study_tables.sensitivities(answers)) if not _known(part)]
+    return Section("What matters", (tornado(answers), cards(rest)))
+
+
+def _known(part: Table | Text) -> bool:
+    """Whether a part of the sensitivities has been told before: title and optimum."""
+    return str(part.title) == "Optimum" if isinstance(part, Table) else "bold" in str(part.style)
+
+
+def sensitivities_of(subject: Subject) -> Sensitivities | None:
+    """How the optimum answers to what is given; None where none was searched, or where nothing is left to gain."""
+    outcome = subject.outcome
+    if isinstance(outcome, Result | MachineDesign):
+        file, solution = outcome.problem, outcome.solution
+    elif isinstance(outcome, Generation) and outcome.best is not None and not path_tables.exact(outcome.best):
+        file, solution = outcome.best.problem, outcome.best.solution
+    else:
+        return None
+    if solution is None or solution.status is not Status.OPTIMAL:
+        return None
+    found = of_solution(file, solution)
+    return found if found.moving else None
+
+
+def verdict(subject: Subject) -> str:
+    """Whether the design is valid, and which checks failed."""
+    if isinstance(subject.outcome, Analysis):
+        return f"{subject.outcome.status[0].upper()}{subject.outcome.status[1:]}"
+    if subject.valid:
+        outcome = subject.outcome.best if isinstance(subject.outcome, Generation) else subject.outcome
+        fit = getattr(outcome, "fit", None)
+        beside = f"; {outcome.comparison}" if isinstance(outcome, MachineDesign) and outcome.comparison else ""
+        return (f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed") + beside
+    failed = _failed(subject)
+    return f"Not valid: {failed}" if failed else f"Not valid: {subject.outcome.status.value}"
+
+
+def _failed(subject: Subject) -> str:
+    """Names of the checks that failed."""
+    outcome = subject.outcome
+    if isinstance(outcome, Generation):
+        proof = None if outcome.best is None else outcome.best.validation
+    else:
+        proof = None if isinstance(outcome, Analysis) else outcome.validation
+    names = [check.name for check in proof.checks if not check.passed] if proof else []
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def told(subject: Subject) -> RenderableType:
+    """What a terminal is told of the answer."""
+    outcome = subject.outcome
+    if isinstance(outcome, Result):
+        return function_tables.result(outcome)
+    if isinstance(outcome, Generation):
+        return path_tables.generation(outcome)
+    if isinstance(outcome, MachineDesign):
+        return cycle_tables.machine_design(outcome)
+    return analysis_tables.analysis(outcome)
+
+
+def _status(subject: Subject) -> Iterator[str]:
+    """What the terminal says below the title; and what a recorded result adds."""
+    first = next(part for part in tables.flat(told(subject)) if isinstance(part, Text))
+    for text in first.split("\n")[1:]:
+        yield tables.paragraph(text, plain=True)
+    for note in subject.notes:
+        yield f"<p>Note: {escape(note)}</p>"
+
+
+def _result(subject: Subject) -> Iterator[Table | Text]:
+    """The tables of the answer, the active limits after the first of them if a result file recorded them."""
+    parts = list(tables.flat(told(subject)))[1:]
+    if subject.limits and not _priced(subject.outcome):
+        recorded = list(tables.flat(_recorded(subject)))
+        place = next((k for k, part in enumerate(parts) if "Validation" in str(getattr(part, "title", ""))), len(parts))
+        parts[place:place] = recorded
+    return iter(parts)
+
+
+def _priced(outcome: Outcome) -> bool:
+    """Whether the answer tells the prices of its limits itself."""
+    found = outcome.best if isinstance(outcome, Generation) else outcome
+    return getattr(found, "solution", None) is not None
+
+
+def _recorded(subject: Subject) -> RenderableType:
+    """Active limits with their prices as a result file recorded them, in the units that the terminal tells them in."""
+    outcome, limits = subject.outcome, subject.limits
+    if isinstance(outcome, Generation) and outcome.best is not None:
+        best = outcome.best
+        shown = path_tables.people_objective(best)
+        size = shown / best.objective if best.objective > 0.0 else 1.0
+        scaled = [replace(limit, multiplier=limit.multiplier * size) for limit in limits]
+        return function_tables.active(scaled, shown, path_tables.people_objective_unit(best))
+    unit = outcome.unit if isinstance(outcome, Result | MachineDesign) else ""
+    return function_tables.active(limits, subject.objective, unit)
+
+
+def _by(subject: Subject) -> str:
+    outcome = subject.outcome
+    if isinstance(outcome, Analysis):
+        return "nothing was searched: the machine is analysed as it is given"
+    if outcome.backend == "none":
+        return "nothing was searched: a given design was checked"
+    starts = f"{outcome.starts} start{'s' * (outcome.starts != 1)}, seed {outcome.seed}"
+    return f"{outcome.backend}, {starts}; proven by a sweep of the kinematics that the search takes no part in"

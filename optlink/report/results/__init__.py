@@ -1,1 +1,0 @@
-"""Result files of simulations, balancing and studies, read strictly, as pages."""

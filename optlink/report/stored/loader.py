@@ -1,0 +1,90 @@
+"""What a RESULT is: a result.json, or the folder that holds it, of any command that writes one."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from optlink.errors import Fault, InputError
+from optlink.problem.file import shipped
+from optlink.report.report_model import Subject
+from optlink.report.stored.problem_lookup import problem_of
+from optlink.report.stored.reader import read
+from optlink.report.stored.stored_result import KNOWN, read_subject
+from optlink.report.stored.stored_study import Studied
+from optlink.version import VERSION
+
+RESULT = "result.json"
+STUDIES = {
+    "optlink/simulation/1": ("simulate", "simulation_page.studied"),
+    "optlink/clearance/1": ("simulate", "clearance_page.studied"),
+    "optlink/compensation/1": ("simulate --control compare", "clearance_page.compared"),
+    "optlink/balance/1": ("balance", "balance_page.studied"),
+    "optlink/sweep/1": ("study sweep", "sweep_page.studied"),
+    "optlink/tolerance/1": ("study tolerance", "tolerance_page.studied"),
+    "optlink/pareto/1": ("study pareto", "pareto_page.studied"),
+}
+"""Schemas of what is shown as it was recorded: the command that writes them, and who reads them (loaded when it is needed)."""
+PAGELESS = {"optlink/output-sensitivity/1": "Slopes of an output stand in the sensitivity.csv beside it"}
+"""Schemas of results that are not drawn, and where people read them."""
+
+
+def is_result(text: str) -> bool:
+    """Whether an argument names a result file, or the folder of one, rather than a problem; shipped ones go first."""
+    return text.endswith(".json") or (os.path.isdir(text) and text not in shipped())
+
+
+def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -> Subject | Studied:
+    """What a result file tells.
+
+    Parameters
+    ----------
+    text : str
+        A result.json that --out wrote, or its folder.
+    problem : str, optional
+        Its problem; looked for by name if not said: shipped, beside the file, in the working directory.
+    changes : texts KEY=VALUE
+        With which the problem was changed (`--set`) when it was solved.
+
+    Raises
+    ------
+    InputError
+        when the file is none that can be shown, is damaged, or its problem is not found or another one.
+    """
+    folder = os.path.isdir(text)
+    path = Path(text) / RESULT if folder else Path(text)
+    if folder and not path.exists():
+        remedy = "Give a folder that --out wrote; a study that ended early goes on with --resume"
+        raise InputError(Fault(f"the folder holds no {RESULT}", remedy, text))
+    record = read(path)
+    schema = record.document.get("schema")
+    if not isinstance(schema, str) or schema not in {**KNOWN, **STUDIES}:
+        raise _unknown(schema, path)
+    if schema in KNOWN:
+        return read_subject(path, problem, changes)
+    file = problem_of(record, problem, changes)
+    room, _, name = STUDIES[schema][1].partition(".")
+    found: Studied = getattr(importlib.import_module(f"optlink.report.views.{room}"), name)(record, file)
+    notes = [f"shown as {path.name} recorded it"]
+    if record.document.get("optlink") != VERSION:
+        notes.append(f"that file was written by optlink {record.document.get('optlink')}, this page by {VERSION}")
+    return replace(found, notes=tuple(notes))
+
+
+def _unknown(schema: object, path: Path) -> InputError:
+    """Why a document of that schema is not shown."""
+    known = {**KNOWN, **{name: command for name, (command, _) in STUDIES.items()}}
+    if not isinstance(schema, str) or not schema.startswith("optlink/"):
+        return InputError(Fault("not a result of optlink", "Give a result.json that --out wrote", str(path), "schema", schema))
+    if schema in PAGELESS:
+        return InputError(Fault("a result of this kind has no page", PAGELESS[schema], str(path), "schema", schema))
+    stem = schema.rpartition("/")[0]
+    if stem in {name.rpartition("/")[0] for name in known}:
+        remedy = f"Run `{next(c for n, c in known.items() if n.startswith(stem + '/'))}` again, or use the version that wrote it"
+        return InputError(Fault("the result is of another version of its format", remedy, str(path), "schema", schema))
+    commands = ", ".join(dict.fromkeys(known.values()))
+    remedy = f"Give what --out of one of these wrote: {commands}; or the problem itself"
+    return InputError(Fault("not a result that can be shown here", remedy, str(path), "schema", schema))

@@ -1,0 +1,86 @@
+"""The optimum of a result file as a solution of its programme again, so that its prices and sensitivities can be told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Status
+from optlink.linkage.stroke import TURN
+from optlink.optimization.nlp import NLP
+from optlink.problem.file import ProblemFile
+from optlink.solvers.solution import Solution
+from optlink.tasks.path_result import Design
+
+Array = NDArray[np.float64]
+SAME = 1e-5  # scaled units: a search that moves a recorded optimum further than this has found another one
+
+
+def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | None:
+    """The optimum of a motion law at a design [SI]; None where the design is none."""
+    from optlink.optimization.nlp import build
+    from optlink.solvers import multistart
+    from optlink.tasks.function import solve
+
+    if not file.spec.everywhere:
+        return _at(build(file.spec), dict(design))
+    # the positions of its largest errors belong to the programme: it is searched from the optimum, and must stay there
+    found = solve(file, multistart.BACKENDS[-1], begin={name: design[name] for name in file.spec.free}).solution
+    return None if found is None else _same(found, found.nlp.x_of(dict(design)))
+
+
+def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution | None:
+    """The optimum of a machine that is designed by its cycle, at free sizes [SI]; None where they are none.
+
+    The positions of its peaks belong to the programme: it is searched from the optimum, and must stay there.
+    """
+    from optlink.optimization.cycle_nlp import CycleNLP
+    from optlink.studies.cycle_parameters import CLOSE
+    from optlink.studies.cycle_task import restarted
+    from optlink.tasks.cycle import design_machine
+
+    found = design_machine(restarted(file, values), CLOSE, starts=1).solution
+    if found is None or found.status is not Status.OPTIMAL:
+        return None
+    assert isinstance(found.nlp, CycleNLP)
+    count = len(found.nlp.free)
+    away = found.x[:count] - found.nlp.x_of(values)[:count]
+    return found if float(np.max(np.abs(away))) <= SAME else None
+
+
+def generated_optimum(design: Design) -> Design:
+    """A design for points, poses or a function with the solution that it is, if it is one."""
+    from optlink.optimization.path_nlp import angle_name, build_generation
+    from optlink.solvers import multistart
+    from optlink.solvers.path_exchange import search_everywhere
+
+    angles = design.crank_angles
+    nlp = build_generation(design.task, 1 if angles[-1] >= angles[0] else -1)
+    own = {angle_name(k): float(angle) for k, angle in enumerate(angles)}
+    x = nlp.x_of({**design.values, **own})
+    start = multistart.given(nlp, x, "read from a result file")
+    return replace(design, solution=_same(search_everywhere(design.task, start, multistart.BACKENDS[-1], near=True), x))
+
+
+def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
+    """The optimum at given values: as they are, else after a search that does not move them."""
+    from optlink.solvers import multistart
+
+    x = nlp.x_of(values)
+    found = multistart.given(nlp, x, "read from a result file")
+    if found.status is not Status.OPTIMAL:
+        found = multistart.solve_from(nlp, x, multistart.BACKENDS[-1])
+    return _same(found, x)
+
+
+def _same(found: Solution, x: Array) -> Solution | None:
+    """A solution, if it is an optimum and none other than the recorded one at x."""
+    away = found.x - x
+    angular = np.array([variable.scale.unit == "deg" for variable in found.nlp.variables])
+    turns = TURN / np.array([variable.size for variable in found.nlp.variables])
+    away -= np.where(angular, turns * np.round(away / turns), 0.0)  # an angle is the same after a turn
+    near = float(np.max(np.abs(away), initial=0.0)) <= SAME
+    return found if found.status is Status.OPTIMAL and near else None

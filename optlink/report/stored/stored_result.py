@@ -1,0 +1,256 @@
+"""Result files as subjects: the design is read, everything else is computed and proven again by the problem that it belongs to.
+
+A result file names its problem and its hash, but does not hold it. It is looked for by that name, and must have that hash.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optlink.errors import Fault, InputError, Status
+from optlink.problem.file import ProblemFile
+from optlink.report.report_model import Outcome, Subject, subject_of
+from optlink.report.stored.problem_lookup import problem_of
+from optlink.report.stored.reader import AGAIN, Record, read
+from optlink.report.stored.resolved_result import generated_optimum, law_optimum, machine_optimum
+from optlink.solvers.evidence import Evidence, evidence
+from optlink.solvers.infeasibility import Relaxation
+from optlink.solvers.solution import LimitState
+from optlink.studies.sensitivity import SCHEMA as SENSITIVITY
+from optlink.studies.sensitivity import Resolved
+from optlink.tasks.analyze import SCHEMA as ANALYSIS
+from optlink.tasks.analyze import Analysis, analyze
+from optlink.tasks.cycle import check_machine
+from optlink.tasks.cycle_result import SCHEMA as MACHINE
+from optlink.tasks.cycle_result import MachineDesign
+from optlink.tasks.function import SCHEMA as RESULT
+from optlink.tasks.function import Result, read_design, validate
+from optlink.tasks.path import variants_of
+from optlink.tasks.path_result import SCHEMA as GENERATION
+from optlink.tasks.path_result import Design, Generation
+from optlink.tasks.result import Relaxed
+from optlink.units import UnitProblem, factor
+from optlink.validation import Check
+from optlink.validation.check import Validation
+from optlink.validation.path import validate_generation
+from optlink.version import VERSION
+
+KNOWN = {RESULT: "solve", GENERATION: "solve", MACHINE: "solve", ANALYSIS: "analyze", SENSITIVITY: "study sensitivity"}
+"""Schemas that can be shown, and the command that writes them."""
+
+
+def read_subject(path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> Subject:
+    """The subject of a result file.
+
+    Parameters
+    ----------
+    path : Path
+        What `solve --out` or `analyze --out` wrote as result.json.
+    problem : str, optional
+        Its problem; looked for by name if not said: shipped, beside the file, in the working directory.
+    changes : texts KEY=VALUE
+        With which the problem was changed (`--set`) when it was solved.
+
+    Raises
+    ------
+    InputError
+        when the file is none that can be shown, or its problem is not found or another one.
+    """
+    record = read(path)
+    document, schema = record.document, record.document.get("schema")
+    if schema not in KNOWN:
+        known = " or ".join(f"{name} ({command})" for name, command in KNOWN.items())
+        message = "not a result that can be shown here" if isinstance(schema, str) else "not a result of optlink"
+        raise InputError(Fault(message, f"Give one of {known}, or the problem itself", str(path), "schema", schema))
+    file = problem_of(record, problem, changes)
+    notes = [f"read from {path.name}; kinematics and checks are computed anew from the design in it"]
+    if document.get("optlink") != VERSION:
+        notes.append(f"that file was written by optlink {document.get('optlink')}, this page by {VERSION}")
+    if schema == SENSITIVITY:
+        return _sensitive(record, file, tuple(notes))
+    try:
+        outcome = _solved(_outcome(str(schema), document, path, file))
+        limits = tuple(_limit(item) for item in _listed(document)) if _optimal(outcome) else ()
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        told = f"the key {error} is missing" if isinstance(error, KeyError) else f"a value is none that belongs there ({error})"
+        raise InputError(Fault(f"the result is damaged: {told}", AGAIN, str(path))) from None
+    return subject_of(file, outcome, limits, tuple(notes))
+
+
+def _solved(outcome: Outcome) -> Outcome:
+    """An outcome whose optimum is a solution of its programme again."""
+    if isinstance(outcome, Result) and outcome.status is Status.OPTIMAL:
+        return replace(outcome, solution=law_optimum(outcome.problem, outcome.design))
+    if isinstance(outcome, MachineDesign) and outcome.status is Status.OPTIMAL:
+        return replace(outcome, solution=machine_optimum(outcome.problem, outcome.values))
+    if isinstance(outcome, Generation) and outcome.designs and outcome.designs[0].status is Status.OPTIMAL:
+        return replace(outcome, designs=(generated_optimum(outcome.designs[0]), *outcome.designs[1:]))
+    return outcome
+
+
+def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Subject:
+    """The optimum of `study sensitivity`, its derivatives computed anew; what it searched again is as it was recorded."""
+    units = record.record("design_units")
+    values = {name: value * _size(file, units, name) for name, value in record.figures("design").items()}
+    if missing := [name for name in file.model.free if name not in values]:
+        raise record.fault(f"design.{missing[0]}", "this is missing")
+    outcome: Outcome
+    if file.machined:
+        known = {name: values[name] for name in file.model.free}
+        outcome = _solved(replace(check_machine(file, known), status=Status.OPTIMAL))
+        problem, solution = file, outcome.solution if isinstance(outcome, MachineDesign) else None
+    elif file.generated:
+        from optlink.tasks.path import validate as check
+
+        outcome = _solved(_optimum(check(file, values)))
+        best = outcome.best if isinstance(outcome, Generation) else None
+        problem, solution = (file, None) if best is None else (best.problem, best.solution)
+    else:
+        given = replace(validate(file, {name: values[name] for name in file.model.free}), status=Status.OPTIMAL)
+        outcome = _solved(given)
+        problem, solution = file, outcome.solution if isinstance(outcome, Result) else None
+    if solution is None:
+        raise record.fault("design", "this is not the optimum of its problem")
+    from optlink.studies.sensitivity import of_solution
+
+    told = {row.text("key"): row for row in record.records("parameters")}
+    found = of_solution(problem, solution)
+    rows = tuple(replace(row, check=_checked(told[key])) if (key := row.parameter.key) in told else row for row in found.rows)
+    return replace(subject_of(file, outcome, (), notes), answers=replace(found, rows=rows))
+
+
+def _size(file: ProblemFile, units: Record, name: str) -> float:
+    """One of a recorded unit of a quantity [SI]; 1 of what is no quantity of the problem."""
+    quantity, unit = file.model.quantities.get(name), units.text(name)
+    if quantity is None or not unit:
+        return 1.0
+    try:
+        return factor(unit, quantity.kind)
+    except UnitProblem as error:
+        raise units.fault(name, error.message, unit) from None
+
+
+def _optimum(found: Generation) -> Generation:
+    """Designs that were checked, as those that a search found."""
+    return replace(found, designs=tuple(replace(design, status=Status.OPTIMAL) for design in found.designs))
+
+
+def _checked(record: Record) -> Resolved | None:
+    """Derivatives that were found by searching again, if they were asked for."""
+    if not record.has("searched_again"):
+        return None
+    found = record.record("searched_again")
+    return Resolved(found.number("step"), found.number("objective"), found.figures("design"), found.number("gap"))
+
+
+def _outcome(schema: str, document: Mapping[str, Any], path: Path, file: ProblemFile) -> Outcome:
+    if schema == ANALYSIS:
+        return _analysis(document, file)
+    status = Status(document["status"])
+    if schema == GENERATION:
+        return _generation(document, file)
+    given = read_design(file, [str(path)])
+    made = check_machine(file, given) if schema == MACHINE else validate(file, given)
+    known = {check.name for check in made.validation.checks}
+    recorded = [check for check in _checks(document) if check.name not in known]
+    proof = replace(made.validation, checks=(*made.validation.checks, *recorded))
+    kind = Relaxation if isinstance(made, MachineDesign) else Relaxed
+    about: dict[str, Any] = {key: document[key] for key in ("backend", "seed", "starts")}
+    about |= {"status": status, "validation": proof, "seconds": {}}
+    about["conflict"] = tuple(kind(**_relaxed(item)) for item in document.get("conflict", ()))
+    about["together"] = tuple(kind(**_relaxed(item)) for item in document.get("relax_together", ()))
+    if isinstance(made, MachineDesign):
+        about["notes"] = tuple(document.get("notes", ()))
+    return replace(made, **about)
+
+
+def _relaxed(item: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a limit that would have to give."""
+    numbers = {key: _number(item[key]) for key in ("bound", "relaxed", "amount")}
+    return {**{key: str(item[key]) for key in ("name", "key", "sense", "unit")}, **numbers}
+
+
+def _analysis(document: Mapping[str, Any], file: ProblemFile) -> Analysis:
+    sizes = document["sizes"]
+    design = {name: float(sizes[name]) for name in file.model.free}
+    columns = document["columns"]["crank_angle_deg"]
+    return analyze(file, max(1, len(columns) - 1), speed=float(document["speed_rad_s"]), design=design)
+
+
+def _generation(document: Mapping[str, Any], file: ProblemFile) -> Generation:
+    """The best design of a search for points, or its nearest miss, at the crank angles that were recorded."""
+    found = [_generated(item, file) for item in document["designs"]]
+    miss = document.get("nearest_miss")
+    nearest = _generated(miss, file) if isinstance(miss, dict) else None
+    valid = tuple(design for design in found if design.valid)
+    return Generation(
+        problem=file,
+        designs=valid,
+        nearest=nearest or next(iter(found), None),
+        backend=str(document["backend"]),
+        seed=int(document["seed"]),
+        starts=int(document["starts"]),
+        evidence=Evidence(**document["evidence"]) if "evidence" in document else evidence(()),
+        seconds={},
+        notes=tuple(document.get("notes", ())),
+    )
+
+
+def _generated(item: Mapping[str, Any], file: ProblemFile) -> Design:
+    modes = {json.dumps(each.raw["mechanism"].get("assembly", "left"), sort_keys=True): each for each in variants_of(file)}
+    variant = modes[json.dumps(item["assembly"], sort_keys=True)]
+    task = variant.model
+    quantities = task.quantities
+    values = {}
+    for key, value in item["design"].items():
+        name, _, unit = key.rpartition("_")
+        known = name if name in quantities else key  # a pure number has no unit
+        values[known] = float(value) * (factor(unit, quantities[known].kind) if known == name and unit else 1.0)
+    angles = np.radians(np.asarray(item["points"]["crank_deg"], dtype=float))
+    proof = validate_generation(task, values, angles)  # type: ignore[arg-type]
+    known_checks = {check.name for check in proof.checks}
+    recorded = tuple(check for check in _checks(item) if check.name not in known_checks)
+    checked = Validation((*proof.checks, *recorded), proof.objective)
+    return Design(variant, values, angles, proof.objective, Status(item["status"]), checked)
+
+
+def _checks(document: Mapping[str, Any]) -> list[Check]:
+    """Checks that a result recorded."""
+    return [
+        Check(str(c["name"]), bool(c["passed"]), _number(c["value"]), str(c["limit"]), str(c["unit"]))
+        for c in document["validation"]
+    ]
+
+
+def _listed(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Limits of the design, of the best one if there are several."""
+    if document.get("designs"):
+        document = document["designs"][0]
+    elif isinstance(document.get("nearest_miss"), dict):
+        document = document["nearest_miss"]
+    found = document.get("limits", [])
+    return list(found)
+
+
+def _limit(item: Mapping[str, Any]) -> LimitState:
+    texts = {key: str(item[key]) for key in ("key", "name", "sense", "unit")}
+    numbers = {key: _number(item[key]) for key in ("value", "bound", "multiplier", "slack")}
+    return LimitState(**texts, **numbers, active=bool(item["active"]))  # type: ignore[arg-type]
+
+
+def _optimal(outcome: Outcome) -> bool:
+    """Whether limits have prices at all."""
+    found = outcome.best if isinstance(outcome, Generation) else outcome
+    return isinstance(found, Result | MachineDesign | Design) and found.status is Status.OPTIMAL
+
+
+def _number(value: object) -> float:
+    """A number of a document; null is none."""
+    return math.nan if value is None else float(value)  # type: ignore[arg-type]

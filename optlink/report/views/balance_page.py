@@ -1,0 +1,306 @@
+"""The page of `balance`: before and after, counterweights, what limits cost, the trade-off; proven anew by inverse dynamics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.counterweights import Measure, amounts, quantities
+from optlink.dynamics.inertia import Parameters
+from optlink.dynamics.machine import Machine
+from optlink.problem.file import ProblemFile
+from optlink.problem.machine.balance import BalanceSection, read_measure
+from optlink.problem.quantity import Unusable
+from optlink.report.html.chart_plotly import Chart, Panel, Picks, axis, line, mark, sheet, short, stacked
+from optlink.report.html.shell import Section
+from optlink.report.stored.reader import Record
+from optlink.report.stored.stored_study import Studied, figures_of, split, still, turning
+from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, scale
+from optlink.report.views import balance_tables
+from optlink.report.views.function_tables import number
+from optlink.tasks.analyze import machine_of, motion_range, sampled
+from optlink.tasks.balance import written
+from optlink.tasks.balance_result import SCHEMA, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
+
+__all__ = ["SCHEMA", "studied"]
+
+Array = NDArray[np.float64]
+PANELS = 4  # above one another in a chart
+TRUE = 1e-6  # share of a measure's value before, within which what is recorded is what its counterweights do
+COLOURS = {"shaking_force": FOUND, "shaking_moment": BODIES[3], "driving_torque": CRANK}
+VERDICTS = {
+    "optimal": "Optimal: no counterweights within the limits do better",
+    "relaxed": "Near the proven bound",
+    "infeasible": "No counterweights meet all limits",
+    "stalled": "Not proven",
+}
+
+
+# --- reading -----------------------------------------------------------------------------------------------------------------
+
+
+def read(record: Record, file: ProblemFile) -> Balance:
+    """A recorded balance, its measures computed anew from the counterweights in it.
+
+    Raises
+    ------
+    InputError
+        when the record is damaged, or its measures are not those of its counterweights.
+    """
+    section = file.model.balance
+    if section is None or record.text("status") not in VERDICTS:
+        raise record.fault("status", "no balance ends so, or its problem asks for none", record.text("status"))
+    machine, speed = machine_of(file), record.number("speed_rad_s")
+    start = file.model.drive.start.value
+    ranges, low, high = motion_range(file, machine, start)
+    angles = sampled(start, low, high, speed, ranges.full, section.positions, None)
+    angles = angles[:-1] if ranges.full else angles
+    about = record.numbers("moment_about_m", 2)
+    added, springs = _parts(record, section, machine)
+    balanced = written(file, machine, added, springs) if record.records("measures") else None
+    heavier = None if balanced is None else machine_of(balanced)
+    return Balance(
+        problem=file,
+        goal=_goal(record, section),
+        status=record.text("status"),
+        machine=machine,
+        angles=angles,
+        speed=speed,
+        about=(float(about[0]), float(about[1])),
+        before=record.number("before"),
+        objective=record.maybe("objective"),
+        lower=record.maybe("lower_bound"),
+        gap=record.maybe("duality_gap"),
+        slack=record.number("above_bound"),
+        added=added,
+        springs=springs,
+        balanced=balanced,
+        heavier=heavier,
+        rows=() if heavier is None else _rows(record, machine, heavier, angles, speed, about),
+        disagreement=record.number("disagreement") if record.has("disagreement") else math.inf,
+        limits=tuple(_held(one) for one in record.records("limits")),
+        conflict=tuple(_relaxed(one) for one in record.records("conflict")),
+        trade=_trade(record.record("trade")) if record.has("trade") else None,
+        notes=record.texts("notes"),
+        solver=record.text("solver"),
+        iterations=record.whole("iterations"),
+        exact=record.flag("exact_least_squares"),
+        excess=0.0 if record.flag("valid") else math.inf,
+        seconds=record.figures("seconds"),
+    )
+
+
+def _goal(record: Record, section: BalanceSection) -> tuple[tuple[Measure, float], ...]:
+    """What was made small: what the problem asks, or the one measure of `--minimise`."""
+    goal = section.goal
+    told = record.text("measure")
+    if len(goal) > 1 and " + " in told:
+        return goal
+    return ((_measure(record, "measure"), 1.0),)
+
+
+def _measure(record: Record, key: str) -> Measure:
+    try:
+        return read_measure(record.text(key))
+    except Unusable as error:
+        raise record.fault(key, error.message, record.text(key)) from None
+
+
+def _parts(record: Record, section: BalanceSection, machine: Machine) -> tuple[tuple[Added, ...], tuple[Fitted, ...]]:
+    """The counterweights and springs that were found."""
+    weights, free = section.build(machine)
+    added, springs = [], []
+    for one in record.records("counterweights"):
+        asked = next((weight for weight in weights if weight.body == one.text("body")), None)
+        if asked is None or not one.number("mass_kg") > 0.0:
+            raise one.fault("body", "the problem has no such counterweight", one.text("body"))
+        along, across = (one.number(f"first_moment_{way}_kg_m") for way in ("along", "across"))
+        moment = one.number("moment_of_inertia_about_start_kg_m2")
+        added.append(Added(asked, Parameters(one.number("mass_kg"), along, across, moment)))
+    for one in record.records("springs"):
+        spring = next((spring for spring in free if spring.name == one.text("name")), None)
+        if spring is None:
+            raise one.fault("name", "the problem has no such spring", one.text("name"))
+        springs.append(Fitted(spring, one.number("stiffness_N_m"), one.number("free_length_m")))
+    return tuple(added), tuple(springs)
+
+
+def _rows(record: Record, machine: Machine, heavier: Machine, angles: Array, speed: float, about: Array) -> tuple[Row, ...]:
+    """All measures before and after, by inverse dynamics; refused if the record says something else."""
+    asked = quantities(machine)
+    place = (float(about[0]), float(about[1]))
+    both = [amounts(one.moving(angles, speed), asked, place) for one in (machine, heavier)]
+    rows = []
+    for quantity, old, new in zip(asked, *both, strict=True):
+        for how in ("rms", "largest"):
+            measure = Measure(quantity.kind, how, quantity.joint, quantity.on)
+            rows.append(Row(measure, measure.value(old), measure.value(new)))
+    told = {one.text("name"): one for one in record.records("measures")}
+    for row in rows:
+        one = told.get(str(row.measure))
+        if one is None:
+            raise record.fault("measures", f"the {row.measure} is missing")
+        for when in ("before", "after"):
+            is_, said = getattr(row, when), one.number(when)
+            if abs(is_ - said) > TRUE * max(row.before, abs(is_)):
+                message = f"the {row.measure} {when} is {is_:.6g} {row.measure.unit} with these counterweights, not {said:.6g}"
+                raise one.fault(when, message)
+    return tuple(rows)
+
+
+def _held(record: Record) -> Held:
+    texts = {name: record.text(name) for name in ("name", "sense", "unit")}
+    numbers = {name: record.number(name) for name in ("bound", "value", "price", "step", "buys")}
+    return Held(**texts, **numbers, active=record.flag("active"))  # type: ignore[arg-type]
+
+
+def _relaxed(record: Record) -> Relaxed:
+    alone = record.maybe("alone")
+    texts = {name: record.text(name) for name in ("name", "sense", "unit")}
+    bound, together = record.number("bound"), record.number("together")
+    return Relaxed(**texts, bound=bound, alone=math.inf if math.isnan(alone) else alone, together=together)
+
+
+def _trade(record: Record) -> Trade:
+    before = record.numbers("before", 2)
+    knee = record.whole("knee") if record.has("knee") else None
+    points = tuple(_trade_point(one) for one in record.records("points"))
+    if not points or (knee is not None and not 0 <= knee < len(points)):
+        raise record.fault("points", "there are none, or the knee is none of them")
+    pair = (float(before[0]), float(before[1]))
+    seconds = record.number("first_point_s"), record.maybe("further_point_s")
+    if not all(value > 0.0 for value in (*pair, seconds[0])):
+        key = "before" if seconds[0] > 0.0 else "first_point_s"
+        raise record.fault(key, "this is not above zero")
+    return Trade(_measure(record, "first"), _measure(record, "second"), pair, points, knee, *seconds)
+
+
+def _trade_point(record: Record) -> TradePoint:
+    made = record.numbers("made", 2)
+    first, second, gap = (record.number(name) for name in ("first", "second", "gap"))
+    pair = (float(made[0]), float(made[1]))
+    return TradePoint(first, second, gap, record.maybe("rate"), pair, record.number("disagreement"), record.figures("masses"))
+
+
+# --- the page ----------------------------------------------------------------------------------------------------------------
+
+
+def studied(record: Record, file: ProblemFile) -> Studied:
+    """A recorded balance.
+
+    Raises
+    ------
+    InputError
+        when the record is damaged, or its measures are not those of its counterweights.
+    """
+    found = read(record, file)
+    lines, tables = split(balance_tables.balance(found))
+    sections = list(figures_of(tables, "Balance and proof"))
+    if found.trade is not None and len(found.trade.points) > 1:
+        sections.append(Section("Trade-off", [_curve(found, found.trade)]))
+    if found.heavier is not None:
+        sections.append(Section("Before and after", [*_before_after(found.columns), *_hodograph(found.columns)]))
+    return Studied(
+        problem=file,
+        kind="balance",
+        verdict=VERDICTS[found.status] if found.valid or found.status == "infeasible" else "Not valid",
+        valid=found.valid,
+        status=lines,
+        sections=sections,
+        moving=still if found.balanced is None else turning(found.balanced, {}),
+        by=f"a convex programme, {found.solver}; verified by the inverse dynamics of the balanced machine",
+        drawn="The balanced machine: rings mark the centroids of its bodies with their counterweights.",
+        after=1,
+    )
+
+
+def _amounts(columns: Mapping[str, Array]) -> Iterator[tuple[str, str, Array, Array]]:
+    """Quantities over the positions: name, unit, amounts before and after [SI]."""
+    for name in [name.removeprefix("before.") for name in columns if name.startswith("before.") and "_y_" not in name]:
+        pair = name.replace("_x_", "_y_") if "_x_" in name else ""
+        old, new = (
+            np.hypot(columns[f"{when}.{name}"], columns[f"{when}.{pair}"]) if pair else columns[f"{when}.{name}"]
+            for when in ("before", "after")
+        )
+        quantity, _, unit = name.replace("_x_", "_").rpartition("_")
+        yield quantity, unit.replace("Nm", "N m"), old, new
+
+
+def _before_after(columns: Mapping[str, Array]) -> list[Chart]:
+    """Everything that shakes, drives and loads the machine, over the crank angle."""
+    x = columns["crank_angle_deg"]
+    panels: dict[str, list[Panel]] = {"Shaking and drive": [], "Joint reactions": []}
+    for quantity, unit, old, new in _amounts(columns):
+        own = panels["Shaking and drive" if quantity in COLOURS else "Joint reactions"]
+        shown = scale(float(np.max(np.abs([old, new]))), unit)
+        colour, words = (
+            COLOURS.get(quantity, BODIES[len(own) % len(BODIES)]),
+            quantity.replace("_", " ").replace("reaction ", "at "),
+        )
+        given = line(x, old * shown.factor, "given machine", QUIET, width=1.5, dash="dot") | {"showlegend": not len(own) % PANELS}
+        own.append(Panel(f"{words} [{shown.unit}]", [given, line(x, new * shown.factor, f"balanced: {words}", colour)]))
+    return [
+        Chart(f"{title}, {k // PANELS + 1}" if k else title, stacked(own[k : k + PANELS]))
+        for title, own in panels.items()
+        for k in range(0, len(own), PANELS)
+    ]
+
+
+def _hodograph(columns: Mapping[str, Array]) -> list[Chart]:
+    """The tip of the shaking force over a revolution, on equal scales."""
+    shown = scale(_most(columns), "N")
+    curves = []
+    for when, words, colour in (("before", "given machine", QUIET), ("after", "balanced", FOUND)):
+        x, y = (columns[f"{when}.shaking_force_{way}_N"] * shown.factor for way in "xy")
+        point = max(float(np.ptp(x)), float(np.ptp(y))) < 0.01 * shown.factor * _most(columns)
+        mode = "markers" if point else "lines"
+        curves.append(line(np.append(x, x[:1]), np.append(y, y[:1]), words, colour, width=8.0 if point else 2.0, mode=mode))
+    layout = sheet(460) | {"hovermode": "closest"}
+    layout["xaxis"] = axis(f"shaking force in x [{shown.unit}]") | {"constrain": "domain"}
+    layout["yaxis"] = axis(f"shaking force in y [{shown.unit}]") | {"scaleanchor": "x", "constrain": "domain"}
+    return [Chart("Shaking force over the revolution", {"data": curves, "layout": layout}, cranked=False)]
+
+
+def _most(columns: Mapping[str, Array]) -> float:
+    """The largest part of the given machine's shaking force [N]."""
+    return max(float(np.max(np.abs(columns[f"before.shaking_force_{way}_N"]))) for way in "xy")
+
+
+def _curve(found: Balance, trade: Trade) -> Chart:
+    """The trade-off between two measures: its points with the counterweights that make them."""
+    one, other = trade.first, trade.second
+    units = [scale(max(*(point.made[k] for point in trade.points), trade.before[k]), (one, other)[k].unit) for k in (0, 1)]
+    x, y = (np.array([point.made[k] for point in trade.points]) * units[k].factor for k in (0, 1))
+    given = [np.array([trade.before[k]]) * units[k].factor for k in (0, 1)]
+    picks = _picks(trade, x, y)
+    curve = line(x, y, "neither can be less without more of the other", FOUND, width=2.2) | {"mode": "lines+markers"}
+    curves = [curve | {"customdata": list(range(len(x)))}]
+    ends = [0, len(x) - 1]
+    chord = line(x[ends], y[ends], "chord of the ends", QUIET, width=1.0, dash="dash")
+    curves.append(chord | {"hoverinfo": "skip"})
+    if trade.knee is not None:
+        at = [trade.knee]
+        curves.append(line(x[at], y[at], "knee", LIMIT, width=10.0, mode="markers") | {"customdata": at})
+    curves.append(line(given[0], given[1], "given machine", WANTED, width=9.0, mode="markers"))
+    layout = sheet(460) | {"hovermode": "closest"}
+    layout["xaxis"], layout["yaxis"] = axis(f"{one} [{units[0].unit}]"), axis(f"{other} [{units[1].unit}]")
+    return Chart(f"{one} against {other}", {"data": [*curves, mark(picks)], "layout": layout}, False, picks)
+
+
+def _picks(trade: Trade, x: Array, y: Array) -> Picks:
+    bodies = sorted({body for point in trade.points for body in point.masses})
+    names = [
+        words
+        for measure in (trade.first, trade.second)
+        for words in (f"{measure} [{measure.unit}]", f"{measure.quantity}: against the given machine")
+    ]
+    rows = []
+    for point in trade.points:
+        shares = [balance_tables.percent(value / before - 1.0) for value, before in zip(point.made, trade.before, strict=True)]
+        told = [number(point.made[0]), shares[0], number(point.made[1]), shares[1]]
+        rows.append((*told, *(f"{number(point.masses[body])} kg" if body in point.masses else "none" for body in bodies)))
+    first = trade.knee or 0
+    return Picks("point", (*names, *(f"counterweight on {body}" for body in bodies)), tuple(rows), short(x), short(y), first)

@@ -1,0 +1,215 @@
+"""Pictures of a machine designed by its cycle: what was asked for, of the given machine and of the one found; both overlaid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import Record
+from optlink.linkage.motion import sweep
+from optlink.linkage.stroke import TURN
+from optlink.linkage.vector2d import Value
+from optlink.problem.cycle_terms import Term
+from optlink.report.drawing import Sketch
+from optlink.report.files import verdict, write_csv, write_design, write_json
+from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, heading, save, scale, styled
+from optlink.report.views.analysis_curves import zero
+from optlink.report.views.path_captions import failed
+from optlink.tasks.analyze import Analysis
+from optlink.tasks.cycle_result import MachineDesign
+from optlink.validation.cycle import Cycle
+
+Array = NDArray[np.float64]
+
+GIVEN = QUIET
+STEPS = 720
+UNITS = {
+    "torque": "N m",
+    "force": "N",
+    "velocity": "m/s",
+    "acceleration": "m/s²",
+    "angle": "deg",
+    "coordinate": "m",
+    "length": "m",
+}
+
+
+def write_all(result: MachineDesign, folder: Path) -> list[Path]:
+    """Write result.json, the machine found as design.toml, its cycle as cycle.csv, and the pictures; return the files."""
+    written = [folder / "result.json"]
+    write_json(written[0], result.to_dict())
+    if result.found is None:
+        return written
+    written += write_design(folder, result.machine, verdict(result.status.value, result.valid, failed(result)))
+    written.append(folder / "cycle.csv")
+    write_csv(written[-1], result.found.columns)
+    for name, draw in PICTURES.items():
+        drawn = draw(result)
+        if drawn is not None:
+            written.append(folder / f"{name}.png")
+            save(drawn, written[-1])
+    return written
+
+
+class Line(NamedTuple):
+    """A course over the revolution: crank angles [deg], values [SI] with NaN between what jumps, its figure, its dead centres."""
+
+    angles: Array
+    values: Array
+    figure: float
+    centres: tuple[float, ...]
+
+
+def _line(cycle: Cycle, term: Term) -> Line:
+    """The course of a cyclic term, one-sided where a load jumps."""
+    machine, read = cycle.course(term)
+    jumps = np.remainder(cycle.work.jumps, TURN)
+    even = np.linspace(0.0, TURN, STEPS + 1)
+    angles = np.concatenate([even, jumps, jumps])
+    values = read(Record(machine.moving(np.concatenate([even, jumps]), cycle.speed)))
+    before = read(Record(machine.moving(jumps, cycle.speed, side=-1))) if jumps.size else np.zeros(0)
+    rank = np.concatenate([np.ones(len(even)), np.full(len(jumps), 2.0), np.zeros(len(jumps))])
+    rank = rank if cycle.speed > 0.0 else -rank
+    order = np.lexsort((rank, angles))
+    x, y = np.degrees(angles[order]), np.concatenate([values, before])[order]
+    gaps = np.flatnonzero(np.diff(x) == 0.0) + 1
+    return Line(np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan), cycle.figure(term), tuple(np.degrees(jumps)))
+
+
+def _shown(result: MachineDesign) -> Iterable[tuple[Term, float | None, float | None]]:
+    """Every cyclic term once, with its limits [SI]."""
+    found: dict[tuple[object, ...], tuple[Term, float | None, float | None]] = {}
+    asked = [(goal, None, None) for goal in result.task.goals]
+    for term, low, high in [*asked, *((b.term, b.interval.low, b.interval.high) for b in result.task.bounds)]:
+        if term.nature.cyclic:
+            key = (term.quantity, term.of, term.on, term.static)
+            first, *known = found.get(key, (term, None, None))
+            own = (low, high) if term.extreme else (None, None)
+            found[key] = (first, own[0] if known[0] is None else known[0], own[1] if known[1] is None else known[1])
+    yield from found.values()
+
+
+@styled
+def courses(result: MachineDesign) -> Figure | None:
+    """What is minimised and limited over the revolution: the given machine grey, the one found in colour, limits red."""
+    shown = list(_shown(result))
+    given, found = Cycle(result.task, {}), Cycle(result.task, result.values)
+    if not shown or not found.full:
+        return None
+    drawn = figure(7.6, 1.2 + 2.3 * len(shown))
+    panels = drawn.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (term, low, high) in zip(panels, shown, strict=True):
+        _panel(axes, result, term, [given, found] if given.full else [found], (low, high))
+    panels[-1].set_xlabel("crank angle φ [deg]" + ("" if found.speed > 0.0 else ", turned clockwise: from right to left"))
+    panels[-1].set_xlim(0.0, 360.0)
+    panels[-1].set_xticks(range(0, 361, 60))
+    drawn.suptitle(heading(result.task.title, 7.6))
+    return drawn
+
+
+def _panel(axes: Axes, result: MachineDesign, term: Term, cycles: list[Cycle], limits: tuple[float | None, float | None]) -> None:
+    lines = [_line(cycle, term) for cycle in cycles]
+    size = max(float(np.nanmax(np.abs(line.values))) for line in lines)
+    shown = scale(size, UNITS.get(result.task.kind(term), ""))
+    names = ["given", "found"][-len(cycles) :]
+    for line, name in zip(lines, names, strict=True):
+        colour, width = (FOUND, 1.9) if name == "found" else (GIVEN, 1.4)
+        label = f"{name}: {term.how} {shown.text(line.figure)}"
+        axes.plot(
+            line.angles,
+            line.values * shown.factor,
+            color=colour,
+            linewidth=width,
+            label=label,
+            gid=name,
+            zorder=3 + (name == "found"),
+        )
+        for at in line.centres:
+            axes.axvline(at, color=colour, linewidth=0.8, linestyle="--", zorder=1.5)
+    _limits(axes, term, limits, shown)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.28 * (high - low))
+    zero(axes)
+    axes.set_ylabel(f"{_named(term)}\n[{shown.unit}]")
+    axes.legend(loc="upper center", ncols=3, frameon=True, framealpha=0.92, edgecolor="none", fontsize=8.5)
+
+
+def _limits(axes: Axes, term: Term, limits: tuple[float | None, float | None], shown: Scale) -> None:
+    """Limits as red lines; a peak is limited on either side of zero."""
+    found = [limit for limit in limits if limit is not None]
+    below = axes.get_ylim()[0] / shown.factor
+    if term.how == "peak" and found and not term.nature.vector and below < -0.6 * found[0]:
+        found.append(-found[0])
+    for k, limit in enumerate(found):
+        axes.axhline(limit * shown.factor, color=LIMIT, linewidth=1.1, linestyle="-.", label=None if k else "limit", zorder=2)
+
+
+def _named(term: Term) -> str:
+    """What is drawn, without its measure."""
+    return term.words.removeprefix({"rms": "RMS "}.get(term.how, f"{term.how} "))
+
+
+@styled
+def mechanisms(result: MachineDesign) -> Figure | None:
+    """The given machine grey and the one found in colour, with the paths of their joints, at the crank angle of the peak."""
+    given, found = result.given, result.found
+    if found is None:
+        return None
+    at = np.array([_telling(result, found)])
+    sketches = [(a, Sketch(_revolution(a), a.machine)) for a in (given, found) if a is not None]
+    main = sketches[-1][1]
+    for _, other in sketches[:-1]:
+        factor = main.scale.factor / other.scale.factor
+        main.widen(np.array([other.low, other.high]) * factor)
+    width = 7.4
+    drawn = figure(width, min(9.0, max(3.6, 0.9 * width * main.ratio + 1.1)))
+    axes = drawn.subplots()
+    if given is not None:
+        _ghost(axes, given, main.scale, at)
+    main.stage(axes)
+    main.pose(axes, sweep(found.machine.mechanism, found.machine.sizes, at))
+    handles, labels = main.legend()
+    if given is not None:
+        handles, labels = [*handles, Line2D([], [], color=GIVEN, linewidth=3.0)], [*labels, "given machine"]
+    drawn.legend(handles, labels, frameon=False, fontsize=8.5, loc="outside lower center", ncols=5)
+    drawn.suptitle(heading(f"{result.task.title}: at crank angle {math.degrees(float(at[0])):.1f}°", width))
+    return drawn
+
+
+def _telling(result: MachineDesign, found: Analysis) -> float:
+    """The crank angle [rad] at which the driving torque of the machine found is largest."""
+    extreme = found.extremes.get("input.torque_Nm")
+    if extreme is None or not math.isfinite(extreme.largest):
+        return 0.0
+    return extreme.largest_at if extreme.largest >= -extreme.least else extreme.least_at
+
+
+def _revolution(analysis: Analysis) -> Value:
+    return sweep(analysis.machine.mechanism, analysis.machine.sizes, np.linspace(0.0, TURN, STEPS + 1))
+
+
+def _ghost(axes: Axes, given: Analysis, shown: Scale, at: Array) -> None:
+    """The given machine in grey: paths of its joints, and its bodies as lines."""
+    mechanism = given.machine.mechanism
+    whole_turn, here = _revolution(given), sweep(mechanism, given.machine.sizes, at)
+    for name, bodies in mechanism.owners.items():
+        if set(bodies) != {"frame"}:
+            path = whole_turn.position(name) * shown.factor
+            axes.plot(path[:, 0], path[:, 1], color=GIVEN, linewidth=0.9, alpha=0.6, zorder=0.8, linestyle="--")
+    for link in mechanism.links:
+        if link.end:
+            ends = np.array([here.position(point)[0] for point in (link.start, link.end)]) * shown.factor
+            axes.plot(ends[:, 0], ends[:, 1], color=GIVEN, linewidth=3.0, alpha=0.55, zorder=1.2, solid_capstyle="round")
+    pins = np.array([here.position(name)[0] for name in mechanism.pins]) * shown.factor
+    axes.plot(pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5, mfc="white", mec=GROUND, alpha=0.6, zorder=1.4)
+
+
+PICTURES = {"courses": courses, "mechanisms": mechanisms}

@@ -1,0 +1,290 @@
+"""The mechanism with the play in its joints drawn larger than it is, and every such joint under a loupe; picture and film."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, FancyArrowPatch
+from numpy.typing import NDArray
+from PIL import Image
+
+from optlink.clearance.joint import Gap
+from optlink.linkage.mechanism import FRAME
+from optlink.linkage.motion import Motion, sweep
+from optlink.report.animation import WIDE, film
+from optlink.report.drawing import Sketch
+from optlink.report.labels import Label, settle
+from optlink.report.style import GROUND, QUIET, WANTED, degrees, figure, heading, styled
+from optlink.report.views.revolutions import FONT, FULL, TITLE, Turns, rough, round_below
+from optlink.tasks.clearance import LooseSimulation
+
+Array = NDArray[np.float64]
+FRAMES = 80
+TRACE = 361  # positions of the ideal machine that traces are drawn of
+OFFSET = 0.55  # times the height of a ground pivot: how far a journal lies off its bearing's middle, at most
+TURNED = 0.1  # [rad] by which a body is turned further than it is, at most: up to there joints without play stay closed
+JOURNAL = 0.25  # radius of a drawn journal, times the height of a ground pivot
+SHARE = 0.25  # of the bearing's radius: the gap under the loupe
+CELL, LINES = 3.5, 1.1  # width of a joint under the loupe, in radii of its bearing; room for what is written below it
+WRITTEN = 14  # letters of a line below a joint of a film
+LONGEST = 0.62  # of a force's arrow, in radii of the bearing
+FELT = 0.02  # share of the largest force from which on a force is drawn
+
+
+class Loosened(Sketch):
+    """A mechanism at some rows of a simulation: its bodies' deviations from the ideal machine are drawn `factor` times as large.
+
+    Parameters
+    ----------
+    turns : Turns
+    rows : array (positions,)
+        Which rows; `steps` is the ideal machine's motion through them.
+    """
+
+    def __init__(self, turns: Turns, rows: NDArray[np.intp]) -> None:
+        result = turns.result
+        machine, speed = result.machine, result.speed
+        turn = np.radians(turns.angle[rows[-1]]) + np.linspace(0.0, 2.0 * math.pi, TRACE)
+        super().__init__(sweep(machine.mechanism, machine.sizes, turn, speed), machine)
+        self.turns, self.rows, self.gaps = turns, rows, {gap.point: gap for gap in result.gaps}
+        self.steps = sweep(machine.mechanism, machine.sizes, np.radians(turns.angle[rows]), speed)
+        self.loupe: Axes | None = None
+        self.middles: dict[str, Array] = {}
+        ideal = {body: self.steps.body_angle(body).value for body in self.mechanism.bodies}
+        bends = {
+            body: np.remainder(self.columns(f"{body}.angle_rad") - own + math.pi, 2.0 * math.pi) - math.pi
+            for body, own in ideal.items()
+        }
+        play = max(gap.clearance for gap in self.gaps.values()) * self.scale.factor
+        bent = max(float(np.nanmax(np.abs(bend), initial=0.0)) for bend in bends.values())
+        self.factor = max(1.0, round_below(min(OFFSET * self.size / play, TURNED / max(bent, 1e-9))))
+        self.angles = {body: ideal[body] + self.factor * bends[body] for body in ideal}
+        self.radius = JOURNAL * self.size
+        self.strongest = max(float(np.max(self.force(gap))) for gap in self.gaps.values())
+        reach = self.radius + self.factor * play
+        self.low, self.high = self.low - reach, self.high + reach
+
+    def columns(self, name: str) -> Array:
+        """A column at the rows."""
+        return self.turns.result[name][self.rows]
+
+    def force(self, gap: Gap) -> Array:
+        """Amount of the contact force at the rows [N]."""
+        amount: Array = np.hypot(self.columns(f"{gap.point}.normal_N"), self.columns(f"{gap.point}.rub_N"))
+        return amount
+
+    def eccentricity(self, gap: Gap) -> Array:
+        """From the bearing's middle to the journal's at the rows [m], (positions, 2)."""
+        return np.stack([self.columns(f"{gap.point}.e{axis}_m") for axis in "xy"], axis=-1)
+
+    # --- where things are ------------------------------------------------------------------------------------------------
+
+    def at(self, point: str, body: str) -> Array:
+        """Where a point of a body is drawn at the rows, (positions, 2)."""
+        ideal, known = super().position(self.steps, point), self.turns.result.columns
+        name = f"{point}.{body}" if f"{point}.{body}.x_m" in known else point
+        if name == point and point in self.gaps:  # a third body shares the bearing
+            name = f"{point}.{self.gaps[point].bearing}"
+        if f"{name}.x_m" not in known:
+            return ideal
+        there = np.stack([self.columns(f"{name}.{axis}_m") for axis in "xy"], axis=-1) * self.scale.factor
+        drawn: Array = ideal + self.factor * (there - ideal)
+        return drawn
+
+    def position(self, motion: Motion, name: str) -> Array:
+        """Where a point is, in the unit that is shown; at a joint with play, the middle of the bearing."""
+        if motion is self.motion:
+            return super().position(motion, name)
+        return self.at(name, self.gaps[name].bearing if name in self.gaps else self.mechanism.owners[name][0])
+
+    def placed(self, motion: Motion, body: str, outline: Array) -> Array:
+        """Where an outline of a body is, (positions, corners, 2)."""
+        if motion is self.motion:
+            return super().placed(motion, body, outline)
+        x, y = np.cos(self.angles[body])[:, None], np.sin(self.angles[body])[:, None]
+        along, across = outline[:, 0], outline[:, 1]
+        start = self.at(self.mechanism.bodies[body].start, body)[:, None, :]
+        placed: Array = start + np.stack([along * x - across * y, along * y + across * x], axis=-1)
+        return placed
+
+    # --- drawing -----------------------------------------------------------------------------------------------------------
+
+    def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
+        """Draw the k-th row; joints with play as journals in bearings, and under the loupe if that is laid somewhere."""
+        found = super().pose(axes, motion, k)
+        ideal = [name for name in self.mechanism.pins if name not in self.gaps]
+        for artist in found:
+            if isinstance(artist, Line2D) and artist.get_gid() == "pins":
+                artist.set_data(*np.array([self.position(motion, name)[k] for name in ideal]).reshape(-1, 2).T)
+        more = [(axes, artist) for gap in self.gaps.values() for artist in self._joint(gap, k)]
+        if self.loupe is not None:
+            more += [(self.loupe, artist) for gap in self.gaps.values() for artist in self._magnified(gap, k)]
+        for place, artist in more:
+            place.add_artist(artist)
+        return found + [artist for _, artist in more]
+
+    def _colour(self, body: str) -> str:
+        return GROUND if body == FRAME else self.colours[body]
+
+    def _joint(self, gap: Gap, k: int) -> list[Artist]:
+        """A bearing as a ring, the journal as a disc in it, and of the journal's body what the ring would hide."""
+        centre, journal = self.at(gap.point, gap.bearing)[k], self.at(gap.point, gap.journal)[k]
+        radius = self.radius + self.factor * gap.clearance * self.scale.factor
+        ring = Circle((centre[0], centre[1]), radius, facecolor="white", edgecolor=self._colour(gap.bearing), linewidth=1.6)
+        ring.set(zorder=4.1, gid=f"bearing {gap.point}")
+        disc = Circle((journal[0], journal[1]), self.radius, facecolor=self._colour(gap.journal), linewidth=0.0)
+        disc.set(zorder=4.3, gid=f"journal {gap.point}")
+        found: list[Artist] = [ring, disc]
+        others = [name for name, bodies in self.mechanism.owners.items() if gap.journal in bodies and name != gap.point]
+        if others and gap.journal != FRAME:
+            way = np.mean([self.at(name, gap.journal)[k] for name in others], axis=0) - journal
+            way, off = way / max(float(np.linalg.norm(way)), 1e-30), journal - centre
+            inside = radius * radius - float(off @ off) + float(off @ way) ** 2
+            end = journal + way * max(math.sqrt(max(inside, 0.0)) - float(off @ way), 0.0)
+            line = 3.8 if gap.journal == self.mechanism.crank.body else 3.0
+            found.append(Line2D(*np.array([journal, end]).T, color=self._colour(gap.journal), linewidth=line, zorder=4.2))
+        return found
+
+    def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
+        """The names of all points, for `labels.settle`; clear of the rings, once the axes have their size."""
+        drawn = axes.get_figure()
+        assert drawn is not None
+        pixels = axes.get_window_extent().width / float(np.ptp(axes.get_xlim()))
+        ring = (
+            (self.radius + self.factor * max(g.clearance for g in self.gaps.values()) * self.scale.factor)
+            * pixels
+            * 72.0
+            / drawn.dpi
+        )
+        return [replace(label, clear=ring) if label.text in self.gaps else label for label in super().letters(axes, motion, k)]
+
+    # --- the loupe ---------------------------------------------------------------------------------------------------------
+
+    def lay(self, axes: Axes, columns: int, told: int | None = None) -> None:
+        """What stands still under the loupe: bearings, so many beside one another, and the paths of the journals' middles.
+
+        `told`: the position whose values are written below; none in a film.
+        """
+        self.loupe = axes
+        for i, gap in enumerate(self.gaps.values()):
+            self.middles[gap.point] = middle = np.array([CELL * (i % columns), -(CELL + LINES) * (i // columns)])
+            share = self._share(gap)
+            ring = Circle((middle[0], middle[1]), 1.0, facecolor="white", edgecolor=self._colour(gap.bearing), linewidth=3.0)
+            ring.set(zorder=2, gid=f"bearing {gap.point}")
+            axes.add_patch(ring)
+            last = self.turns.rows(1)
+            x, y = (self.turns.result[f"{gap.point}.e{axis}_m"][last] / gap.clearance * share for axis in "xy")
+            axes.plot(middle[0] + x, middle[1] + y, color=QUIET, linewidth=0.8, zorder=5, gid=f"path {gap.point}")
+            named = f"{gap.point}: {gap.journal} in {gap.bearing}"
+            lines = textwrap.wrap(named, WRITTEN if told is None else 2 * WRITTEN)
+            if told is not None:
+                lines += [self._state(gap, told), f"gap drawn {share * (gap.radius + gap.clearance) / gap.clearance:.2g}-fold"]
+            axes.text(middle[0], middle[1] - 0.52 * CELL, "\n".join(lines), ha="center", va="top", fontsize=FONT)
+        if told is None:
+            axes.set_title("joints, not to scale", fontsize=FONT)
+        every = np.array(list(self.middles.values()))
+        (x0, y0), (x1, y1) = every.min(axis=0) - 0.5 * CELL, every.max(axis=0) + 0.5 * CELL
+        axes.set(xlim=(x0, x1), ylim=(y0 - LINES, y1))
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+
+    def _state(self, gap: Gap, k: int) -> str:
+        depth, force = float(self.columns(f"{gap.point}.penetration_m")[k]), float(self.force(gap)[k])
+        if self.columns(f"{gap.point}.contact")[k] < 0.5:
+            return f"apart, {rough(-depth, 'm')} left"
+        return f"{rough(force, 'N')}, {rough(depth, 'm')} deep"
+
+    def _share(self, gap: Gap) -> float:
+        """Share of the bearing's radius that the gap takes under the loupe."""
+        return max(SHARE, gap.clearance / (gap.radius + gap.clearance))
+
+    def _magnified(self, gap: Gap, k: int) -> list[Artist]:
+        """The journal, how both bodies have turned, and the contact force on the journal."""
+        middle, share = self.middles[gap.point], self._share(gap)
+        e = self.eccentricity(gap)[k]
+        centre, colour = middle + e / gap.clearance * share, self._colour(gap.journal)
+        tint = tuple(1.0 - 0.35 * (1.0 - part) for part in to_rgb(colour))
+        disc = Circle((centre[0], centre[1]), 1.0 - share, facecolor=tint, edgecolor=colour, linewidth=1.4)
+        disc.set(zorder=3, gid=f"journal {gap.point}")
+        found: list[Artist] = [disc]
+        for body, at, begin, end in ((gap.journal, centre, 0.6 * (1.0 - share), 1.0 - share), (gap.bearing, middle, 1.0, 1.14)):
+            angle = 0.0 if body == FRAME else float(self.columns(f"{body}.angle_rad")[k])
+            ends = at + np.outer([begin, end], [math.cos(angle), math.sin(angle)])
+            found.append(Line2D(ends[:, 0], ends[:, 1], color=self._colour(body), linewidth=2.0, zorder=4, gid=f"mark {body}"))
+        found.append(Line2D([centre[0]], [centre[1]], marker="o", markersize=3.0, color=WANTED, linestyle="none", zorder=6))
+        if float(self.force(gap)[k]) > FELT * self.strongest:
+            x, y = e / max(float(np.hypot(*e)), 1e-300)
+            normal, rub = (float(self.columns(f"{gap.point}.{name}_N")[k]) for name in ("normal", "rub"))
+            tip = middle + np.array([x, y])
+            tail = tip + np.array([normal * x + rub * y, normal * y - rub * x]) * LONGEST / self.strongest
+            arrow = FancyArrowPatch((tail[0], tail[1]), (tip[0], tip[1]), arrowstyle="-|>", mutation_scale=10.0, color=WANTED)
+            arrow.set(linewidth=1.6, zorder=7, gid=f"force {gap.point}")
+            arrow.shrinkA = arrow.shrinkB = 0.0
+            found.append(arrow)
+        return found
+
+
+def _exaggerated(sketch: Loosened) -> str:
+    return (
+        f"deviations of the bodies drawn {sketch.factor:g}-fold"
+        if sketch.factor > 1.0
+        else "deviations of the bodies as they are"
+    )
+
+
+@styled
+def mechanism(result: LooseSimulation) -> Figure | None:
+    """The mechanism where the contact force is largest in the last revolution, and its joints with play under the loupe."""
+    turns = Turns(result)
+    if not turns:
+        return None
+    last = np.arange(max(0, len(turns.time) - turns.points), len(turns.time))
+    row = int(last[np.argmax(np.max([result[f"{gap.point}.normal_N"][last] for gap in result.gaps], axis=0))])
+    sketch, count = Loosened(turns, np.array([row])), len(result.gaps)
+    if sketch.ratio < (0.75 if count > 1 else WIDE):  # the loupe below the mechanism
+        width, columns = 8.4, min(count, 4)
+        low = 2.35 if count > 1 else 2.7
+        tall = 7.6 * sketch.ratio + 0.6
+        made = figure(width, tall + low * -(-count // columns) + 1.4)
+        stage, strip = made.subplots(2, 1, height_ratios=(tall, low * -(-count // columns)))
+    else:
+        width, columns = 9.6, 1 if count < 3 else 2
+        made = figure(width, max(4.4, min(5.4 * sketch.ratio + 1.6, 7.0)))
+        stage, strip = made.subplots(1, 2, width_ratios=(2.0, 1.0))
+    sketch.lay(strip, columns, 0)
+    sketch.stage(stage)
+    sketch.pose(stage, sketch.steps)
+    place = f"φ {degrees(math.radians(float(turns.angle[row]) % FULL))}, largest contact force of {turns.span(1)}"
+    made.suptitle(turns.title("play in the joints", width - 0.4, place), fontsize=TITLE)
+    stage.set_title(_exaggerated(sketch), fontsize=9.5)
+    strip.set_title(
+        heading("journals, their paths, contact forces on them", width if strip.get_position().x0 < 0.5 else 3.0, 9.5),
+        fontsize=9.5,
+    )
+    handles, words = sketch.legend()
+    made.legend(handles, words, loc="outside lower center", ncols=min(len(handles), int(width)), frameon=False, fontsize=FONT)
+    made.draw_without_rendering()
+    settle(made, sketch.letters(stage, sketch.steps))
+    return made
+
+
+@styled
+def frames(result: LooseSimulation, count: int = FRAMES) -> list[Image.Image]:
+    """The last revolution: the mechanism, its deviations exaggerated, and the joints with play under the loupe."""
+    turns = Turns(result)
+    if not turns:
+        return []
+    begin, end = max(-1, len(turns.time) - 1 - turns.points), len(turns.time) - 1
+    rows = np.unique(np.linspace(begin, end, min(count, end - begin) + 1).round().astype(np.intp)[1:])
+    sketch, gaps = Loosened(turns, rows), len(result.gaps)
+    columns = gaps if sketch.ratio < WIDE else 1 if gaps < 3 else 2
+    title = f"{result.problem.model.title}: play drawn {sketch.factor:g}-fold"
+    return film(sketch, sketch.steps, lambda axes: sketch.lay(axes, columns), np.full((len(rows), 2), np.nan), title)

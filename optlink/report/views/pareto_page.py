@@ -1,0 +1,193 @@
+"""The page of `study pareto`: the front with its ends and its knee; every point of it with its design."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.problem.file import ProblemFile
+from optlink.report.html.chart_plotly import Chart, Picks, Trace, axis, line, mark, sheet, short
+from optlink.report.html.shell import Section
+from optlink.report.stored.reader import Record
+from optlink.report.stored.stored_study import Studied, figures_of, named_si, split, still, turning
+from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
+from optlink.report.views import pareto_tables
+from optlink.report.views.function_tables import number
+from optlink.studies.grid import MAX_POINTS, Axis, Grid
+from optlink.studies.pareto import SCHEMA, Pareto, Point
+from optlink.studies.pareto_objectives import Aim
+
+__all__ = ["SCHEMA", "studied"]
+
+Array = NDArray[np.float64]
+OTHERS = {"given machine": "the given machine", "as the file asks": "what the file asks"}
+SENSES = {"minimise": 1, "maximise": -1}
+
+
+def read(record: Record, file: ProblemFile) -> Pareto:
+    """A recorded front.
+
+    Raises
+    ------
+    InputError
+        when the record is damaged.
+    """
+    aims = tuple(_aim(one) for one in record.records("objectives"))
+    if not 2 <= len(aims) <= 3:
+        raise record.fault("objectives", "a front is of two or three", len(aims))
+    columns = [aim.column for aim in aims]
+    if record.text("minimised") not in columns:
+        raise record.fault("minimised", "this is none of the objectives", record.text("minimised"))
+    points = tuple(_point(one, columns) for one in record.records("front"))
+    if len({tuple(point.design) for point in points}) > 1:
+        raise record.fault("front", "its designs differ in what is free")
+    places = record.record("ends")
+    ends = tuple(places.whole(name) for name in columns) if points else ()
+    bend = record.record("knee") if record.has("knee") else None
+    knee = None if bend is None else (bend.whole("point"), bend.number("distance"))
+    if any(not 0 <= k < len(points) for k in (*ends, *([knee[0]] if knee else []))):
+        raise record.fault("ends", "an end or the knee is no point of the front")
+    given = record.record("given") if record.has("given") else None
+    counts = {name: record.whole(f"{name}_points") for name in ("valid", "infeasible", "dominated")}
+    return Pareto(
+        problem=file,
+        aims=aims,
+        minimised=columns.index(record.text("minimised")),
+        points=points,
+        ends=ends,
+        knee=knee,
+        given=None if given is None else tuple(given.number(name) for name in columns),
+        given_words="" if given is None else given.text("what"),
+        solved=record.whole("points"),
+        grid=Grid(tuple(_axis(one) for one in record.records("held"))),
+        path=record.path,
+        done=record.whole("points_done_now"),
+        seconds=record.number("seconds"),
+        cpu=record.number("processor_seconds"),
+        engine=record.text("engine"),
+        workers=None,
+        **counts,
+    )
+
+
+def _aim(record: Record) -> Aim:
+    if record.text("sense") not in SENSES:
+        raise record.fault("sense", "this is neither minimise nor maximise", record.text("sense"))
+    aim = Aim(record.text("name"), record.text("name"), record.text("unit"), SENSES[record.text("sense")])
+    if aim.column != record.text("column"):
+        raise record.fault("column", f"this is not the column of {aim.name} [{aim.unit}]", record.text("column"))
+    return aim
+
+
+def _point(record: Record, columns: list[str]) -> Point:
+    values, design = record.record("objectives"), record.record("design")
+    told = tuple(values.number(name) for name in columns)
+    mark_ = record.text("mark") if record.has("mark") else ""
+    return Point(told, {name: design.number(name) for name in design.document}, "; ".join(record.texts("active")), mark_)
+
+
+def _axis(record: Record) -> Axis:
+    ends, count = (record.number("first"), record.number("last")), record.whole("values")
+    if not 0 < count <= MAX_POINTS:
+        raise record.fault("values", "no front has so many", count)
+    return Axis(record.text("limit"), record.text("unit"), tuple(np.linspace(*ends, count).tolist()))
+
+
+# --- the page ----------------------------------------------------------------------------------------------------------------
+
+
+def studied(record: Record, file: ProblemFile) -> Studied:
+    """A recorded front.
+
+    Raises
+    ------
+    InputError
+        when the record is damaged.
+    """
+    found = read(record, file)
+    lines, tables = split(pareto_tables.front(found))
+    chosen = _chosen(found)
+    words = f"The design of point {chosen + 1}: {found.points[chosen].mark or 'the first'}." if chosen is not None else ""
+    charts = (_front(found),) if len(found.points) > 1 else ()
+    return Studied(
+        problem=file,
+        kind=f"front of {len(found.aims)} objectives",
+        verdict="Every point of the front is proven" if found.complete else "Not every point could be proven",
+        valid=found.complete,
+        status=lines,
+        sections=[*([Section("Front", charts)] if charts else []), *figures_of(tables, "Points and designs")],
+        moving=still if chosen is None else turning(file, named_si(file, found.points[chosen].design)),
+        by="optima along limits on all objectives but one, each proven by the validator (epsilon constraint method)",
+        drawn=words,
+        after=1 if charts else 0,
+    )
+
+
+def _chosen(found: Pareto) -> int | None:
+    """The point whose machine is drawn: the knee, else the best of the first objective."""
+    if not found.points:
+        return None
+    return found.ends[0] if found.knee is None else found.knee[0]
+
+
+def _named(aim: Aim) -> str:
+    unit = f" [{aim.unit.replace('*', ' ')}]" if aim.unit else ""
+    return f"{aim.name}{unit}{'' if aim.sense > 0 else ' (more is better)'}"
+
+
+def _front(found: Pareto) -> Chart:
+    """Two objectives as a curve, three as a cloud whose colour is the third."""
+    values = np.array([point.values for point in found.points])
+    x, y = values[:, 0], values[:, 1]
+    picks = _picks(found, x, y)
+    numbers = list(range(len(values)))
+    layout = sheet(480) | {"hovermode": "closest"}
+    if len(found.aims) == 2:
+        curve: Trace = line(x, y, "front", FOUND, width=2.2) | {"mode": "lines+markers", "customdata": numbers}
+        ends = list(found.ends)
+        chord = line(x[ends], y[ends], "chord of the ends", QUIET, width=1.0, dash="dash") | {"hoverinfo": "skip"}
+        curves = [chord, curve]
+    else:
+        cloud = line(x, y, "front", FOUND, width=9.0, mode="markers") | {"customdata": numbers}
+        bar = {"title": {"text": escape(_named(found.aims[2])), "side": "right"}, "thickness": 16}
+        curves = [cloud | {"marker": {"size": 9, "color": short(values[:, 2]), "colorscale": "Viridis", "colorbar": bar}}]
+    marked = [k for k, point in enumerate(found.points) if point.mark]
+    stars = line(x[marked], y[marked], "ends and knee", LIMIT, width=11.0, mode="markers+text") | {"customdata": marked}
+    words = [escape(found.points[k].mark) for k in marked]
+    stars |= {"mode": "markers+text", "marker": {"size": 11, "color": "rgba(0,0,0,0)", "line": {"color": LIMIT, "width": 2}}}
+    stars |= {"text": words, "textposition": [_side(x, y, k) for k in marked], "textfont": {"color": LIMIT, "size": 11}}
+    curves.append(stars)
+    if found.given is not None:
+        given = line(np.array([found.given[0]]), np.array([found.given[1]]), found.given_words, WANTED, width=9.0, mode="markers")
+        curves.append(given | {"marker": given["marker"] | {"symbol": "square"}})
+    layout["xaxis"], layout["yaxis"] = axis(_named(found.aims[0])), axis(_named(found.aims[1]))
+    curves.append(mark(picks))
+    title = f"{found.aims[0].name} against {' and '.join(aim.name for aim in found.aims[1:])}"
+    return Chart(title[0].upper() + title[1:], {"data": curves, "layout": layout}, False, picks)
+
+
+def _side(x: Array, y: Array, k: int) -> str:
+    """Where the name of a point has room: towards the middle of the picture."""
+    across = "right" if x[k] < 0.5 * (np.min(x) + np.max(x)) else "left"
+    return f"{'bottom' if y[k] > 0.5 * (np.min(y) + np.max(y)) else 'top'} {across}"
+
+
+def _picks(found: Pareto, x: Array, y: Array) -> Picks:
+    """The design of every point."""
+    names: list[str] = []
+    for aim in found.aims:
+        names += [_named(aim), f"{aim.name}: change"] if found.given is not None else [_named(aim)]
+    names += ["{} [{}]".format(*name.rpartition("_")[::2]) for name in found.points[0].design]
+    rows = []
+    for point in found.points:
+        told: list[str] = []
+        for k, value in enumerate(point.values):
+            told.append(number(value, 7))
+            if found.given is not None:
+                told.append(pareto_tables.against(value, found.given[k]))
+        told += [number(value, 7) for value in point.design.values()]
+        rows.append((*told, point.active or "nothing", point.mark or "–"))
+    told_words = f"point (changes: against {OTHERS.get(found.given_words, found.given_words)})" if found.given else "point"
+    return Picks(told_words, (*names, "held by", "mark"), tuple(rows), short(x), short(y), _chosen(found) or 0)

@@ -1,0 +1,97 @@
+"""A front of two or three objectives as tables for people."""
+
+from __future__ import annotations
+
+import math
+
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from optlink.report.views.balance_tables import percent
+from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, grid, number, points
+from optlink.studies.pareto import Pareto
+
+MANY = 3.0  # times from which on a rise is no longer told in per cent
+SHOWN = 24  # points that are listed; ends and knee always
+
+
+def front(result: Pareto) -> RenderableType:
+    """What a front says: its points with ends and knee, and how each objective stands against what was given."""
+    title = Text(result.problem.model.title, style=HEAD)
+    title.append(f"\n{points(len(result.points))} of the front of {_and([aim.name for aim in result.aims])}, ")
+    title.append("every one proven", style=GOOD)
+    empty = f"; {result.infeasible} hold no design" if result.infeasible else ""
+    title.append(
+        f"\n{result.solved} solved; {result.dominated} {'is' if result.dominated == 1 else 'are'} beaten by others{empty}"
+    )
+    missed = result.solved - result.valid - result.infeasible
+    if missed:
+        title.append(f"; {missed} could not be proven and are left out", style=BAD)
+    if not result.points:
+        return Group(title)
+    if len(result.points) == 1:
+        title.append("\nNo trade-off: one design is best in every objective")
+    elif result.knee is None:
+        title.append("\nNo knee: the front is straight or bulges the other way")
+    parts: list[RenderableType] = [title, Text(), _points(result), Text(), _designs(result)]
+    rate = f"; {1e3 * result.cpu / result.done:.0f} ms of processor time each" if result.done else ""
+    line = (
+        f"{points(result.done)} done in {result.seconds:.1f} s{rate}; knee by the distance from the chord of the ends (Das 1999)"
+    )
+    return Group(*parts, Text(), Text(line, style=QUIET))
+
+
+def _and(names: list[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _shown(result: Pareto) -> list[int]:
+    """Numbers of the points that are listed."""
+    step = max(1, math.ceil(len(result.points) / SHOWN))
+    return [k for k, point in enumerate(result.points) if k % step == 0 or point.mark]
+
+
+def _points(result: Pareto) -> RenderableType:
+    """Objectives of the points, and how they stand against what was given."""
+    columns = [("", "right")]
+    for aim in result.aims:
+        columns += [(f"{aim.name}\n[{aim.unit}]" if aim.unit else aim.name, "right")]
+        columns += [("", "right")] if _compared(result) else []
+    table = grid("Front", [*columns, ("", "left")], header=True)
+    for k in _shown(result):
+        table.add_row(str(k + 1), *_cells(result, result.points[k].values), result.points[k].mark)
+    if result.given is not None:
+        table.add_row("", *_cells(result, result.given), Text(result.given_words, style=QUIET))
+    return table
+
+
+def _designs(result: Pareto) -> RenderableType:
+    """Sizes of the points, and what holds them."""
+    free = list(result.points[0].design)
+    heads = [("{}\n[{}]".format(*name.rpartition("_")[::2]), "right") for name in free]
+    table = grid("Designs", [("", "right"), *heads], header=True)
+    for k in _shown(result):
+        table.add_row(str(k + 1), *(number(result.points[k].design[name], 5) for name in free))
+    return table
+
+
+def _compared(result: Pareto) -> bool:
+    """Whether there is room to say how much better than what was given a point is."""
+    return result.given is not None and len(result.aims) == 2
+
+
+def _cells(result: Pareto, values: tuple[float, ...]) -> list[RenderableType]:
+    cells: list[RenderableType] = []
+    for k, value in enumerate(values):
+        cells.append(Text(number(value, 6), no_wrap=True))
+        if result.given is not None and _compared(result):
+            cells.append(Text("" if values is result.given else against(value, result.given[k]), style=QUIET, no_wrap=True))
+    return cells
+
+
+def against(value: float, before: float) -> str:
+    """How a value stands against one before: in per cent, or how many times as large it is."""
+    if not before:
+        return ""
+    ratio = value / before
+    return f"x {ratio:.3g}" if ratio >= MANY else percent(ratio - 1.0)

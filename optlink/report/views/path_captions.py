@@ -1,0 +1,182 @@
+"""What pictures of a generated design say in words: its figures, its sizes, why it is not valid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from optlink.problem.path import MARK
+from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
+from optlink.report.views.path_tables import exact, measure, words
+from optlink.report.views.path_view import Track
+from optlink.tasks.path_result import Design
+from optlink.tasks.result import Single
+
+SIZES = 14  # sizes that fit below a title
+DIGITS = 5  # of a size
+TITLE = 10.0  # size of its letters [pt]
+SMALL = 9.5  # size of the letters of a panel's title [pt]
+LINE = 0.17  # height of a line of the title [inch]
+
+
+def fitting(value: float, unit: Scale) -> Scale:
+    """The unit of the picture; for what is small in it, one that suits it."""
+    return unit if value == 0.0 or not math.isfinite(value) or value * unit.factor >= 0.01 else scale(value, "m")
+
+
+def length(value: float, unit: Scale) -> str:
+    """A deviation [m]."""
+    shown = fitting(value, unit)
+    return f"{_digits(value * shown.factor, 4)} {shown.unit}"
+
+
+def squares(value: float, unit: Scale) -> str:
+    """A sum of squares [m²] in the square of the picture's unit, or of the next smaller one that needs no power of ten."""
+    units = [
+        unit,
+        *(smaller for smaller in (Scale(1e3, "mm"), Scale(1e6, "µm"), Scale(1e9, "nm")) if smaller.factor > unit.factor),
+    ]
+    shown = next((each for each in units if value * each.factor**2 >= 1e-4), units[-1])
+    return f"{_digits(value * shown.factor**2, 4)} {shown.unit}²"
+
+
+def _digits(value: float, count: int) -> str:
+    """So many significant digits, without a power of ten as far as people read it so; a true minus."""
+    if not math.isfinite(value):
+        return "–"
+    size = math.floor(math.log10(abs(value))) if value else 0
+    shown = f"{value:.{min(max(count - 1 - size, 0), 9)}f}" if -5 <= size < 7 else f"{value:.{count}g}"
+    if "." in shown and "e" not in shown:
+        shown = shown.rstrip("0").rstrip(".")
+    return shown.replace("-", "−") if "e" not in shown else shown
+
+
+def failed(design: Design | Single) -> str:
+    """Why a design is not valid."""
+    names = [check.name for check in design.validation.checks if not check.passed]
+    more = f" and {len(names) - 2} more checks" if len(names) > 3 else ""
+    return f"fails {', '.join(names[: 2 if more else 3])}{more}" if names else design.status.text
+
+
+def objective(track: Track) -> str:
+    """The measure of the deviations."""
+    design, unit, task = track.design, track.sketch.scale, track.task
+    if exact(design):
+        return "exact to rounding"
+    what = measure(task)
+    squared = task.measure == "sum of squares"
+    if task.unit == "m":
+        return f"{what} {squares(design.objective, unit) if squared else length(design.objective, unit)}"
+    if task.unit == "rad":
+        return f"{what} {_digits(design.objective * math.degrees(1.0) ** (1 + squared), 4)} deg{'²' if squared else ''}"
+    named = "largest cosine of a transmission angle" if task.measure == "max" else f"cosines of the transmission angles: {what}"
+    return f"{named} {design.objective:.4g}"
+
+
+def assembly(design: Design) -> list[str]:
+    """Assembly modes, each whole."""
+    first, *others = words(design).split(", ")
+    return [f"assembly {first}", *others]
+
+
+def transmission(design: Design) -> str:
+    """The worst transmission angle; empty if there is none."""
+    least = design.least_transmission
+    return f"least transmission angle {math.degrees(least):.1f}°" if math.isfinite(least) else ""
+
+
+def figures(track: Track) -> list[str]:
+    """Objective, deviations, transmission angle."""
+    design, task, unit = track.design, track.task, track.sketch.scale
+    distances, turned = design.measured.distances, design.measured.turned
+    if not task.pointed:
+        return [objective(track), *_error(track), *filter(None, [transmission(design)])]
+    told = []
+    if exact(design):
+        many = f"all {len(distances)}" if len(distances) > 2 else "both"
+        told.append(f"{many} {'points' if turned is None else 'poses'} met exactly, to rounding")
+    else:
+        plain = turned is None and task.wanted.weights is None
+        rms, largest = math.sqrt(float(np.nanmean(distances**2))), float(np.nanmax(distances))
+        if not (plain and task.measure in ("rms", "max")):
+            told.append(objective(track))
+        shown = fitting(rms, unit)
+        told.append(f"distances: rms {length(rms, shown)}, largest {length(largest, shown)}")
+        if turned is not None:
+            told.append(f"angles: largest {_digits(math.degrees(float(np.nanmax(np.abs(turned)))), 4)}°")
+        if np.any(np.isfinite(track.tolerances)):
+            used = float(np.nanmax(distances / track.tolerances))
+            told.append(f"at most {f'{100.0 * used:.3g} % of' if used < 10.0 else f'{used:.3g} times'} the tolerance")
+    return [*told, *filter(None, [transmission(design)])]
+
+
+def _error(track: Track) -> list[str]:
+    """How far the output of a function is off."""
+    task, errors = track.task, track.design.measured.distances
+    if not task.unit or track.exact:
+        return []
+    rms, largest = math.sqrt(float(np.nanmean(errors**2))), float(np.nanmax(errors))
+    unit = fitting(rms, track.sketch.scale) if task.slides else Scale(math.degrees(1.0), "deg")
+    shown = (f"{_digits(value * unit.factor, 4)} {unit.unit}" for value in (rms, largest))
+    return ["error: rms {}, largest {}".format(*shown)]
+
+
+def sizes(track: Track) -> list[str]:
+    """Sizes of the design; the free ones if all are too many."""
+    task, unit, values = track.task, track.sketch.scale, track.design.values
+    names = [*task.mechanism.quantities, *([MARK] if MARK in task.quantities else [])]
+    if len(names) > SIZES:
+        names = [name for name in names if task.quantities[name].free]
+    if not names or len(names) > SIZES:
+        return []
+    angles = [task.quantities[name].kind == "angle" for name in names]
+    largest = max([abs(values[name]) for name, angle in zip(names, angles, strict=True) if not angle], default=0.0)
+    decimals = DIGITS - math.floor(math.log10(largest * unit.factor)) if largest else 0
+    told = []
+    for name, angle in zip(names, angles, strict=True):
+        shown = degrees(values[name]) if angle else _digits(round(values[name] * unit.factor, decimals), DIGITS)
+        told.append(f"{name} {shown}")
+    return [f"in {unit.unit}: {told[0]}", *told[1:]]
+
+
+def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -> str:
+    """Items in lines of about the same length that fit into a width [inch]; no item is broken that fits into a line."""
+    most = max(16, int(72.0 * width / (0.56 * size)))
+
+    def lines(limit: int) -> list[str]:
+        found = [""]
+        for item in items:
+            longer = f"{found[-1]}{gap if found[-1] else ''}{item}"
+            if found[-1] and len(longer) > limit:
+                found.append(item)
+            else:
+                found[-1] = longer
+        return found
+
+    count = len(lines(most))
+    best = next(found for limit in range(1, most + 1) if len(found := lines(limit)) == count)
+    return f"{gap.rstrip()}\n".join(best)
+
+
+def title_of(track: Track, width: float, title: str, *more: str) -> str:
+    """A title with more lines below it; what is not valid says so."""
+    text = [heading(title, width, TITLE)]
+    if not track.design.valid:
+        text.append(wrapped(f"NOT VALID: {failed(track.design)}".split(", "), width, ", "))
+    elif track.design.fit is not None and track.design.fit.grade == "poor":
+        text.append(heading(track.design.fit.text.capitalize(), width, TITLE))
+    return "\n".join([*text, *filter(None, more)])
+
+
+def headed(track: Track, width: float) -> str:
+    """The title of a mechanism: with its figures and its sizes."""
+    told = wrapped(figures(track), width, "; "), wrapped(sizes(track), width, "   ")
+    return title_of(track, width, track.task.title, *told)
+
+
+def entitle(made: Figure, track: Track, title: str) -> None:
+    """Write it; in red what is not valid."""
+    made.suptitle(title, fontsize=TITLE, color=WANTED if track.design.valid else LIMIT)

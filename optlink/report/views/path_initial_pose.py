@@ -1,0 +1,78 @@
+"""A generated mechanism as it stands at its first position, with its curve and what it shall meet."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch, Polygon
+from matplotlib.path import Path as Outline
+
+from optlink.report.labels import Label
+from optlink.report.style import CRANK
+from optlink.report.views.path_closeup import NUMBERED, points_on, some
+from optlink.report.views.path_view import Track
+
+HIGH, BESIDE = 4.3, 0.75  # of a panel [inch]: most; what numbers and names of the axes take
+GHOSTS = 8  # poses in which the body is drawn
+
+
+def _turning(axes: Axes, track: Track) -> None:
+    """An arrow on the circle of the crank: which way it turns."""
+    crank = track.sketch.mechanism.crank
+    pivot, pin = (track.sketch.position(track.here, name)[0] for name in (crank.start, crank.end))
+    arm = pin - pivot
+    radius = max(float(np.linalg.norm(arm)), 1.7 * track.sketch.size)
+    start = math.atan2(arm[1], arm[0])
+    turn = min(math.radians(50.0), 5.0 * track.sketch.size / radius)
+    if not track.design.turns:
+        turn = min(turn, 0.8 * abs(track.end - track.begin))
+    angles = start + track.way * np.linspace(0.25 * turn, 1.25 * turn, 33)
+    arc = pivot + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    drawn = FancyArrowPatch(path=Outline(arc), arrowstyle="-|>", mutation_scale=11.0, linewidth=1.5, color=CRANK)
+    drawn.set(zorder=3.9, gid="turning")
+    axes.add_patch(drawn)
+
+
+def _ghosts(axes: Axes, track: Track) -> None:
+    """The body in the poses that it takes."""
+    sketch, body = track.sketch, track.task.body
+    for part in sketch.parts[body]:
+        if part.kind in ("bar", "plate"):
+            places = sketch.placed(track.at, body, part.outline)
+            for k in some(len(places), GHOSTS):
+                if k != track.first and np.all(np.isfinite(places[k])):
+                    colour = to_rgb(track.colour)
+                    ghost = Polygon(places[k], closed=part.kind == "plate", facecolor=(*colour, 0.06), edgecolor=(*colour, 0.35))
+                    ghost.set(linewidth=1.2, zorder=1.2, gid="ghost")
+                    axes.add_patch(ghost)
+
+
+def trim(made: Figure, rows: int = 1) -> None:
+    """Take off the paper that panels of equal scales leave empty above and below them."""
+    made.draw_without_rendering()
+    empty = math.inf
+    for axes in made.axes:
+        slot, needed = axes.get_position(original=True).transformed(made.transFigure), axes.get_tightbbox()
+        assert needed is not None
+        empty = min(empty, max(0.0, slot.y1 - needed.y1) + max(0.0, needed.y0 - slot.y0))
+    if 0.0 < empty < math.inf:
+        made.set_figheight(made.get_figheight() - rows * empty / made.dpi)
+
+
+def standing(axes: Axes, track: Track) -> list[Label]:
+    """The mechanism at the first point, with the curve and the points."""
+    sketch = track.sketch
+    factor = sketch.scale.factor
+    sketch.stage(axes)
+    if track.task.pointed:
+        axes.plot(*(track.position(track.run) * factor).T, color=track.colour, linewidth=2.3, zorder=1.5, gid="run")
+        points_on(axes, track.wanted * factor, 1.0 if len(track.wanted) <= NUMBERED else 0.55)
+    if track.task.requirement.kind == "motion":
+        _ghosts(axes, track)
+    sketch.pose(axes, track.here)
+    _turning(axes, track)
+    return sketch.letters(axes, track.here)

@@ -1,0 +1,133 @@
+"""What a generated linkage does over the crank angle: its output beside the wanted one, or its transmission angles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+from PIL import Image
+
+from optlink.linkage.dyad_types import RRR
+from optlink.problem.path import TURN, ZERO, GenerationProblem
+from optlink.report.animation import film, there_and_back
+from optlink.report.labels import settle
+from optlink.report.style import BODIES, LIMIT, WANTED, degrees, figure, scale, styled
+from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, figures, headed, title_of, wrapped
+from optlink.report.views.path_initial_pose import BESIDE, HIGH, standing, trim
+from optlink.report.views.path_view import Track, best
+from optlink.tasks.path_result import Generation
+from optlink.validation.path import deviations, transmission_angles
+
+Array = NDArray[np.float64]
+FINEST = 360  # positions of the curve of a function
+
+
+class Output(NamedTuple):
+    """What a linkage does over crank angles (n,) [deg]: `found` (n, curves) in the unit of `name`, `wanted` (n,) if stated."""
+
+    crank: Array
+    found: Array
+    wanted: Array | None
+    name: str
+    curves: list[str]
+
+
+def output(track: Track) -> Output:
+    """The output of a function over its range, or the transmission angles over the revolution."""
+    task, values = track.task, track.design.values
+    if task.requirement.kind == "transmission":
+        joints = [group.joint for group in task.linkage.groups if isinstance(group, RRR)]
+        found = np.degrees(transmission_angles(track.motion, task.linkage))
+        return Output(np.degrees(track.motion.crank_angle), found, None, "transmission angle [deg]", joints)
+    fine = track.design.problem.override({"requirement.points": FINEST}).model
+    assert isinstance(fine, GenerationProblem)
+    angles = fine.crank_angles(values, None)
+    travel = deviations(fine, values, angles).generated[:, 0]
+    wanted = fine.data.columns[:, 0] + values[ZERO]
+    unit = track.sketch.scale if task.slides else scale(0.0, "deg")
+    if not task.slides:
+        travel = travel - TURN * np.round((travel - wanted) / TURN)
+    name = f"{'place along' if task.slides else 'angle of'} {task.requirement.output} [{unit.unit}]"
+    return Output(np.degrees(angles), travel[:, None] * unit.factor, wanted * unit.factor, name, ["generated"])
+
+
+@styled
+def mechanism(result: Generation) -> Figure | None:
+    """The mechanism of a function or the best transmission, at the first position."""
+    track = best(result)
+    if track is None or track.task.pointed:
+        return None
+    width = min(max(HIGH / track.sketch.ratio + BESIDE, 5.0), 7.6)
+    height = min(HIGH, (width - BESIDE) * track.sketch.ratio)
+    title = headed(track, width - 0.4)
+    made = figure(width, height + 1.0 + LINE * (title.count("\n") + 1))
+    entitle(made, track, title)
+    axes = made.subplots()
+    labels = standing(axes, track)
+    crank = f"crank at {degrees(float(track.design.crank_angles[track.first]))}"
+    axes.set_title(wrapped([crank, *assembly(track.design)], width - 0.6, ", ", SMALL), fontsize=SMALL)
+    trim(made)
+    settle(made, labels)
+    return made
+
+
+@styled
+def curve(result: Generation) -> Figure | None:
+    """Wanted and generated output of a function with their difference, or the transmission angles over the revolution."""
+    track = best(result)
+    if track is None or track.task.pointed:
+        return None
+    shown = output(track)
+    two = shown.wanted is not None
+    made = figure(7.4, 5.8 if two else 4.2)
+    panels = made.subplots(1 + two, 1, sharex=True, squeeze=False, height_ratios=(1.7, 1.0) if two else None)[:, 0]
+    _outputs(panels[0], track, shown)
+    if shown.wanted is not None:
+        at = np.degrees(track.design.crank_angles)
+        error = shown.found[:, 0] - shown.wanted
+        panels[1].plot(shown.crank, error, color=LIMIT, linewidth=1.5, gid="error")
+        if len(at) <= 100:
+            panels[1].plot(at, np.interp(at, shown.crank, error), ".", color=LIMIT, markersize=5, gid="positions")
+        panels[1].axhline(0.0, color=WANTED, linewidth=0.8)
+        panels[1].set_ylabel(f"generated minus\nwanted [{shown.name.rpartition('[')[2]}")
+        panels[1].set_xlabel(panels[0].get_xlabel())
+        panels[0].set_xlabel("")
+    panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, frameon=False, fontsize=8.5, ncols=3)
+    title = title_of(track, 7.0, track.task.title, wrapped(figures(track), 7.0, "; "))
+    entitle(made, track, title)
+    made.align_ylabels()
+    return made
+
+
+def _outputs(axes: Axes, track: Track, shown: Output) -> None:
+    """All curves of an output."""
+    if shown.wanted is not None:
+        axes.plot(shown.crank, shown.wanted, color=WANTED, linestyle="--", linewidth=1.4, label="wanted", zorder=3, gid="wanted")
+    for k, name in enumerate(shown.curves):
+        colour = BODIES[k % len(BODIES)]
+        told = name
+        if shown.wanted is None:
+            least, largest = float(np.nanmin(shown.found[:, k])), float(np.nanmax(shown.found[:, k]))
+            told = f"at {name}: {least:.2f}° to {largest:.2f}°"
+        axes.plot(shown.crank, shown.found[:, k], color=colour, linewidth=1.9, label=told, gid=f"found {name}")
+    first, last = float(shown.crank[0]), float(shown.crank[-1])
+    if abs(last - first) > 180.0:
+        axes.xaxis.set_major_locator(MultipleLocator(60.0))
+    axes.set(xlim=(min(first, last), max(first, last)), xlabel="crank angle φ [deg]", ylabel=shown.name)
+
+
+def output_film(track: Track, count: int) -> list[Image.Image]:
+    """The mechanism in motion beside its output or its transmission angles."""
+    shown = output(track)
+    steps = track.begin + track.way * np.linspace(0.0, TURN, count, endpoint=False)
+    if shown.wanted is not None:
+        steps = there_and_back(track.begin, track.end, count)
+    order = np.argsort(shown.crank)
+    height = np.interp(np.degrees(steps), shown.crank[order], shown.found[order, 0])
+    marks = np.stack([np.degrees(steps), height], axis=-1)
+    title = track.task.title if track.design.valid else f"NOT VALID: {track.task.title}"
+    return film(track.sketch, track.sweep(steps), lambda axes: _outputs(axes, track, shown), marks, title)

@@ -1,0 +1,183 @@
+"""Files and pictures of generated linkages: on their curve with the points, how far they miss, other designs, a film.
+
+Of a function or the best transmission: the mechanism, its output or its transmission angles, other designs, a film.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+from PIL import Image
+
+from optlink.linkage.dyad_types import RRR
+from optlink.linkage.motion import Motion
+from optlink.problem.path import TURN, ZERO
+from optlink.report.animation import film, there_and_back
+from optlink.report.drawing import Sketch
+from optlink.report.files import verdict, write_csv, write_design, write_json
+from optlink.report.labels import settle
+from optlink.report.report_model import machine_found
+from optlink.report.style import CRANK, WANTED, degrees, figure, heading, save, save_film, styled
+from optlink.report.views.path_alternatives import designs
+from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, failed, headed, wrapped
+from optlink.report.views.path_closeup import Close, dots, points_on, small_frames
+from optlink.report.views.path_initial_pose import BESIDE, HIGH, standing, trim
+from optlink.report.views.path_outputs import curve, mechanism, output_film
+from optlink.report.views.path_residuals import errors
+from optlink.report.views.path_view import Track, best
+from optlink.tasks.path_result import Design, Generation
+
+Array = NDArray[np.float64]
+FRAMES = 90
+LIT = "#ffc20a"
+
+
+def write_all(result: Generation, folder: Path) -> list[Path]:
+    """Write result.json and, of the best design or the nearest miss, points.csv, design.toml, every picture and the film."""
+    written = [folder / "result.json"]
+    write_json(written[0], result.to_dict())
+    design = result.best
+    if design is None:
+        return written
+    written.append(folder / "points.csv")
+    write_csv(written[1], columns(design))
+    machine = machine_found(result)
+    assert machine is not None
+    written += write_design(folder, machine, verdict(design.status.value, design.valid, failed(design)))
+    for name, draw in PICTURES.items():
+        drawn = draw(result)
+        if drawn is not None:
+            written.append(folder / f"{name}.png")
+            save(drawn, written[-1])
+    pictures = frames(result)
+    if pictures:
+        written.append(folder / "motion.gif")
+        save_film(pictures, written[-1])
+    return written
+
+
+def columns(design: Design) -> dict[str, Array]:
+    """What is wanted and what is generated at every position, by name and SI unit."""
+    task, data, measured = design.task, design.task.data, design.measured
+    found: dict[str, Array] = {"point": np.arange(1.0, len(data.columns) + 1.0)}
+    if task.requirement.kind == "transmission":
+        joints = [group.joint for group in task.linkage.groups if isinstance(group, RRR)]
+        angles = {f"{joint}.transmission_rad": measured.generated[:, k] for k, joint in enumerate(joints)}
+        return {**found, "crank_angle_rad": design.crank_angles, **angles}
+    if task.requirement.kind == "function":
+        wanted = data.columns[:, 0] + design.values[ZERO]
+        found |= {f"wanted_{task.unit}": wanted, f"generated_{task.unit}": measured.generated[:, 0]}
+        return {**found, f"distance_{task.unit}": measured.distances, "crank_angle_rad": design.crank_angles}
+    for name, places in (("wanted", data.columns), ("generated", measured.generated)):
+        found |= {f"{name}.{axis}_m": places[:, k] for k, axis in enumerate("xy")}
+    found |= {"distance_m": measured.distances, "crank_angle_rad": design.crank_angles}
+    if np.any(np.isfinite(data.tolerances)):
+        found["tolerance_m"] = data.tolerances
+    if task.wanted.weights is not None:
+        found["weight"] = data.roots**2
+    if measured.turned is not None:
+        aim = np.arctan2(data.columns[:, 3], data.columns[:, 2])
+        found |= {"wanted.angle_rad": aim, "generated.angle_rad": aim + measured.turned, "turned_rad": measured.turned}
+    return found
+
+
+@styled
+def path(result: Generation) -> Figure | None:
+    """The mechanism at the first point with the curve that it draws; beside it the curve from near, with the points."""
+    track = best(result)
+    if track is None or not track.task.pointed:
+        return None
+    sketch, close = track.sketch, Close(track)
+    ratios = sketch.ratio, close.ratio
+    widths = [min(max(HIGH / ratio + BESIDE, 3.6), 6.2) for ratio in ratios]
+    height = min(HIGH, max((width - BESIDE) * ratio for width, ratio in zip(widths, ratios, strict=True)))
+    width = sum(widths)
+    title = headed(track, width - 0.4)
+    made = figure(width, height + 1.3 + LINE * (title.count("\n") + 1))
+    entitle(made, track, title)
+    left, right = made.subplots(1, 2, width_ratios=widths)
+    labels = standing(left, track) + close.draw(right)
+    what = "pose" if close.motion else "point"
+    crank = f"{what} {track.first + 1}: crank at {degrees(float(track.design.crank_angles[track.first]))}"
+    left.set_title(wrapped([crank, *assembly(track.design)], widths[0] - 0.6, ", ", SMALL), fontsize=SMALL)
+    right.set_title(heading(f"{what}s and generated curve", widths[1] - 0.6, SMALL), fontsize=SMALL)
+    handles, names = right.get_legend_handles_labels()
+    long = sum(0.55 + 0.068 * len(name) for name in names)  # inch
+    ncols = len(names) if long < width else -(-len(names) // 2)
+    made.legend(handles, names, loc="outside lower center", ncols=ncols, frameon=False, fontsize=8.5)
+    trim(made)
+    settle(made, labels)
+    return made
+
+
+class Passing(Sketch):
+    """A mechanism whose point passes the wanted points, which light up."""
+
+    def __init__(self, track: Track) -> None:
+        super().__init__(track.motion)
+        self.widen(track.wanted * self.scale.factor)
+        self.track, self.close = track, Close(track)
+        self.strip: Axes | None = None
+
+    def lay(self, axes: Axes) -> None:
+        """Draw the curve from near; there the points light up too."""
+        self.strip = axes
+        self.close.draw(axes, sticks=False)
+
+    def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
+        """Draw the k-th position, the points that are passed, the pose of the body."""
+        found = super().pose(axes, motion, k)
+        track = self.track
+        assert self.strip is not None
+        passed = track.way * (motion.crank_angle[k] - track.design.crank_angles) >= -1e-9
+        for place, factor in ((axes, self.scale.factor), (self.strip, self.close.unit.factor)):
+            x, y = (track.wanted[passed] * factor).T
+            size = dots(len(track.wanted)) + 1.0
+            lit = Line2D(x, y, linestyle="none", marker="o", markersize=size, color=LIT, mec=WANTED, mew=0.6, zorder=6, gid="lit")
+            more = [lit]
+            if self.close.motion:
+                length = self.close.length * factor / self.close.unit.factor
+                frame = small_frames(track.position(motion)[k : k + 1] * factor, track.angles(motion)[k : k + 1], length)
+                more.append(Line2D(*frame.T, color=CRANK, linewidth=1.8, zorder=7, gid="pose"))
+            for artist in more:
+                place.add_artist(artist)
+            found += more
+        return found
+
+
+@styled
+def frames(result: Generation, count: int = FRAMES) -> list[Image.Image]:
+    """The best design on its way along the curve, once round or to and fro between the first point and the last."""
+    track = best(result)
+    if track is None:
+        return []
+    if not track.task.pointed:
+        return output_film(track, count)
+    sketch = Passing(track)
+    steps = track.begin + track.way * np.linspace(0.0, TURN, count, endpoint=False)
+    if not track.design.turns:
+        steps = there_and_back(track.begin, track.end, count)
+    motion = track.sweep(steps)
+    marks = track.position(motion) * sketch.close.unit.factor
+
+    def points(axes: Axes) -> None:
+        points_on(axes, track.wanted * sketch.scale.factor)
+
+    title = track.task.title if track.design.valid else f"NOT VALID: {track.task.title}"
+    return film(sketch, motion, sketch.lay, marks, title, more=points)
+
+
+PICTURES: dict[str, Callable[[Generation], Figure | None]] = {
+    "path": path,
+    "errors": errors,
+    "mechanism": mechanism,
+    "curve": curve,
+    "designs": designs,
+}

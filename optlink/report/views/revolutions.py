@@ -1,0 +1,327 @@
+"""A simulation with clearance revolution by revolution, folded onto the crank angle; and the axes that its pictures share."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, MultipleLocator
+from numpy.typing import NDArray
+
+from optlink.clearance.joint import Gap
+from optlink.report.style import FOUND, QUIET, SHADE, Scale, heading, scale
+from optlink.tasks.clearance import LooseSimulation
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+FULL = 360.0
+TORQUE = "input.torque_Nm"
+WINDOW = 3  # revolutions that are shown one after another
+STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
+BULK = 99.8  # per cent of the rows that are shown whatever single ones do
+THIN = 0.6  # width of the line of one revolution among many
+FONT = 8.5
+TITLE = 10.5
+TIMES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
+
+
+class Turns:
+    """The rows that are kept of a simulation: which belong to which revolution, which are past the running-in.
+
+    Where it broke off, its last rows belong to no whole revolution; the last revolution is then what lies behind the last row.
+    """
+
+    def __init__(self, result: LooseSimulation) -> None:
+        self.result = result
+        self.time: Array = np.asarray(result.columns.get("time_s", np.zeros(0)))
+        self.way = 1.0 if result.speed > 0.0 else -1.0
+        self.period = 2.0 * math.pi / abs(result.speed)
+        step = float(self.time[1] - self.time[0]) if len(self.time) > 1 else self.period
+        self.points = max(1, round(self.period / step))
+        self.kept = -(-len(self.time) // self.points)
+        self.last = result.revolutions
+        self.whole = int(np.searchsorted(self.time, self.last * self.period * (1.0 + 1e-9), side="right"))
+        """How many rows belong to whole revolutions."""
+        settled = int(result.figures["settled_revolutions"])
+        self.begin = self.last - settled + 1 if settled else 1
+        """The first revolution that the statistics count."""
+
+    def __bool__(self) -> bool:
+        return len(self.time) > 1
+
+    @property
+    def angle(self) -> Array:
+        """Crank angle [deg], which goes on from revolution to revolution."""
+        return self.result["crank_angle_deg"]
+
+    @property
+    def free(self) -> bool:
+        """Whether the crank's speed follows from a torque: revolutions are then no more than periods of the nominal speed."""
+        return self.result.problem.model.drive.torque is not None
+
+    @property
+    def broken(self) -> bool:
+        """Whether the last rows belong to a revolution that broke off."""
+        return self.whole < len(self.time)
+
+    @property
+    def shown(self) -> int:
+        """Revolutions past the running-in of which rows are kept."""
+        return max(1, min(self.kept, self.last - self.begin + 1 + self.broken))
+
+    def rows(self, count: int) -> slice:
+        """The rows of the last revolutions, with the one before them as far as there is one."""
+        return slice(max(0, len(self.time) - count * self.points - 1), len(self.time))
+
+    def span(self, count: int) -> str:
+        """The last revolutions in words."""
+        count = min(count, self.kept)
+        if self.broken:
+            return "the last revolution" if count == 1 else f"the last {count} revolutions"
+        return f"revolution {self.last}" if count == 1 else f"revolutions {self.last - count + 1} to {self.last}"
+
+    @property
+    def counted(self) -> str:
+        """The revolutions that the statistics count, in words."""
+        return f"revolution {self.last}" if self.begin == self.last else f"revolutions {self.begin} to {self.last}"
+
+    # --- what the machine does -----------------------------------------------------------------------------------------
+
+    @property
+    def output(self) -> Array:
+        """The output [m, rad], across no branch of an angle; an angle begins within the first turn."""
+        values = self.result[self.result.output.column]
+        if self.result.output.guide:
+            return values
+        values = np.unwrap(values)
+        lifted: Array = values - 2.0 * math.pi * math.floor(float(np.min(values[self.rows(WINDOW)])) / (2.0 * math.pi) + 0.5)
+        return lifted
+
+    @property
+    def error(self) -> Array:
+        """Deviation of the output from the ideal machine's [m, rad]."""
+        return self.result[f"{self.result.output.name}.error_{self.result.output.unit}"]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of that over the revolutions that count; over all where too few were simulated."""
+        settled, unit = self.result.figures["settled_revolutions"], self.result.output.unit
+        return self.result.figures[f"rms_{unit}" if settled else f"rms_from_start_{unit}"]
+
+    @property
+    def advance(self) -> float:
+        """By how much the output grows in every revolution of the crank [m, rad]: whole turns, for a body that turns fully."""
+        if self.result.output.guide:
+            return 0.0
+        rows = self.rows(1)
+        values, turned = self.output[rows], (self.angle[rows.stop - 1] - self.angle[rows.start]) / FULL
+        return 2.0 * math.pi * round(float(values[-1] - values[0]) / (2.0 * math.pi * (turned or 1.0)))
+
+    def shares(self, largest: float) -> Scale:
+        """In what the output or its deviation is shown."""
+        return scale(largest, "m" if self.result.output.guide else "deg")
+
+    def peak(self, name: str, count: int) -> float:
+        """Largest torque's amount, normal force or penetration of the last revolutions, at the rows and between them."""
+        values = self.result[name][self.rows(count)]
+        found = float(np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0))
+        stem, _, unit = name.rpartition("_")
+        exact = self.result.turns.get(f"{stem}_max_{unit}".removeprefix("input."), np.zeros(0))
+        whole = min(count - self.broken, len(exact))
+        return max(found, float(np.max(exact[-whole:]))) if whole else found
+
+    # --- the crank angle as abscissa -----------------------------------------------------------------------------------
+
+    def fold(self, values: Array, rows: slice, advance: float = 0.0) -> tuple[Array, Array]:
+        """Crank angle within a revolution [deg] and values, with a gap wherever a new revolution begins.
+
+        Parameters
+        ----------
+        values : array (rows,)
+        rows : slice
+        advance : float
+            What is taken away from the values for every whole turn of the crank.
+        """
+        return fold(self.angle[rows], values[rows], advance)
+
+    def times(self, rows: slice) -> Scale:
+        """In what time is shown."""
+        span = float(self.time[rows][-1] - self.time[rows][0])
+        size, unit = next(((size, unit) for size, unit in TIMES if span >= 0.5 * size), TIMES[-1])
+        return Scale(1.0 / size, unit)
+
+    # --- words ---------------------------------------------------------------------------------------------------------
+
+    def title(self, what: str, width: float, *more: str) -> str:
+        """The title of a picture: machine, what is shown; below, how it was driven, and whatever else it tells."""
+        result = self.result
+        nominal, sense = "nominal " if self.free else "", "" if self.way > 0.0 else " clockwise"
+        parts = [f"{nominal}{abs(result.speed) * 30.0 / math.pi:.5g} rpm{sense}"]
+        if result.control != "none":
+            parts.append(f"control {result.control}")
+        if not result.finished:
+            parts.append(f"{result.ending.value} after {self.last} revolution{'s' if self.last != 1 else ''}")
+        lines = [f"{result.problem.model.title}: {what}", ", ".join([*parts, *filter(None, more[:1])]), *more[1:]]
+        return "\n".join(heading(line, width, TITLE) for line in lines)
+
+
+def fold(angle: Array, values: Array, advance: float = 0.0) -> tuple[Array, Array]:
+    """Crank angles [deg] within a revolution and values, NaN between where a revolution ends and the next begins."""
+    turn = np.floor(angle / FULL + 1e-9)
+    x, y = angle - FULL * turn, values - advance * turn
+    at = np.flatnonzero(np.diff(turn) != 0.0)
+    if not at.size:
+        return x, y
+    border = FULL * np.maximum(turn[at], turn[at + 1])
+    share = (border - angle[at]) / (angle[at + 1] - angle[at])
+    there = values[at] + share * (values[at + 1] - values[at])
+    nothing = np.full(len(at), np.nan)
+    at_ends = [(border - FULL * turn[at + side], there - advance * turn[at + side]) for side in (0, 1)]
+    places = np.repeat(at + 1, 3)
+    xs, ys = (np.stack([before, nothing, after], axis=1).ravel() for before, after in zip(*at_ends, strict=True))
+    return np.insert(x, places, xs), np.insert(y, places, ys)
+
+
+def rough(value: float, unit: str) -> str:
+    """A value [SI] to four digits, with its unit."""
+    shown = scale(value, unit)
+    return f"{value * shown.factor:.4g}{'°' if unit == 'deg' else ' ' + shown.unit}"
+
+
+def runs(mask: Mask) -> list[tuple[int, int]]:
+    """Where a mask is true without a break: the first and the last index of each run."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+
+
+def round_below(value: float) -> float:
+    """The next lower of 1, 2, 3, 4, 5, 6, 8, 10, 20 ...; zero for what is not positive."""
+    if not 0.0 < value < math.inf:
+        return 0.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(step * power for step in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0) if step * power <= value)
+
+
+def named(gap: Gap) -> str:
+    """A gap in words."""
+    return f"{gap.point}: {gap.journal} in {gap.bearing}"
+
+
+def beside(count: int) -> int:
+    """How many panels stand beside one another."""
+    return 2 if count in (2, 4) else min(count, 3)
+
+
+# --- axes ----------------------------------------------------------------------------------------------------------------
+
+
+def crank_axis(axes: Axes, turns: Turns, *, named: bool = True) -> None:
+    """The crank angle of a revolution along x, to the right as time goes on."""
+    axes.set_xlim((0.0, FULL) if turns.way > 0.0 else (FULL, 0.0))
+    axes.xaxis.set_major_locator(MultipleLocator(60.0))
+    if named:
+        axes.set_xlabel("crank angle φ [deg]" + ("" if turns.way > 0.0 else ", clockwise to the right"))
+
+
+def time_axis(axes: Axes, turns: Turns, rows: slice, *, named: bool = True) -> None:
+    """Time along x, and where revolutions end."""
+    unit = turns.times(rows)
+    first, last = (float(turns.time[rows][k]) * unit.factor for k in (0, -1))
+    axes.set_xlim(first, last)
+    axes.xaxis.set_major_locator(MaxNLocator(6, steps=STEPS))
+    axes.ticklabel_format(axis="x", useOffset=False, style="plain")
+    for k in range(math.ceil(turns.time[rows][0] / turns.period - 1e-9), turns.last + 1):
+        at = k * turns.period * unit.factor
+        if first < at < last - 1e-6 * (last - first):
+            axes.axvline(at, color=QUIET, linewidth=0.9, linestyle=":", zorder=1, gid="revolution")
+    if named:
+        axes.set_xlabel(f"time [{unit.unit}]")
+
+
+def turn_axis(axes: Axes, first: float, last: float) -> None:
+    """Numbers of revolutions along x."""
+    axes.set_xlim(first, last)
+    axes.xaxis.set_major_locator(MaxNLocator(10, integer=True, min_n_ticks=1, steps=STEPS))
+    axes.set_xlabel("revolution")
+
+
+def overlay(
+    axes: Axes, turns: Turns, values: Array, unit: Scale, colour: str = FOUND, *, advance: float = 0.0, label: str = ""
+) -> Line2D:
+    """Every revolution past the running-in as a thin line, the last one bold."""
+    if turns.shown > 1:
+        rows = turns.rows(turns.shown)
+        x, y = turns.fold(values * unit.factor, slice(rows.start, turns.rows(1).start + 1), advance * unit.factor)
+        strength = min(0.9, max(0.25, 6.0 / turns.shown))
+        axes.plot(x, y, color=QUIET, linewidth=THIN, alpha=strength, zorder=2, gid="revolutions")
+    x, y = turns.fold(values * unit.factor, turns.rows(1), advance * unit.factor)
+    return axes.plot(x, y, color=colour, linewidth=1.7, zorder=3, label=label or None, gid="last revolution")[0]
+
+
+def bands(axes: Axes, turns: Turns, contact: Array, rows: slice, label: str = "") -> None:
+    """Crank angles of these rows at which journal and bearing touch, shaded."""
+    x, touching = turns.fold(contact, rows)
+    for piece in np.split(np.arange(len(x)), np.flatnonzero(np.isnan(x))):
+        own = piece[np.isfinite(x[piece])]
+        at = x[own]
+        for a, b in runs(touching[own] > 0.5):
+            begin = 0.5 * (at[a] + at[max(0, a - 1)])
+            end = 0.5 * (at[b] + at[min(len(at) - 1, b + 1)])
+            if begin != end:
+                axes.axvspan(
+                    *sorted((begin, end)), color=SHADE, linewidth=0.0, alpha=0.75, zorder=0.5, label=label or None, gid="contact"
+                )
+
+
+def zero(axes: Axes) -> None:
+    """A thin line at zero, if zero is in sight."""
+    low, high = axes.get_ylim()
+    if low < 0.0 < high:
+        axes.axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
+
+
+def from_zero(axes: Axes, largest: float) -> None:
+    """Limits of y from zero to a little above the largest value."""
+    axes.set_ylim(0.0, 1.08 * largest if 0.0 < largest < math.inf else 1.0)
+
+
+def crown(axes: Axes, turns: Turns, values: Array, low: float = 0.0, high: float = 0.0) -> str:
+    """Limits of y that hold the last revolution and the bulk of the others, and `low` and `high`; says if some is cut off."""
+    every = values[turns.rows(turns.shown)]
+    top = max(high, float(np.max(values[turns.rows(1)])), float(np.percentile(every, BULK)))
+    top = top if top > 0.0 else 1.0
+    axes.set_ylim(1.08 * low, 1.08 * top)
+    return ", cut off" if float(np.max(every)) > 1.08 * top else ""
+
+
+def hold(axes: Axes, *values: Array, least: float = 0.0) -> None:
+    """Limits of y that hold all finite values with a little room, at least so far apart as a share of their amount."""
+    known = np.concatenate([value[np.isfinite(value)] for value in values])
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    width = max(high - low, least * max(abs(low), abs(high))) or 1.0
+    axes.set_ylim(0.5 * (low + high) - 0.58 * width, 0.5 * (low + high) + 0.58 * width)
+
+
+def legend(made: Figure, *axes: Axes, columns: int = 4) -> None:
+    """One legend below everything, of all labelled lines, as far as they fit beside one another; what is drawn twice once."""
+    found: dict[str, Artist] = {}
+    for one in axes:
+        for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    if found:
+        longest = max(len(label) for label in found)
+        fitting = int(made.get_figwidth() / (0.58 * FONT / 72.0 * longest + 0.55))
+        columns = max(1, min(columns, fitting, len(found)))
+        made.legend(found.values(), found, frameon=False, fontsize=FONT, loc="outside lower center", ncols=columns)
+
+
+def square(axes: Axes, reach: float, unit: Scale) -> None:
+    """Equal scales for an eccentricity."""
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel=f"e in x [{unit.unit}]", ylabel=f"e in y [{unit.unit}]")
+    axes.set_aspect("equal")
+    for side in (axes.xaxis, axes.yaxis):
+        side.set_major_locator(MaxNLocator(6, steps=STEPS))

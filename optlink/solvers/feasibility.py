@@ -1,0 +1,62 @@
+"""An unusable start is repaired, not rejected: the smallest step that meets the limits, repeated (Gauss-Newton)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.optimization.nlp import NLP
+from optlink.problem.function import EPIGRAPH
+from optlink.solvers.solution import FEASIBLE, violation
+
+Array = NDArray[np.float64]
+
+INSIDE = 1e-3  # aim this far (scaled units) inside a limit: on the limit itself a dead centre may have no derivative
+MAX_STEPS = 60
+LONGEST_STEP = 0.5
+
+
+def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None:
+    """Move x until every limit is met and the objective has a value.
+
+    Returns
+    -------
+    The nearby usable x (x itself if it is usable), or None where the violation stops at a value above zero.
+    """
+    low, high = nlp.low, nlp.high
+    inset = np.minimum(inside, 0.25 * (high - low))
+    low_inside, high_inside = low + inset, high - inset
+    x = np.clip(x, nlp.x_low, nlp.x_high)
+    own = np.array([row.limit != EPIGRAPH for row in nlp.rows], dtype=bool)  # the others follow from lifting x
+    for _ in range(MAX_STEPS):
+        x = nlp.lifted(x)
+        point = nlp.at(x, p)
+        if math.isfinite(point.f) and violation(nlp, x, point.g) <= FEASIBLE:
+            return x
+        miss = np.maximum(low_inside - point.g, 0.0) + np.minimum(high_inside - point.g, 0.0)
+        rows = np.flatnonzero(own & np.isfinite(miss) & (miss != 0.0) & np.isfinite(point.jacobian).all(axis=1))
+        if rows.size == 0:
+            return None
+        step = _shortest(point.jacobian[rows], miss[rows], nlp.x_low - x, nlp.x_high - x)
+        length = float(np.linalg.norm(step))
+        if length < 1e-13:
+            return None
+        x = np.clip(x + step * min(1.0, LONGEST_STEP / length), nlp.x_low, nlp.x_high)
+    return None
+
+
+def _shortest(jacobian: Array, miss: Array, low: Array, high: Array) -> Array:
+    """Least-norm step with jacobian @ step = miss (least squares), components outside low ... high held at their bound."""
+    step = np.zeros(jacobian.shape[1])
+    free = np.ones(step.size, dtype=bool)
+    while free.any():
+        rest = miss - jacobian[:, ~free] @ step[~free]
+        step[free] = np.linalg.lstsq(jacobian[:, free], rest, rcond=1e-10)[0]
+        out = free & ((step < low) | (step > high))
+        if not out.any():
+            break
+        step[out] = np.clip(step[out], low[out], high[out])
+        free &= ~out
+    return step

@@ -1,0 +1,313 @@
+"""Why no design is feasible: which limits conflict, and the least relaxation of each that would make the problem feasible.
+
+An elastic programme gives every limit a slack of its own. Limits that give way are held one after the other until those that are
+held conflict (elastic filter); what can be taken out of them is (deletion filter); each of the rest is relaxed alone, in its own
+unit, while all other limits hold.
+
+Source: J. W. Chinneck and E. W. Dravnieks, Locating minimal infeasible constraint sets in linear programs, ORSA J. Computing 3
+(1991) 157-168.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.fourbar import LENGTHS
+from optlink.optimization.constraints import DEGREES, PLAIN, Row, Scale
+from optlink.optimization.nlp import NLP, Variable
+from optlink.problem.function import EPIGRAPH
+from optlink.solvers.multistart import BACKENDS, backend, starts
+from optlink.solvers.solution import key_of
+
+Array = NDArray[np.float64]
+
+MET = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible
+STARTS, LOOKED_AT = 6, 256  # points that are searched from: the first of so many where every limit has a value
+FREE = 1e3  # upper bound of a slack, in scaled units
+ENOUGH = 3  # searches that end at the same least slack: it is taken for the least of all
+AGREEING = 2  # the same for the amount of one limit of a large programme
+SAME = 1e-4  # relative, slacks that count as the same
+EXCHANGES, FOLLOWED = 5, 1e-4  # rounds of following the peaks of a point, and the miss (scaled) at its peaks that ends them
+
+Follow = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of one limit: the rows (and the bounds) that share it."""
+
+    key: str
+    name: str
+    upper: bool
+    rows: tuple[int, ...]
+    variables: tuple[int, ...]
+    bound: float
+    scale: Scale
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """A limit that would have to give, in people's units: from `bound` to `relaxed`, which is `amount` further.
+
+    NaN where relaxing this limit alone does not make the problem feasible. The amount is the least that local searches found, not
+    proven to be the least; `approximate`: some limit may still be exceeded between the positions of the programme.
+    """
+
+    key: str
+    name: str
+    sense: str
+    bound: float
+    relaxed: float
+    amount: float
+    unit: str
+    approximate: bool = False
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why there is no design. `conflict`: limits that cannot hold together, each with its least relaxation alone (all other
+    limits of the problem held). `together`: the least relaxation when several may give at once (least sum, scaled), which the
+    design `x` needs.
+    """
+
+    x: Array
+    conflict: tuple[Relaxation, ...]
+    together: tuple[Relaxation, ...]
+
+
+def sides(nlp: NLP) -> list[Side]:
+    """Every side of every limit that can conflict: rows of one limit and one side go together.
+
+    The bounds of what no limit depends on cannot, nor can those that leave an angle all directions.
+    """
+    found: dict[tuple[str, str, bool], list[int]] = {}
+    for j, row in enumerate(nlp.rows):
+        if row.limit == EPIGRAPH or row.limit in nlp.states:
+            continue
+        for upper, bound in ((False, row.low), (True, row.high)):
+            if math.isfinite(bound):
+                found.setdefault((row.limit, row.label, upper), []).append(j)
+    result = []
+    for (key, name, upper), rows in found.items():
+        row = nlp.rows[rows[0]]
+        result.append(Side(key, name, upper, tuple(rows), (), row.high if upper else row.low, row.scale))
+    asked = [j for j, row in enumerate(nlp.rows) if row.limit != EPIGRAPH]
+    used = casadi.which_depends(nlp.g_expression[asked], nlp.x_symbol, 1, False) if asked else [False] * len(nlp.variables)
+    for i, variable in enumerate(nlp.variables):
+        around = variable.scale is DEGREES and nlp.x_high[i] - nlp.x_low[i] >= 2.0 * math.pi
+        if variable.name in nlp.helpers or variable.name in nlp.states or around or not used[i]:
+            continue
+        for upper, bound in ((False, nlp.x_low[i]), (True, nlp.x_high[i])):
+            result.append(Side(key_of(variable.name), variable.name, upper, (), (i,), float(bound), variable.scale))
+    return result
+
+
+def elastic(nlp: NLP, limits: list[Side]) -> NLP:
+    """minimise weights . s over x and slacks s >= 0, each limit relaxed by its s.
+
+    Its parameters are the weights (k,), then those of the programme.
+    """
+    n, k = len(nlp.variables), len(limits)
+    x, s = casadi.SX.sym("x", n), casadi.SX.sym("s", k)
+    g = casadi.substitute(nlp.g_expression, nlp.x_symbol, x)
+    weights = casadi.SX.sym("weights", k)
+    # a wanted value stays one equation, which may be missed to either side: two inequalities would have no inside
+    exact = {j: g[j] for side in limits for j in side.rows if nlp.rows[j].low == nlp.rows[j].high}
+    for i, side in enumerate(limits):
+        for j in exact.keys() & set(side.rows):
+            exact[j] = exact[j] + (-s[i] if side.upper else s[i])
+    rows = [replace(nlp.rows[j], value=value) for j, value in exact.items()]
+    for i, side in enumerate(limits):
+        give = -s[i] if side.upper else s[i]
+        low, high = (-math.inf, side.bound) if side.upper else (side.bound, math.inf)
+        rows += [Row(side.key, side.name, g[j] + give, low, high, side.scale) for j in side.rows if j not in exact]
+        rows += [Row(side.key, side.name, x[j] + give, low, high, side.scale) for j in side.variables]
+    rows += [replace(row, value=g[j]) for j, row in enumerate(nlp.rows) if row.limit in nlp.states]
+    bounded = np.array([v.name not in nlp.helpers for v in nlp.variables])
+    giving = {i for side in limits for i in side.variables}
+    held = np.array([v.name in nlp.states or (bounded[i] and i not in giving) for i, v in enumerate(nlp.variables)])
+    length = np.array([v.name in LENGTHS or v.name.endswith(".length") for v in nlp.variables])
+    room = np.where(bounded, np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
+    lowest = np.where(length, 1e-3 * nlp.x_low, nlp.x_low - room)  # a length gives way towards zero, never beyond
+    # helpers keep their bounds, but for the largest error, which has no upper one
+    lowest = np.where(held, nlp.x_low, np.where(bounded, lowest, np.where(np.isfinite(nlp.x_low), nlp.x_low, 0.0)))
+    highest = np.where(held, nlp.x_high, np.where(bounded, nlp.x_high + room, np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)))
+    return NLP(
+        variables=(*nlp.variables, *(Variable(f"slack {i}", 1.0, PLAIN) for i in range(k))),
+        fixed=(),
+        rows=tuple(rows),
+        measure=nlp.measure,
+        x_start=np.concatenate([nlp.x_start, np.zeros(k)]),
+        x_low=np.concatenate([lowest, np.zeros(k)]),
+        x_high=np.concatenate([highest, np.full(k, FREE)]),
+        p=np.concatenate([np.ones(k), nlp.p]),
+        x_symbol=casadi.vertcat(x, s),
+        p_symbol=casadi.vertcat(weights, nlp.p_symbol),
+        f_expression=casadi.dot(weights, s),
+        g_expression=casadi.vertcat(*[row.value for row in rows]),
+        residual_expression=casadi.SX(1, 1),
+    )
+
+
+class _Search:
+    """Least total slack of the limits that may give, the others hard, the dropped ones free.
+
+    Both back ends are asked, so that the answer does not depend on which one the user chose. `follow` gives the parameters of the
+    programme with its roaming positions at the peaks of a point.
+    """
+
+    def __init__(
+        self, nlp: NLP, limits: list[Side], points: list[Array], names: Sequence[str] = BACKENDS, follow: Follow | None = None
+    ) -> None:
+        self.follow, self.p = follow, nlp.p.copy()
+        self.programme, self.n, self.k = elastic(nlp, limits), len(nlp.variables), len(limits)
+        self.points = points
+        self.last: list[Array] = []  # where the search before ended
+        self.solvers = [backend(name) for name in reversed(names)]
+        self.enough, self.amount, self.settled = ENOUGH, False, True
+
+    def least(self, weights: Array, loose: Array) -> tuple[float, Array]:
+        """The least weighted slack, and x with the slacks; `loose` (k,) are the upper bounds of the slacks.
+
+        The roaming positions are moved to the peaks of what was found until it meets all limits there too (exchange): always
+        where it meets them without slack, else where the `amount` is asked for. `settled` says whether that ended.
+        """
+        self.programme.x_high[self.n :] = loose  # in place: what is compiled for the programme is kept
+        total, found = self._searched(weights, loose, self.enough)
+        self.settled = self.follow is None
+        for _ in range(EXCHANGES):
+            if self.follow is None or not math.isfinite(total) or (total > MET and not self.amount):
+                break
+            self.p = self.follow(found[: self.n]).copy()
+            self.settled = self._missed(found, weights) <= FOLLOWED
+            if self.settled:
+                break
+            total, found = self._searched(weights, loose, 1)
+        return total, found
+
+    def _missed(self, x: Array, weights: Array) -> float:
+        """By how much a point misses the relaxed limits (scaled)."""
+        nlp = self.programme
+        g = nlp.at(x, np.concatenate([weights, self.p])).g
+        return float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
+
+    def _searched(self, weights: Array, loose: Array, enough: int) -> tuple[float, Array]:
+        """The least weighted slack with the roaming positions where they are; it ends when `enough` searches agree."""
+        nlp, p = self.programme, np.concatenate([weights, self.p])
+        best, found = math.inf, np.full(self.n + self.k, math.inf)
+        ends: list[float] = []
+        points = [*self.last, *self.points]
+        most = len(points)  # as many searches without an end that counts mean that there is none
+        turns = range(len(self.solvers))
+        for point, solver in [(point, self.solvers[(i + k) % len(turns)]) for k in turns for i, point in enumerate(points)]:
+            x = self._slackened(point, weights, loose)
+            for run in (None, solver):  # the point itself may do already
+                end = x if run is None else run(nlp, x, p).x
+                total = float(weights @ end[self.n :]) if self._missed(end, weights) <= MET else math.inf
+                if total < best:
+                    best, found, self.last = total, end, [end[: self.n]]
+                if best <= 1e-9:
+                    return best, found
+            ends.append(total)
+            settled = sum(total <= best * (1.0 + SAME) for total in ends) >= enough
+            if settled if math.isfinite(best) else len(ends) >= most:
+                break
+        return best, found
+
+    def _slackened(self, point: Array, weights: Array, loose: Array) -> Array:
+        """A point with the slacks that it needs, as far as they may go."""
+        nlp = self.programme
+        x = np.concatenate([point, np.zeros(self.k)])
+        here = nlp.at(x, np.concatenate([weights, self.p]))
+        need = np.nan_to_num(np.maximum(0.0, nlp.low - here.g) - np.maximum(0.0, here.g - nlp.high))
+        x[self.n :] = np.minimum(np.max(here.jacobian[:, self.n :] * need[:, None], axis=0, initial=0.0), loose)
+        return x
+
+
+def explain(
+    nlp: NLP, seed: int = 0, points: list[Array] | None = None, *, quick: bool = False, follow: Follow | None = None
+) -> Explanation | Array:
+    """Name the conflict of an infeasible programme, or give the x of a feasible design where there is one after all.
+
+    Local searches from several starts by both back ends (from `points`, or the start and Sobol points): a proof only in the sense
+    that none of them found a design.
+
+    Parameters
+    ----------
+    nlp : NLP
+    seed : int
+        Of the Sobol points.
+    points : list of arrays (n,), optional
+        Where to search from.
+    quick : bool
+        For large programmes: by the interior-point method alone, and after the first verdict by one search for each question,
+        by two for each amount.
+    follow : function, optional
+        Of a point x (n,): the parameters of the programme with its roaming positions at the peaks there.
+    """
+    limits = sides(nlp)
+    k = len(limits)
+    search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points, ("ipopt",) if quick else BACKENDS, follow)
+    free = np.full(k, FREE)
+    search.enough = AGREEING if quick else ENOUGH
+    total, x = search.least(np.ones(k), free)
+    search.enough = 1 if quick else ENOUGH
+    if total <= MET:
+        return np.clip(x[: search.n], nlp.x_low, nlp.x_high)
+    if not math.isfinite(total):
+        return Explanation(search.points[0], (), ())
+    slacks = x[search.n :]
+    together = [_relaxation(side, float(slack)) for side, slack in zip(limits, slacks, strict=True) if slack > MET]
+    together = [replace(item, approximate=follow is not None) for item in together]
+    conflict = []
+    named = _irreducible(search, free, slacks > MET)
+    search.enough, search.amount = AGREEING if quick else ENOUGH, True
+    for i in named:
+        alone = np.eye(k)[i]
+        slack, _ = search.least(alone, FREE * alone)
+        conflict.append(replace(_relaxation(limits[i], slack), approximate=not search.settled))
+    return Explanation(x[: search.n], tuple(conflict), tuple(together))
+
+
+def _begin(nlp: NLP, seed: int) -> list[Array]:
+    points = starts(nlp, LOOKED_AT, seed)
+    return sorted(points, key=lambda point: not np.all(np.isfinite(nlp.values(point, nlp.p)[1])))[:STARTS]
+
+
+def _irreducible(search: _Search, free: Array, giving: NDArray[np.bool_]) -> list[int]:
+    """Indices of limits that cannot hold together while every part of them can; `giving` (k,): those that gave way at first."""
+    k = len(free)
+    for i in np.argsort(~giving, kind="stable").tolist():  # a limit that nothing can meet is the clearest of all conflicts
+        if MET < search.least(np.eye(k)[i], free)[0] < math.inf:
+            return [i]
+    kept = _conflicting(search, free, giving)
+    for i in map(int, np.flatnonzero(kept)):
+        kept[i] = 0.0
+        if not MET < search.least(kept, free)[0] < math.inf:
+            kept[i] = 1.0
+    return [int(i) for i in np.flatnonzero(kept)]
+
+
+def _conflicting(search: _Search, free: Array, giving: NDArray[np.bool_]) -> Array:
+    """1 for limits that cannot hold together, 0 for the others (elastic filter); all of them where a search fails."""
+    held = np.where(giving, 1.0, 0.0)
+    while search.least(held, free)[0] <= MET:
+        _, x = search.least(1.0 - held, np.where(held > 0.0, 0.0, free))
+        giving = (x[search.n :] > MET) & (held == 0.0)
+        if not np.all(np.isfinite(x)) or not np.any(giving):
+            return np.ones(len(free))
+        held[giving] = 1.0
+    return held
+
+
+def _relaxation(side: Side, slack: float) -> Relaxation:
+    upper = side.upper != side.scale.cosine
+    bound = side.scale.people(side.bound)
+    relaxed = side.scale.people(side.bound + (slack if side.upper else -slack)) if math.isfinite(slack) else math.nan
+    return Relaxation(side.key, side.name, "<=" if upper else ">=", bound, relaxed, abs(relaxed - bound), side.scale.unit)

@@ -1,0 +1,157 @@
+"""Exchange method for limits that hold over a whole range: positions move to where a limit is exceeded, and the search resumes.
+
+References
+----------
+R. Hettich, K. O. Kortanek, Semi-infinite programming: theory, methods, and applications, SIAM Review 35 (1993) 380-429.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Status
+from optlink.linkage.extrema import Function, extremes
+from optlink.optimization.nlp import NLP
+from optlink.optimization.path_nlp import ROAMING_ROWS, excesses, required_motion
+from optlink.problem.path import GenerationProblem
+from optlink.solvers import multistart as local
+from optlink.solvers.newton import polish
+from optlink.solvers.semi_infinite import with_places
+from optlink.solvers.solution import Solution
+
+Array = NDArray[np.float64]
+
+ALONG = 1441  # positions along the required motion at which limits are compared
+EXCEEDED = 2e-9  # of a limit in its row's own unit, by which it may be exceeded: less than the validator lets pass
+EXCHANGES = 16  # rounds
+RADIUS, SMALLEST = 0.3, 1e-3  # scaled units: how far the sizes may move in the first round; where the rounds end
+NEAR = 0.1  # in a row's own unit: a peak that is that much lower than its limit may exceed it in the next round
+CLOSE = 0.02  # the same for peaks whose places are unknowns of the programme
+REACH = 0.02  # of the motion, by which such a place may move in a round
+EDGE = 1e-3  # of the motion: a peak that near to its end may be there although its slope does not vanish
+APART = 1e-4  # of the motion; nearer than that two positions are one
+MISSED = 1e3  # what it costs to exceed a limit by one, in objectives
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A local maximum of a row, at a share of the required motion."""
+
+    at: float
+    height: float
+    row: int
+
+
+def search_everywhere(task: GenerationProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
+    """The optimum near a start that keeps its limits also between the positions that the programme knows.
+
+    In every round the roaming positions move to where the limits are exceeded or nearly so, and the programme is solved
+    within a radius, in which these places hardly move; a step counts only if what is measured between all positions is better.
+
+    Parameters
+    ----------
+    start : Solution
+        A point of the programme.
+    near : bool
+        Whether the start keeps its limits everywhere and the first search, too, stays within the radius.
+    """
+    nlp = start.nlp
+    if not nlp.roaming:
+        return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend)
+    nlp.roam((np.arange(nlp.roaming) + 0.5) / nlp.roaming)
+    found = local.given(nlp, start.x, start.message)
+    if not near and found.status is not Status.OPTIMAL:
+        found = local.solve_from(nlp, start.x, backend)
+    radius, tops = RADIUS, _tops(task, found)
+    for _ in range(EXCHANGES):
+        if not math.isfinite(found.objective):
+            break
+        nlp.roam(_places(tops, nlp.roaming))
+        found = local.given(nlp, found.x, found.message)
+        if (found.status is Status.OPTIMAL and tops[0].height <= 0.0) or radius < SMALLEST:
+            break
+        moved = _followed(nlp, found, len(task.free), radius, backend, tops)
+        there = _tops(task, moved)
+        if _merit(moved, there) < _merit(found, tops):
+            found, tops = moved, there
+        else:
+            radius *= 0.25
+    settled = tops[0].height <= 0.0 or not found.usable
+    return found if settled else replace(found, status=Status.STALLED, message="limits are exceeded between the positions")
+
+
+def _followed(nlp: NLP, start: Solution, count: int, radius: float, backend: str, tops: list[Peak]) -> Solution:
+    """The optimum with the first `count` variables within a radius of a start, the places of active peaks among the unknowns."""
+    chosen = [top for top in tops[: nlp.roaming] if top.height > -CLOSE and EDGE < top.at < 1.0 - EDGE]
+    chosen.sort(key=lambda top: (top.row, top.at))
+    rows = tuple(top.row for top in chosen)
+    key = f"following {rows}"
+    nlp.roam(_places([*chosen, *tops], nlp.roaming))
+    if key not in nlp.cache:
+        first, each = nlp.cache[ROAMING_ROWS]
+        heights = {k: nlp.g_expression[first + k * each + row] for k, row in enumerate(rows)}
+        nlp.cache[key] = with_places(nlp, nlp.roaming, heights)
+    moving: NLP = nlp.cache[key]
+    moving.p[:] = nlp.p
+    x, n = np.concatenate([start.x, [top.at for top in chosen]]), len(start.x)
+    low = np.concatenate([nlp.x_low, x[n:] - REACH])
+    high = np.concatenate([nlp.x_high, x[n:] + REACH])
+    low[:count], high[:count] = np.maximum(low[:count], x[:count] - radius), np.minimum(high[:count], x[:count] + radius)
+    for i in range(len(x)):
+        moving.limit(i, low[i], upper=False)
+        moving.limit(i, high[i], upper=True)
+    p = local.scaled(moving, x)
+    end = polish(moving, local.backend(backend)(moving, x, p), p)
+    return local.given(nlp, end.x[:n], end.message)
+
+
+def _merit(found: Solution, tops: list[Peak]) -> float:
+    """The objective, and what it costs that limits are exceeded, at the programme's positions or between them."""
+    missed = max(found.violation, tops[0].height, 0.0)
+    return found.objective + MISSED * missed * abs(found.objective) if math.isfinite(missed) else math.inf
+
+
+def _tops(task: GenerationProblem, found: Solution) -> list[Peak]:
+    """Where limits are exceeded or nearly so, the worst first."""
+    return peaks(excess_over(task, found), np.linspace(0.0, 1.0, ALONG), NEAR) or [Peak(0.0, -math.inf, 0)]
+
+
+def _places(tops: list[Peak], count: int) -> Array:
+    """The first places, and others in between where there is room."""
+    chosen: list[float] = []
+    for at in [*(top.at for top in tops if top.height > -NEAR), *((np.arange(count) + 0.5) / count).tolist()]:
+        if len(chosen) < count and all(abs(at - other) > APART for other in chosen):
+            chosen.append(at)
+    return np.array(chosen + chosen[:1] * (count - len(chosen)))
+
+
+def excess_over(task: GenerationProblem, found: Solution) -> Function:
+    """By how much a design exceeds its limits, less what may be exceeded, at shares (n,) of the required motion."""
+    values = {name: quantity.value for name, quantity in task.quantities.items()} | found.design
+    own = found.x[len(task.free) :][: len(task.data.columns)] if task.data.offsets is None else None
+    begin, whole = required_motion(task, task.crank_angles(values, own))
+    return lambda at: excesses(task, values, begin + whole * at) - EXCEEDED
+
+
+def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[Peak]:
+    """Local maxima of all rows, largest first; only those above -near.
+
+    Parameters
+    ----------
+    heights : positions (n,) -> values (rows, n)
+    grid : (n,) float, rising
+    """
+    values = heights(grid)
+    padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
+    top = (values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > -2.0 * near)
+    found: list[Peak] = []
+    for row, k in np.argwhere(top).tolist():
+        bracket = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)], 9)
+        at, value = extremes(lambda u: heights(u)[row : row + 1], bracket)  # noqa: B023
+        found.append(Peak(float(at[0, 1]), float(value[0, 1]), row))
+    found.sort(key=lambda peak: -peak.height)
+    return [peak for k, peak in enumerate(found) if all(abs(peak.at - other.at) > APART for other in found[:k])]

@@ -1,0 +1,285 @@
+"""Peaks between the positions that a machine's programme knows: found, followed, and levelled (E. Remez; local reduction)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Status
+from optlink.linkage.extrema import extremes
+from optlink.optimization.constraints import PLAIN, Row
+from optlink.optimization.cycle_constraints import Watched
+from optlink.optimization.cycle_nlp import CycleNLP
+from optlink.optimization.nlp import NLP, Variable
+from optlink.solvers import multistart
+from optlink.solvers.newton import polish
+from optlink.solvers.solution import FEASIBLE, STATIONARY, Attempt, Solution, examine, stationarity, violation
+
+Array = NDArray[np.float64]
+
+ALONG = 241  # positions per stroke at which a peak is looked for
+EXCHANGES, LEVELLED = 40, 1e-10  # rounds, and the share by which a peak may exceed those that the programme knows
+SETTLED = 1e-8  # the same where the rounds are over
+PEAK = "place of a peak"
+REACH = 0.25  # of a stroke, by which such a place may move in one round
+EDGE = 1e-6  # of a stroke: a peak that near to its end is there by the jump of a force, not by a vanishing slope
+CLOSE = 0.05  # share of its level by which a peak whose place is an unknown may be lower
+RADIUS, SMALLEST = 0.1, 1e-7  # scaled units: how far the sizes may move in the first round; where it ends
+MISSED = 100.0  # what missing a limit by its own size costs, in objectives
+SAME = 1e-9  # of a stroke: two peaks that near to one another are one
+EXACTLY = 1e-9  # scaled units: distance at which a row counts as active in the proof
+SHARP = (1e-4, 1e-7, 1e-9)  # scaled units: distances at which rows may count as active in the last steps of Newton
+ALLOWED = 1e2 * FEASIBLE  # violation of the programme with moving peaks, whose equations are steep
+BESIDE = 0.02  # of a stroke: other positions keep away from peaks, beside which they would seem to hold the sizes too
+NEAR = 0.3  # share of its level by which a local peak may be lower and yet be followed
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Where terms are largest along every stroke.
+
+    `shares` (slots,): positions within the strokes, 0 at the begin and 1 at the end, for the roaming positions. `excess`: by
+    which share of its level the worst peak exceeds it. `inner`: (slot, index of what is watched) of peaks inside a stroke.
+    `tops`: the largest value of everything that is watched, in its own scale; -inf where it is far below what counts.
+    """
+
+    shares: Array
+    excess: float
+    inner: tuple[tuple[int, int], ...]
+    tops: tuple[float, ...]
+
+
+def level(nlp: CycleNLP, solution: Solution) -> Solution:
+    """Move the roaming positions to the peaks, and search on, until no peak exceeds what the programme knows.
+
+    With its positions held a programme does not see that a peak gives way as the sizes change: where limits alone do not settle
+    the design, steps overshoot to and fro. So the places of the peaks become unknowns too, the sizes move within a radius, and a
+    step counts only if what is measured at the peaks becomes better. These small steps, whichever back end found the design, are
+    those of SLSQP, which goes on from where it stands.
+
+    Source: R. Hettich, K. O. Kortanek, Semi-infinite programming, SIAM Review 35 (1993) 380-429: exchange; local reduction.
+    """
+    if not solution.usable:
+        return solution
+    found, radius = peaks(nlp, solution.x), RADIUS
+    for _ in range(EXCHANGES):
+        nlp.roam(found.shares)
+        solution = _examined(nlp, Attempt(nlp.lifted(solution.x), solution.iterations, solution.message))
+        if (found.excess <= LEVELLED and solution.status is Status.OPTIMAL) or radius < SMALLEST:
+            break
+        merit = _merit(nlp, solution.x, found)
+        for step in (_polished, _followed):
+            nlp.roam(found.shares)
+            near = step(nlp, nlp.lifted(solution.x), found, radius)
+            if near is None:
+                continue
+            there = peaks(nlp, near.x)
+            settled = there.excess <= LEVELLED and near.status is Status.OPTIMAL
+            if _merit(nlp, near.x, there) < merit + (1e-9 if settled else -1e-12) * abs(merit):
+                moved = _distance(nlp, near.x, solution.x)
+                radius = max(radius, 2.0 * moved) if moved > 0.9 * radius else radius
+                solution, found = near, there
+                break
+        else:
+            radius *= 0.25
+    settled = found.excess <= SETTLED and solution.usable
+    return solution if settled else replace(solution, status=Status.STALLED, message="the peaks did not settle")
+
+
+def held(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
+    """Where a back end goes from a levelled design: an optimum holds it."""
+    found = peaks(nlp, solution.x)
+    nlp.roam(found.shares)
+    near = _followed(nlp, nlp.lifted(solution.x), found, RADIUS, name)
+    return solution if near is None else level(nlp, near)
+
+
+def _merit(nlp: CycleNLP, x: Array, found: Peaks) -> float:
+    """The objective as measured at the peaks, and what it costs that limits are missed there."""
+    x, missed = x.copy(), 0.0
+    for watched, top in zip(nlp.watched, found.tops, strict=True):
+        if watched.level is None:
+            missed = max(missed, top - watched.bound)
+        elif math.isfinite(top):
+            x[watched.level] = top
+    objective = nlp.measure.of(nlp.residuals(x))
+    return objective + MISSED * missed * abs(objective)
+
+
+def _distance(nlp: CycleNLP, x: Array, other: Array) -> float:
+    """Largest difference of the free sizes, scaled."""
+    count = len(nlp.free)
+    return float(np.max(np.abs(x[:count] - other[:count])))
+
+
+def _examined(nlp: CycleNLP, attempt: Attempt) -> Solution:
+    """A point with its proof, in which only rows count that hold the sizes exactly.
+
+    Beside a peak a second position is all but active too: were both to count, they would seem to hold what can still move.
+    """
+    p = multistart.scaled(nlp, attempt.x)
+    found = examine(nlp, attempt, p)
+    if not found.usable:
+        return found
+    kkt = stationarity(nlp, found.x, nlp.at(found.x, p), EXACTLY).kkt
+    return replace(found, kkt=kkt, status=Status.OPTIMAL if kkt <= STATIONARY else Status.STALLED)
+
+
+def _polished(nlp: CycleNLP, x: Array, found: Peaks, radius: float) -> Solution | None:
+    """The optimum with the positions held, by a few steps of Newton; None where there is none near."""
+    near = _examined(nlp, polish(nlp, Attempt(x, 0, "peaks followed"), multistart.scaled(nlp, x)))
+    return near if near.status is Status.OPTIMAL and _distance(nlp, near.x, x) <= radius else None
+
+
+def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = "slsqp") -> Solution | None:
+    """The optimum within a radius, the places of the peaks among the unknowns; None where there is none."""
+    n, count = len(nlp.variables), len(nlp.free)
+    moving, start = _moving(nlp, x, found)
+    low, high = np.maximum(nlp.x_low, x - radius), np.minimum(nlp.x_high, x + radius)
+    for i in range(len(start)):
+        if i < count or i >= n:
+            moving.limit(i, low[i] if i < n else max(start[i] - REACH, 0.0), upper=False)
+            moving.limit(i, high[i] if i < n else min(start[i] + REACH, 1.0), upper=True)
+    p = multistart.scaled(moving, start)
+    end = multistart.backend(name)(moving, start, p, tight=True)
+    for attempt in (polish(moving, end, p), end):
+        if violation(moving, attempt.x, moving.values(attempt.x, p)[1]) > ALLOWED:
+            continue
+        shares = found.shares.copy()
+        shares[[slot for slot, _ in found.inner]] = attempt.x[n:]
+        nlp.roam(shares)
+        near = _examined(nlp, Attempt(nlp.lifted(attempt.x[:n]), attempt.iterations, attempt.message))
+        if near.status is Status.OPTIMAL or attempt is end:
+            return near
+    return None
+
+
+def sharpened(nlp: CycleNLP, solution: Solution) -> Solution:
+    """The same optimum to its last digits, by Newton's method with the places of the peaks among the unknowns."""
+    n, found = len(nlp.variables), peaks(nlp, solution.x)
+    nlp.roam(found.shares)
+    moving, start = _moving(nlp, nlp.lifted(solution.x), found)
+    begin, p = Attempt(start, solution.iterations, solution.message), multistart.scaled(moving, start)
+    tries = (polish(moving, begin, p, near) for near in SHARP)
+    end = next((found for found in tries if found is not begin), begin)
+    shares = found.shares.copy()
+    shares[[slot for slot, _ in found.inner]] = end.x[n:]
+    nlp.roam(shares)
+    near = _examined(nlp, replace(end, x=nlp.lifted(end.x[:n])))
+    return near if near.status is Status.OPTIMAL else solution
+
+
+def _moving(nlp: CycleNLP, x: Array, found: Peaks) -> tuple[NLP, Array]:
+    """The programme with the places of inner peaks as unknowns, made once for each set of them, and where it begins."""
+    key = f"following {found.inner}"
+    if key not in nlp.cache:
+        nlp.cache[key] = following(nlp, found.inner)
+    moving: NLP = nlp.cache[key]
+    count = len(found.inner)
+    for i, (low, high) in enumerate(zip((*nlp.x_low, *[0.0] * count), (*nlp.x_high, *[1.0] * count), strict=True)):
+        moving.limit(i, low, upper=False)
+        moving.limit(i, high, upper=True)
+    return moving, np.concatenate([x, [found.shares[slot] for slot, _ in found.inner]])
+
+
+def following(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> NLP:
+    """The programme with the places of inner peaks as unknowns: each where the slope of what is watched vanishes."""
+    return with_places(nlp, nlp.slots, {slot: nlp.watched[index].height(nlp.roamed[slot]) for slot, index in inner})
+
+
+def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
+    """A programme with some of its roaming positions as unknowns, which come last: each where the slope of a height vanishes.
+
+    Parameters
+    ----------
+    nlp : NLP
+        Its last `slots` parameters are the roaming positions.
+    heights : mapping of the number of a roaming position to a casadi expression of the programme's x and p
+    """
+    n, first, count = len(nlp.variables), len(nlp.p) - slots, len(heights)
+    x = casadi.SX.sym("x", n + count)
+    slopes, p = [], casadi.vertsplit(nlp.p_symbol)
+    for k, (slot, height) in enumerate(heights.items()):
+        slopes.append(casadi.gradient(height, nlp.p_symbol[first + slot]))
+        p[first + slot] = x[n + k]
+    given = [nlp.f_expression, nlp.g_expression, nlp.residual_expression, casadi.vertcat(*slopes)]
+    f, g, residual, slope = casadi.substitute(given, [nlp.x_symbol, nlp.p_symbol], [x[:n], casadi.vertcat(*p)])
+    at = np.array([nlp.p[first + slot] for slot in heights])
+    names = [f"{PEAK} {k + 1}" for k in range(count)]
+    return NLP(
+        variables=(*nlp.variables, *(Variable(label, 1.0, PLAIN) for label in names)),
+        fixed=nlp.fixed,
+        rows=(*nlp.rows, *(Row(PEAK, label, slope[k], 0.0, 0.0, PLAIN) for k, label in enumerate(names))),
+        measure=nlp.measure,
+        x_start=np.concatenate([nlp.x_start, at]),
+        x_low=np.concatenate([nlp.x_low, np.zeros(count)]),
+        x_high=np.concatenate([nlp.x_high, np.ones(count)]),
+        p=nlp.p,
+        x_symbol=x,
+        p_symbol=nlp.p_symbol,
+        f_expression=f,
+        g_expression=casadi.vertcat(g, slope),
+        residual_expression=residual,
+        exact=nlp.exact,
+        factor=nlp.factor,
+        helpers=nlp.helpers | {PEAK, *names},
+        states=nlp.states | {PEAK, *names},
+    )
+
+
+def peaks(nlp: CycleNLP, x: Array) -> Peaks:
+    """Where terms are largest along every stroke."""
+    trace, edges, slots = nlp.traced, nlp.edges(x), nlp.slots // nlp.strokes
+    known = trace.known(nlp.design(x))
+    grid = np.linspace(0.0, 1.0, ALONG)
+    shares = nlp.p[len(nlp.p) - nlp.slots :].copy()  # what was a peak before stays as long as there is room
+    worst, tops, inner = -math.inf, [-math.inf] * len(nlp.watched), []
+    for j in range(nlp.strokes):
+        begin, span = edges[j], edges[j + 1] - edges[j]
+        senses = np.asarray(trace.sensed([*known, begin + 0.5 * span]), dtype=float).ravel()
+
+        def signals(at: Array, begin: float = begin, span: float = span, senses: Array = senses) -> Array:
+            return trace.signals(*known, begin + span * at, *senses)
+
+        found: list[tuple[float, float, int]] = []
+        whole = signals(grid)
+        for index, watched in enumerate(nlp.watched):
+            top = x[watched.level] if watched.level is not None else watched.bound
+            size = max(abs(top), 1e-9)
+            least = top - 1.1 * NEAR * size
+            own = list(_local(watched, least, whole, grid, signals))
+            found += [((height - top) / size, at, index) for height, at in own]
+            tops[index] = max([tops[index], *(height for height, _ in own)])
+        if found:
+            worst = max(worst, max(found)[0])
+        chosen: list[float] = []
+        for excess, at, index in sorted(found, reverse=True):
+            if excess < -NEAR or len(chosen) == slots:
+                break
+            if all(abs(at - other) > SAME for other in chosen):
+                if excess > -CLOSE and EDGE < at < 1.0 - EDGE:
+                    inner.append((j * slots + len(chosen), index))
+                chosen.append(at)
+        for other in (*shares[j * slots : (j + 1) * slots].tolist(), *np.linspace(0.0, 1.0, 2 * slots).tolist()):
+            if len(chosen) < slots and all(abs(other - at) > BESIDE for at in chosen):
+                chosen.append(other)
+        shares[j * slots : (j + 1) * slots] = chosen
+    return Peaks(shares, worst, tuple(sorted(inner)), tuple(tops))
+
+
+def _local(
+    watched: Watched, least: float, whole: Array, grid: Array, signals: Callable[[Array], Array]
+) -> Iterator[tuple[float, float]]:
+    """Local peaks (height, place) of a term along a stroke that are at least so high, closed in on."""
+    score = watched.score(whole)
+    left, right = np.insert(score[:-1], 0, -np.inf), np.append(score[1:], -np.inf)
+    for k in np.flatnonzero((score >= left) & (score > right) & (score >= least)).tolist():
+        bracket = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)], 9)
+        at, values = extremes(lambda u: watched.score(signals(u))[None, :], bracket)
+        yield float(values[0, 1]), float(at[0, 1])

@@ -1,0 +1,214 @@
+"""The task that analyses the design at every point of a grid, without optimisation.
+
+Designs that stay clear of every singular position go through in batches; the others, and those whose loads jump, are analysed one
+by one, as `optlink analyze` does. Both give the exact extremes of the motion, to the same digits but rounding.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import Record, slider_names
+from optlink.dynamics.machine import Machine
+from optlink.errors import Fault, InputError
+from optlink.linkage.alignment import listed
+from optlink.linkage.stroke import Ranges, failure, reachable
+from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import nearest
+from optlink.studies.grid import Axis
+from optlink.studies.sweep_task import Sweeping, figure
+from optlink.tasks.analyze import Analysis, analyze, crank_speed, machine_of
+from optlink.tasks.batch import analyze_batch, batch_extremes, reaction_parts
+from optlink.units import factor
+
+Array = NDArray[np.float64]
+
+MANY = 2000  # designs of a chunk
+FIGURES = ("min", "max", "rms")
+ANALYSED = "analysed"
+ANGLE = ".angle_rad"  # its extremes are those of the swing
+
+
+class Outcome(NamedTuple):
+    """What became of one design: its figures by name, and why they are missing where they are."""
+
+    figures: Mapping[str, float]
+    status: str
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Analysing(Sweeping):
+    """Designs as they are: figures of the analysis over the whole revolution.
+
+    Parameters
+    ----------
+    quantities : name of the mechanism's quantity of every axis
+    asked : columns of the analysis, each of which gives its least, largest and rms value, or single figures of it
+    points : int
+        Crank angles per revolution, for rms values.
+    design : design [SI] of what is free and not varied
+    """
+
+    quantities: tuple[str, ...]
+    asked: tuple[str, ...]
+    points: int
+    design: tuple[tuple[str, float], ...]
+
+    @cached_property
+    def figures(self) -> tuple[str, ...]:
+        """Names of the figures, in the order of the table.
+
+        Raises
+        ------
+        InputError
+            where a name is none of the analysis.
+        """
+        columns, single = known_figures(self.problem)
+        found: dict[str, None] = {}
+        for name in self.asked:
+            if name in columns:
+                found |= dict.fromkeys(f"{name}.{kind}" for kind in FIGURES)
+            elif name in single or (name.rpartition(".")[0] in columns and name.rpartition(".")[2] in FIGURES):
+                found[name] = None
+            else:
+                raise InputError(Fault("no such column", nearest(name, (*columns, *single)), self.file, "--column", name))
+        return tuple(found)
+
+    @property
+    def columns(self) -> list[str]:
+        """The axes, the figures, and what became of the design."""
+        return [*(axis.column for axis in self.grid.axes), *self.figures, "status", "valid", "reason"]
+
+    def lines(self, index: int) -> list[list[str]]:
+        """Rows of a chunk."""
+        values = [self.grid.values(point) for point in self.span(index)]
+        known = self.problem.model.mechanism.quantities
+        designs = {name: np.full(len(values), value) for name, value in self.design}
+        for name, axis, column in zip(self.quantities, self.grid.axes, np.array(values).T, strict=True):
+            designs[name] = column * factor(axis.unit, known[name].kind)
+        clear = self._batched(designs)
+        rows = []
+        for i, own in enumerate(values):
+            outcome = clear.get(i) or self._alone({name: float(sizes[i]) for name, sizes in designs.items()})
+            cells = [outcome.figures.get(name, math.nan) for name in self.figures]
+            missing = [name for name, cell in zip(self.figures, cells, strict=True) if not math.isfinite(cell)]
+            status, reason = outcome.status, outcome.reason
+            if status == ANALYSED and missing:
+                status, reason = "no value", f"{missing[0]} has no value for this design"
+            valid = str(status == ANALYSED).lower()
+            rows.append([*map(repr, own), *map(figure, cells), status, valid, reason])  # repr: the axes' own digits
+        return rows
+
+    def _batched(self, designs: Mapping[str, Array]) -> dict[int, Outcome]:
+        """Outcomes of the designs that are clear of all singular positions, by their number."""
+        stems = {name.rpartition(".")[0] for name in self.figures}
+        columns, _ = known_figures(self.problem)
+        jumps = machine_of(self.problem).switching or any(load.by_pace for load in self.problem.model.loads.values())
+        if jumps or not stems <= {name for name in columns if not name.endswith(ANGLE)}:
+            return {}
+        extremes, clear = batch_extremes(self.problem, designs, tuple(sorted(stems)))
+        numbers = np.flatnonzero(clear)
+        if not numbers.size:
+            return {}
+        found = {f"{name}.{kind}": both[numbers, k] for name, both in extremes.items() for k, kind in enumerate(FIGURES[:2])}
+        for name in {name.removesuffix(".rms") for name in self.figures if name.endswith(".rms")}:
+            parts = reaction_parts(name)
+            sampled = analyze_batch(self.problem, {key: sizes[numbers] for key, sizes in designs.items()}, parts, self.points)
+            with np.errstate(all="ignore"):
+                found[f"{name}.rms"] = np.sqrt(np.mean(sum(np.square(sampled[part]) for part in parts), axis=1))
+        return {
+            int(number): Outcome({name: float(column[i]) for name, column in found.items()}, ANALYSED)
+            for i, number in enumerate(numbers)
+        }
+
+    def _alone(self, design: Mapping[str, float]) -> Outcome:
+        """The outcome of one design [SI], whatever is wrong with it."""
+        machine = machine_of(self.problem, design)
+        ranges = reachable(machine.mechanism, machine.sizes)
+        if not ranges.full:
+            return Outcome(
+                {}, "partial rotation" if ranges.ranges else "not assembled", _unreached(self.problem, machine, ranges)
+            )
+        found = analyze(self.problem, self.points, design=design)
+        if not found.sound:
+            return Outcome({}, "singular position" if found.singular.size else "no finite reactions", _unsound(found))
+        return Outcome({**found.figures, **dict(self._sampled(found))}, ANALYSED)
+
+    def _sampled(self, found: Analysis) -> Iterator[tuple[str, float]]:
+        """Figures that the summary of the analysis does not have: rms values, and extremes of angles."""
+        for name in {name.rpartition(".")[0] for name in self.figures}:
+            parts = reaction_parts(name)
+            if not all(part in found.columns for part in parts):
+                continue
+            yield f"{name}.rms", math.sqrt(sum(float(np.mean(np.square(found[part][:-1]))) for part in parts))
+            if name.endswith(ANGLE):
+                swing = found.swings.get(name.removesuffix(ANGLE))
+                yield f"{name}.min", float(np.min(found[name])) if swing is None else swing.low
+                yield f"{name}.max", float(np.max(found[name])) if swing is None else swing.high
+
+
+def known_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Columns of the analysis, whose extremes and rms values can be columns of a sweep; and its other figures."""
+    machine, drive = machine_of(problem), problem.model.drive
+    mechanism = machine.mechanism
+    columns = list(Record(machine.moving(np.array([drive.start.value]), crank_speed(problem))).columns)
+    for point, bodies in mechanism.pins.items():
+        columns += [f"{point}.f_N"] if len(bodies) == 2 else [f"{point}.{body}.f_N" for body in bodies]
+    sliders = set(slider_names(machine).values())
+    single = [f"{name}.{kind}" for name in sliders for kind in ("stroke_m", "time_ratio")]
+    for link in mechanism.links:
+        single += [f"{link.body}.swing_rad", f"{link.body}.{'swing_' if link.body in sliders else ''}time_ratio"]
+    return tuple(columns), (*sorted(single), "input.work_per_revolution_J", "input.work_J.min", "input.work_J.max")
+
+
+def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:
+    """Where the crank can turn, and what stops it."""
+    deg = math.degrees
+    if ranges.ranges:
+        reach = ", ".join(f"{deg(low):.6g} ... {deg(high):.6g} deg" for low, high in ranges.ranges)
+        return f"the crank does not turn fully; reachable: {reach}"
+    failed = failure(machine.mechanism, machine.sizes, problem.model.drive.start.value)
+    return f"no crank angle can be reached{f': {failed}' if failed else ''}"
+
+
+def _unsound(found: Analysis) -> str:
+    """Why an analysis is not sound, and where."""
+    if found.ranges.singular:
+        where = f"singular position at crank angle {listed(found.ranges.singular)}"
+        return f"{where}: the assembly modes meet, and the motion beyond it is not determined"
+    for angles, what in (
+        (found.singular, "singular position, reactions are infinite,"),
+        (found.jammed, "friction locks a guide"),
+        (found.undefined, "a load has no finite value"),
+    ):
+        if angles.size:
+            more = f" and {angles.size - 1} more of the table" if angles.size > 1 else ""
+            return f"{what} at crank angle {math.degrees(float(angles[0])):.6g} deg{more}"
+    return "`optlink analyze` with --set at this point says why"
+
+
+def quantity_of(problem: ProblemFile, axis: Axis) -> str:
+    """Name of the mechanism's quantity that an axis varies: `mechanism.frame`, `mechanism.links.rod.length` or `rod.length`.
+
+    Raises
+    ------
+    InputError
+        when it varies something else: that changes what is asked, not what is analysed.
+    """
+    known = problem.model.mechanism.quantities
+    name = axis.key.removeprefix("mechanism.")
+    for start in ("links.", "ground.", "guides.", "points."):
+        name = name.removeprefix(start)
+    name = name.replace(".points.", ".").replace(".through.", ".")
+    if name not in known:
+        message = "only sizes of the mechanism can be varied without a new optimisation"
+        raise InputError(Fault(message, nearest(name, known), problem.file, f"--vary {axis.key}"))
+    return name

@@ -1,0 +1,52 @@
+"""From an optimum to that of a neighbouring problem: Newton's method on the optimality conditions, with the limits that held it.
+
+The first step is the one that sensitivities predict, the others take what is left. Where other limits hold the neighbour, the end
+is no optimum, which its examination shows: then a search is needed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Status
+from optlink.optimization.nlp import NLP
+from optlink.solvers.newton import newton
+from optlink.solvers.solution import Attempt, Solution, examine
+
+Array = NDArray[np.float64]
+MAX_STEPS = 8
+LONGEST = 0.3  # scaled units; a neighbour is not that far away
+CONVERGED = 1e-10
+FOLLOWED = "followed from a neighbour"
+
+
+def follow(nlp: NLP, near: Solution) -> Solution | None:
+    """The optimum of a programme whose parameters or bounds were moved since `near` was found; None where a search is needed."""
+    p = np.array([near.p[0], *nlp.p[1:]])
+    x, n = near.x, len(near.x)
+    active = np.array(near.proof.active, dtype=int)
+    rows = active[active >= n] - n
+    multipliers = near.proof.multipliers[active]
+    bound = np.where(multipliers > 0.0, nlp.upper[active], nlp.lower[active])
+    if not np.all(np.isfinite(bound)):
+        return None
+    unit, steps = np.eye(n), 0
+    while steps < MAX_STEPS:
+        here = nlp.at(x, p)
+        if not here.finite or np.max(np.abs(x - near.x), initial=0.0) > LONGEST:
+            return None
+        jacobian = np.vstack([unit, here.jacobian])[active]
+        missing = np.concatenate([x, here.g])[active] - bound
+        residual = np.concatenate([here.gradient + jacobian.T @ multipliers, missing])
+        if np.max(np.abs(residual), initial=0.0) <= CONVERGED:
+            break
+        weights = np.zeros(len(here.g))
+        weights[rows] = multipliers[len(active) - len(rows) :]
+        step = newton(nlp.hessian(x, p, weights), jacobian, residual)
+        if step is None:
+            return None
+        x, steps = x + step[:n], steps + 1
+        multipliers = multipliers + step[n:]
+    solution = examine(nlp, Attempt(nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)), steps, FOLLOWED), p)
+    return solution if solution.status is Status.OPTIMAL and not solution.curvature < 0.0 else None

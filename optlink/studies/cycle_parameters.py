@@ -1,0 +1,200 @@
+"""What the optimum of a machine that is designed by its cycle depends on: sizes, limits, masses, loads, friction, speed, gravity.
+
+Sizes and limits are numbers of its programme. The others go into the formulas: the programme is built once more with a little
+more and a little less of each; central differences of the optimality system, where the optimum is, tell what they change there.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Fault, InputError, Status
+from optlink.optimization.constraints import Scale
+from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
+from optlink.optimization.cycle_signals import Trace
+from optlink.problem.file import ProblemFile
+from optlink.problem.fixed_design import place
+from optlink.problem.limits import MARGIN_KEYS
+from optlink.solvers.semi_infinite import sharpened
+from optlink.solvers.solution import Solution
+from optlink.studies.cycle_task import restarted
+from optlink.studies.kkt_derivatives import Push, System
+from optlink.studies.parameters import Parameter, parameters
+from optlink.studies.toml_keys import raw_at, text
+from optlink.symbolic import Compiled
+from optlink.tasks.cycle import design_machine
+from optlink.tasks.cycle_result import task_of
+from optlink.units import KINDS, UnitProblem, factor
+
+Array = NDArray[np.float64]
+SECTIONS = ("bodies", "loads")  # joints have no figures that an ideal machine answers to
+ALONE = ("drive.speed", "gravity")
+STEP = 1e-4  # share of a number by which it is changed to either side: most go in linearly, the speed by its square
+TURNED = 0.01  # the same of an angle that is 0, in its unit
+ELSEWHERE = 0.02  # of the longest size: a neighbour further away than ten times its prediction and this is another optimum
+CLOSE = "slsqp"  # goes on from where it stands
+WHOLE = "%"  # of a table, whose values are changed together
+_FIGURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*)?")
+
+
+class Givens:
+    """What is given to a machine, and what each does to the optimality system at its optimum."""
+
+    def __init__(self, problem: ProblemFile, system: System) -> None:
+        assert isinstance(system.nlp, CycleNLP)
+        self.problem, self.system, self.nlp = problem, system, system.nlp
+
+    @cached_property
+    def parameters(self) -> list[Parameter]:
+        """Sizes and limits of the programme under their keys of the file, then the other figures."""
+        known = [replace(parameter, key=self._key(parameter)) for parameter in parameters(self.nlp)]
+        return [*(parameter for parameter in known if parameter.key), *_figures(self.problem)]
+
+    def push(self, parameter: Parameter) -> Push:
+        """What one unit of a parameter changes.
+
+        Raises
+        ------
+        InputError
+            where the figure cannot be changed to both sides.
+        """
+        if parameter.constant >= 0 or parameter.entries:
+            return self.system.push(parameter)
+        step = STEP * abs(parameter.value) or TURNED
+        (low, below, under), (high, above, over) = (self._seen(parameter, parameter.value + way) for way in (-step, step))
+        still = np.zeros(len(self.system.values))
+        entries = still.copy()
+        entries[self.system.free :] = (over - under) / (2.0 * step)
+        return Push((high - low) / (2.0 * step), (above - below)[self.system.unknown] / (2.0 * step), entries, still, still)
+
+    def _key(self, parameter: Parameter) -> str:
+        """Its key in the problem file; empty of a row that the file does not state."""
+        entry = parameter.entries[0] if parameter.entries else 0
+        side = "" if parameter.constant >= 0 else ".max" if parameter.upper else ".min"
+        if parameter.constant < 0 and entry >= len(self.nlp.variables):
+            limit = self.nlp.rows[entry - len(self.nlp.variables)].limit
+            if not limit.startswith("limits.") or limit in MARGIN_KEYS:
+                return ""
+            stated = raw_at(self.problem, limit)
+            exactly = isinstance(stated, Mapping) and "exactly" in stated
+            return f"{limit}.exactly" if exactly else limit if parameter.equal else f"{limit}{side}"
+        name = parameter.name if parameter.constant >= 0 else self.nlp.variables[entry].name
+        if name not in self.problem.model.mechanism.quantities:
+            return f"{parameter.key}{side}"
+        steps = place(self.problem.raw["mechanism"], name)
+        if isinstance(steps[-1], int):
+            steps[-1] = name.rpartition(".")[2]
+        return f"mechanism.{'.'.join(map(str, steps))}{side}"
+
+    def _seen(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
+        """The Lagrangian, its gradient by (x, p) and the rows where the optimum is, with another value in the file."""
+        system, nlp = self.system, self.nlp
+        trace = Trace(task_of(changed(self.problem, parameter, value)), slow=self.nlp.traced.slow)
+        slots = nlp.slots // nlp.strokes
+        other = build_cycle(trace, nlp.structure, nlp.design(system.x), nlp.nodes, slots, nlp.scales)
+        if [row.label for row in other.rows] != [row.label for row in nlp.rows]:
+            message = "with a neighbouring value the machine moves in another way"
+            raise InputError(Fault(message, "Change it with --set", self.problem.file, parameter.key))
+        prices = casadi.DM(system.multipliers[system.free :])
+        whole = other.f_expression + casadi.dot(prices, other.g_expression)
+        both = casadi.vertcat(other.x_symbol, other.p_symbol)
+        seen = Compiled([other.x_symbol, other.p_symbol], [whole, casadi.gradient(whole, both), other.g_expression])
+        value_, gradient, rows = seen(system.x, system.p)
+        return float(value_[0]), gradient, rows
+
+
+def _figures(problem: ProblemFile) -> list[Parameter]:
+    """Every number that the file states of bodies and loads, friction in guides, the speed and gravity."""
+    found = [*(leaf for key in ALONE for leaf in _leaves(key, raw_at(problem, key)))]
+    for section in SECTIONS:
+        found += _leaves(section, problem.raw.get(section, {}))
+    guides = problem.raw["mechanism"].get("guides", {})
+    found += [(f"mechanism.guides.{name}.friction", guide.get("friction")) for name, guide in guides.items()]
+    made = []
+    for key, raw in found:
+        value, unit = (100.0, WHOLE) if isinstance(raw, list) else _read(raw)
+        if value or _angular(unit):  # of nothing else there is a share to change it by
+            name = key.removeprefix("mechanism.guides.").split(".", 1)
+            short = name[-1] if name[0] in (*SECTIONS, "drive") else ".".join(name)
+            made.append(Parameter(key, short, value, unit, Scale(unit, 1.0)))
+    return made
+
+
+def _leaves(key: str, raw: Any) -> Iterator[tuple[str, Any]]:
+    """Keys with their numbers; of a pair its coordinates, of a table its values together."""
+    if isinstance(raw, Mapping):
+        for name, part in raw.items():
+            yield from _leaves(f"{key}.{name}", part)
+    elif isinstance(raw, list) and len(raw) == 2 and (key == "gravity" or key.endswith(".centroid")):
+        names = ("x", "y") if key == "gravity" else ("along", "across")
+        yield from ((f"{key}.{name}", part) for name, part in zip(names, raw, strict=True))
+    elif not isinstance(raw, list) or (key.startswith("loads.") and key.endswith(".values") and any(map(_number, raw))):
+        yield key, raw
+
+
+def _number(raw: Any) -> float:
+    return _read(raw)[0]
+
+
+def _read(raw: Any) -> tuple[float, str]:
+    """A value and its unit; 0 and no unit of what is none."""
+    if isinstance(raw, int | float) and not isinstance(raw, bool):
+        return float(raw), ""
+    match = _FIGURE.fullmatch(raw) if isinstance(raw, str) else None
+    unit = "" if match is None else (match[2] or "").strip()
+    return (float(match[1]), unit) if match is not None and any(_measures(unit, kind) for kind in KINDS) else (0.0, "")
+
+
+def _measures(unit: str, kind: str) -> bool:
+    try:
+        return bool(unit) and factor(unit, kind) > 0.0
+    except UnitProblem:
+        return False
+
+
+def _angular(unit: str) -> bool:
+    return _measures(unit, "angle")
+
+
+def changed(problem: ProblemFile, parameter: Parameter, value: float) -> ProblemFile:
+    """The problem with another value of a parameter [its unit]."""
+    if parameter.unit == WHOLE:
+        pairs = [_read(each) for each in raw_at(problem, parameter.key)]
+        return problem.override({parameter.key: [text(own * value / parameter.value, unit) for own, unit in pairs]})
+    written = text(value, parameter.unit)
+    if parameter.equal and not parameter.key.endswith(".exactly"):
+        return problem.override({f"{parameter.key}.{side}": written for side in ("min", "max")})
+    return problem.override({parameter.key: written})
+
+
+def searched_again(
+    problem: ProblemFile, solution: Solution, parameter: Parameter, value: float, moved: float
+) -> tuple[float, dict[str, float]] | None:
+    """Objective and free sizes [their units] of the machine with another value, built and searched anew from the optimum.
+
+    None where there is none, or another one is found: `moved` is how far the sizes are predicted to move, as a share of the
+    longest.
+    """
+    assert isinstance(solution.nlp, CycleNLP)
+    try:
+        found = design_machine(restarted(changed(problem, parameter, value), solution.design), CLOSE, starts=1).solution
+    except InputError:
+        return None
+    if found is None or found.status is not Status.OPTIMAL:
+        return None
+    nlp = found.nlp
+    assert isinstance(nlp, CycleNLP)
+    away = max(abs(found.design[name] - own) for name, own in solution.design.items()) / solution.nlp.scales[0]
+    if away > 10.0 * moved and away > ELSEWHERE:
+        return None
+    end = sharpened(nlp, found)
+    free = zip(nlp.variables, end.x, strict=True)
+    return end.objective, {v.name: v.scale.people(float(x)) for v, x in free if v.name not in nlp.helpers}

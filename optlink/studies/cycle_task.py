@@ -1,0 +1,230 @@
+"""The task that designs a machine by its cycle at every point of a grid.
+
+Where limits alone vary the programme is built once: their bounds are numbers of it. Within a chunk a search begins at the machine
+of a neighbour that is done; the first one of a chunk begins at machines that the task names, or where the problem says and at
+random sizes, so that no chunk depends on another. Every machine is proven as a single one is.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Status
+from optlink.optimization.constraints import Row
+from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
+from optlink.optimization.cycle_signals import Trace
+from optlink.optimization.nlp import NLP
+from optlink.problem.cycle import CycleProblem
+from optlink.problem.file import ProblemFile, read
+from optlink.problem.fixed_design import settled
+from optlink.problem.mechanism import sizes_of
+from optlink.problem.quantity import Quantity
+from optlink.solvers import multistart
+from optlink.solvers.semi_infinite import level, peaks
+from optlink.studies.continuation import FOLLOWED
+from optlink.studies.grid import column
+from optlink.studies.reoptimise_task import SEARCHED, TAIL, active
+from optlink.studies.sweep_task import Sweeping, figure
+from optlink.tasks.cycle import design_machine
+from optlink.tasks.cycle_result import MachineDesign, task_of
+from optlink.tasks.result import optimality
+from optlink.units import KINDS, factor
+from optlink.validation.check import Validation
+from optlink.validation.cycle import validate_cycle
+
+N = TypeVar("N", bound=NLP)
+Array = NDArray[np.float64]
+
+BOUNDS = ("min", "max", "exactly")
+COMPILED = ("_values", "_all", "_residuals", "_hessian", "_levels")  # what of a programme no bound goes into
+
+
+@dataclass(frozen=True)
+class Designing(Sweeping):
+    """A new machine at every point; `anchors`: sizes [SI] of machines from which the first search of a chunk begins."""
+
+    backend: str
+    anchors: tuple[tuple[tuple[str, float], ...], ...] = ()
+
+    @cached_property
+    def free(self) -> dict[str, Quantity]:
+        """The free sizes."""
+        model = self.problem.model
+        return {name: model.quantities[name] for name in model.free}
+
+    @property
+    def columns(self) -> list[str]:
+        """The axes, the free sizes in people's units, the objective in SI, and how it was found."""
+        free = [f"{name}_{KINDS[quantity.kind].people}" for name, quantity in self.free.items()]
+        kind = task_of(self.problem).unit_kind
+        objective = column("objective", KINDS[kind].si.replace("**", "^") if kind else "")
+        return [*(axis.column for axis in self.grid.axes), *free, objective, *TAIL]
+
+    @cached_property
+    def programme(self) -> Programme | None:
+        """The programme of all points; None where every point needs its own."""
+        limits = [axis.key.rpartition(".") for axis in self.grid.axes]
+        if not all(limit.startswith("limits.") and side in BOUNDS for limit, _, side in limits):
+            return None
+        made = Programme(self.problem.override(self.grid.changes(0)), self.backend)
+        return made if made.possible else None
+
+    def lines(self, index: int) -> list[list[str]]:
+        """Rows of a chunk."""
+        done: dict[int, MachineDesign] = {}
+        rows = []
+        for point in self.span(index):
+            task = self.problem.override(self.grid.changes(point))
+            near = done.get(point - 1 if point % self.grid.row else point - self.grid.row)
+            begin = [near.values] if near is not None else [dict(sizes) for sizes in self.anchors]
+            found = min((self.begun(point, task, sizes) for sizes in begin), key=_rank, default=None)
+            how = FOLLOWED
+            if found is None or not found.valid:
+                found, how = self.searched(task), SEARCHED
+            if found.valid:
+                done[point] = found
+            rows.append(self._row(point, found, how))
+        return rows
+
+    def begun(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> MachineDesign:
+        """The machine of a point, searched from given sizes [SI]."""
+        found = None
+        if self.programme is not None:
+            bounds = {axis.key: value for axis, value in zip(self.grid.axes, self.grid.values(point), strict=True)}
+            found = self.programme.design(task, bounds, sizes)
+        return design_machine(restarted(task, sizes), self.backend, starts=1) if found is None else found
+
+    def searched(self, task: ProblemFile) -> MachineDesign:
+        """The machine of a problem for itself; where its peaks did not settle, searched once more from there."""
+        found = design_machine(task, self.backend)
+        if found.valid or found.status is not Status.OPTIMAL:
+            return found
+        again = design_machine(restarted(task, found.values), self.backend, starts=1)
+        return again if again.valid else found
+
+    def _row(self, point: int, found: MachineDesign, how: str) -> list[str]:
+        usable = found.status in (Status.OPTIMAL, Status.STALLED)
+        people = [found.values[n] / factor(KINDS[q.kind].people, q.kind) for n, q in self.free.items()]
+        missed = [item.name for item in found.conflict] or [check.name for check in found.validation.checks if not check.passed]
+        failed = "; ".join(dict.fromkeys(missed))
+        held = "" if found.solution is None or not usable else "; ".join(active(found.solution))
+        values = [figure(value) if usable else "" for value in (*people, found.objective)]
+        return [*map(repr, self.grid.values(point)), *values, found.status.value, str(found.valid).lower(), failed, held, how]
+
+
+def _rank(found: MachineDesign) -> tuple[bool, float]:
+    """What comes first is better: proven, low."""
+    return not found.valid, found.objective
+
+
+class Programme:
+    """One programme for many bounds of its limits: what is traced and compiled for it serves them all."""
+
+    def __init__(self, problem: ProblemFile, backend: str) -> None:
+        task = problem.model
+        assert isinstance(task, CycleProblem)
+        self.backend, self.trace = backend, Trace(task)
+        self.structure = self.trace.structure({name: task.quantities[name].value for name in task.free})
+        self.possible = self.structure is not None and not any(term.integral for term in self.trace.terms)
+
+    @cached_property
+    def nlp(self) -> CycleNLP:
+        """The programme with the limits of the problem."""
+        assert self.structure is not None
+        task = self.trace.problem
+        start = {name: task.quantities[name].value for name in task.free}
+        made = build_cycle(self.trace, self.structure, start)
+        multistart.prepare(made, self.backend)
+        made.lifted(made.x_start)
+        return made
+
+    def design(self, problem: ProblemFile, bounds: Mapping[str, float], near: Mapping[str, float]) -> MachineDesign | None:
+        """The machine of a problem that differs in `bounds` (by key, in the unit of the problem) alone, searched from sizes
+        `near` by [SI]; None where motions do not reverse there as they do in the programme.
+        """
+        begin = time.perf_counter()
+        structure = self.trace.structure(near)
+        if structure is None or self.structure is None or not structure.like(self.structure):
+            return None
+        nlp = held(self.nlp, bounds)
+        x = nlp.x_of(near)
+        nlp.roam(peaks(nlp, x).shares)
+        built = time.perf_counter()
+        found = level(nlp, multistart.solve_from(nlp, x, self.backend))
+        self.nlp.cache.update(nlp.cache)
+        done = time.perf_counter()
+        proof = validate_cycle(task_of(problem), found.design, found.objective)
+        return MachineDesign(
+            problem=problem,
+            status=found.status,
+            backend=self.backend,
+            values=dict(found.design),
+            objective=found.objective,
+            validation=Validation((*proof.checks, *optimality(found)), proof.objective),
+            seconds={"build": built - begin, "solve": done - built, "validate": time.perf_counter() - done},
+            seed=0,
+            starts=1,
+            solution=found,
+        )
+
+
+def held(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
+    """The programme with other bounds of limits, by key with its side, in the unit of the file; what is compiled is shared."""
+    rows, watched, task = list(nlp.rows), list(nlp.watched), nlp.traced.problem
+    followed = [""] * sum(goal.extreme for goal in task.goals)  # in the order of `watched`
+    followed += [bound.key for bound in task.bounds if bound.term.extreme]
+    for key, bound in bounds.items():
+        limit, _, side = key.rpartition(".")
+        own = [j for j, row in enumerate(rows) if row.limit == limit]
+        for j in own:
+            row, value = rows[j], rows[j].scale.own(bound)
+            low = value if side != "max" and math.isfinite(row.low) else row.low
+            high = value if side != "min" and math.isfinite(row.high) else row.high
+            rows[j] = replace(row, low=low, high=high)
+        if limit in followed:
+            k = followed.index(limit)
+            if side != ("min" if watched[k].sign > 0.0 else "max"):
+                watched[k] = replace(watched[k], bound=watched[k].sign * bound / rows[own[0]].scale.factor)
+    p = nlp.p.copy()
+    kept = {  # programmes that were made of this one have its rows, then their own
+        key: _rebound(own, (*rows, *own.rows[len(rows) :]), p) if isinstance(own, NLP) else own for key, own in nlp.cache.items()
+    }
+    return _rebound(nlp, tuple(rows), p, watched=tuple(watched), cache=kept)
+
+
+def _rebound(nlp: N, rows: tuple[Row, ...], p: Array, **changes: Any) -> N:
+    """A programme with other bounds and parameters, and all that was compiled for it."""
+    made = replace(nlp, rows=rows, p=p, **changes)
+    for name in COMPILED:
+        if name in vars(nlp):
+            vars(made)[name] = vars(nlp)[name]
+    return made
+
+
+def restarted(problem: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
+    """The problem with its free sizes starting at others [SI], clipped to their bounds."""
+    sizes = sizes_of(problem.model.mechanism.quantities)
+    for name, value in values.items():
+        low, high = problem.model.quantities[name].bounds
+        sizes[name] = min(max(value, low), high)
+    begun = _begun(problem.raw["mechanism"], settled(problem, sizes).raw["mechanism"])
+    return read({**problem.raw, "mechanism": begun}, problem.name, problem.file, problem.folder)
+
+
+def _begun(free: Any, fixed: Any) -> Any:
+    """A part of the file with the values of a settled one as the start of what is free."""
+    if isinstance(free, Mapping) and "bounds" in free:
+        return {**free, "start": fixed}
+    if isinstance(free, Mapping):
+        return {key: _begun(value, fixed[key]) for key, value in free.items()}
+    if isinstance(free, list):
+        return [_begun(value, other) for value, other in zip(free, fixed, strict=True)]
+    return free

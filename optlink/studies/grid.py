@@ -1,0 +1,214 @@
+"""What a sweep varies: `mechanism.frame=450..550 mm:101`, a list of values, or steps of equal ratio."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from optlink.errors import Fault, InputError
+from optlink.problem.file import ProblemFile
+from optlink.studies.toml_keys import Raw, text
+
+MAX_POINTS = 10_000_000
+ROW_BYTES, POINTS_PER_SECOND = 160, 200  # for the message that refuses more
+EXAMPLE = 'Write KEY=LOW..HIGH UNIT:N, for example mechanism.frame="450..550 mm:101", or a list: "450 mm, 500 mm"'
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_RANGE = re.compile(
+    rf"\s*({_NUMBER})\s*([^\s\d.:,][^.:,]*?)?\s*\.\.\s*({_NUMBER})\s*([^\s\d.:,][^:,]*?)?\s*"
+    rf"(?::\s*([-+]?\d+)\s*(log)?|step\s+({_NUMBER}))\s*"
+)
+_ONE = re.compile(rf"\s*({_NUMBER})\s*([^\s\d,:][^,:]*?)?\s*")
+_ENDLESS = re.compile(r"(?<![\w/*^])[-+]?(?:nan|inf|infinity)(?![\w/*^])", re.IGNORECASE)
+
+
+def column(name: str, unit: str) -> str:
+    """Name of a table's column, its unit at the end."""
+    return f"{name}_{unit.replace('/', '_per_').replace('*', '').replace('^', '')}" if unit else name
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One parameter of a sweep and its values, in `unit` as written ("" for a plain number)."""
+
+    key: str
+    unit: str
+    values: tuple[float, ...]
+
+    @property
+    def column(self) -> str:
+        """Name of its column in the table."""
+        return column(self.key, self.unit)
+
+    def raw(self, index: int) -> Raw:
+        """A value as the problem file would state it."""
+        return text(self.values[index], self.unit)
+
+
+def read_axis(assignment: str) -> Axis:
+    """Read `KEY=VALUES`.
+
+    Raises
+    ------
+    InputError
+    """
+    key, equals, values = assignment.partition("=")
+    key, values = key.strip(), values.strip().strip("\"'").strip()
+
+    def fault(message: str, remedy: str = EXAMPLE) -> InputError:
+        return InputError(Fault(message, remedy, key=f"--vary {key}".strip(), value=values or None))
+
+    if not equals or not key or not values:
+        raise fault("expected KEY=VALUES")
+    if _ENDLESS.search(values):
+        raise fault("the values must be finite numbers")
+    match = _RANGE.fullmatch(values)
+    if match is None:
+        if ".." in values:
+            raise fault("this is no range with a number of points")
+        return _listed(key, values, fault)
+    low, low_unit, high, high_unit, count, spacing, step = match.groups()
+    unit = (high_unit or low_unit or "").strip()
+    if low_unit and high_unit and low_unit.strip() != high_unit.strip():
+        raise fault("the two ends have different units", "Write both ends in one unit")
+    a, b = float(low), float(high)
+    if not (math.isfinite(a) and math.isfinite(b)):
+        raise fault("the ends must be finite")
+    if a >= b:
+        raise fault("the range is empty" if a == b else "the range is empty: its ends are exchanged", "Give LOW below HIGH")
+    if step is not None:
+        size = float(step)
+        if not size > 0.0:
+            raise fault("the step is zero or negative: the range would never end", "Give a step above zero")
+        ratio = (b - a) / size * (1.0 + 1e-12)
+        if ratio < 1.0:
+            raise fault("the step is longer than the range", "Give a shorter step, or one value with --set")
+        if ratio >= MAX_POINTS:  # infinite too
+            raise fault(f"so short a step makes more points than a sweep takes, {MAX_POINTS:,}", "Give a longer step")
+        steps = math.floor(ratio)
+        return Axis(key, unit, tuple(a + size * i for i in range(steps + 1)))
+    number = int(count)
+    if number < 2:
+        raise fault(f"{number} points are no range", "Give at least 2 points, or one value with --set")
+    _most(number, fault)
+    if spacing:
+        if a <= 0.0:
+            raise fault("equal ratios need ends above zero", "Leave log out, or begin above zero")
+        inner = tuple(a * (b / a) ** (i / (number - 1)) for i in range(1, number - 1))
+    else:
+        inner = tuple(a + (b - a) * i / (number - 1) for i in range(1, number - 1))
+    if not all(map(math.isfinite, inner)):
+        raise fault("the range is wider than numbers can tell", "Give ends that are nearer to each other")
+    return Axis(key, unit, (a, *inner, b))
+
+
+def _most(count: int, fault: object) -> None:
+    if count > MAX_POINTS:
+        assert callable(fault)
+        raise fault(f"{count:,} points are more than a sweep takes, {MAX_POINTS:,}", "Give fewer points")
+
+
+def _listed(key: str, values: str, fault: object) -> Axis:
+    assert callable(fault)
+    parts = [_ONE.fullmatch(part) for part in values.split(",")]
+    found = [match.groups() for match in parts if match is not None]
+    if len(found) != len(parts):
+        raise fault("this is no list of values")
+    units = {(unit or "").strip() for _, unit in found}
+    unit = max(units, key=len)
+    if len(units - {""}) > 1:
+        raise fault("the values have different units", "Write all values in one unit")
+    numbers = tuple(float(number) for number, _ in found)
+    if not all(map(math.isfinite, numbers)):
+        raise fault("the values must be finite numbers")
+    if len(set(numbers)) != len(numbers):
+        raise fault("a value is listed twice", "List every value once")
+    return Axis(key, unit, numbers)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """All combinations of the values of the axes; the last axis changes fastest."""
+
+    axes: tuple[Axis, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return math.prod(len(axis.values) for axis in self.axes)
+
+    @property
+    def row(self) -> int:
+        """Points in which the last axis runs through once."""
+        return len(self.axes[-1].values)
+
+    def place(self, index: int) -> tuple[int, ...]:
+        """Index along every axis of a point."""
+        found: list[int] = []
+        for axis in reversed(self.axes):
+            index, own = divmod(index, len(axis.values))
+            found.append(own)
+        return tuple(reversed(found))
+
+    def values(self, index: int) -> list[float]:
+        """Values at a point, in the units of the axes."""
+        return [axis.values[i] for axis, i in zip(self.axes, self.place(index), strict=True)]
+
+    def changes(self, index: int) -> dict[str, Raw]:
+        """What the problem file would state at a point."""
+        return {axis.key: axis.raw(i) for axis, i in zip(self.axes, self.place(index), strict=True)}
+
+    def corners(self) -> Iterator[int]:
+        """Points at the first and the last values of all axes."""
+        yield 0
+        if self.count > 1:
+            yield self.count - 1
+
+
+@contextlib.contextmanager
+def _of_axis(axis: Axis) -> Iterator[None]:
+    """Say of whatever is wrong with a value that it is one of --vary, and nothing that the file states."""
+    try:
+        yield
+    except InputError as error:
+        first = error.faults[0]
+        raise InputError(replace(first, key=f"--vary {first.key or axis.key}")) from None
+
+
+def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
+    """Read what is to be varied, and make sure that the problem has it.
+
+    Raises
+    ------
+    InputError
+        unknown keys (the nearest is named), empty ranges, values that are no quantities, more points than anybody waits for.
+    """
+    if not vary:
+        raise InputError(Fault("nothing is varied", EXAMPLE, key="--vary"))
+    grid = Grid(tuple(read_axis(assignment) for assignment in vary))
+    keys = [axis.key for axis in grid.axes]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise InputError(Fault("varied twice", "Give every key once", key=f"--vary {key}"))
+    if grid.count > MAX_POINTS:
+        days, size = grid.count / POINTS_PER_SECOND / 86400.0, grid.count * ROW_BYTES / 1e9
+        shape = " x ".join(f"{len(axis.values):,}" for axis in grid.axes)
+        raise InputError(
+            Fault(
+                f"{shape} = {grid.count:,} points are more than a sweep takes, {MAX_POINTS:,}: "
+                f"about {days:,.0f} days on one core and {size:,.0f} GB",
+                "Give fewer points, or vary fewer parameters at a time",
+                problem.file,
+                "--vary",
+            )
+        )
+    for axis in grid.axes:  # one by one, so that the fault is that of the axis
+        for at in {axis.values.index(end) for end in (min(axis.values), max(axis.values))}:
+            with _of_axis(axis):
+                problem.override({axis.key: axis.raw(at)})
+    for corner in grid.corners():
+        problem.override(grid.changes(corner))
+    return grid

@@ -1,0 +1,142 @@
+"""The design of which the largest share keeps a limit of the error when it is built.
+
+The share is that of samples that stay the same from design to design, each moved exactly. It is made smooth by letting a sample
+pass with the probability of a normal deviate about the limit, first a wide one, and searched without derivatives, in coordinates
+in which a step to any side changes the error by as much.
+
+Source: T. M. Ragonneau, Z. Zhang, COBYQA (2024), as scipy.optimize.minimize(method="COBYQA").
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import InputError
+from optlink.optimization.nlp import NLP, build
+from optlink.problem.file import ProblemFile
+from optlink.problem.tolerances import NORMAL, Deviation
+from optlink.studies.monte_carlo import largest_errors, monte_carlo
+from optlink.studies.nominal import drawing
+from optlink.studies.robust_design import Redesign, Robust
+from optlink.studies.sampling import drawn
+from optlink.studies.tolerance import analysed
+from optlink.studies.tolerance_options import read_deviations
+from optlink.tasks.function import validate
+
+Array = NDArray[np.float64]
+SIGMAS = 2.0  # of the robust design that is one of the starts
+STAGES = ((1 << 12, 1.0, 1.0), (1 << 14, 0.1, 0.3))  # samples, and as shares of the scatter: width of the limit, first step
+LAST_STEP, MOST_STEPS = 0.01, 300
+NEVER = 1e-5  # added to the share of scrap: one of a few samples is no reason to go on
+FLAT = 1e-3  # of the steepest direction's slope: a flatter one counts as that
+LOST = 10.0  # rad, the error of what cannot be assembled
+
+
+def most_yield(
+    problem: ProblemFile,
+    tolerances: Sequence[str],
+    limit: float,
+    samples: int,
+    seed: int,
+    *,
+    shape: str = NORMAL,
+    backend: str = "ipopt",
+) -> Robust:
+    """The design with the most yield of those found from the best as drawn and from a robust one, and of these two.
+
+    Parameters
+    ----------
+    problem : ProblemFile with a motion law
+    tolerances : texts, see `optlink.studies.tolerance.tolerance`
+    limit : of the error's size, anywhere along the span [rad]
+    samples, seed : by which the designs found are compared; the search draws others
+    shape : distribution where none is said
+    backend : "slsqp" or "ipopt", for the designs that it begins with
+
+    Raises
+    ------
+    InputError
+    """
+    redesign = Redesign(problem, tolerances, shape, backend)
+    file = redesign.problem.override({"requirement.robust": None})
+    nlp = build(file.override({"requirement.measure": "sum of squares"}).spec)
+    first = redesign.least(SIGMAS)
+    starts = [{name: redesign.nominal[name] for name in file.model.free}, first.free]
+    deviations = read_deviations(problem, drawing(file, None, None, starts[0]), tolerances, shape)
+
+    def share(design: Mapping[str, float]) -> float:
+        nominal = drawing(file, None, None, design)
+        return monte_carlo(analysed(file, nominal, deviations, limit), samples, seed).share
+
+    found = [_Search(file, nlp, deviations, limit, seed + 1, start).end() for start in starts]
+    able = [design for design in found if validate(file, design).valid]
+    best = max([*starts, *able], key=share)
+    result = validate(file, best)
+    return Robust(result, redesign.nominal, 0.0, validate(file, redesign.nominal).objective, by_yield=True)
+
+
+class _Search:
+    """The search from one design: x = x_start + steps @ z, where z = 1 changes the error by as much as it scatters."""
+
+    def __init__(
+        self,
+        file: ProblemFile,
+        nlp: NLP,
+        deviations: Sequence[Deviation],
+        limit: float,
+        seed: int,
+        start: Mapping[str, float],
+    ) -> None:
+        self.file, self.nlp, self.deviations, self.limit, self.seed = file, nlp, deviations, limit, seed
+        self.x = nlp.x_of(dict(start))
+        self.bounded = np.isfinite(nlp.lower), np.isfinite(nlp.upper)
+        self.scatter = max(float(np.std(self._sizes(self.x, self._drawn(STAGES[0][0])))), 1e-3 * limit)
+        slopes = nlp.residual_slopes(self.x)
+        _, size, axes = np.linalg.svd(slopes / math.sqrt(len(slopes)))
+        self.steps = self.scatter * axes.T / np.maximum(np.pad(size, (0, len(axes) - len(size))), FLAT * size[0])
+
+    def end(self) -> dict[str, float]:
+        """The design [SI] where it ends."""
+        from scipy.optimize import minimize
+        from scipy.special import ndtr
+
+        z = np.zeros(len(self.x))
+        for samples, width, step in STAGES:
+            batches, wide = self._drawn(samples), width * self.scatter
+
+            def scrap(z: Array, batches: list[Array] = batches, wide: float = wide) -> float:
+                beyond = self._sizes(self.x + self.steps @ z, batches) - self.limit
+                return math.log(float(np.mean(ndtr(beyond / wide))) + NEVER)
+
+            found = minimize(
+                scrap,
+                z,
+                method="COBYQA",
+                constraints=[{"type": "ineq", "fun": lambda z: self._room(self.x + self.steps @ z)}],
+                options={"initial_tr_radius": step, "final_tr_radius": LAST_STEP * step, "maxfev": MOST_STEPS},
+            )
+            z = np.asarray(found.x, dtype=float)
+        return self.nlp.design(self.x + self.steps @ z)
+
+    def _drawn(self, samples: int) -> list[Array]:
+        return list(drawn(self.deviations, samples, self.seed))
+
+    def _sizes(self, x: Array, batches: Sequence[Array]) -> Array:
+        """The largest error of every sample [rad]."""
+        try:
+            nominal = drawing(self.file, None, None, self.nlp.design(x))
+        except InputError:  # it cannot be assembled even as drawn
+            return np.full(sum(map(len, batches)), LOST)
+        found = np.concatenate([largest_errors(nominal, self.deviations, batch) for batch in batches])
+        return np.where(np.isfinite(found), found, LOST)
+
+    def _room(self, x: Array) -> Array:
+        """How far it is to bounds and limits; negative beyond one."""
+        entries = np.concatenate([x, self.nlp.values(x, self.nlp.p)[1]])
+        low, high = self.bounded
+        room = np.concatenate([(entries - self.nlp.lower)[low], (self.nlp.upper - entries)[high]])
+        return np.where(np.isfinite(room), room, -1.0)

@@ -1,0 +1,246 @@
+"""The task that finds a new optimum at every point of a grid.
+
+The programme is built once: what varies are its parameters and bounds. Within a chunk each search begins at the optimum of a
+neighbour that is done, and mostly ends after a few steps of Newton's method; the first search of a chunk begins where the problem
+says, so that no chunk depends on another. Every optimum is proven by the validator, as a single one is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Fault, InputError, Status
+from optlink.linkage.assur import EITHER
+from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.nlp import NLP, build
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DesignProblem
+from optlink.problem.limits import MARGIN_KEYS
+from optlink.problem.quantity import Quantity, nearest
+from optlink.solvers import multistart
+from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
+from optlink.studies.continuation import FOLLOWED, follow
+from optlink.studies.fast_overrides import Direct
+from optlink.studies.sweep_task import Sweeping, figure
+from optlink.tasks.function import solve
+from optlink.tasks.path import generate
+from optlink.units import KINDS, factor
+from optlink.validation import validate
+
+Array = NDArray[np.float64]
+CHUNK, SLOW_CHUNK = 100, 4  # points; the second where every point is a search of its own
+TAIL = ("status", "valid", "failed", "active", "found")
+NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")  # that a programme holds as such
+SEARCHED = "searched"
+OTHER = 3.0  # times as large or as small: a machine of another size, for which the programme is not scaled well
+
+
+def check_backend(name: str) -> None:
+    """Make sure that a study knows the back end.
+
+    Raises
+    ------
+    InputError
+    """
+    if name == "both":
+        remedy = (
+            "Give ipopt or slsqp, each in a folder of its own to compare them; `optlink solve --backend both` does for a design"
+        )
+        raise InputError(Fault("a study searches with one back end", remedy, key="--backend", value=name))
+    if name not in multistart.BACKENDS:
+        raise InputError(Fault("unknown back end of a study", nearest(name, multistart.BACKENDS), key="--backend", value=name))
+
+
+def buildable(problem: ProblemFile, keys: tuple[str, ...]) -> bool:
+    """Whether one programme serves all values of these keys."""
+    task = problem.model
+    if not isinstance(task, DesignProblem) or task.everywhere or task.mechanism.assembly == EITHER:
+        return False
+    return all(key.startswith(NUMBERS) and key not in ("limits.crank", "limits.transmission_over", *MARGIN_KEYS) for key in keys)
+
+
+@dataclass(frozen=True)
+class _Optimum:
+    """What a row is made of; `design` [SI] by free quantity."""
+
+    design: Mapping[str, float]
+    objective: float
+    status: Status
+    valid: bool
+    failed: tuple[str, ...]
+    active: tuple[str, ...]
+    found: str
+
+
+@dataclass(frozen=True)
+class Reoptimising(Sweeping):
+    """A new optimum at every point."""
+
+    backend: str
+
+    @cached_property
+    def template(self) -> ProblemFile:
+        """The problem at the first point: what is free there is free everywhere."""
+        return self.problem.override(self.grid.changes(0))
+
+    @cached_property
+    def free(self) -> dict[str, Quantity]:
+        """The free quantities."""
+        model = self.template.model
+        return {name: model.quantities[name] for name in model.free}
+
+    @property
+    def columns(self) -> list[str]:
+        """The axes, the free quantities in people's units, the objective in SI, and how it was found."""
+        from optlink.studies.sweep import objective_column
+
+        free = [f"{name}_{KINDS[quantity.kind].people}" for name, quantity in self.free.items()]
+        return [*(axis.column for axis in self.grid.axes), *free, objective_column(self.template), *TAIL]
+
+    @cached_property
+    def programme(self) -> Programme | None:
+        """The programme of all points; None where every point needs its own."""
+        keys = tuple(axis.key for axis in self.grid.axes)
+        return Programme(self.template) if buildable(self.template, keys) else None
+
+    @cached_property
+    def direct(self) -> Direct | None:
+        """Puts values into the model; None where the file has to be read again for each."""
+        found = Direct(self.template.spec, self.grid.axes) if self.programme is not None else None
+        return found if found is not None and found.possible else None
+
+    def lines(self, index: int) -> list[list[str]]:
+        """Rows of a chunk."""
+        done: dict[int, Solution] = {}
+        rows = []
+        for point in self.span(index):
+            if self.programme is None:
+                found = _alone(self.problem.override(self.grid.changes(point)), self.backend)
+            else:
+                found = self._again(self.programme, point, done)
+            rows.append(self._row(point, found))
+        return rows
+
+    def model(self, point: int) -> DesignProblem:
+        """The problem at a point of the grid."""
+        if self.direct is not None:
+            return self.direct.model(self.grid.values(point))
+        return self.problem.override(self.grid.changes(point)).spec
+
+    def _again(self, programme: Programme, point: int, done: dict[int, Solution]) -> _Optimum:
+        """The optimum at a point, from that of a neighbour of this chunk if there is one."""
+        task = self.model(point)
+        programme.bind(task)
+        before = point - 1 if point % self.grid.row else point - self.grid.row
+        solution, found = programme.solve(done.get(before), self.backend)
+        if solution.usable:
+            done[point] = solution
+        elif not 1.0 / OTHER <= task.quantities["frame"].value / programme.size <= OTHER:
+            own = build(task)
+            solution = multistart.best([solution, multistart.solve_from(own, own.x_start, self.backend)])
+        design = task.design(solution.design)
+        proof = validate(task, design, solution.objective)
+        optimal = solution.status is Status.OPTIMAL
+        failed = tuple(check.name for check in proof.checks if not check.passed)
+        valid = optimal and not failed
+        if solution.status is Status.INFEASIBLE:
+            missed, against = conflicting(solution)
+            return _Optimum(solution.design, solution.objective, solution.status, valid, missed or failed, against, found)
+        return _Optimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), found)
+
+    def _row(self, point: int, found: _Optimum) -> list[str]:
+        usable = found.status in (Status.OPTIMAL, Status.STALLED)
+        values = [figure(v) if usable else "" for v in (*self._people(found.design), found.objective)]
+        tail = [found.status.value, str(found.valid).lower(), "; ".join(found.failed), "; ".join(found.active), found.found]
+        return [*map(repr, self.grid.values(point)), *values, *tail]
+
+    def _people(self, design: Mapping[str, float]) -> list[float]:
+        return [design.get(n, np.nan) / factor(KINDS[q.kind].people, q.kind) for n, q in self.free.items()]
+
+
+class Programme:
+    """One programme for many values of its parameters and bounds."""
+
+    def __init__(self, problem: ProblemFile) -> None:
+        self.nlp: NLP = build(problem.spec)
+        self.size = problem.spec.quantities["frame"].value
+
+    def bind(self, task: DesignProblem) -> None:
+        """Take fixed quantities, bounds and limits from a problem of the same structure."""
+        nlp, quantities = self.nlp, task.quantities
+        for i, constant in enumerate(nlp.constants):
+            value = quantities[constant.name].value if constant.name in quantities else task.counted[constant.name]
+            nlp.p[1 + i] = (value - constant.origin) / constant.size
+        n = len(nlp.variables)
+        for i, v in enumerate(nlp.variables):
+            if v.name not in nlp.helpers:
+                low, high = quantities[v.name].bounds
+                nlp.limit(i, (low - v.origin) / v.size, upper=False)
+                nlp.limit(i, (high - v.origin) / v.size, upper=True)
+        values = {name: quantity.value for name, quantity in quantities.items()}
+        with np.errstate(all="ignore"):
+            rows = limit_rows(task, values, task.reach(values), self.size)
+        for j, row in enumerate(rows):
+            nlp.limit(n + j, row.low, upper=False)
+            nlp.limit(n + j, row.high, upper=True)
+
+    def solve(self, near: Solution | None, backend: str) -> tuple[Solution, str]:
+        """The optimum for the parameters that are bound, from a neighbour's if there is one."""
+        nlp = self.nlp
+        if near is not None:
+            solution = follow(nlp, near)
+            if solution is not None:
+                return solution, FOLLOWED
+        starts = [nlp.x_start] if near is None else [near.x, nlp.x_start]
+        tries = []
+        for x in starts:
+            tries.append(multistart.solve_from(nlp, nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)), backend))
+            if tries[-1].status is Status.OPTIMAL:
+                break
+        return multistart.best(tries), SEARCHED
+
+
+def _alone(task: ProblemFile, backend: str) -> _Optimum:
+    """The optimum of a problem that is built and searched for itself."""
+    if task.generated:
+        best = generate(task, backend).best
+        if best is None:
+            return _Optimum({}, np.nan, Status.INFEASIBLE, False, (), (), SEARCHED)
+        failed = tuple(check.name for check in best.validation.checks if not check.passed)
+        held = () if best.solution is None else active(best.solution)
+        return _Optimum(best.values, best.objective, best.status, best.valid, failed, held, SEARCHED)
+    result = solve(task, backend)
+    failed = tuple(check.name for check in result.validation.checks if not check.passed)
+    failed = tuple(item.name for item in result.conflict) or failed
+    held = () if result.solution is None else active(result.solution)
+    return _Optimum(result.design, result.objective, result.status, result.valid, failed, held, SEARCHED)
+
+
+def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the limits that a design misses, and of those at whose bound it stands, each once."""
+    nlp, g = solution.nlp, solution.g
+    with np.errstate(invalid="ignore"):
+        beyond = np.maximum(nlp.low - g, g - nlp.high)
+        off, near = (beyond > FEASIBLE) | ~np.isfinite(g), np.abs(beyond) <= ACTIVE
+    named = [
+        [nlp.rows[j].label for j in np.flatnonzero(mask) if nlp.rows[j].limit not in nlp.helpers] for mask in (off, near & ~off)
+    ]
+    return tuple(dict.fromkeys(named[0])), tuple(label for label in dict.fromkeys(named[1]) if label not in named[0])
+
+
+def active(solution: Solution) -> tuple[str, ...]:
+    """Names of the limits and bounds that hold a design, each once."""
+    nlp, prices = solution.nlp, solution.proof.multipliers
+    n = len(nlp.variables)
+    names = []
+    for entry in solution.proof.active:
+        if entry >= n and nlp.rows[entry - n].limit not in nlp.helpers:
+            names.append(nlp.rows[entry - n].label)
+        elif entry < n and nlp.variables[entry].name not in nlp.helpers:
+            names.append(f"{nlp.variables[entry].name} {'<=' if prices[entry] > 0.0 else '>='} its bound")
+    return tuple(dict.fromkeys(names))

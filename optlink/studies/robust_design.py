@@ -1,0 +1,169 @@
+"""A design that stays good when it is built: the largest of error plus k standard deviations, or plus the worst case, made least.
+
+That is what `optlink solve` does with a problem file that is robust; here the tolerances may come from the command line, and the
+best design as drawn is found beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from optlink.errors import Fault, InputError
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DesignProblem
+from optlink.problem.robust import MOST, WORST
+from optlink.problem.tolerances import NORMAL
+from optlink.studies.tolerance_options import stated
+from optlink.tasks.function import Result, solve, validate
+
+YIELD = "yield"
+STEPS, CLOSE = 12, 1e-5  # of the search for most standard deviations, and the share to which the limit is met
+LEVEL = 1e-12  # rad per standard deviation; where they change nothing, any number keeps the limit
+
+
+@dataclass(frozen=True)
+class Robust:
+    """A robust design, `result`, and the best as drawn, `nominal` [SI]; `before` [rad]: what was made least, of the latter.
+
+    `sigmas`: how many standard deviations count, None: the worst case; `by_yield`: the yield was made most instead.
+    """
+
+    result: Result
+    nominal: Mapping[str, float]
+    sigmas: float | None
+    before: float
+    by_yield: bool = False
+
+    @property
+    def design(self) -> Mapping[str, float]:
+        """The design [SI]."""
+        return self.result.design
+
+    @property
+    def value(self) -> float:
+        """What was made least [rad]; the largest error as drawn where that was not."""
+        return self.result.objective
+
+    @property
+    def valid(self) -> bool:
+        """Whether it is an optimum, and its limits are proven by the validator."""
+        return self.result.valid
+
+    @property
+    def counted(self) -> str:
+        """What is added to the size of the error, in words; or that the yield counts."""
+        if self.by_yield:
+            return YIELD
+        return "the worst case" if self.sigmas is None else f"{self.sigmas:.4g} standard deviations"
+
+    @property
+    def free(self) -> dict[str, float]:
+        """The free quantities of the design [SI]."""
+        return {name: self.design[name] for name in self.result.problem.model.free}
+
+    def to_dict(self) -> dict[str, Any]:
+        """As part of a JSON document."""
+        return {
+            "counted": self.counted,
+            "status": self.result.status.value,
+            "valid": self.valid,
+            "kkt": None if self.result.solution is None else self.result.solution.kkt,
+            "design_SI": dict(self.design),
+            "nominal_design_SI": dict(self.nominal),
+            "largest_rad": self.value,
+            "largest_of_the_nominal_design_rad": self.before,
+        }
+
+
+def robust(
+    problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None = 3.0, *, shape: str = NORMAL, backend: str = "ipopt"
+) -> Robust:
+    """The design whose largest error over the span, with its scatter, is least.
+
+    Parameters
+    ----------
+    problem : ProblemFile with a motion law
+    tolerances : texts, see `optlink.studies.tolerance.tolerance`
+    sigmas : standard deviations that are added to the size of the mean error; None: the worst case is
+    shape : distribution where none is said
+    backend : "slsqp" or "ipopt"
+
+    Raises
+    ------
+    InputError
+    """
+    if sigmas is not None and not 0.0 <= sigmas <= MOST:
+        remedy = f"Give 0 to {MOST:g} standard deviations, or worst, margin or yield"
+        raise InputError(Fault("out of range", remedy, key="--robust", value=sigmas))
+    return Redesign(problem, tolerances, shape, backend).least(sigmas)
+
+
+def safest(
+    problem: ProblemFile, tolerances: Sequence[str], limit: float, *, shape: str = NORMAL, backend: str = "ipopt"
+) -> Robust:
+    """The design that keeps a limit [rad] of its error with most standard deviations: those whose least value is the limit.
+
+    Raises
+    ------
+    InputError
+        as `robust`; where no design keeps the limit even as drawn.
+    """
+    redesign = Redesign(problem, tolerances, shape, backend)
+    before = redesign.least(0.0)
+    if before.value > limit:
+        least = f"{math.degrees(before.value):.4g} deg"
+        message = f"no design keeps the limit, not even as drawn: the least largest error that was found is {least}"
+        raise InputError(Fault(message, f"Give more than {least}", problem.file, "--limit", f"{math.degrees(limit):.4g} deg"))
+    here, sigmas = redesign.least(1.0, before.free), 1.0
+    for _ in range(STEPS):  # by secants: the least value is nearly linear in them
+        rise = (here.value - before.value) / (sigmas - (before.sigmas or 0.0))
+        wanted = min(max(sigmas + (limit - here.value) / max(rise, LEVEL), 0.0), MOST)
+        if abs(here.value - limit) <= CLOSE * limit or wanted == sigmas:
+            break
+        before, here, sigmas = here, redesign.least(wanted, here.free), wanted
+    return here
+
+
+def check_law(problem: ProblemFile) -> None:
+    """Make sure that there is an error over a span, of which the largest can be made least.
+
+    Raises
+    ------
+    InputError
+    """
+    if not isinstance(problem.model, DesignProblem):
+        message = "a robust design is found for motion laws of a four-bar only"
+        raise InputError(Fault(message, "Judge designs of it without --robust", problem.file, "--robust"))
+
+
+class Redesign:
+    """Searches robust designs of one problem, from its best design as drawn, `nominal` [SI]; `problem`: with its tolerances."""
+
+    def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str, backend: str) -> None:
+        check_law(problem)
+        said = {name: each.raw for name, each in stated(problem, tolerances, shape).items()}
+        first = solve(problem.override({"requirement.robust": None}), backend)
+        if not first.valid:
+            raise InputError(Fault("no design was proven, so there is none to begin with", "See `optlink solve`", problem.file))
+        self.nominal, self.backend = first.design, backend
+        try:
+            self.problem = first.problem.override({"requirement.measure": "max", "tolerances": said})
+        except InputError as error:
+            faults = [_told(fault, tolerances) for fault in error.faults]
+            raise InputError(faults) from None
+
+    def least(self, sigmas: float | None, start: Mapping[str, float] | None = None) -> Robust:
+        """The design with the least largest error and scatter, searched from a start [SI]."""
+        problem = self.problem.override({"requirement.robust": WORST if sigmas is None else f"{sigmas!r} sigma"})
+        found = solve(problem, self.backend, begin=self.nominal if start is None else start)
+        return Robust(found, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)
+
+
+def _told(fault: Fault, tolerances: Sequence[str]) -> Fault:
+    """A fault of a tolerance, by the key under which it was given."""
+    if not tolerances:
+        return fault
+    return replace(fault, key=(fault.key or "").replace("tolerances.", "--tolerance ", 1))

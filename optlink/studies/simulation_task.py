@@ -1,0 +1,104 @@
+"""The task that simulates the machine at every point of a grid: speed, clearance, friction or sizes vary."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from optlink.dynamics.forward import Ending
+from optlink.errors import InputError
+from optlink.problem.file import ProblemFile
+from optlink.studies.sweep_task import Sweeping, figure
+from optlink.tasks.clearance import simulate_clearance
+from optlink.tasks.simulate import simulate
+
+Figures = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Simulating(Sweeping):
+    """Figures of the simulation of the machine at every point.
+
+    Parameters
+    ----------
+    figures : names of the figures of a simulation at the first point
+    options : revolutions, points, control, tolerance, duration [s], speed [rad/s]; by name, as far as they are stated
+    design : design [SI] of what is free and not varied
+    """
+
+    figures: tuple[str, ...]
+    options: tuple[tuple[str, Any], ...]
+    design: tuple[tuple[str, float], ...]
+
+    @property
+    def columns(self) -> list[str]:
+        """The axes, the figures, and how the simulation ended."""
+        return [*(axis.column for axis in self.grid.axes), *self.figures, "status", "valid", "reason"]
+
+    def lines(self, index: int) -> list[list[str]]:
+        """Rows of a chunk."""
+        rows = []
+        for point in self.span(index):
+            figures, status, reason = self.outcome(point)
+            cells = [figure(figures.get(name, math.nan)) for name in self.figures]
+            valid = str(not reason).lower()
+            rows.append([*map(repr, self.grid.values(point)), *cells, status, valid, reason])
+        return rows
+
+    @cached_property
+    def loose(self) -> bool:
+        """Whether joints have clearance."""
+        return is_loose(self.problem.override(self.grid.changes(0)))
+
+    def outcome(self, point: int) -> tuple[Figures, str, str]:
+        """Figures of a simulation, how it ended, and the reason where it did not end as it should."""
+        try:
+            file = self.problem.override(self.grid.changes(point))
+            design = {name: value for name, value in self.design if name in file.model.free} or None
+            found = simulated(file, dict(self.options), design, loose=self.loose)
+        except InputError as error:
+            return {}, "not simulated", error.faults[0].message
+        if found[1] == Ending.INTERRUPTED.value:  # a row is whole or not there
+            raise KeyboardInterrupt
+        return found
+
+
+def is_loose(problem: ProblemFile) -> bool:
+    """Whether a simulation of the problem is one with clearance."""
+    return bool(problem.model.loose)
+
+
+def simulated(
+    problem: ProblemFile, options: Mapping[str, Any], design: Mapping[str, float] | None, *, loose: bool
+) -> tuple[Figures, str, str]:
+    """Simulate one machine.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    options : mapping
+        See `Simulating`.
+    design : mapping of quantity to value [SI], optional
+    loose : bool
+        Whether joints have clearance.
+
+    Returns
+    -------
+    figures by name, the status, and the reason where the run did not finish
+
+    Raises
+    ------
+    InputError
+    """
+    known = dict(options)
+    if loose:
+        found = simulate_clearance(problem, design=design, twin=False, **known)
+        return dict(found.figures), found.ending.value, "" if found.finished else found.message
+    if "points" in known:
+        known["rows"] = known.pop("points")
+    ideal = simulate(problem, design=design, **known)
+    reason = "" if ideal.finished else f"{ideal.run.ending.text} (at {ideal.run.stopped:.9g} s)"
+    return ideal.figures, ideal.run.ending.value, reason

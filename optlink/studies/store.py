@@ -1,0 +1,273 @@
+"""The folder of a study: what it is (study.json), its chunks as they are done, and the one table that they become.
+
+Every file is complete or not there, so a run that was killed goes on from the chunks that it left: nothing is lost and nothing
+is done twice. A folder that holds another study is never written to.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import shutil
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from optlink.errors import Fault, InputError
+from optlink.io import LOCK, folder, locked, whole, write_json
+from optlink.studies.runner import run
+from optlink.studies.worker import Task
+
+ABOUT, TABLE, CHUNKS = "study.json", "sweep.csv", "chunks"
+SPREAD = 1000  # chunks in one folder
+SUM = "crc32 "  # begins the last line of a chunk, which tells whether the others are as they were written
+
+Rows = Iterator[list[str]]
+Progress = Callable[[int, int], None]
+"""(done, all)"""
+
+
+class Store:
+    """The folder of one study.
+
+    Parameters
+    ----------
+    path : Path
+    about : mapping
+        What the study is, fit for JSON: two studies are the same if and only if this is the same.
+    resume : bool
+        Go on with what is there.
+
+    Raises
+    ------
+    InputError
+        when the folder holds another study, or this one and `resume` is not said; when it cannot be written to.
+    """
+
+    def __init__(self, path: Path, about: Mapping[str, Any], *, resume: bool = False) -> None:
+        about = dict(json.loads(json.dumps(about)))
+        if resume and not path.is_dir():
+            raise _nothing(path)
+        self._made = not path.exists()
+        self.path, self.chunks = folder(path), path / CHUNKS
+        self.count = 0
+        self.sizes: Callable[[int], int] = int
+        try:
+            with contextlib.ExitStack() as taken:
+                taken.enter_context(locked(path))
+                self._begin(about, resume)
+                self._lock = taken.pop_all()
+        except InputError:
+            if self._made:
+                with contextlib.suppress(OSError):
+                    path.rmdir()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the folder to other runs."""
+        self._lock.close()
+
+    def _begin(self, about: dict[str, Any], resume: bool) -> None:
+        """Make sure that the folder holds this study or none; note what it is."""
+        path, known = self.path, self._known()
+        if known is None and resume and all(one.name == LOCK for one in path.iterdir()):
+            raise _nothing(path)
+        if known is None and self.table.exists():
+            raise InputError(Fault("the folder holds a table of another study", "Choose another folder", str(path), "--out"))
+        if known is not None:
+            self._compare(known, about)
+            if not resume:
+                remedy = "Add --resume to go on with it (what is done is kept), or choose another folder"
+                raise InputError(Fault("this very study is in the folder already", remedy, str(path), "--out"))
+        self._mine: list[Path] = []  # what this run has written; the first, if it began the study, is what that is
+        self._begun = known is None
+        if self._begun:
+            try:
+                self.keep(ABOUT, about)
+            except InputError:
+                self._withdraw()
+                raise
+
+    def divide(self, sizes: Callable[[int], int], count: int) -> None:
+        """Say into how many chunks the study is divided, and how many rows each has: `sizes` is a function of its number."""
+        self.sizes, self.count = sizes, count
+        if not self.finished:
+            self._folder(self.chunks)
+
+    @property
+    def table(self) -> Path:
+        """The finished table."""
+        return self.path / TABLE
+
+    @property
+    def finished(self) -> bool:
+        """Whether the table is written."""
+        return self.table.exists()
+
+    def _known(self) -> dict[str, Any] | None:
+        path = self.path / ABOUT
+        if not path.exists():
+            return None
+        found = _read(path)
+        if found is None:
+            raise InputError(Fault("what study the folder holds cannot be read", "Choose another folder", str(path), "--out"))
+        return found
+
+    def _compare(self, known: dict[str, Any], about: dict[str, Any]) -> None:
+        for key in dict.fromkeys([*about, *known]):
+            there, here = known.get(key), about.get(key)
+            if there != here:
+                what = key.replace("_", " ")
+                shown = "" if isinstance(here, list | dict) else f", there {there}, here {here}"
+                message = f"the folder holds another study: the {what} differs{shown}"
+                remedy = "Choose another folder; nothing was overwritten"
+                raise InputError(Fault(message, remedy, str(self.path), "--out"))
+
+    # --- what is found before there are chunks ---------------------------------------------------------------------------
+
+    def kept(self, name: str) -> dict[str, Any]:
+        """A document of the study; empty if there is none, or none that can be read."""
+        return _read(self.path / name) or {}
+
+    def keep(self, name: str, document: Mapping[str, Any]) -> None:
+        """Write a document of the study."""
+        write_json(self.path / name, dict(document))
+        self._mine.append(self.path / name)
+
+    def withdraw(self) -> None:
+        """Leave the folder as it was, if it was this run that began the study."""
+        if self._begun:
+            self._withdraw()
+        self.close()
+        if self._begun and self._made:
+            with contextlib.suppress(OSError):  # somebody else's files are there
+                self.path.rmdir()
+
+    def _withdraw(self) -> None:
+        for path in self._mine:
+            path.unlink(missing_ok=True)
+        self.drop()
+
+    # --- chunks ------------------------------------------------------------------------------------------------------------
+
+    def _file(self, index: int) -> Path:
+        return self.chunks / f"{index // SPREAD:05d}" / f"{index:08d}.csv"
+
+    def _folder(self, path: Path) -> None:
+        try:
+            path.mkdir(exist_ok=True)
+        except OSError as error:
+            remedy = "Free some space or choose another folder"
+            raise InputError(Fault(f"cannot make the folder: {error.strerror}", remedy, str(path), "--out")) from None
+
+    def missing(self) -> list[int]:
+        """Numbers of the chunks that are not done."""
+        return [] if self.finished else [index for index in range(self.count) if self._lines(index) is None]
+
+    def _lines(self, index: int) -> str | None:
+        """The lines of a chunk; None where it is not there, or not as it was written."""
+        try:
+            text = self._file(index).read_text(encoding="utf-8")
+        except (OSError, ValueError):
+            return None
+        lines, mark, found = text.rpartition(SUM)
+        whole = mark and found == f"{zlib.crc32(lines.encode()):08x}\n" and lines.count("\n") == self.sizes(index)
+        return lines if whole else None
+
+    def write(self, index: int, text: str) -> None:
+        """Keep a chunk: lines of CSV without a head, one per row."""
+        path = self._file(index)
+        self._folder(path.parent)
+        with whole(path) as temporary:
+            temporary.write_text(f"{text}{SUM}{zlib.crc32(text.encode()):08x}\n", encoding="utf-8")
+        self._mine.append(path)
+
+    def fill(
+        self, task: Task, engine: str, workers: int | None, scheduler: str | None, progress: Progress | None
+    ) -> tuple[int, float]:
+        """Do the chunks that are missing, see `optlink.studies.runner.run`.
+
+        Returns
+        -------
+        rows that were done, processor time of all processes for them [s]
+        """
+        todo, total = self.missing(), sum(map(self.sizes, range(self.count)))
+        before, mine, cpu = total - sum(map(self.sizes, todo)), 0, 0.0
+        if progress is not None:
+            progress(before, total)
+        try:
+            for index, answer in run(task, todo, engine, workers, scheduler) if todo else ():
+                self.write(index, answer.value)
+                mine, cpu = mine + self.sizes(index), cpu + answer.cpu
+                if progress is not None:
+                    progress(before + mine, total)
+        except InputError:
+            if len(self._mine) == 1:  # nothing is lost
+                self.withdraw()
+            raise
+        return mine, cpu
+
+    def rows(self) -> Rows:
+        """Rows of all chunks in their order, one at a time."""
+        for index in range(self.count):
+            lines = self._lines(index)
+            if lines is None:
+                remedy = "Go on with --resume: it is done again"
+                raise InputError(Fault("a chunk was changed meanwhile", remedy, str(self._file(index)), "--out"))
+            yield from csv.reader(io.StringIO(lines, newline=""))
+
+    def finish(self, columns: list[str], rows: Rows) -> None:
+        """Write the table from all rows, then drop the chunks."""
+        with whole(self.table) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(rows)
+        self.drop()
+
+    def drop(self) -> None:
+        """Remove chunks that the table holds."""
+        shutil.rmtree(self.chunks, ignore_errors=True)
+
+    def finished_rows(self, columns: list[str]) -> Rows:
+        """Rows of the finished table.
+
+        Raises
+        ------
+        InputError
+            when it is not the one that was written.
+        """
+        number, wanted = 0, sum(map(self.sizes, range(self.count)))
+        with self.table.open(encoding="utf-8", newline="", errors="replace") as file:
+            rows: Iterable[list[str]] = csv.reader(file)
+            for number, row in enumerate(rows):
+                if len(row) != len(columns) or (number == 0 and row != columns):
+                    break
+                if number:
+                    yield row
+            else:
+                if number == wanted:
+                    return
+        remedy = "Remove the folder and begin again, or choose another one"
+        raise InputError(Fault("the finished table was changed or cut short meanwhile", remedy, str(self.table), "--out"))
+
+
+def _nothing(path: Path) -> InputError:
+    return InputError(Fault("there is no study to go on with", "Begin without --resume", str(path), "--resume"))
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    """A document; None where there is none that can be read."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None

@@ -1,0 +1,194 @@
+"""Many starts in one batch: sampled, screened by least squares, advanced together, told apart; round after round."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.problem.path import STEP, TURN, GenerationProblem
+from optlink.synthesis import random_starts as starts
+from optlink.synthesis.batch import Batch
+from optlink.synthesis.levenberg_marquardt import Ends, descend
+from optlink.synthesis.variable_projection import Similarity
+
+Array = NDArray[np.float64]
+
+FIRST_ROUND, PER_ROUND = 60, 240  # starts of a round, all assembly modes together: rounds double up to the second
+POOL = 6  # candidates per start; the better half of the starts are the best of them, the others any
+STEPS = 60
+DISTINCT = 1e-3  # least difference, in scaled units, of two designs
+PERFECT = 1e-20  # cost, as the square of a share of the size, of a design that passes all points
+MISSED = 1e-3  # weighted squares of missed limits up to which the polishing programme is worth its time
+FEW = 18  # points that a first descent looks at; the second looks at all
+NEAR, STRAGGLERS = 1e-17, 0.1  # cost at which the first descent leaves the rest to the second; share that it leaves behind
+FINISHED = 60  # best of a round that are followed to the last digits
+VALLEY, FINISH = 200, 200  # steps along narrow valleys with the linear part at its best, then steps in everything at once
+AFTER = 5  # steps of all others once one of them passes all points
+KEPT = 200  # distinct candidates, best first
+REPAIRED = 12  # best of a round that break the order or a limit: put in order, they may still lead to an answer
+
+
+@dataclass(eq=False)
+class Candidate:
+    """A distinct design of the batch: scaled x, crank angles of the points [rad], cost, its variant and the crank's direction.
+
+    `count` starts ended there.
+    """
+
+    variant: int
+    x: Array
+    t: Array
+    cost: float
+    direction: int
+    count: int = 1
+
+
+@dataclass
+class Exploration:
+    """Distinct candidates, best first, and the starts and rounds made.
+
+    `repaired` are those of the last round that ended out of order or beyond a limit and were put in order.
+    """
+
+    candidates: list[Candidate] = field(default_factory=list)
+    repaired: list[Candidate] = field(default_factory=list)
+    starts: int = 0
+    rounds: int = 0
+
+
+class Searcher:
+    """The search of one problem; `variants` are its combinations of assembly modes.
+
+    A round draws the same random numbers however many rounds follow: the starts of a short search are a prefix of those of a
+    longer one with the same seed.
+    """
+
+    def __init__(self, variants: list[GenerationProblem], seed: int) -> None:
+        self.batches = [Batch(variant) for variant in variants]
+        self.fits = [Similarity(batch) for batch in self.batches]
+        few = [batch.thinned(FEW) for batch in self.batches]
+        self.thin, self.lifts = [fit.of(thin) for fit, (thin, _) in zip(self.fits, few, strict=True)], [lift for _, lift in few]
+        self.seed = seed
+        self.found = Exploration()
+
+    def advance(self) -> Exploration:
+        """Make one round of starts, and return all that was found so far."""
+        found = self.found
+        share = -(-min(PER_ROUND, FIRST_ROUND << min(found.rounds, 8)) // len(self.batches))
+        found.repaired = []
+        for variant, (batch, fit) in enumerate(zip(self.batches, self.thin, strict=True)):
+            rng = np.random.default_rng([self.seed, found.rounds, variant])
+            x, t = self._sample(fit.batch, fit, share, rng)
+            if len(x):
+                self._keep(variant, batch, self._run(variant, batch, fit, x, t))
+        found.starts += share * len(self.batches)
+        found.rounds += 1
+        return found
+
+    def _sample(self, batch: Batch, fit: Similarity, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        many = POOL * count
+        x, t = starts.designs(batch, many, rng), starts.timing(batch, many, rng)
+        t = starts.within_reach(batch, x, t, rng)
+        whole = starts.assembled(batch, x, t)
+        x, t = x[whole], t[whole]
+        if not len(x):
+            return x, t
+        if fit.applies:
+            fitted, turned = fit.fit(x, batch.crank_angles(x, t))
+            x, t = np.clip(fitted, batch.low, batch.high), turned if batch.own else t
+        r, _, _ = batch.residuals(x, batch.crank_angles(x, t))
+        cost = np.einsum("bpk,bpk->b", r, r)
+        order = np.argsort(np.where(np.isfinite(cost), cost, np.inf))
+        best, rest = order[: count - count // 2], order[count - count // 2 :]
+        chosen = np.concatenate([best, rng.permutation(rest)[: count // 2]])
+        return x[chosen], t[chosen]
+
+    def _run(self, variant: int, batch: Batch, fit: Similarity, x: Array, t: Array) -> Ends:
+        with_fit = (fit.fit, fit.linear) if fit.applies else (None, None)
+        steps = STEPS if fit.applies else 2 * STEPS
+        ends = descend(fit.batch, x, t, steps, *with_fit, zero=NEAR, left=STRAGGLERS)
+        ends = replace(ends, t=ends.t @ self.lifts[variant])
+        self._repair(variant, batch, ends)
+        return self._finish(variant, batch, ends)
+
+    def _finish(self, variant: int, batch: Batch, ends: Ends) -> Ends:
+        """Follow the best of a round to the last digits.
+
+        Near-circular curves leave valleys that are curved and narrow; with what is linear put to its best at every step (the
+        fit) they are short, and the last digits come from a step in everything at once.
+        """
+        proper = ordered(batch, ends)[0] & (ends.missed <= MISSED)
+        order = np.argsort(np.where(proper, ends.cost, np.inf))[: max(1, FINISHED // len(self.batches))]
+        order = order[np.isfinite(ends.cost[order]) & proper[order]]
+        fit = self.fits[variant]
+        if len(order) and fit.applies:
+            ends = descend(
+                batch, ends.x[order], ends.t[order], VALLEY, fit.fit, fit.linear, slow=1e-7, left=STRAGGLERS, after=AFTER
+            )
+            order = np.arange(len(order))
+        if not len(order):
+            return ends.take(order)
+        return descend(batch, ends.x[order], ends.t[order], FINISH if fit.applies else VALLEY, slow=1e-9, after=AFTER)
+
+    def _repair(self, variant: int, batch: Batch, ends: Ends) -> None:
+        """Put the best of those that are out of order, or beyond a limit, in order: the nearest crank angles that are."""
+        proper, way = ordered(batch, ends)
+        wrong = np.isfinite(ends.cost) & ~(proper & (ends.missed <= MISSED))
+        for i in np.argsort(np.where(wrong, ends.cost, np.inf))[: min(REPAIRED, int(wrong.sum()))]:
+            t, direction = (in_order(batch.problem, ends.t[i]), int(way[i])) if batch.own else (ends.t[i], int(way[i]))
+            if batch.own:
+                direction = 1 if t[-1] >= t[0] else -1
+            angles = batch.crank_angles(ends.x[i : i + 1], t[None])
+            r, _, _ = batch.residuals(ends.x[i : i + 1], angles)
+            h, _ = batch.misses(ends.x[i : i + 1], angles)
+            cost = float(np.sum(r * r) + np.sum(h * h))
+            if np.isfinite(cost):
+                self.found.repaired.append(Candidate(variant, ends.x[i], t, cost, direction))
+        self.found.repaired.sort(key=lambda c: c.cost)
+
+    def _keep(self, variant: int, batch: Batch, ends: Ends) -> None:
+        proper, way = ordered(batch, ends)
+        known = self.found.candidates
+        for i in np.argsort(ends.cost):
+            if not proper[i] or ends.missed[i] > MISSED or not np.isfinite(ends.cost[i]):
+                continue
+            same = [c for c in known if c.variant == variant and np.max(np.abs(c.x - ends.x[i])) <= DISTINCT]
+            if not same:
+                known.append(Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])))
+                continue
+            same[0].count += 1
+            if ends.cost[i] < same[0].cost:
+                same[0].x, same[0].t, same[0].cost, same[0].direction = ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])
+        known.sort(key=lambda c: c.cost)
+        del known[KEPT:]
+
+
+def ordered(batch: Batch, ends: Ends) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:
+    """Whether the points are met in order within one revolution, and which way the crank turns."""
+    angles = batch.crank_angles(ends.x, ends.t)
+    steps = np.diff(angles, axis=1)
+    whole = angles[:, -1] - angles[:, 0]
+    way = np.where(whole >= 0.0, 1, -1)
+    proper = np.all(steps * way[:, None] >= STEP, axis=1) & (np.abs(whole) <= TURN + 1e-9)
+    rotation = {"counter-clockwise": 1, "clockwise": -1}.get(batch.problem.requirement.rotation)
+    if rotation is not None and batch.own:
+        proper &= way == rotation
+    return proper if batch.own else np.ones(len(whole), dtype=bool), way
+
+
+def in_order(problem: GenerationProblem, t: Array) -> Array:
+    """The crank angles nearest to t (points,) that pass the points in order within one revolution, the better way round."""
+    from scipy.optimize import isotonic_regression
+
+    least = 2.0 * STEP * np.arange(len(t))
+    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
+    found = []
+    for way in (1.0, -1.0) if rotation is None else (rotation,):
+        rising = isotonic_regression(way * t - least).x + least
+        most = TURN - 2.0 * STEP
+        if rising[-1] - rising[0] > most:
+            rising = rising[0] + (rising - rising[0]) * most / (rising[-1] - rising[0])
+        found.append((float(np.sum((rising - way * t) ** 2)), way * rising))
+    return np.asarray(min(found, key=lambda each: each[0])[1], dtype=float)

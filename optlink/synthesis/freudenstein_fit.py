@@ -1,0 +1,184 @@
+"""A linkage for every start position of a function: weighted least squares on the loop equation, all positions at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.synthesis.loop_equations import EXACT, Chain
+
+Array = NDArray[np.float64]
+Keep = Callable[[Array, Array, Array, Array, Array, Array], Any]
+"""Which linkages are wanted, elementwise: (crank, coupler, rocker, phi0, psi0, side), or (crank, coupler, offset, phi0, s0,
+side), all (m,), to (m,) bool."""
+
+BLOCK = 1 << 17  # numbers in one array of the scan: they should stay in the cache
+FITS = 2  # weighted fits per start position; a third changes nothing that could be measured
+FLATTEST = 0.05  # of the largest slope: a position near a dead one must not outweigh all others
+SINGULAR = 1e-12  # squared sine between the columns of a fit below which its constants are not determined
+ZOOMS = 6  # finer and finer grids around a start position, each of half the width
+FINE = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is wanted: rotations `x` and outputs `y` (n,) from the start, and how the error is measured."""
+
+    chain: Chain
+    x: Array
+    y: Array
+    largest: bool
+    unit: float  # of the output: 1 rad, or the stroke
+    shift: bool
+    keep: Keep | None
+    range_x: tuple[float, float]  # of the start positions
+    range_y: tuple[float, float]
+
+    def figure(self, errors: Array) -> Array:
+        """Largest, or root mean square, over the last axis."""
+        return np.asarray(np.max(np.abs(errors), axis=-1) if self.largest else np.sqrt(np.mean(errors * errors, axis=-1)))
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Fitted linkages, one per start position (m,), positive lengths; `error` infinite where they will not do."""
+
+    x0: Array
+    y0: Array
+    k: Array
+    side: Array
+    error: Array
+    margin: Array
+
+    def __getitem__(self, index: Any) -> Cells:
+        return Cells(*(getattr(self, name)[index] for name in ("x0", "y0", "k", "side", "error", "margin")))
+
+
+def _together(cells: list[Cells]) -> Cells:
+    names = ("x0", "y0", "k", "side", "error", "margin")
+    return Cells(*(np.concatenate([getattr(cell, name) for cell in cells]) for name in names))
+
+
+def _weighted(task: Task, u: Array, v: Array, w: Array, q: Array) -> Array:
+    """Constants (m, 3) within the limits of the least sum of q (K1 u + K2 v + K3 - w)^2; NaN where they are not determined."""
+    total = np.sum(q, axis=-1)
+    mu, mv, mw = (np.einsum("mn,mn->m", q, a) / total for a in (u, v, w))
+    du, dv, dw = u - mu[:, None], v - mv[:, None], w - mw[:, None]
+    qu, qv = q * du, q * dv
+    uu, uv, vv = (np.einsum("mn,mn->m", a, b) for a, b in ((qu, du), (qu, dv), (qv, dv)))
+    uw, vw = np.einsum("mn,mn->m", qu, dw), np.einsum("mn,mn->m", qv, dw)
+    det = uu * vv - uv * uv
+    det = np.where((det > SINGULAR * uu * vv) & (np.minimum(uu, vv) > SINGULAR * total), det, np.nan)
+    k = np.stack([(vv * uw - uv * vw) / det, (uu * vw - uv * uw) / det], axis=-1)
+    rows, bounds = task.chain.limits
+    sign = np.copysign(1.0, k) if task.shift else np.ones_like(k)
+    outside = np.any((sign * k) @ rows[:, :2].T > bounds, axis=-1)
+    if np.any(outside):
+        normal = np.stack([uu, uv, uv, vv], axis=-1).reshape(-1, 2, 2)[outside]
+        k[outside] = _on_edges(normal, np.stack([uw, vw], axis=-1)[outside], task.chain.corners * sign[outside, None])
+    return np.stack([k[:, 0], k[:, 1], mw - k[:, 0] * mu - k[:, 1] * mv], axis=-1)
+
+
+def _on_edges(normal: Array, right: Array, corners: Array) -> Array:
+    """Least point (m, 2) of k' N k - 2 k' r on the edges of polygons: N (m, 2, 2), r (m, 2), corners (m, e, 2) in turn."""
+    along = np.roll(corners, -1, axis=1) - corners
+    steep = np.einsum("mei,mij,mej->me", along, normal, along)
+    fall = np.einsum("mei,mei->me", along, right[:, None] - np.einsum("mij,mej->mei", normal, corners))
+    points = corners + np.clip(fall / steep, 0.0, 1.0)[..., None] * along
+    value = np.einsum("mei,mij,mej->me", points, normal, points) - 2.0 * np.einsum("mei,mi->me", points, right)
+    return np.asarray(points[np.arange(len(points)), np.argmin(value, axis=-1)])
+
+
+def fit(task: Task, x0: Array, y0: Array) -> Cells:
+    """Fit a linkage to every start position (m,): weighted least squares, the weights those of the output error."""
+    chain = task.chain
+    x, y = x0[:, None] + task.x, y0[:, None] + task.y
+    u, v, w = chain.terms(x, y)
+    k = _weighted(task, u, v, w, np.ones_like(w))
+    for _ in range(1, FITS):
+        slope = np.abs(chain.slope(x, y, k))
+        floor = FLATTEST * np.max(slope, axis=-1, keepdims=True)
+        q = np.maximum(np.maximum(slope, floor), 1e-100) ** -2.0
+        k = _weighted(task, u, v, w, q / np.max(q, axis=-1, keepdims=True))
+    return judge(task, x0, y0, k)
+
+
+def judge(task: Task, x0: Array, y0: Array, k: Array) -> Cells:
+    """Mode, output error and margin of linkages (m,); an infinite error where one does not meet what is asked."""
+    chain = task.chain
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        good = np.all(np.isfinite(k), axis=-1)
+        start = (x0, y0)
+        x0, y0, k = chain.upright(x0, y0, k)
+        if not task.shift:
+            good &= (x0 == start[0]) & (y0 == start[1])
+        x, y = x0[:, None] + task.x, y0[:, None] + task.y
+        modes = -np.sign(chain.slope(x, y, k))
+        side = np.where(np.sum(modes, axis=-1) >= 0.0, 1.0, -1.0)
+        sizes = chain.sizes(k)
+        margin = chain.margin(sizes, np.min(x, axis=-1), np.max(x, axis=-1))
+        good &= np.all(modes == side[:, None], axis=-1) & chain.fits(sizes) & (margin > 0.0)
+        error = task.figure(chain.difference(chain.follow(x, k, side), y))
+        good &= np.isfinite(error)
+        if task.keep is not None:
+            good[good] = np.asarray(task.keep(*(a[good] for a in (*sizes, x0, y0, side))), dtype=bool)
+    return Cells(x0, y0, k, side, np.where(good, error, np.inf), margin)
+
+
+def scan(task: Task, x0: Array, y0: Array) -> Cells:
+    """Every pair of start positions of x0 (p,) and y0 (q,) that gives a linkage."""
+    first, second = (a.ravel() for a in np.meshgrid(x0, y0, indexing="ij"))
+    blocks = min(first.size, math.ceil(first.size * task.x.size / BLOCK))
+    found = []
+    for one, other in zip(np.array_split(first, blocks), np.array_split(second, blocks), strict=True):
+        cells = fit(task, one, other)
+        found.append(cells[np.isfinite(cells.error)])
+    return _together(found)
+
+
+def step_of(grid: Array) -> float:
+    """Largest distance of neighbours; zero where there is one value."""
+    return float(np.max(np.diff(np.sort(grid)), initial=0.0))
+
+
+def apart(task: Task, cells: Cells, room: tuple[float, float], count: int) -> list[int]:
+    """The best whose start positions lie further apart than `room`, or whose modes differ; `count` of them at most.
+
+    Least error first; among exact ones the best transmission first.
+    """
+    chosen: list[int] = []
+    for i in np.lexsort((-cells.margin, np.maximum(cells.error, EXACT * task.unit))):
+        if len(chosen) == count:
+            break
+        others = cells[chosen]
+        dx = np.abs(np.remainder(others.x0 - cells.x0[i] + np.pi, 2.0 * np.pi) - np.pi)
+        dy = np.abs(task.chain.difference(others.y0, cells.y0[i]))
+        near = (dx <= room[0]) & (dy <= room[1]) & (others.side == cells.side[i])
+        if not np.any(near):
+            chosen.append(int(i))
+    return chosen
+
+
+def zoom(task: Task, cells: Cells, grids: tuple[Array, Array]) -> Cells:
+    """Better start positions around those of the grid, by ever finer grids of their own."""
+    reach = [step_of(grid) for grid in grids]
+    if len(cells.error) == 0 or not any(reach):
+        return cells
+    first, second = (a.ravel() for a in np.meshgrid(*(FINE if r > 0.0 else FINE[2:3] for r in reach), indexing="ij"))
+    for _ in range(ZOOMS):
+        x0 = np.clip(cells.x0[:, None] + reach[0] * first, *task.range_x)
+        y0 = np.clip(cells.y0[:, None] + reach[1] * second, *task.range_y)
+        found = fit(task, x0.ravel(), y0.ravel())
+        best = np.argmin(found.error.reshape(x0.shape), axis=-1) + first.size * np.arange(len(x0))
+        better = np.flatnonzero(found.error[best] < cells.error)
+        both = _together([cells, found[best]])
+        index = np.arange(len(x0))
+        index[better] += len(x0)
+        cells = both[index]
+        reach = [0.5 * r for r in reach]
+    return cells

@@ -1,0 +1,116 @@
+"""Where the search for a function begins: convex first steps (`optlink.synthesis.freudenstein`) as starts of the programme."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.fourbar import LENGTHS, transmission_cosine
+from optlink.linkage.vector2d import unit
+from optlink.problem.function import FULL_TURN, DesignProblem
+from optlink.problem.quantity import Quantity
+from optlink.problem.targets.function import Function
+from optlink.synthesis.freudenstein import FirstStep, first_steps, fitted
+
+Array = NDArray[np.float64]
+
+COUNT = 5  # first steps that are followed
+BLOCK, BLOCKS = 1024, 8  # random start angles that are fitted at once, and how often
+GRID = 36  # start angles of crank and rocker that are scanned, each over half a turn
+WIDER = 2.0 * math.pi / 180.0  # transmission angles a little beyond the limit: the nearest start may just miss it
+
+
+def applies(problem: DesignProblem) -> bool:
+    """Whether a function is wanted of crank, coupler and rocker that are free: then the first step is convex."""
+    lengths = all(problem.quantities[name].free for name in LENGTHS[:3])
+    return isinstance(problem.requirement.law, Function) and lengths
+
+
+def steps(problem: DesignProblem, count: int = COUNT) -> list[FirstStep]:
+    """The best first steps with the problem's assembly mode, least error first."""
+    free, ranges = _ranges(problem)
+    phi0, psi0 = (_grid(low, high, free) for low, high in ranges)
+    return first_steps(*_rotations(problem), phi0, psi0, **_options(problem, free), count=count)
+
+
+def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
+    """Fitted linkages at random start angles (Sobol points scrambled by the seed), as quantities of the problem.
+
+    Only those that have the problem's assembly mode all along; at most `BLOCK` times `BLOCKS` points are tried.
+    """
+    from scipy.stats import qmc
+
+    free, ranges = _ranges(problem)
+    if all(low == high for low, high in ranges):
+        return
+    points = qmc.Sobol(2, rng=np.random.default_rng(seed))
+    low = np.array([start[0] for start in ranges])
+    size = np.array([math.pi if free else start[1] - start[0] for start in ranges])
+    for _ in range(BLOCKS):
+        phi0, psi0 = (low + size * points.random(BLOCK)).T
+        for step in fitted(*_rotations(problem), phi0, psi0, **_options(problem, free)):
+            yield values(problem, step)
+
+
+def _rotations(problem: DesignProblem) -> tuple[Array, Array]:
+    """Rotations of crank and rocker [rad] from their starts."""
+    law = problem.requirement.law
+    assert isinstance(law, Function)
+    offsets = problem.law.offsets
+    return offsets, np.asarray(law.rise(offsets), dtype=float)
+
+
+def _ranges(problem: DesignProblem) -> tuple[bool, list[tuple[float, float]]]:
+    """Whether both start angles are free over half a turn at least, and their bounds [rad]."""
+    starts = [problem.quantities[name] for name in ("phi0", "psi0")]
+    return all(start.free and start.bounds[1] - start.bounds[0] >= math.pi for start in starts), [s.bounds for s in starts]
+
+
+def _options(problem: DesignProblem, free: bool) -> dict[str, Any]:
+    """Options of `first_steps`."""
+    ratio = problem.limits.link_ratio
+    ratios = None if ratio is None else (ratio.low or 1e-3, ratio.high or 1e3)
+    keep = _keep(problem, problem.law.offsets)
+    return {"measure": problem.requirement.measure, "ratios": ratios, "shift": free, "keep": keep}
+
+
+def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:
+    """A first step as quantities of the problem."""
+    frame = problem.quantities["frame"].value
+    lengths = {name: getattr(step, name) * frame for name in LENGTHS[:3]}
+    angles = {name: _into(problem.quantities[name], getattr(step, name)) for name in ("phi0", "psi0")}
+    return {**lengths, "frame": frame, **angles}
+
+
+def _grid(low: float, high: float, whole: bool) -> Array:
+    if low == high:
+        return np.array([low])
+    if whole:
+        return np.linspace(0.0, math.pi, GRID, endpoint=False) + low
+    return np.linspace(low, high, GRID)
+
+
+def _into(start: Quantity, angle: float) -> float:
+    """An angle, turned by whole revolutions into the bounds of its quantity if that is possible: as near to zero as can be."""
+    low, high = start.bounds
+    turned = [angle + FULL_TURN * k for k in range(-2, 3)]
+    return min(turned, key=lambda a: (not low <= a <= high, abs(a)))
+
+
+def _keep(problem: DesignProblem, offsets: Array) -> Callable[..., Any]:
+    """Which linkages have the problem's assembly mode and nearly meet its limits of the transmission angle over the range."""
+    interval = problem.limits.transmission_angle
+    low = 0.0 if interval is None or interval.low is None else interval.low - WIDER
+    high = math.pi if interval is None or interval.high is None else interval.high + WIDER
+
+    def keep(crank: Array, coupler: Array, rocker: Array, phi0: Array, psi0: Array, side: Array) -> NDArray[np.bool_]:
+        cos_phi = unit(phi0[:, None] + offsets)[0]
+        cosine = transmission_cosine(crank[:, None], coupler[:, None], rocker[:, None], 1.0, cos_phi)
+        inside = np.all((cosine <= math.cos(max(low, 0.0))) & (cosine >= math.cos(min(high, math.pi))), axis=1)
+        return np.asarray(inside & (side == problem.side))
+
+    return keep

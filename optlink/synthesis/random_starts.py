@@ -1,0 +1,147 @@
+"""Where a search begins: random proportions that can turn, random timing along the points, everything else by least squares."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.vector2d import unit
+from optlink.problem.path import MARK, START, STEP, TURN
+from optlink.synthesis.batch import Batch
+from optlink.synthesis.inner_four_bar import loops
+
+Array = NDArray[np.float64]
+
+SPREAD = 0.35  # of the logarithm of a size around the one that the file gives
+
+
+def designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
+    """Random free quantities (count, n), scaled and within their bounds."""
+    problem = batch.problem
+    n = len(batch.names)
+    x = np.empty((count, n))
+    for i, name in enumerate(batch.names):
+        quantity = problem.quantities[name]
+        low, high = batch.low[i], batch.high[i]
+        if name in (START, MARK) or quantity.kind == "angle":
+            x[:, i] = (
+                rng.uniform(max(low, -math.pi), min(high, math.pi), count) if max(low, -math.pi) < min(high, math.pi) else low
+            )
+        elif batch.four_bar:
+            x[:, i] = rng.standard_normal(count) * 1.5
+        else:
+            given = (quantity.value - batch.origin[i]) / batch.scale[i]
+            size = max(abs(given), 0.1)
+            near = given + size * SPREAD * rng.standard_normal(count)
+            wide = rng.uniform(np.maximum(low, given - 3.0 * size), np.minimum(high, given + 3.0 * size), count)
+            x[:, i] = np.where(rng.random(count) < 0.6, near, wide)
+    if batch.four_bar:
+        shape = proportions(batch, count, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (count, 1)))
+        for k, name in enumerate(LENGTHS):
+            if name in batch.names:
+                x[:, batch.names.index(name)] = shape[:, k]
+    else:
+        _turning(batch, x, rng)
+    return np.clip(x, batch.low, batch.high)
+
+
+def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
+    """Give half of the designs (count, n) a four-bar whose crank can turn, where all sizes of the first one are free."""
+    loop = next(loops(batch.problem.linkage), None)
+    if loop is None or not loop.plain or not batch.turns:
+        return
+    names = [str(link.length) for link in (loop.crank, loop.coupler, loop.rocker)] + list(loop.ground)
+    if not set(names) <= set(batch.names):
+        return
+    crank, coupler, rocker, ax, ay, dx, dy = (batch.names.index(name) for name in names)
+    half = len(x) // 2
+    shape = proportions(batch, half, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (half, 1)))
+    x[:half, [crank, coupler, rocker]] = shape[:, :3]
+    direction = rng.uniform(0.0, TURN, half)
+    x[:half, ax], x[:half, ay] = rng.standard_normal((2, half)) * 1.5
+    x[:half, dx] = x[:half, ax] + shape[:, 3] * np.cos(direction)
+    x[:half, dy] = x[:half, ay] + shape[:, 3] * np.sin(direction)
+
+
+def proportions(batch: Batch, count: int, rng: np.random.Generator) -> Array:
+    """Random crank, coupler, rocker and frame (count, 4), frame of 1.
+
+    The lengths of all crank-rockers are crank a, coupler a + v + w, rocker a + u + w, frame a + u + v with a, u, v, w > 0:
+    each of Grashof's sums has one of these numbers, twice, as its slack. In a double-crank crank and frame change places.
+    """
+    crank = batch.problem.limits.crank
+    if crank == "span":
+        lengths = np.exp(rng.uniform(math.log(0.2), math.log(3.0), (count, 4)))
+    else:
+        a, u, v, w = np.where(
+            rng.random(count) < 0.7, rng.exponential(size=(4, count)), np.exp(1.7 * rng.standard_normal((4, count)))
+        )
+        lengths = np.stack([a, a + v + w, a + u + w, a + u + v], axis=1)
+        if crank == "double-crank":
+            lengths = lengths[:, [3, 1, 2, 0]]
+    return np.asarray(lengths / lengths[:, 3:], dtype=float)
+
+
+def timing(batch: Batch, count: int, rng: np.random.Generator) -> Array:
+    """Random crank angles (count, points) in order, steps loosely following the distances of the points."""
+    problem, points = batch.problem, batch.data.columns[:, :2]
+    number = len(points)
+    if not batch.own:
+        return np.zeros((count, number))
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if problem.closed:
+        chords = np.append(chords, np.linalg.norm(points[0] - points[-1]))
+    chords = chords / max(float(np.mean(chords)), 1e-300) + 1e-3
+    noise = 0.4 * min(1.0, math.sqrt(9.0 / number))
+    steps = chords ** rng.uniform(0.0, 1.0, (count, 1)) * np.exp(noise * rng.standard_normal((count, len(chords))))
+    if problem.closed and problem.meets_again:
+        steps[:, -1] = 0.0
+    span = np.full((count, 1), TURN) if problem.closed else TURN * rng.uniform(0.1, 0.97, (count, 1))
+    steps = np.maximum(steps / steps.sum(axis=1, keepdims=True) * span, 2.0 * STEP * (steps > 0.0))
+    rotation = problem.requirement.rotation
+    way = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(rotation)
+    ways = np.where(rng.random((count, 1)) < 0.5, 1.0, -1.0) if way is None else np.full((count, 1), way)
+    turned = np.concatenate([np.zeros((count, 1)), np.cumsum(steps[:, : number - 1], axis=1)], axis=1)
+    return np.asarray(rng.uniform(-math.pi, math.pi, (count, 1)) + ways * turned, dtype=float)
+
+
+def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> Array:
+    """Crank angles (count, points) of four-bars that need not turn fully, moved and shortened to where they can be assembled."""
+    if batch.turns or not batch.four_bar or not batch.own:
+        return t
+    values = batch.values(x)
+    crank, coupler, rocker, frame = (values[name][:, 0] for name in LENGTHS)
+    square, twice = crank**2 + frame**2, 2.0 * crank * frame
+    near = np.arccos(np.clip((square - (coupler - rocker) ** 2) / twice, -1.0, 1.0))  # closer to the frame B is too near to D
+    far = np.arccos(np.clip((square - (coupler + rocker) ** 2) / twice, -1.0, 1.0))  # beyond B is too far from D
+    mirrored = rng.random(len(x)) < 0.5
+    low = np.where(near <= 0.0, -far, np.where(far >= math.pi, near, np.where(mirrored, -far, near)))
+    high = np.where(near <= 0.0, far, np.where(far >= math.pi, TURN - near, np.where(mirrored, -near, far)))
+    span = np.abs(t[:, -1] - t[:, 0])
+    room = 0.98 * (high - low)
+    share = np.minimum(1.0, room * rng.uniform(0.3, 1.0, len(x)) / np.maximum(span, 1e-9))
+    begin = low + 0.01 * (high - low) + rng.random(len(x)) * np.maximum(room - share * span, 0.0)
+    least = np.minimum(t[:, 0], t[:, -1])
+    limited = (near > 0.0) | (far < math.pi)
+    moved = begin[:, None] + (t - least[:, None]) * share[:, None]
+    return np.asarray(np.where(limited[:, None], moved, t), dtype=float)
+
+
+def assembled(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
+    """Which designs close at all their points, and over the whole revolution if the crank shall turn."""
+    mechanism, values = batch.problem.linkage, batch.values(x)
+    angles = batch.crank_angles(x, t)
+    with np.errstate(all="ignore"):
+        asked = [angles]
+        if batch.turns and not batch.four_bar:
+            asked.append(np.broadcast_to(batch.angles, (len(x), len(batch.angles))))
+        found = np.ones(len(x), dtype=bool)
+        for at in asked:
+            pose = mechanism.pose(values, unit(at))
+            for group in mechanism.groups:
+                margin = np.broadcast_to(pose.margins[group.joint], at.shape)
+                found &= np.all(margin > group.least, axis=1)
+    return found

@@ -1,0 +1,149 @@
+"""What enters linearly is not searched: place, size and direction of a linkage and its coupler point, by linear least squares.
+
+As complex numbers the points of a body are P = a + w S + b u, with S the path of one of its joints and u its direction, both
+known once the proportions and the crank angles are; a, w and b follow from linear least squares. What is left to search are
+the proportions (three numbers for a four-bar) and the crank angles (variable projection).
+
+Source: G. H. Golub and V. Pereyra, The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
+separate, SIAM J. Numer. Anal. 10 (1973).
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.mechanism import FRAME
+from optlink.linkage.vector2d import minus, unit
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.path import START
+from optlink.symbolic import Tape, tracing
+from optlink.synthesis.batch import Batch
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+class Similarity:
+    """The best place, direction and size of every design of a batch, and its best coupler point where that is free."""
+
+    def __init__(self, batch: Batch) -> None:
+        self.batch = batch
+        problem = batch.problem
+        names = list(batch.names)
+        quantities = problem.mechanism.quantities
+        point, body = problem.requirement.point, problem.body
+        own = (f"{point}.along", f"{point}.across")
+        marks = own if isinstance(problem.mechanism, FourBarSection) else tuple(f"{body}.{name}" for name in own)
+        self.point = [names.index(name) for name in marks] if all(name in names for name in marks) else []
+        ground = {name: q for name, q in quantities.items() if q.kind == "coordinate" and name.rpartition(".")[2] in ("x", "y")}
+        angles = [name for name, q in quantities.items() if q.kind == "angle"]
+        sizes = [
+            name for name in quantities if name not in ground and name not in angles and (name not in marks or not self.point)
+        ]
+        turning = [name for name in angles if self._on_frame(name)]
+        self.lengths = [names.index(name) for name in sizes if name in names]
+        self.turning = [names.index(name) for name in turning if name in names]
+        bases = sorted({name.rpartition(".")[0] for name in ground})
+        self.ground = [
+            (names.index(f"{base}.x"), names.index(f"{base}.y"))
+            for base in bases
+            if f"{base}.x" in names and f"{base}.y" in names
+        ]
+        placed = problem.mechanism.placed if isinstance(problem.mechanism, FourBarSection) else True
+        free = [name for name in (*sizes, *ground, *turning) if name not in names and quantities[name].value != 0.0]
+        bound = [name for name in (*ground, *turning) if name not in names]
+        timed = not batch.own and batch.start < 0 and not isinstance(problem.mechanism, FourBarSection)
+        self.applies = problem.requirement.kind == "path" and placed and not free and not bound and not timed
+        self.counted_from_x = not isinstance(problem.mechanism, FourBarSection)
+        if self.applies:
+            self._trace()
+
+    def of(self, batch: Batch) -> Similarity:
+        """The same for a batch with fewer points."""
+        other = copy.copy(self)
+        other.batch = batch
+        return other
+
+    def _on_frame(self, name: str) -> bool:
+        """Whether an angle turns with the frame: its direction, or that of a guide on it."""
+        mechanism = self.batch.problem.linkage
+        if name == "direction":
+            return True
+        base, _, key = name.rpartition(".")
+        return key == "direction" and any(guide.name == base and guide.on == FRAME for guide in mechanism.guides)
+
+    def _trace(self) -> None:
+        batch = self.batch
+        problem, n = batch.problem, len(batch.names)
+        x, t = casadi.SX.sym("x", n), casadi.SX.sym("t")
+        values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
+        values |= {v.name: v.origin + v.size * x[i] for i, v in enumerate(batch.variables)}
+        mechanism = problem.linkage
+        with tracing():
+            pose = mechanism.pose(values, unit(t))
+            link = mechanism.link(problem.body)
+            pivot = pose.point(mechanism.crank.start)
+            at = pose.point(link.start if self.point else problem.requirement.point)
+            arm, axis = minus(at, pivot), pose.direction(problem.body)
+            outputs = [arm[0] / problem.size, arm[1] / problem.size, axis[0] + 0.0 * t, axis[1] + 0.0 * t]
+            self._tape = Tape([*(x[i] for i in range(n)), t], outputs)
+        self._pivot = [batch.names.index(f"{mechanism.crank.start}.{axis}") for axis in "xy"]
+
+    def fit(self, x: Array, t: Array) -> tuple[Array, Array]:
+        """The designs with what is linear at its best, and their crank angles; a design without a fit is returned as it was."""
+        batch = self.batch
+        n = x.shape[1]
+        arm_x, arm_y, axis_x, axis_y = self._tape(*(x[:, i : i + 1] for i in range(n)), t)
+        centre = np.array(batch.problem.centre)
+        wanted = ((batch.data.columns[:, 0] - centre[0]) + 1j * (batch.data.columns[:, 1] - centre[1])) / batch.problem.size
+        arm, axis = arm_x + 1j * arm_y, axis_x + 1j * axis_y
+        weights = batch.data.roots**2 / np.sum(batch.data.roots**2)
+
+        def mean(z: Complex) -> Complex:
+            return np.asarray((z * weights).sum(axis=-1, keepdims=True))
+
+        with np.errstate(all="ignore"):
+            s, u, z = arm - mean(arm), axis - mean(axis), wanted - mean(wanted)
+            ss, sz = mean(s * s.conj()).real, mean(s.conj() * z)
+            if self.point:
+                uu, su, uz = mean(u * u.conj()).real, mean(s.conj() * u), mean(u.conj() * z)
+                uu = uu + 1e-12
+                w = (uu * sz - su * uz) / (ss * uu - np.abs(su) ** 2)
+                b = (uz - su.conj() * w) / uu
+            else:
+                w, b = sz / ss, np.zeros_like(sz)
+            a = mean(wanted) - w * mean(arm) - b * mean(axis)
+            size, turned = np.abs(w), w / np.abs(w)
+            y = x.copy()
+            pivot = x[:, self._pivot[0]] + 1j * x[:, self._pivot[1]]  # scaled, counted from the centre of the points
+            for i, j in self.ground:
+                place = a[:, 0] + w[:, 0] * (x[:, i] + 1j * x[:, j] - pivot)
+                y[:, i], y[:, j] = place.real, place.imag
+            y[:, self.lengths] = x[:, self.lengths] * size
+            if self.point:
+                local = (b / turned)[:, 0]
+                y[:, self.point[0]], y[:, self.point[1]] = local.real, local.imag
+            by = np.angle(turned)
+            for i in self.turning:
+                y[:, i] = np.remainder(x[:, i] + by[:, 0] + np.pi, 2.0 * np.pi) - np.pi
+            moved = t
+            if self.counted_from_x:
+                moved = t + by if batch.own else t
+                if batch.start >= 0:
+                    y[:, batch.start] = np.remainder(x[:, batch.start] + by[:, 0] + np.pi, 2.0 * np.pi) - np.pi
+        good = np.all(np.isfinite(y), axis=1) & np.all(np.isfinite(moved), axis=1)
+        return np.where(good[:, None], y, x), np.where(good[:, None], moved, t)
+
+    @property
+    def linear(self) -> list[int]:
+        """Indices of the variables that follow from the others."""
+        found = [*self.point, *self.turning, *(i for pair in self.ground for i in pair)]
+        return [i for i in found if self.batch.names[i] != START]
+
+
+__all__ = ["Similarity"]

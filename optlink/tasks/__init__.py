@@ -1,0 +1,1 @@
+"""Tasks: one module per kind of question, from a problem to a result."""

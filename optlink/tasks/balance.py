@@ -1,0 +1,445 @@
+"""Balancing of a machine with a proof: what `optlink balance`, notebooks and reports call."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.balancing import optimum as search
+from optlink.balancing.socp import GAP, NOTHING, Limits, Price, Programme, version
+from optlink.dynamics.columns import Record
+from optlink.dynamics.counterweights import Affine, Effects, Measure, amounts, joined, quantities
+from optlink.dynamics.inertia import Inertia, Parameters
+from optlink.dynamics.machine import Machine
+from optlink.errors import Fault, InputError
+from optlink.optimization.pareto_front import knee
+from optlink.problem.file import ProblemFile
+from optlink.problem.fixed_design import settled
+from optlink.problem.machine.balance import check_measure, read_measure
+from optlink.problem.mechanism import sizes_of
+from optlink.problem.quantity import Unusable
+from optlink.tasks.analyze import check_regular, crank_speed, machine_of, motion_range, sampled
+from optlink.tasks.balance_result import ACTIVE, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
+
+Array = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+
+# --- the problem ------------------------------------------------------------------------------------------------------------
+
+
+class _Task:
+    """A problem made ready: the machine at its positions, what may be added, the programme."""
+
+    def __init__(self, problem: ProblemFile) -> None:
+        section = problem.model.balance
+        if section is None:
+            example = 'minimise = "rms shaking force" and [[balance.counterweights]] with body, thickness, density and reach'
+            raise InputError(
+                Fault("the problem has no [balance], so nothing is asked", f"Add it: {example}", problem.file, "balance")
+            )
+        self.problem, self.section = problem, section
+        self.machine = machine_of(problem)
+        self.speed = crank_speed(problem)
+        self.angles = self._angles()
+        self.counterweights, self.springs = section.build(self.machine)
+        self.about = section.place(self.machine)
+        self.moving = self.machine.moving(self.angles, self.speed)
+        self._check_finite()
+        self.effects = Effects(self.moving, [weight.body for weight in self.counterweights], self.springs, self.about)
+        ceilings = tuple(ceiling for ceiling in section.limits.values())
+        self.limits = Limits(
+            tuple((c.measure, c.of(c.measure.value(self.effects.affine(c.measure).offset))) for c in ceilings),
+            math.inf if section.mass is None or section.mass.high is None else section.mass.high,
+        )
+        masses = sum(float(inertia.mass) for inertia in self.machine.inertias.values())
+        self.programme = Programme(
+            self.effects, self.counterweights, self.springs, self.limits, masses or 1.0, float(self.machine.size)
+        )
+
+    def _angles(self) -> Array:
+        start, count = self.problem.model.drive.start.value, self.section.positions
+        ranges, low, high = motion_range(self.problem, self.machine, start)
+        check_regular(self.problem, ranges, "nothing can be balanced")
+        angles = sampled(start, low, high, self.speed, ranges.full, count, None)
+        return angles[:-1] if ranges.full else angles  # the last of a revolution is the first again
+
+    def _check_finite(self) -> None:
+        record = Record(self.moving, ())
+        bad = record.singular | record.jammed | record.undefined
+        if np.any(bad):
+            where = ", ".join(f"{math.degrees(a):.6g}" for a in self.angles[bad][:3])
+            raise InputError(
+                Fault(
+                    f"no finite reactions at crank angle {where} deg, so nothing can be balanced there",
+                    "`optlink analyze` says why; keep away from singular positions",
+                    self.problem.file,
+                    "mechanism",
+                )
+            )
+
+    def affine(self, measure: Measure) -> Affine:
+        """A quantity as a function of what is added."""
+        return self.effects.affine(measure)
+
+    def parts(self, x: Array) -> tuple[tuple[Added, ...], tuple[Fitted, ...]]:
+        """Counterweights and springs of scaled parameters; what is next to nothing is left out."""
+        values = x * self.programme.scales
+        added = tuple(
+            Added(weight, Parameters(*(float(v) for v in values[4 * k : 4 * k + 4])))
+            for k, weight in enumerate(self.counterweights)
+            if x[4 * k] > NOTHING
+        )
+        begin = 4 * len(self.counterweights)
+        springs = tuple(
+            Fitted(spring, float(values[begin + 2 * k]), float(values[begin + 2 * k + 1] / values[begin + 2 * k]))
+            for k, spring in enumerate(self.springs)
+            if x[begin + 2 * k] > NOTHING
+        )
+        return added, springs
+
+    def parameters(self, added: Sequence[Added], springs: Sequence[Fitted]) -> Array:
+        """The same as parameters [SI], zero for what was left out."""
+        found = np.zeros(self.effects.count)
+        for k, weight in enumerate(self.counterweights):
+            for one in added:
+                if one.asked is weight:
+                    found[4 * k : 4 * k + 4] = one.parameters
+        for k, spring in enumerate(self.springs):
+            for own in springs:
+                if own.asked is spring:
+                    place = 4 * len(self.counterweights) + 2 * k
+                    found[place : place + 2] = own.stiffness, own.stiffness * own.free
+        return found
+
+
+# --- the answer ---------------------------------------------------------------------------------------------------------------
+
+
+def balance(
+    problem: ProblemFile,
+    minimise: str | None = None,
+    trade: str | None = None,
+    points: int = 25,
+    progress: Progress | None = None,
+    design: Mapping[str, float] | None = None,
+) -> Balance:
+    """Choose the counterweights (and springs) of a machine so that a measure is least, and prove it.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With a section [balance].
+    minimise : str, optional
+        A measure, for example "rms shaking force" or "largest reaction at D", in place of that of the problem.
+    trade : str, optional
+        Two measures, for example "force,torque": the curve on which neither can be made smaller without making the other
+        larger, at so many `points`.
+    design : mapping of quantity to value [SI], optional
+        For problems with free quantities; their starts are taken if left out.
+
+    Raises
+    ------
+    InputError
+        whatever is wrong with the problem or the arguments.
+    """
+    begin = time.perf_counter()
+    importlib.import_module("cvxpy")
+    seconds = {"loading cvxpy": time.perf_counter() - begin}
+    begin = time.perf_counter()
+    if design is not None:
+        problem = settled(problem, {**sizes_of(problem.model.mechanism.quantities), **design})
+    task = _Task(problem)
+    goal = task.section.goal if minimise is None else ((_measure(minimise, "--minimise", task), 1.0),)
+    pair = () if trade is None else _pair(trade, task)
+    _check(task, goal, pair, points)
+    programme = task.programme
+    found = search.optimum(programme, goal)
+    seconds["optimum"] = time.perf_counter() - begin
+    before = _before(task, goal)
+    common = (problem, tuple(goal))
+    shared: dict[str, Any] = {"solver": version(), "iterations": found.certificate.iterations, "seconds": seconds}
+    if found.certificate.status == "infeasible":
+        return Balance(
+            *common, "infeasible", task.machine, task.angles, task.speed, task.about, before, conflict=_conflict(task), **shared
+        )
+    if found.certificate.status != "optimal":
+        return Balance(*common, "stalled", task.machine, task.angles, task.speed, task.about, before, **shared)
+    best = search.made(programme, goal, found.x)
+    added, springs = task.parts(best)
+    after = search.evaluate(programme, goal, best)
+    scale = before if len(goal) == 1 else 1.0
+    size = max(found.value, 1e-3)  # a value of next to nothing is measured by the given machine
+    gap, slack = max(found.gap, 0.0) / size, max(after - found.value, 0.0) / size
+    status = "stalled" if gap > GAP else "relaxed" if slack > GAP else "optimal"
+    begin = time.perf_counter()
+    balanced, heavier, rows, disagreement = _verified(task, added, springs)
+    seconds["verification"] = time.perf_counter() - begin
+    curve = None
+    if pair:
+        begin = time.perf_counter()
+        curve = _trade(task, pair[0], pair[1], points, progress)
+        seconds["trade"] = time.perf_counter() - begin
+    return Balance(
+        *common,
+        status,
+        task.machine,
+        task.angles,
+        task.speed,
+        task.about,
+        before,
+        after * scale,
+        found.lower * scale,
+        gap,
+        slack,
+        added,
+        springs,
+        balanced,
+        heavier,
+        rows,
+        disagreement,
+        tuple(_held(price, after, scale) for price in found.prices),
+        trade=curve,
+        notes=tuple(_notes(task, goal, status, slack, heavier, added)),
+        exact=found.exact,
+        excess=programme.excess(best),
+        **shared,
+    )
+
+
+def _measure(text: str, option: str, task: _Task) -> Measure:
+    try:
+        measure = read_measure(text)
+        check_measure(measure, task.machine)
+    except Unusable as error:
+        raise InputError(Fault(error.message, error.remedy, task.problem.file, option, text)) from None
+    return measure
+
+
+def _pair(text: str, task: _Task) -> tuple[Measure, Measure]:
+    first, comma, second = text.partition(",")
+    if not comma or "," in second:
+        raise InputError(
+            Fault("a trade-off is between two measures", "Write for example force,torque", key="--trade", value=text)
+        )
+    return _measure(first, "--trade", task), _measure(second, "--trade", task)
+
+
+def _check(task: _Task, goal: Sequence[tuple[Measure, float]], pair: Sequence[Measure], points: int) -> None:
+    """What is zero already cannot be made less, and no share of it can be told."""
+    if not 3 <= points <= 1000:
+        raise InputError(Fault("out of range", "Give a number from 3 to 1000", key="--points", value=points))
+    if len(pair) == 2 and pair[0] == pair[1]:
+        raise InputError(
+            Fault("both measures are the same", "Name two, for example force,torque", key="--trade", value=str(pair[0]))
+        )
+    for measure in [m for m, _ in goal] + list(pair):
+        if not task.programme.before(measure) > 0.0:
+            message = f"the {measure} of the given machine is zero: nothing is left to balance"
+            raise InputError(
+                Fault(message, "Choose another measure, or give the bodies masses", task.problem.file, "balance.minimise")
+            )
+
+
+def _before(task: _Task, goal: Sequence[tuple[Measure, float]]) -> float:
+    if len(goal) == 1:
+        return task.programme.before(goal[0][0])
+    return sum(weight for _, weight in goal)
+
+
+# --- proof by inverse dynamics ------------------------------------------------------------------------------------------------
+
+
+def written(problem: ProblemFile, machine: Machine, added: Sequence[Added], springs: Sequence[Fitted]) -> ProblemFile:
+    """The problem with the counterweights in its bodies and the springs among its loads, as a file would state it."""
+    changes: dict[str, object] = {"balance": None}
+    for one in added:
+        whole = joined(machine.inertias.get(one.body, Inertia()), one.parameters)
+        changes[f"bodies.{one.body}"] = {
+            "mass": f"{float(whole.mass)!r} kg",
+            "centroid": [f"{float(whole.along)!r} m", f"{float(whole.across)!r} m"],
+            "inertia": f"{float(whole.moment)!r} kg*m^2",
+        }
+    for spring in springs:
+        changes[f"loads.{spring.asked.name}"] = {
+            "between": [point for _, point in spring.asked.ends],
+            "stiffness": f"{spring.stiffness!r} N/m",
+            **({"free_length": f"{spring.free!r} m"} if spring.free > 0.0 else {}),
+        }
+    title = f"{problem.model.title[:188]}, balanced"
+    return problem.override({**changes, "title": title, "expected": None})
+
+
+def _verified(
+    task: _Task, added: Sequence[Added], springs: Sequence[Fitted]
+) -> tuple[ProblemFile, Machine, tuple[Row, ...], float]:
+    """The balanced problem, its machine, all measures before and after by inverse dynamics, and the programme's disagreement."""
+    balanced = written(task.problem, task.machine, added, springs)
+    machine = machine_of(balanced)
+    asked = quantities(task.machine)
+    given = amounts(task.moving, asked, task.about)
+    now = amounts(machine.moving(task.angles, task.speed), asked, task.about)
+    rows = []
+    for quantity, old, new in zip(asked, given, now, strict=True):
+        for how in ("rms", "largest"):
+            measure = Measure(quantity.kind, how, quantity.joint, quantity.on)
+            rows.append(Row(measure, measure.value(old), measure.value(new)))
+    return balanced, machine, tuple(rows), _disagreement(task, asked, now, task.parameters(added, springs))
+
+
+def _disagreement(task: _Task, asked: Sequence[Measure], now: Sequence[Array], parameters: Array) -> float:
+    """Largest difference of the affine functions from the inverse dynamics, over the largest amount that meets there."""
+    worst = 0.0
+    for quantity, amount in zip(asked, now, strict=True):
+        affine = task.affine(quantity)
+        said = affine.at(parameters)
+        size = max(float(np.max(np.abs(affine.offset))), float(np.max(np.abs(affine.matrix * parameters), initial=0.0)), 1e-300)
+        worst = max(worst, float(np.max(np.abs(said - amount))) / size)
+    return worst
+
+
+# --- limits ------------------------------------------------------------------------------------------------------------------
+
+SHOWN: dict[str, tuple[str, float, float]] = {
+    "mass": ("kg", 1.0, 0.01),
+    "length": ("mm", 1e3, 1e-3),
+    "stiffness": ("N/m", 1.0, 0.0),
+    "force": ("N", 1.0, 0.0),
+    "measure": ("", 1.0, 0.0),
+}
+"""Kinds of limits: the unit for people, how many are one in SI, the step that is told [SI]; zero: one per cent of the limit."""
+
+
+def _held(price: Price, after: float, scale: float) -> Held:
+    unit, factor, step = SHOWN[price.kind]
+    if price.kind == "measure":
+        unit = "N m" if "moment" in price.name or "torque" in price.name else "N"
+    step = step or 0.01 * abs(price.bound)
+    off = abs(price.bound - price.value)
+    active = off <= ACTIVE * max(abs(price.bound), 1e-12)
+    buys = price.price * step / after if after > NOTHING else 0.0
+    sense = "at most" if price.sense > 0 else "at least"
+    return Held(
+        price.name,
+        sense,
+        price.bound * factor,
+        price.value * factor,
+        unit,
+        active,
+        price.price * scale / factor,
+        step * factor,
+        buys,
+    )
+
+
+def _conflict(task: _Task) -> tuple[Relaxed, ...]:
+    found = []
+    for item in search.conflict(task.programme):
+        unit, factor, _ = SHOWN[item.bound.kind]
+        if item.bound.kind == "measure":
+            unit = "N m" if "moment" in item.bound.name or "torque" in item.bound.name else "N"
+        sense = "at most" if item.bound.sense > 0 else "at least"
+        found.append(
+            Relaxed(item.bound.name, sense, item.bound.bound * factor, item.alone * factor, item.together * factor, unit)
+        )
+    return tuple(found)
+
+
+# --- the trade-off -----------------------------------------------------------------------------------------------------------
+
+
+def _trade(task: _Task, first: Measure, second: Measure, count: int, progress: Progress | None) -> Trade:
+    programme = task.programme
+    found = search.curve(programme, first, second, count)
+    scales = programme.before(first), programme.before(second)
+    points = []
+    for k, point in enumerate(found.points):
+        x = programme.realised(point.x)
+        added, springs = task.parts(x)
+        machine = _heavier(task.machine, added, springs)
+        asked = [first, second]
+        now = amounts(machine.moving(task.angles, task.speed), asked, task.about)
+        rows = [measure.rows(task.angles) for measure in asked]
+        made = tuple(m.value(amount[row]) for m, amount, row in zip(asked, now, rows, strict=True))
+        off = _disagreement(task, asked, [a[row] for a, row in zip(now, rows, strict=True)], task.parameters(added, springs))
+        points.append(
+            TradePoint(
+                point.first * scales[0],
+                point.second * scales[1],
+                max(point.gap, 0.0),
+                point.rate * scales[0] / scales[1],
+                (made[0], made[1]),
+                off,
+                {one.body: one.mass for one in added},
+            )
+        )
+        if progress is not None:
+            progress((k + 1) / len(found.points))
+    bend = knee(np.array([[point.first, point.second] for point in points]))
+    return Trade(
+        first, second, scales, tuple(points), None if bend is None else bend[0], found.first_seconds, found.further_seconds
+    )
+
+
+def _heavier(machine: Machine, added: Sequence[Added], springs: Sequence[Fitted]) -> Machine:
+    """The machine with counterweights and springs."""
+    inertias = dict(machine.inertias)
+    for one in added:
+        inertias[one.body] = joined(inertias.get(one.body, Inertia()), one.parameters)
+    loads = (*machine.loads, *(spring.asked.spring(spring.stiffness, spring.free) for spring in springs))
+    return machine.with_(inertias=inertias, loads=loads)
+
+
+# --- notes -------------------------------------------------------------------------------------------------------------------
+
+
+def _notes(
+    task: _Task,
+    goal: Sequence[tuple[Measure, float]],
+    status: str,
+    slack: float,
+    heavier: Machine,
+    added: Sequence[Added],
+) -> list[str]:
+    notes = []
+    if any(weight.kind == "disc" for weight in task.counterweights):
+        told = "the moments of inertia of discs were relaxed to a cone, as those of a disc are no convex function"
+        end = (
+            "the optimum lies on it, so no discs do better"
+            if status == "optimal"
+            else f"discs come within {slack:.2%} of the bound"
+        )
+        notes.append(f"{told}: {end}")
+    idle = [weight.body for weight in task.counterweights if weight.body not in [one.body for one in added]]
+    if idle:
+        notes.append(f"no counterweight is of use on {', '.join(idle)}")
+    if task.problem.model.free:
+        notes.append(
+            f"free quantities stand at their start values: {', '.join(task.problem.model.free)} (--design takes a result)"
+        )
+    if len(task.angles) != task.section.positions:
+        notes.append("the crank cannot turn fully: the positions are those of its range")
+    notes += _between(task, goal, heavier)
+    return notes
+
+
+def _between(task: _Task, goal: Sequence[tuple[Measure, float]], heavier: Machine) -> list[str]:
+    """What lies between the positions that count, where the largest amount is made small or limited."""
+    largest = [m for m in (*(m for m, _ in goal), *(m for m, _ in task.limits.measures)) if m.of == "largest"]
+    if not largest:
+        return []
+    fine = np.interp(np.linspace(0, len(task.angles) - 1, 16 * len(task.angles)), np.arange(len(task.angles)), task.angles)
+    coarse = amounts(heavier.moving(task.angles, task.speed), largest, task.about)
+    dense = amounts(heavier.moving(fine, task.speed), largest, task.about)
+    notes = []
+    for measure, one, other in zip(largest, coarse, dense, strict=True):
+        at, between = measure.value(one[measure.rows(task.angles)]), measure.value(other[measure.rows(fine)])
+        if between > at * (1.0 + 1e-4):
+            notes.append(f"between the positions the {measure} is up to {between / at - 1.0:.2%} higher: take more of them")
+    return notes

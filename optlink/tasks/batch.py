@@ -1,0 +1,228 @@
+"""Thousands of designs of one machine in one call: chosen columns of the analysis, in portions that stay in the cache."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from optlink.dynamics.columns import Record
+from optlink.dynamics.machine import Machine
+from optlink.errors import Fault, InputError
+from optlink.linkage.alignment import listed, near_singular
+from optlink.linkage.continuation import follow
+from optlink.linkage.extrema import extremes_of_rows
+from optlink.linkage.motion import sweep
+from optlink.linkage.stroke import TURN, reachable
+from optlink.linkage.vector2d import Value
+from optlink.problem.file import ProblemFile
+from optlink.problem.mechanism import sizes_of
+from optlink.problem.quantity import nearest
+from optlink.tasks.analyze import GRID, crank_speed, machine_of
+
+Array = NDArray[np.float64]
+PORTION = 12_000
+"""Positions that are worked on at a time: a few dozen intermediate arrays of them stay in the processor's cache."""
+
+LARGE = 60_000
+"""The same for extremes, whose refinement takes many short calls."""
+
+CLEAR = 0.1
+"""Least sine of every group (of a transmission angle 5.7 deg) by which a design keeps clear of singular positions, also between
+the samples."""
+
+
+SAMPLES = 360
+"""Crank angles per revolution, at least, at which designs are examined for singular positions."""
+
+
+class Columns(dict[str, Array]):
+    """Columns by name, arrays (designs, points); `singular`: why the motion of a design is not determined, by its number."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.singular: dict[int, str] = {}
+
+
+def analyze_batch(
+    problem: ProblemFile,
+    designs: Mapping[str, ArrayLike],
+    columns: Sequence[str] = ("input.torque_Nm",),
+    points: int = 360,
+    speed: float | None = None,
+) -> Columns:
+    """Columns of the analysis for many designs at once.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    designs : mapping of quantity (see `optlink show`) to array (designs,) [SI]
+        What is not named keeps its value.
+    columns : names as in `Analysis.columns`
+    points : int
+        Crank angles per revolution, from the start of the problem on, the last one step before the first. A mechanism that is
+        led through change points gets as many revolutions as the longest cycle of all designs has.
+    speed : float [rad/s], optional
+        Of the crank; that of the problem if left out.
+
+    Returns
+    -------
+    columns by name, arrays (designs, points of all revolutions); NaN where a design cannot be assembled, or has no slow
+    stroke in which a load should act, and for designs whose motion is not determined beyond a singular position (`singular` says
+    at which crank angle).
+    Memory beside these arrays does not grow with the number of designs.
+
+    Raises
+    ------
+    InputError
+        unknown quantities or columns, arrays of different length, values that are not finite.
+    """
+    arrays = _read(problem, designs)
+    count = len(next(iter(arrays.values())))
+    drive = problem.model.drive
+    way = crank_speed(problem) if speed is None else speed
+    follows = problem.model.mechanism.follows
+    turns = _most_turns(problem, arrays) if follows else 1
+    angles = drive.start.value + np.copysign(TURN, way) * np.arange(turns * points) / points
+    known = Record(machine_of(problem).moving(angles[:1], way)).columns
+    for name in columns:
+        if name not in known:
+            raise InputError(Fault("no such column", nearest(name, known), problem.file, "columns", name))
+    found = Columns()
+    found.update({name: np.empty((count, len(angles))) for name in columns})
+    samples = angles if points >= SAMPLES else drive.start.value + TURN * np.arange(turns * SAMPLES) / SAMPLES
+    step = 1 if follows else max(1, PORTION // points)
+    for first in range(0, count, step):
+        for part, defined in _alike(problem, arrays, np.arange(first, min(first + step, count)), alone=follows):
+            if not defined:
+                for name in columns:
+                    found[name][part] = np.nan
+                continue
+            machine = machine_of(problem, _designs(arrays, part, alone=follows))
+            record = Record(machine.moving(angles, way), columns)
+            for name in columns:
+                found[name][part] = record[name]
+            found.singular |= _singular(machine, part, samples)
+    for name in columns:
+        found[name][list(found.singular)] = np.nan
+    return found
+
+
+def _singular(machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[int, str]:
+    """Why the motion of some of these designs is not determined, by their numbers."""
+    suspects = near_singular(sweep(machine.mechanism, machine.sizes, angles).pose, angles)
+    found = {}
+    for k in np.flatnonzero(suspects):
+        sizes = {name: float(np.ravel(size)[k if np.size(size) > 1 else 0]) for name, size in machine.sizes.items()}
+        singular = reachable(machine.mechanism, sizes).singular
+        if singular:
+            found[int(part[k])] = f"singular position at crank angle {listed(singular)}: the motion beyond it is not determined"
+    return found
+
+
+def _designs(arrays: Mapping[str, Array], part: NDArray[np.intp], *, alone: bool) -> dict[str, Value]:
+    """Quantities of a portion of the designs, arrays (designs, 1), or numbers of its only design."""
+    return {name: float(values[part[0]]) if alone else values[part, None] for name, values in arrays.items()}
+
+
+def _most_turns(problem: ProblemFile, arrays: Mapping[str, Array]) -> int:
+    """Revolutions of the longest cycle of all designs."""
+    model, count = problem.model, len(next(iter(arrays.values())))
+    sizes, start = sizes_of(model.mechanism.quantities), model.drive.start.value
+    each = ({**sizes, **_designs(arrays, np.array([k]), alone=True)} for k in range(count))
+    return max(round(follow(model.linkage, design, start).cycle / TURN) for design in each)
+
+
+def _alike(
+    problem: ProblemFile, arrays: Mapping[str, Array], part: NDArray[np.intp], *, alone: bool
+) -> Iterator[tuple[NDArray[np.intp], bool]]:
+    """The designs of a portion in groups whose slow strokes are the same, and whether every load that needs one has one."""
+    if not any(load.by_pace for load in problem.model.loads.values()):
+        yield part, True
+        return
+    senses = problem.model.slow_senses(_designs(arrays, part, alone=alone))
+    senses = np.broadcast_to(senses, (len(senses), len(part)))
+    keys, group = np.unique(senses, axis=1, return_inverse=True)
+    for k, key in enumerate(keys.T):
+        yield part[np.ravel(group) == k], bool(np.all(key != 0.0))
+
+
+def batch_extremes(
+    problem: ProblemFile, designs: Mapping[str, ArrayLike], columns: Sequence[str]
+) -> tuple[dict[str, Array], NDArray[np.bool_]]:
+    """Exact extremes of columns over the revolution for many designs at once, as those of `optlink.analyze`.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        Its machine has no loads that jump (`Machine.switching`).
+    designs : mapping of quantity to array (designs,) [SI]
+        What is not named keeps its value.
+    columns : names as in `Analysis.columns`, or `B.f_N` for the magnitude of a reaction; no angles of bodies
+
+    Returns
+    -------
+    extremes : arrays (designs, 2) by name, the least and the largest value
+    clear : array (designs,) of bool
+        Which designs keep clear of every singular position. The extremes of the others mean nothing.
+
+    Raises
+    ------
+    InputError
+        as `analyze_batch`.
+    """
+    arrays = _read(problem, designs)
+    count = len(next(iter(arrays.values())))
+    drive = problem.model.drive
+    way, start = crank_speed(problem), drive.start.value
+    step = TURN / GRID
+    grid = np.asarray(min(start, start + math.copysign(TURN, way)) + step * np.arange(-1, GRID + 2), dtype=float)
+    found = {name: np.full((count, 2), np.nan) for name in columns}
+    clear = np.zeros(count, dtype=bool)
+    portion = max(1, LARGE // GRID)
+    for first in range(0, count, portion):
+        machine = machine_of(problem, {name: values[first : first + portion, None] for name, values in arrays.items()})
+        moving = machine.moving(grid, way)
+        record = Record(moving, [part for name in columns for part in reaction_parts(name)])
+        with np.errstate(all="ignore"):
+            apart = [np.min(np.abs(record.full(sine)), axis=1) > CLEAR for sine in record.reactions.singularity.values()]
+            apart.append(np.all(moving.motion.assembled, axis=1))
+        apart += [np.all(np.isfinite(column.values), axis=1) for column in record.columns.values()]
+        numbers = first + np.flatnonzero(np.all(apart, axis=0))
+        clear[numbers] = True
+        if numbers.size:
+            own = machine_of(problem, {name: values[numbers, None] for name, values in arrays.items()})
+            for name in columns:
+                found[name][numbers] = extremes_of_rows(functools.partial(_column, own, way, name), grid)
+    return found, clear
+
+
+def reaction_parts(name: str) -> tuple[str, ...]:
+    """The columns whose root sum square a column is: the components of the magnitude of a reaction, else itself."""
+    return (f"{name[:-4]}.fx_N", f"{name[:-4]}.fy_N") if name.endswith(".f_N") else (name,)
+
+
+def _column(machine: Machine, speed: float, name: str, angles: Array) -> Array:
+    """A column of a batch of designs at crank angles (1, n) or (designs, n)."""
+    record = Record(machine.moving(angles, speed), reaction_parts(name))
+    values = [record[part] for part in reaction_parts(name)]
+    return values[0] if len(values) == 1 else np.hypot(*values)
+
+
+def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    known = problem.model.mechanism.quantities
+    arrays = {name: np.atleast_1d(np.asarray(values, dtype=float)) for name, values in designs.items()}
+    if not arrays:
+        raise InputError(Fault("no quantity is varied", f"Name one of: {', '.join(known)}", problem.file, "designs"))
+    sizes = {len(values) for values in arrays.values()}
+    for name, values in arrays.items():
+        if name not in known:
+            raise InputError(Fault("unknown quantity", nearest(name, known), problem.file, "designs", name))
+        if values.ndim != 1 or len(sizes) > 1:
+            raise InputError(Fault("one value per design is needed", "Give arrays of one length", problem.file, name))
+        if not np.all(np.isfinite(values)) or (known[name].kind == "length" and np.any(values <= 0.0)):
+            raise InputError(Fault("not a size", "Give finite values, lengths above zero", problem.file, name))
+    return arrays

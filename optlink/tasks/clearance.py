@@ -1,0 +1,507 @@
+"""Simulation of a machine with clearance in its joints: what `optlink simulate`, notebooks and reports call."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.clearance.closed_loop import Plant
+from optlink.clearance.controller import PID, Control, Controller, Gains
+from optlink.clearance.equations import Drive, Servo, Weightless
+from optlink.clearance.integration import Impact, Stalled
+from optlink.clearance.inverse_model import Inverse, leverage
+from optlink.clearance.joint import Gap
+from optlink.clearance.output import Output, outputs, usual
+from optlink.clearance.reference_signal import even
+from optlink.clearance.statistics import Account, Prediction, Twin, table
+from optlink.dynamics.forward import Ending
+from optlink.dynamics.machine import Machine
+from optlink.errors import Fault, InputError
+from optlink.io import finite, head
+from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import Unusable, nearest
+from optlink.tasks.analyze import check_regular, machine_of, motion_range, with_flywheel
+
+Array = NDArray[np.float64]
+SCHEMA = "optlink/clearance/1"
+CHECKPOINT = "optlink/checkpoint/1"
+TURN = 2.0 * math.pi
+SETTLED = 5
+"""Revolutions at the beginning that the statistics leave out, where there are more than twice as many."""
+
+EVERY = 5.0
+"""Seconds between checkpoints."""
+
+COARSER = 30.0
+"""Ratio of the tolerances of a run and of its twin, which shows how long the motion can be predicted."""
+
+
+@dataclass(frozen=True)
+class LooseSimulation:
+    """A machine with clearance in time.
+
+    `columns` by name over the rows of the last revolutions (all, up to `KEPT`), `meanings` of them; `turns`: figures of each
+    revolution, (revolutions,) arrays; `impacts` in the order of their ends, those that last at the end of all; `section`: a row
+    of each revolution's end.
+    """
+
+    problem: ProblemFile
+    machine: Machine
+    gaps: tuple[Gap, ...]
+    output: Output
+    control: Control
+    speed: float
+    start: float
+    sample_time: float | None
+    columns: Mapping[str, Array]
+    meanings: Mapping[str, str]
+    turns: Mapping[str, Array]
+    impacts: tuple[Impact, ...]
+    section: Mapping[str, Array]
+    figures: Mapping[str, float]
+    prediction: Prediction | None
+    ending: Ending
+    stopped: float
+    message: str
+    notes: tuple[str, ...]
+    tolerance: float
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    @property
+    def finished(self) -> bool:
+        """Whether all revolutions were simulated."""
+        return self.ending is Ending.FINISHED
+
+    @property
+    def revolutions(self) -> int:
+        """Whole revolutions that were simulated."""
+        return int(self.figures["revolutions"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The simulation as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        predicted = self.prediction
+        return finite(  # type: ignore[no-any-return]
+            {
+                **head(SCHEMA, self.problem, self.ending.value),
+                "message": self.message,
+                "finished": self.finished,
+                "control": str(self.control),
+                "output": self.output.name,
+                "speed_rad_s": self.speed,
+                "start_rad": self.start,
+                "sample_time_s": self.sample_time,
+                "tolerance": self.tolerance,
+                "gaps": [vars(gap) for gap in self.gaps],
+                "notes": list(self.notes),
+                "figures": dict(self.figures),
+                "stopped_s": self.stopped,
+                "prediction": None
+                if predicted is None
+                else {"chaotic": predicted.chaotic, "parted_revolutions": predicted.parted, "watched": predicted.watched},
+                "turns": dict(self.turns),
+                "impacts": [{**impact._asdict(), "gap": self.gaps[impact.gap].point} for impact in self.impacts],
+                "section": dict(self.section),
+                "meanings": dict(self.meanings),
+                "columns": dict(self.columns),
+            }
+        )
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """Everything that one run is made of."""
+
+    file: ProblemFile
+    machine: Machine
+    gaps: tuple[Gap, ...]
+    output: Output
+    control: Control
+    servo: Servo | None
+    start: float
+    speed: float  # at the beginning
+    nominal: float
+    points: int
+
+    def plant(self, tolerance: float) -> Plant:
+        """A machine at the beginning, with its controller."""
+        section = self.file.model.control
+        sampled = self.control.fed_back and section is not None
+        try:
+            plant = Plant(
+                self.machine,
+                self.gaps,
+                self.drive,
+                self.output,
+                start=self.start,
+                speed=self.speed,
+                nominal=self.nominal,
+                points=self.points,
+                tolerance=tolerance,
+                sample_time=section.sample_time.value if section is not None and sampled else math.inf,
+            )
+        except Weightless as error:
+            bar = ', inertia = "uniform bar"' if self.machine.mechanism.bodies[error.body].end else ""
+            remedy = f'Give it a mass{" and a moment of inertia" if bar else ""}: {error.body} = {{ mass = "0.2 kg"{bar} }}'
+            raise InputError(Fault(str(error), remedy, self.file.file, f"bodies.{error.body}")) from None
+        if section is not None and sampled:
+            angles = self.start + math.copysign(TURN, self.nominal) * np.arange(plant.samples) / plant.samples
+            wanted = np.broadcast_to(np.asarray(self.output.ideal(self.machine.moving(angles))[0]), angles.shape)
+            gains = Gains(section.proportional, section.integral, section.derivative, section.limit.value)
+            lever = leverage(self.machine, self.output, angles, self.regularisation)
+            plant.controller = Controller(PID(gains, plant.sample_time), wanted, lever, not self.output.guide)
+        return plant
+
+    @cached_property
+    def drive(self) -> Drive:
+        """What moves the crank."""
+        if self.servo is None:
+            return Drive(torque=self.file.model.drive.torque)
+        section = self.file.model.control
+        command = even(self.start, self.nominal)
+        if self.control.inverted and section is not None:
+            known = [gap for gap in self.gaps if section.known is None or gap.point in section.known]
+            bandwidth = 0.5 * self.servo.bandwidth if section.bandwidth is None else section.bandwidth.value
+            if known:
+                inverse = Inverse(self.machine, known, self.output, self.start, self.nominal)
+                command = inverse.command(self.regularisation, self.servo, bandwidth)
+        return Drive(self.servo, command)
+
+    @property
+    def regularisation(self) -> float:
+        """Of the inverse [m/rad, 1]: what the file says, else a tenth of the output's largest rate per crank angle."""
+        section = self.file.model.control
+        if section is not None and section.regularisation is not None:
+            return section.regularisation.value
+        rates = self.output.ideal(self.machine.moving(np.linspace(0.0, TURN, 361)))[1]
+        return 0.1 * float(np.max(np.abs(rates)))
+
+
+def simulate_clearance(
+    problem: ProblemFile,
+    revolutions: int = 20,
+    points: int = 360,
+    speed: float | None = None,
+    control: str = "none",
+    *,
+    start: float | None = None,
+    design: Mapping[str, float] | None = None,
+    flywheel: float = 0.0,
+    tolerance: float = 1e-10,
+    twin: bool = True,
+    progress: Callable[[float], None] | None = None,
+    stream: Callable[[Mapping[str, Array]], None] | None = None,
+    checkpoint: Callable[[dict[str, Any]], None] | None = None,
+    resume: Mapping[str, Any] | None = None,
+) -> LooseSimulation:
+    """Move a machine whose joints have clearance, from the state that it would have without.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        From `optlink.load`; at least one joint has a clearance.
+    revolutions : int
+        Of the nominal speed.
+    points : int
+        Rows per revolution.
+    speed : float [rad/s], optional
+        Nominal speed of the crank; that of the problem if left out.
+    control : str
+        "none", "inverse", "pid" or "inverse+pid"; all but the first need `[drive] servo` and `[control]`.
+    start : float [rad], optional
+        Crank angle at the beginning; that of the problem if left out.
+    flywheel : float [kg m^2]
+        Further inertia at the crank.
+    tolerance : float
+        Relative, of the integrator; absolute a thousandth of it (SI).
+    twin : bool
+        Whether a second run of a coarser tolerance shows how long the motion can be predicted.
+    progress : function of the share that is done, optional
+    stream : function of the rows of a revolution, optional
+        Called with every revolution as it is done; memory does not grow with their number.
+    checkpoint : function of a document, optional
+        Called every few seconds, and when the work breaks off, with all that `resume` needs; plain numbers, fit for JSON.
+    resume : mapping, optional
+        Such a document: the run goes on from there, to the same digits as one that was never interrupted. The rows of before are
+        not in it.
+
+    Returns
+    -------
+    LooseSimulation; where the integration stalls or is interrupted, what was computed until then.
+
+    Raises
+    ------
+    InputError
+    """
+    setting = _setting(problem, points, speed, control, start, design, flywheel)
+    _check(revolutions, points, tolerance)
+    plant = setting.plant(tolerance)
+    account, pair = Account(plant), None
+    if twin:
+        pair = Twin(setting.plant(tolerance * COARSER))
+    skipped = revolutions - counted(revolutions)
+    label = {
+        "schema": CHECKPOINT,
+        "problem_hash": problem.hash,
+        "speed_rad_s": setting.nominal,
+        "start_rad": setting.start,
+        "control": str(setting.control),
+        "points": points,
+        "tolerance": tolerance,
+        "skipped": skipped,
+        "design": None if design is None else dict(design),
+        "flywheel_kg_m2": flywheel,
+    }
+    if resume is not None:
+        _check_resume(resume, label, revolutions)
+        try:
+            plant.restore(resume["plant"])
+            account.restore(resume["account"])
+            if pair is not None and resume["twin"] is not None:
+                pair.restore(resume["twin"])
+        except (KeyError, TypeError, ValueError, IndexError):
+            raise InputError(Fault("the checkpoint is damaged", "Begin anew, without it", key="resume")) from None
+
+    def save() -> dict[str, Any]:
+        return {"plant": plant.save(), "twin": None if pair is None else pair.save()}
+
+    def keep() -> None:
+        if checkpoint is not None and account.count:
+            checkpoint({**label, "revolutions": account.count, **saved, "account": account.save()})
+
+    kept_at, saved = time.monotonic(), save()
+    ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_told(setting, plant))
+    plants = [plant] if pair is None else [plant, pair.plant]
+    try:
+        with _interruptible(plants):
+            for k in range(account.count, revolutions):
+                rows = account.add(k >= skipped)
+                if stream is not None:
+                    stream(rows)
+                if pair is not None:
+                    pair.follow(rows[setting.output.column])
+                saved = save()
+                if progress is not None:
+                    progress((k + 1) / revolutions)
+                if time.monotonic() - kept_at > EVERY or k + 1 == revolutions:
+                    keep()
+                    kept_at = time.monotonic()
+    except Stalled as error:
+        account.add_partial()
+        ending = Ending.STALLED
+        angle = float(plant.integration.state[plant.equations.cut.driven])
+        message = (
+            f"{error.reason}, at {plant.time:.9g} s, crank angle {math.degrees(angle):.6g} deg, revolution {account.count + 1}"
+        )
+    except KeyboardInterrupt:
+        account.add_partial()
+        ending, message = Ending.INTERRUPTED, f"interrupted after {account.count} of {revolutions} revolutions"
+    if ending is not Ending.FINISHED:
+        keep()
+    if ending is Ending.STALLED:
+        notes.append(f"The state then: {_state(plant)}")
+        notes.append(
+            "What was computed until then is kept. A softer contact, a higher restitution, masses or a lower speed may help"
+        )
+    prediction = pair.prediction if pair is not None and account.count else None
+    if prediction is not None and prediction.chaotic:
+        notes.append(
+            f"The motion is sensitive: runs at two tolerances part after {prediction.parted:.2f} revolutions. From there on "
+            "single values of the trajectory mean nothing; root mean squares and other statistics still do"
+        )
+    kept = {} if not account.rows else {name: np.concatenate([rows[name] for rows in account.rows]) for name in account.meanings}
+    return LooseSimulation(
+        problem,
+        setting.machine,
+        setting.gaps,
+        setting.output,
+        setting.control,
+        setting.nominal,
+        setting.start,
+        plant.sample_time if plant.controller else None,
+        kept,
+        account.meanings,
+        table(account.turns),
+        (*account.impacts, *plant.integration.lasting),
+        table(account.section),
+        account.figures(),
+        prediction,
+        ending,
+        plant.time,
+        message,
+        tuple(notes),
+        tolerance,
+    )
+
+
+def counted(revolutions: int) -> int:
+    """How many of the revolutions of a run the statistics count: the last ones."""
+    return revolutions - SETTLED if revolutions > 2 * SETTLED else revolutions
+
+
+def checked_output(
+    problem: ProblemFile,
+    control: str,
+    *,
+    revolutions: int,
+    points: int,
+    tolerance: float,
+    speed: float | None = None,
+    design: Mapping[str, float] | None = None,
+) -> Output:
+    """The output whose deviation a simulation with these options measures.
+
+    Parameters
+    ----------
+    problem, control, revolutions, points, tolerance, speed, design
+        As in `simulate_clearance`.
+
+    Raises
+    ------
+    InputError
+        when such a simulation is not possible.
+    """
+    setting = _setting(problem, points, speed, control, None, design, 0.0)
+    _check(revolutions, points, tolerance)
+    setting.plant(tolerance)
+    return setting.output
+
+
+@contextlib.contextmanager
+def _interruptible(plants: Sequence[Plant]) -> Iterator[None]:
+    """Let an interrupt from the keyboard end the work after the present call of the integrator; a second one at once."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not (
+        signal.default_int_handler
+    ):
+        yield
+        return
+    asked = False
+
+    def ask(*_: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    for plant in plants:
+        plant.integration.stop = lambda: asked
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _check_resume(resume: Mapping[str, Any], label: Mapping[str, Any], revolutions: int) -> None:
+    """Go on only with what was begun."""
+    for name, value in label.items():
+        if resume.get(name) != value:
+            message = f"the checkpoint is that of another run: its {name} is {resume.get(name)!r}, not {value!r}"
+            raise InputError(Fault(message, "Resume with the options that the run was begun with, or begin anew", key="resume"))
+    done = resume.get("revolutions")
+    if not isinstance(done, int) or not all(isinstance(resume.get(part), Mapping) for part in ("plant", "account")):
+        raise InputError(Fault("the checkpoint is damaged", "Begin anew, without it", key="resume"))
+    if done > revolutions:
+        raise InputError(Fault(f"{done} revolutions are done already", "Ask for more", key="revolutions", value=revolutions))
+
+
+def _setting(
+    problem: ProblemFile,
+    points: int,
+    speed: float | None,
+    control: str,
+    start: float | None,
+    design: Mapping[str, float] | None,
+    flywheel: float,
+) -> _Setting:
+    model, name = problem.model, problem.file
+    if control not in [str(kind) for kind in Control]:
+        raise InputError(
+            Fault(
+                "no such control", nearest(control, [*(str(kind) for kind in Control), "compare"]), key="control", value=control
+            )
+        )
+    machine = with_flywheel(machine_of(problem, design), flywheel)
+    try:
+        gaps = model.gaps(machine)
+    except Unusable as error:
+        raise InputError(Fault(error.message, error.remedy, name, error.key, error.value)) from None
+    if not gaps:
+        pin = next(iter(machine.mechanism.pins))
+        remedy = f'Add one: [joints.{pin}] clearance = "0.5 mm", bearing_radius = "10 mm", modulus = "207 GPa"'
+        raise InputError(Fault("no joint of the problem has a clearance", remedy, name, "joints"))
+    if machine.friction:
+        guide = next(iter(machine.friction))
+        message = "friction in a guide and clearance in a pin are not simulated together"
+        raise InputError(
+            Fault(message, "Take the friction of the guide out, or the clearance", name, f"mechanism.guides.{guide}.friction")
+        )
+    if start is not None and not abs(start) <= 1e6:
+        raise InputError(Fault("out of range", "Give an angle", key="start", value=f"{start} rad"))
+    drive, kind = model.drive, Control(control)
+    begin = drive.start.value if start is None else start
+    ranges, _, _ = motion_range(problem, machine, begin)
+    check_regular(problem, ranges, "clearance is not simulated there")
+    if not ranges.full:
+        message = "the crank cannot turn fully, and revolutions are what is simulated with clearance"
+        raise InputError(Fault(message, "Change the sizes so that it can", name, "mechanism"))
+    nominal = drive.speed.value if speed is None else speed
+    if not math.isfinite(nominal) or nominal == 0.0 or abs(nominal) > 1e6:
+        raise InputError(Fault("out of range", "Give a speed other than zero", key="speed", value=f"{nominal:.6g} rad/s"))
+    servo = None if drive.servo is None else Servo(drive.servo.bandwidth.value, drive.servo.damping)
+    if kind is not Control.NONE:
+        if servo is None:
+            remedy = 'Add servo = { bandwidth = "300 Hz", damping = 0.7 } below [drive]'
+            raise InputError(Fault(f"control {kind} needs a drive that follows a command", remedy, name, "drive.servo"))
+        if model.control is None:
+            remedy = 'Add [control] with regularisation = "5 mm", proportional = 0.05, integral = 10.0'
+            raise InputError(Fault(f"control {kind} needs to know what is controlled", remedy, name, "control"))
+        if kind.fed_back and not any((model.control.proportional, model.control.integral, model.control.derivative)):
+            raise InputError(
+                Fault("all gains of the PID are zero", "Give proportional = 0.05 or integral = 10.0", name, "control")
+            )
+    first = nominal
+    if drive.torque is not None:
+        first = drive.initial_speed.value if drive.initial_speed is not None else 0.0
+    known = outputs(machine)
+    said = model.control.output if model.control is not None else None
+    output = known[said] if said is not None else usual(machine)
+    return _Setting(problem, machine, gaps, output, kind, servo, begin, first, nominal, points)
+
+
+def _check(revolutions: int, points: int, tolerance: float) -> None:
+    for name, number in (("revolutions", revolutions), ("points", points)):
+        if not math.isfinite(number) or int(number) != number:
+            raise InputError(Fault("not a whole number", "Give for example 360", key=name, value=number))
+    if not 1 <= revolutions <= 10_000_000:
+        raise InputError(Fault("out of range", "Give a number from 1 to 10,000,000", key="revolutions", value=revolutions))
+    if not 12 <= points <= 100_000:
+        raise InputError(Fault("out of range", "Give a number from 12 to 100,000", key="points", value=points))
+    if not 1e-13 <= tolerance <= 1e-4:
+        raise InputError(Fault("out of range", "Give a number from 1e-13 to 1e-4", key="tolerance", value=tolerance))
+
+
+def _state(plant: Plant) -> str:
+    """Coordinates and their rates, for people."""
+    cut, state = plant.equations.cut, plant.integration.state
+    units = {"angle": "rad", "x": "m", "y": "m", "slide": "m"}
+    pairs = zip(cut.coordinates, state[: plant.equations.size], state[plant.equations.size :], strict=True)
+    return "; ".join(f"{c.name} {q:.6g} {units[c.kind]}, {v:.6g} {units[c.kind]}/s" for c, q, v in pairs)
+
+
+def _told(setting: _Setting, plant: Plant) -> list[str]:
+    section = setting.file.model.control
+    if plant.controller and section is not None and abs(plant.sample_time / section.sample_time.value - 1.0) > 1e-9:
+        return [f"The sample time is {plant.sample_time * 1e3:.6g} ms, so that it fits the revolution and its rows"]
+    return []

@@ -1,0 +1,300 @@
+"""From a machine and what its cycle shall cost to a proven design: build, search from many starts, follow the peaks, prove."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Fault, InputError, Status
+from optlink.problem.cycle import Bound, CycleProblem
+from optlink.problem.cycle_terms import Term
+from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import Unusable, nearest
+from optlink.solvers.solution import Solution
+from optlink.tasks.analyze import quick_stroke_notes
+from optlink.tasks.cycle_result import MachineDesign, measured, task_of
+from optlink.tasks.result import Optimum, optimality
+from optlink.units import factor
+from optlink.validation.check import Check, Validation
+from optlink.validation.cycle import validate_cycle
+
+if TYPE_CHECKING:
+    from optlink.optimization.cycle_nlp import CycleNLP
+    from optlink.optimization.cycle_signals import Structure, Trace
+    from optlink.solvers.continuum import Continuum
+    from optlink.solvers.cycle_search import Begin, Samples, Searched
+
+Array = NDArray[np.float64]
+
+MAX_STARTS = 10_000
+ALIKE = 1e-6  # relative, of the objectives of two designs of one continuum
+MOST_NODES, EXACT = 400, 1e-7  # positions per revolution, and the share to which an integral must be that of the fine sweep
+
+
+def design_machine(
+    problem: ProblemFile,
+    backend: str = "ipopt",
+    starts: int | None = None,
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
+) -> MachineDesign:
+    """Find the sizes that make the objective least within the limits, and prove them.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        From `optlink.load`, with an [objective].
+    backend : "slsqp", "ipopt" or "both"
+        Both: each searches for itself, the better design is taken, and they must agree.
+    starts : int, optional
+        The given sizes, and random ones that move alike; 8 if left out. A larger number contains those of a smaller one
+        and the best design of all is taken, so that more are never worse.
+    seed : int
+        Of the random sizes.
+    progress : function of the number of searches done, optional
+
+    Raises
+    ------
+    InputError
+        when nothing is free, or an argument is out of range.
+    """
+    from optlink.optimization.cycle_signals import Trace
+    from optlink.solvers import multistart
+    from optlink.solvers.continuum import continuum
+    from optlink.solvers.cycle_search import STARTS, Samples, explained, others, rank, searched
+
+    _check(problem, backend, starts, seed)
+    task, count = task_of(problem), STARTS if starts is None else starts
+    names = multistart.BACKENDS if backend == "both" else (backend,)
+    for name in names:
+        multistart.backend(name)  # imports are nobody's solving time
+    clock = [time.perf_counter()]
+    try:
+        trace = Trace(task, slow=task.slow_assumed)
+    except Unusable as error:
+        raise InputError(Fault(error.message, error.remedy, problem.file, error.key, error.value)) from None
+    samples = Samples(trace, seed)
+
+    def fits(structure: Structure) -> bool:
+        return _strokeless(task, trace, structure) is None
+
+    firsts = _firsts(problem, samples, count)
+    if not firsts:
+        return _nowhere(problem, seed, count, time.perf_counter() - clock[0])
+    clock.append(time.perf_counter())
+    done = 0
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(done)
+
+    result = searched(trace, firsts, names, advance, lambda: others(samples, firsts, count, fits))
+    if not result.usable:
+        result = explained(result, names)
+    nlp, found = _dense(result.nlp, result.found)
+    winner = min(found.values(), key=rank)
+    chosen = next(name for name, solution in found.items() if solution is winner)
+    equal = continuum(nlp, winner, chosen) if result.usable else None
+    clock.append(time.perf_counter())
+    proof = validate_cycle(task, winner.design, winner.objective)
+    checks = (*proof.checks, *optimality(winner), *(_agreement(found) if len(found) > 1 else ()))
+    clock.append(time.perf_counter())
+    return MachineDesign(
+        problem=problem,
+        status=winner.status,
+        backend=chosen,
+        values=dict(winner.design),
+        objective=winner.objective,
+        validation=Validation(checks, proof.objective),
+        seconds={name: b - a for name, a, b in zip(("build", "solve", "validate"), clock, clock[1:], strict=False)},
+        seed=seed,
+        starts=result.starts,
+        solution=winner,
+        backends=found,
+        optima=_optima(task, winner, result.solutions, equal) if result.usable else (),
+        conflict=result.conflict,
+        together=result.together,
+        notes=tuple(_notes(problem, result, winner, count, equal)),
+        interrupted=result.interrupted,
+    )
+
+
+def _firsts(problem: ProblemFile, samples: Samples, count: int) -> list[Begin]:
+    """Where to search: sizes that move as the first ones in which every output with a stroke goes to and fro.
+
+    Raises
+    ------
+    InputError
+        when in none of the sizes that turn fully such an output goes to and fro.
+    """
+    from optlink.solvers.cycle_search import begins
+
+    task = task_of(problem)
+    wrong: list[tuple[str, Term, int]] = []
+
+    def fits(structure: Structure) -> bool:
+        fault = _strokeless(task, samples.trace, structure)
+        if fault is not None:
+            wrong.append(fault)
+        return fault is None
+
+    found = begins(samples, count, fits)
+    if not found and wrong:
+        key, term, reversals = wrong[0]
+        message = f"{term.of} reverses {reversals} times in a revolution" if reversals else f"{term.of} never reverses"
+        remedy = "Name an output that goes to and fro, or start from other sizes"
+        raise InputError(Fault(message, remedy, problem.file, f"{key}.of", term.of))
+    return found
+
+
+def _notes(problem: ProblemFile, result: Searched, winner: Solution, count: int, equal: Continuum | None) -> Iterator[str]:
+    """What a user should know of the search and of the design beside the figures."""
+    from optlink.solvers.cycle_search import SAMPLES
+
+    task = task_of(problem)
+    most = max(len(order.begin.starts) for order in result.orders)
+    if most < count:
+        yield f"only {most} of {count} starts: among {SAMPLES * count} random sizes no more turn fully and move alike"
+    if result.usable:
+        if not result.nlp.structure.like(result.orders[0].begin.structure):
+            yield "its motions reverse in another order than those of the given machine"
+        if equal is not None:
+            yield _continuum_note(equal)
+        made = measured(task, winner.design)
+        if made is not None and made.full:
+            yield from quick_stroke_notes(problem, made.machine, task.drive.speed.value)
+
+
+def _continuum_note(equal: Continuum) -> str:
+    """That a continuum of designs is equally good, and how to pick one."""
+    if equal.scale:
+        return f"all lengths may be scaled together: the objective and the limits stay the same; fix one, for example {equal.fix}"
+    changes = ", ".join(f"{name} {share:+.3g}" for name, share in equal.changes.items() if name != equal.fix)
+    together = f" ({changes} per {equal.fix} +1, in SI units)" if changes else ""
+    return f"a continuum of designs is equally good: {equal.fix} may change{together}; fix {equal.fix} to pick one of them"
+
+
+def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equal: Continuum | None) -> tuple[Optimum, ...]:
+    """Distinct proven designs, the answer first; a continuum of equally good ones counts as one."""
+    from optlink.solvers.multistart import SAME_DESIGN
+
+    free = len(task.free)
+    kept: list[tuple[Solution, int]] = [(winner, 0)]
+    for solution in sorted((s for s in solutions if s.status is Status.OPTIMAL), key=lambda s: s.objective):
+        for i, (known, hits) in enumerate(kept):
+            near = bool(np.max(np.abs(known.x[:free] - solution.x[:free])) <= 10.0 * SAME_DESIGN)
+            alike = abs(known.objective - solution.objective) <= ALIKE * max(abs(known.objective), 1e-300)
+            if near or (alike and equal is not None):
+                kept[i] = known, hits + 1
+                break
+        else:
+            kept.append((solution, 1))
+    return tuple(Optimum(solution.design, solution.objective, max(hits, 1)) for solution, hits in kept)
+
+
+def check_machine(problem: ProblemFile, values: Mapping[str, float]) -> MachineDesign:
+    """Prove given sizes [SI], or show where they fail; those that are not named are those of the file."""
+    task, begin = task_of(problem), time.perf_counter()
+    own = {name: values.get(name, task.quantities[name].value) for name in task.free}
+    proof = validate_cycle(task, own)
+    seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
+    return MachineDesign(problem, Status.NOT_SEARCHED, "none", own, proof.objective, proof, seconds, 0, 0)
+
+
+def _check(problem: ProblemFile, backend: str, starts: int | None, seed: int) -> None:
+    from optlink.solvers import multistart
+
+    known = [*multistart.BACKENDS, "both"]
+    if backend not in known:
+        raise InputError(Fault("unknown back end", nearest(backend, known), key="backend", value=backend))
+    if starts is not None and not 1 <= starts <= MAX_STARTS:
+        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_STARTS}", key="starts", value=starts))
+    if seed < 0:
+        raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
+    if not problem.model.free:
+        example = 'Free one: length = { start = "120 mm", bounds = ["60 mm", "200 mm"] }, or `optlink analyze` the machine'
+        raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
+
+
+def _strokeless(task: CycleProblem, trace: Trace, structure: Structure) -> tuple[str, Term, int] | None:
+    """A term of a stroke whose output has too few dead centres, with their number: a time ratio wants exactly two of them."""
+    placed: list[tuple[str, Term]] = [("objective", goal) for goal in task.goals]
+    for key, term in [*placed, *((bound.key, bound.term) for bound in task.bounds)]:
+        if term.ended:
+            count = structure.which.count(trace.event_of(term))
+            if count < 2 or (term.quantity not in ("stroke", "end") and count != 2):
+                return key, term, count
+    return None
+
+
+def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: float) -> MachineDesign:
+    """No sizes within the bounds were found with which the crank turns fully."""
+    from optlink.solvers.cycle_search import SAMPLES
+
+    task = task_of(problem)
+    values = {name: task.quantities[name].value for name in task.free}
+    proof = validate_cycle(task, values)
+    note = (
+        f"none of {SAMPLES * starts} random sizes within the bounds lets the crank turn fully: "
+        "widen the bounds, or begin from sizes that do"
+    )
+    times = {"build": 0.0, "solve": seconds, "validate": 0.0}
+    return MachineDesign(problem, Status.INFEASIBLE, "none", values, proof.objective, proof, times, seed, starts, notes=(note,))
+
+
+def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
+    """Double the positions until integrals are those that are measured, and search on from what was found."""
+    from optlink.optimization.cycle_nlp import NODES, build_cycle
+    from optlink.solvers import multistart
+    from optlink.solvers.semi_infinite import level, peaks
+
+    trace = nlp.traced
+    task, nodes = trace.problem, NODES
+    while any(term.integral for term in trace.terms) and nodes < MOST_NODES:
+        winner = multistart.best(list(found.values()))
+        cycle = measured(task, winner.design) if winner.usable else None
+        if cycle is None:
+            break
+        gaps = [abs(cycle.objective() - winner.objective) / max(abs(winner.objective), cycle.natural(), 1e-300)]
+        values = {row.limit: row.scale.people(float(value)) for row, value in zip(nlp.rows, winner.g, strict=True)}
+        for bound in task.bounds:
+            if bound.term.integral:
+                size = factor(bound.interval.unit, bound.interval.kind or "")
+                told = values[bound.key] * size
+                gaps.append(abs(cycle.figure(bound.term) - told) / max(abs(told), *map(abs, _ends(bound))))
+        if max(gaps) <= EXACT:
+            break
+        nodes *= 2
+        nlp = build_cycle(trace, nlp.structure, winner.design, nodes)
+        nlp.roam(peaks(nlp, nlp.x_start).shares)
+        found = {
+            name: level(nlp, multistart.solve_from(nlp, nlp.x_of(solution.design), name)) for name, solution in found.items()
+        }
+    return nlp, found
+
+
+def _ends(bound: Bound) -> list[float]:
+    """What a figure is limited by [SI]; a millionth of nothing is no accuracy."""
+    return [value for value in (bound.interval.low, bound.interval.high) if value] or [1e-300]
+
+
+def _agreement(found: Mapping[str, Solution]) -> tuple[Check, ...]:
+    """Both back ends found the same figure, and the same sizes unless several are equally good."""
+    from optlink.solvers.multistart import SAME_DESIGN, compare
+
+    one, other = found.values()
+    same = compare(one, other).same
+    count = len(one.design)
+    gap = float(np.max(np.abs(one.x[:count] - other.x[:count])))
+    alike = gap <= SAME_DESIGN
+    words = "" if alike or not same else " (two of equal value)"
+    return (
+        Check("both back ends agree: objective", same, compare(one, other).objective, "<= 1e-06", ""),
+        Check(f"both back ends agree: sizes{words}", same, gap, f"<= {SAME_DESIGN:.0e}" if alike else "-", "of the size"),
+    )

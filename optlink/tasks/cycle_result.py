@@ -1,0 +1,201 @@
+"""The result of designing a machine by its cycle: the sizes with their proof, what they change, as data and JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from optlink.dynamics.machine import Machine
+from optlink.errors import InputError, Status
+from optlink.io import finite
+from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle_terms import Term
+from optlink.problem.file import ProblemFile
+from optlink.problem.fixed_design import settled
+from optlink.problem.mechanism import sizes_of
+from optlink.problem.quantity import Unusable
+from optlink.solvers.solution import Solution
+from optlink.tasks.analyze import Analysis, analyze, stroke_document
+from optlink.tasks.fit import Fit, transmission_fit
+from optlink.tasks.result import Optimum, heading, proof, proven
+from optlink.units import KINDS, factor
+from optlink.validation.check import Validation
+from optlink.validation.cycle import Cycle, validate_cycle
+
+if TYPE_CHECKING:
+    from optlink.solvers.infeasibility import Relaxation
+
+SCHEMA = "optlink/machine-design/1"
+
+
+@dataclass(frozen=True)
+class Told:
+    """A figure of the machine as people read it, of the given start and of the design found."""
+
+    name: str
+    words: str
+    given: float
+    found: float
+    limit: str
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class MachineDesign:
+    """A machine with its proof, or why there is none.
+
+    `values`: free sizes [SI]; `objective`: what is minimised [SI], negative where a term shall be large.
+    """
+
+    problem: ProblemFile
+    status: Status
+    backend: str
+    values: dict[str, float]
+    objective: float
+    validation: Validation
+    seconds: dict[str, float]
+    seed: int
+    starts: int
+    solution: Solution | None = None
+    backends: dict[str, Solution] = field(default_factory=dict)
+    optima: tuple[Optimum, ...] = ()
+    conflict: tuple[Relaxation, ...] = ()
+    together: tuple[Relaxation, ...] = ()
+    notes: tuple[str, ...] = ()
+    interrupted: bool = False  # the search ended before its last starting point
+
+    @property
+    def task(self) -> CycleProblem:
+        """The model of the problem."""
+        return task_of(self.problem)
+
+    @property
+    def valid(self) -> bool:
+        """Whether the design is proven, and an optimum if one was searched."""
+        return proven(self.status, self.validation)
+
+    @property
+    def unit(self) -> str:
+        """Unit in which people read the objective."""
+        return KINDS[self.task.unit_kind].people if self.task.unit_kind else ""
+
+    @cached_property
+    def machine(self) -> ProblemFile:
+        """The machine found, as a problem with every size settled: what `analyze` and `simulate` take."""
+        return settled(self.problem, self._all(self.values))
+
+    @cached_property
+    def given(self) -> Analysis | None:
+        """The cycle of the machine that the file starts from; None where its crank cannot turn fully."""
+        return self._analysed(self._all({}))
+
+    @cached_property
+    def found(self) -> Analysis | None:
+        """The cycle of the machine found; None where its crank cannot turn fully."""
+        return self._analysed(self._all(self.values))
+
+    def _all(self, values: Mapping[str, float]) -> dict[str, float]:
+        return {**sizes_of(self.problem.model.quantities), **values}
+
+    def _analysed(self, values: Mapping[str, float]) -> Analysis | None:
+        try:
+            made = analyze(settled(self.problem, values))
+        except InputError:
+            return None
+        return made if made.full else None
+
+    @cached_property
+    def built(self) -> Machine | None:
+        """The machine of this design whose crank turns fully; None where there is none."""
+        cycle = measured(self.task, self.values)
+        return cycle.machine if cycle is not None and cycle.full else None
+
+    @cached_property
+    def initial(self) -> Validation:
+        """Checks and objective of the initial design of the file."""
+        return validate_cycle(self.task, self._all({}))
+
+    @property
+    def comparison(self) -> str:
+        """The objective beside that of the initial design, in words; empty where no design was searched and found."""
+        if self.solution is None or self.status is not Status.OPTIMAL or not self.figures:
+            return ""
+        goal, first = self.figures[0], self.initial
+        given, found, unit = (goal.given, goal.found, goal.unit) if self.task.single else (first.objective, self.objective, "")
+        if not math.isfinite(given):
+            return "the crank of the initial design does not turn fully"
+        change = f" ({found / given - 1.0:+.1%})" if given else ""
+        beside = f"objective {found:.5g} {unit}".rstrip() + f", initial design {given:.5g} {unit}".rstrip() + change
+        return beside if first.valid else f"{beside}, which does not meet the limits"
+
+    @cached_property
+    def fit(self) -> Fit | None:
+        """Grade of a machine whose transmission angle is optimised; None of objectives without a target."""
+        goal = self.task.goals[0]
+        if not self.task.single or goal.quantity != "transmission angle":
+            return None
+        cycle = measured(self.task, self.values)
+        angle = math.nan if cycle is None else cycle.figure(goal)
+        limits = () if self.solution is None else self.solution.limits
+        return transmission_fit(min(angle, math.pi - angle), self.task.mechanism.quantities, self._all(self.values), limits)
+
+    @cached_property
+    def figures(self) -> tuple[Told, ...]:
+        """The terms of the objective, then the limits, of the given machine and of the one found."""
+        given, found = (measured(self.task, values) for values in ({}, self.values))
+        told = []
+        for k, goal in enumerate(self.task.goals):
+            name = "objective" if self.task.single else f"objective {k + 1}"
+            told.append(self._told(name, goal, given, found, f"{goal.sense}d"))
+        for item in self.task.bounds:
+            told.append(self._told(item.name, item.term, given, found, str(item.interval), item.interval.unit))
+        return tuple(told)
+
+    def _told(self, name: str, term: Term, given: Cycle | None, found: Cycle | None, limit: str, unit: str = "") -> Told:
+        kind = self.task.kind(term)
+        unit = unit or (KINDS[kind].people if kind else "")
+        size = 1.0 / factor(unit, kind) if kind else 1.0
+        values = [math.nan if cycle is None else cycle.figure(term) * size for cycle in (given, found)]
+        return Told(name, term.words, values[0], values[1], limit, unit)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        task = self.task
+        document = heading(SCHEMA, self) | {
+            "design": people(task, self._all(self.values)),
+            "free": list(task.free),
+            "objective": {"value": self.objective, "unit": KINDS[task.unit_kind].si if task.unit_kind else ""},
+            "initial": {"objective": self.initial.objective, "feasible": self.initial.valid},
+            "fit": None if self.fit is None else self.fit.to_dict(),
+            "figures": [vars(told) | {} for told in self.figures],
+            "strokes": {} if self.built is None else stroke_document(self.built, task.drive.speed.value),
+        }
+        return finite(document | proof(self, lambda values: people(task, values)))  # type: ignore[no-any-return]
+
+
+def task_of(problem: ProblemFile) -> CycleProblem:
+    """The model of a problem that designs a machine."""
+    assert isinstance(problem.model, CycleProblem)
+    return problem.model
+
+
+def measured(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None:
+    """A design in motion; None where it cannot be made."""
+    try:
+        return Cycle(task, values)
+    except Unusable:
+        return None
+
+
+def people_unit(task: CycleProblem, name: str) -> tuple[float, str]:
+    """Factor from SI, and unit, in which people read a quantity."""
+    kind = task.quantities[name].kind
+    return 1.0 / factor(KINDS[kind].people, kind), KINDS[kind].people
+
+
+def people(task: CycleProblem, values: Mapping[str, float]) -> dict[str, float]:
+    """Quantities in the units that their keys end in."""
+    return {f"{name}_{people_unit(task, name)[1]}": value * people_unit(task, name)[0] for name, value in values.items()}

@@ -1,0 +1,344 @@
+"""The error of a design against the size of its task, and the likely reasons where it is large.
+
+A transmission angle is graded by its least value: 45 deg and 40 deg, the least values that textbooks recommend.
+
+Source: R. L. Norton, Design of Machinery, McGraw-Hill, section on the transmission angle (about 40 deg); J. J. Uicker,
+G. R. Pennock, J. E. Shigley, Theory of Machines and Mechanisms, Oxford, section on the transmission angle (45 deg or 50 deg);
+survey: S. S. Balli, S. Chand, Transmission angle in mechanisms, Mechanism and Machine Theory 37 (2002) 175-195.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.fourbar import LENGTHS, grashof
+from optlink.linkage.motion import sweep
+from optlink.problem.function import DesignProblem
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.path import STEP, GenerationProblem
+from optlink.problem.quantity import Quantity
+from optlink.solvers.solution import LimitState
+from optlink.units import show
+from optlink.validation.path import Deviations
+
+Array = NDArray[np.float64]
+TURN = 2.0 * math.pi
+
+EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest shares of these grades; beyond, a fit is poor
+GOOD_ANGLE, FAIR_ANGLE = math.radians(45.0), math.radians(40.0)  # least transmission angles of these grades
+ROUNDING = 1e-6  # rad, below such an angle: an active limit of 40 deg is met but for rounding
+GAIN = 0.9  # share of the error that moving the linkage must undercut to be named a reason
+NEAR = 0.5  # share of the error within which the curve must pass for the crank angles to be named a reason
+PRICED = 1e-2  # of the objective: least price of a limit, times its bound, that is named a reason
+ALONG = 721  # positions along a motion
+MOST = 2  # active limits that are named
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a fit may be poor, measured on the design, and what to change."""
+
+    reason: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Root mean square error of a design against the size of its task.
+
+    `error` and `size` in `unit` (m, rad); `of` says what the size is; `reasons` where the fit is poor.
+    """
+
+    error: float
+    size: float
+    unit: str
+    of: str
+    reasons: tuple[Reason, ...] = ()
+
+    @property
+    def share(self) -> float:
+        """Error as a share of the size."""
+        return self.error / self.size
+
+    @property
+    def grade(self) -> str:
+        """Exact, good (up to 1 %), fair (up to 5 %) or poor."""
+        for grade, most in (("exact", EXACT), ("good", GOOD), ("fair", FAIR)):
+            if self.share <= most:
+                return grade
+        return "poor"
+
+    @property
+    def text(self) -> str:
+        """The grade with the figure that it rests on."""
+        if self.grade == "exact":
+            return "exact fit"
+        return f"{self.grade} fit: rms error is {100.0 * self.share:.2g} % of {self.of}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """As a JSON object [m, rad]."""
+        reasons = [vars(each) | {} for each in self.reasons]
+        return {**{k: getattr(self, k) for k in ("grade", "share", "error", "size", "unit", "of")}, "reasons": reasons}
+
+
+@dataclass(frozen=True)
+class TransmissionFit(Fit):
+    """Least transmission angle of a design: `error` is its difference from a right angle, `size` a right angle [rad]."""
+
+    @property
+    def angle(self) -> float:
+        """Least transmission angle [rad]."""
+        return self.size - self.error
+
+    @property
+    def grade(self) -> str:
+        """Good (45 deg or more), fair (40 deg or more) or poor."""
+        angle = self.angle + ROUNDING
+        return "good" if angle >= GOOD_ANGLE else "fair" if angle >= FAIR_ANGLE else "poor"
+
+    @property
+    def text(self) -> str:
+        """The grade with the figure that it rests on."""
+        advised = f", below {math.degrees(FAIR_ANGLE):.0f} deg" if self.grade == "poor" else ""
+        return f"{self.grade} transmission: least transmission angle is {_degrees(self.angle)}{advised}"
+
+
+def transmission_fit(
+    least: float, quantities: Mapping[str, Quantity], values: Mapping[str, float], limits: Sequence[LimitState] = ()
+) -> TransmissionFit | None:
+    """Grade of a design whose transmission angle is optimised; None where it has no transmission angle.
+
+    Parameters
+    ----------
+    least : float
+        Least distance of the transmission angle from 0 and 180 deg over the motion [rad].
+    quantities : mapping of the sizes to Quantity
+    values : mapping of every quantity [m, rad]
+    limits : sequence of LimitState
+        Of the optimum, with their prices; none of a given design.
+    """
+    if not math.isfinite(least):
+        return None
+    right = 0.5 * math.pi
+    fit = TransmissionFit(right - least, right, "rad", "a right angle")
+    if fit.grade != "poor":
+        return fit
+    return replace(fit, reasons=(*active_reasons(limits), *fixed_reasons(quantities, values)))
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(np.abs(values) ** 2)))
+
+
+def path_fit(
+    task: GenerationProblem,
+    values: Mapping[str, float],
+    crank_angles: Array,
+    measured: Deviations,
+    limits: Sequence[LimitState] = (),
+) -> Fit | None:
+    """Fit of a path, motion or function design; None for the transmission (see `transmission_fit`) or a task without any size.
+
+    Parameters
+    ----------
+    task : GenerationProblem
+    values : mapping of every quantity [m, rad]
+    crank_angles : array (points,) [rad]
+    measured : Deviations
+        Of the design at these crank angles.
+    limits : sequence of LimitState
+        Of the optimum, with their prices; none of a given design.
+    """
+    wanted, distances = task.data.columns, measured.distances
+    if task.requirement.kind == "transmission" or not np.all(np.isfinite(distances)):
+        return None
+    if task.pointed:
+        places = wanted[:, 0] + 1j * wanted[:, 1]
+        found = [Fit(_rms(distances), _diameter(places), "m", "the size of the path")]
+        if measured.turned is not None:
+            found[0] = Fit(_rms(distances), _diameter(places), "m", "the distance of the poses")
+            found.append(Fit(_rms(measured.turned), _rotation(task), "rad", "the rotation of the poses"))
+    else:
+        found = [Fit(_rms(distances), float(np.ptp(wanted[:, 0])), task.unit, "the output range")]
+    found = [fit for fit in found if fit.size > 0.0]
+    if not found:
+        return None
+    worst = max(found, key=lambda fit: fit.share)
+    if worst.grade != "poor":
+        return worst
+    reasons = [
+        *_rotating(task, values),
+        *_crowded(task, crank_angles),
+        *_timed(task, values, crank_angles, measured),
+        *_placed(task, values, measured),
+    ]
+    reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values), *_kind(task, values)]
+    return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
+
+
+def law_fit(
+    task: DesignProblem, values: Mapping[str, float], error: Array, wanted: Array, limits: Sequence[LimitState] = ()
+) -> Fit | None:
+    """Fit of a function of a four-bar; None where its output has no range.
+
+    Parameters
+    ----------
+    task : DesignProblem
+    values : mapping of the quantities of the design [m, rad]
+    error, wanted : arrays (positions,) [rad]
+        Error and prescribed angle of the output.
+    limits : sequence of LimitState
+        Of the optimum, with their prices; none of a given design.
+    """
+    size = float(np.ptp(np.unwrap(wanted)))
+    if not np.all(np.isfinite(error)) or size <= 0.0:
+        return None
+    fit = Fit(_rms(error), size, "rad", "the output range")
+    if fit.grade != "poor":
+        return fit
+    reasons = (*active_reasons(limits), *fixed_reasons(task.quantities, values))
+    return Fit(fit.error, fit.size, fit.unit, fit.of, reasons)
+
+
+def _diameter(places: NDArray[np.complex128]) -> float:
+    """Largest distance of two points."""
+    return max(float(np.max(np.abs(places - place))) for place in places)
+
+
+def _wanted_angles(task: GenerationProblem) -> Array:
+    return np.unwrap(np.arctan2(task.data.columns[:, 3], task.data.columns[:, 2]))
+
+
+def _rotation(task: GenerationProblem) -> float:
+    return float(np.ptp(_wanted_angles(task)))
+
+
+def _motion_angles(task: GenerationProblem, crank_angles: Array) -> Array:
+    """Crank angles over the whole motion of a design (positions,) [rad]."""
+    end = crank_angles[0] + TURN if task.limits.crank != "span" else crank_angles[-1]
+    return np.linspace(float(crank_angles[0]), float(end), ALONG)
+
+
+def _four_bar(task: GenerationProblem, values: Mapping[str, float]) -> str:
+    """Kind of a four-bar by Grashof; empty for other mechanisms."""
+    return grashof(*(values[n] for n in LENGTHS)).inversion.value if isinstance(task.mechanism, FourBarSection) else ""
+
+
+def _rotating(task: GenerationProblem, values: Mapping[str, float]) -> Iterator[Reason]:
+    """Poses that turn farther than the body does in its whole motion."""
+    if task.requirement.kind != "motion" or task.limits.crank == "span":
+        return
+    angle = np.asarray(sweep(task.linkage, values, np.linspace(0.0, TURN, ALONG)).body_angle(task.body).value, dtype=float)
+    if not np.all(np.isfinite(angle)):
+        return
+    turned, asked = float(np.ptp(np.unwrap(angle))), _rotation(task)
+    if asked > turned:
+        kind = _four_bar(task, values) or "linkage"
+        reason = f"the poses turn through {_degrees(asked)}, the {task.body} of this {kind} through {_degrees(turned)} at most"
+        other = 'allow double-cranks, whose coupler turns fully (limits.crank = "double-crank"), or ' * (kind == "crank-rocker")
+        yield Reason(reason, f'{other}drive it over a part of a turn (limits.crank = "span")')
+
+
+def _timed(task: GenerationProblem, values: Mapping[str, float], angles: Array, measured: Deviations) -> Iterator[Reason]:
+    """A curve that passes the points, but at other crank angles than those prescribed."""
+    if task.requirement.kind != "path" or task.data.offsets is None:
+        return
+    curve = sweep(task.linkage, values, _motion_angles(task, angles)).position(task.requirement.point)
+    gaps = np.array([np.min(np.hypot(*(curve - place).T)) for place in task.data.columns[:, :2]])
+    near, error = _rms(gaps), _rms(measured.distances)
+    if near < NEAR * error:
+        reason = f"the curve passes the points at an rms distance of {_length(near)}, but at other crank angles"
+        yield Reason(reason, 'free the timing: requirement.timing = "free"')
+
+
+def _crowded(task: GenerationProblem, angles: Array) -> Iterator[Reason]:
+    """Points in an order that the curve does not follow: several are met at all but the same crank angle."""
+    if task.data.offsets is not None or not task.pointed:
+        return
+    close = np.flatnonzero(np.abs(np.diff(angles)) <= 2.0 * STEP)
+    if len(close):
+        shown = ", ".join(f"{i + 1} and {i + 2}" for i in close[:3]) + (", ..." if len(close) > 3 else "")
+        reason = f"the curve does not follow the order of the points: {shown} are met at the same crank angle"
+        yield Reason(reason, "check the order of requirement.points, or smooth them")
+
+
+def _placed(task: GenerationProblem, values: Mapping[str, float], measured: Deviations) -> Iterator[Reason]:
+    """A frame that is fixed where the linkage, moved as a whole, would come nearer to the points."""
+    if not isinstance(task.mechanism, FourBarSection) or not task.pointed:
+        return
+    free = set(task.free)
+    pivot, turn = not {"A.x", "A.y"} <= free, "direction" not in free
+    if not (pivot or turn):
+        return
+    generated, wanted = (rows[:, 0] + 1j * rows[:, 1] for rows in (measured.generated, task.data.columns))
+    one, other = generated - np.mean(generated), wanted - np.mean(wanted)
+    way = np.sum(other * one.conj())
+    turned = one * (way / abs(way)) if turn and abs(way) > 0.0 and task.requirement.kind == "path" else one
+    moved, error = _rms(other - turned), _rms(measured.distances)
+    if moved < GAIN * error:
+        place = f"({_length(values.get('A.x', 0.0))}, {_length(values.get('A.y', 0.0))})"
+        fixed = [f"the crank pivot is fixed at {place}"] * pivot
+        fixed += [f"the frame's direction is fixed at {_degrees(values.get('direction', 0.0))}"] * turn
+        gain = f"moved as a whole, this linkage has an rms error of {_length(moved)} instead of {_length(error)}"
+        keys = ["mechanism.pivot"] * pivot + ["mechanism.direction"] * turn
+        yield Reason(f"{' and '.join(fixed)}; {gain}", f"free {' and '.join(keys)} by bounds")
+
+
+def active_reasons(limits: Sequence[LimitState]) -> Iterator[Reason]:
+    """The active limits with the largest prices for their size."""
+
+    def weight(limit: LimitState) -> float:
+        return abs(limit.multiplier) * max(abs(limit.bound), abs(limit.value))
+
+    priced = [limit for limit in limits if limit.active and limit.multiplier and not limit.key.startswith("requirement.points")]
+    priced.sort(key=weight, reverse=True)
+    total = sum(weight(limit) for limit in priced)
+    seen: set[str] = set()
+    for limit in priced:
+        if len(seen) == MOST or weight(limit) < PRICED * total:
+            break
+        if limit.key not in seen:
+            seen.add(limit.key)
+            bound = f"{limit.sense} {limit.bound:.4g} {limit.unit}".rstrip()
+            yield Reason(f"{limit.name} is at its limit ({bound})", f"widen {limit.key}")
+
+
+def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float]) -> Iterator[Reason]:
+    """Sizes that are fixed."""
+    fixed = [name for name, quantity in quantities.items() if not quantity.free]
+    if fixed:
+        shown = ", ".join(
+            f"{name} = {show(values.get(name, quantities[name].value), quantities[name].kind)}" for name in fixed[:4]
+        )
+        more = f" and {len(fixed) - 4} more" if len(fixed) > 4 else ""
+        yield Reason(f"fixed sizes: {shown}{more}", "free those that need not be fixed, by bounds")
+
+
+def _quantities(task: GenerationProblem) -> dict[str, Quantity]:
+    """The sizes of a mechanism, with the place of a four-bar's frame where the file leaves it out."""
+    nowhere = {f"A.{axis}": Quantity(0.0, "coordinate", "mm") for axis in "xy"} | {"direction": Quantity(0.0, "angle", "deg")}
+    own = task.mechanism.quantities
+    return own if not (task.pointed and isinstance(task.mechanism, FourBarSection)) else nowhere | own
+
+
+def _kind(task: GenerationProblem, values: Mapping[str, float]) -> Iterator[Reason]:
+    """All four-bars of one kind."""
+    kind, crank = _four_bar(task, values), task.limits.crank
+    if kind and crank != "span":
+        other = "full rotation" if crank == "double-crank" else "double-crank"
+        reason = f'only four-bars of one kind were allowed: {kind} (limits.crank = "{crank}")'
+        yield Reason(reason, f'try limits.crank = "{other}" or "span", or a six-bar')
+
+
+def _length(value: float) -> str:
+    return f"{1e3 * value:.3g} mm"
+
+
+def _degrees(value: float) -> str:
+    return f"{math.degrees(value):.4g} deg"

@@ -1,0 +1,412 @@
+"""From a problem to a result: build, search, prove. What the command line, notebooks and scripts call."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from optlink.errors import Fault, InputError, Status
+from optlink.io import finite
+from optlink.linkage.assur import EITHER
+from optlink.linkage.fourbar import LENGTHS
+from optlink.optimization.objectives import MEASURES
+from optlink.problem.file import ProblemFile, parse_assignment
+from optlink.problem.quantity import Quantity, Unusable, nearest, read_quantity
+from optlink.solvers.evidence import Evidence, evidence
+from optlink.solvers.function_exchange import ALONG, error_at, judged
+from optlink.solvers.solution import Solution
+from optlink.tasks.analyze import stroke_document, turning
+from optlink.tasks.fit import Fit, law_fit
+from optlink.tasks.result import Optimum, Relaxed, heading, proof, proven, shortest_link
+from optlink.units import show
+from optlink.validation import Check, Validation
+from optlink.validation import validate as prove
+
+if TYPE_CHECKING:
+    from optlink.optimization.nlp import NLP
+    from optlink.solvers.multistart import Agreement
+    from optlink.synthesis.freudenstein import FirstStep
+
+Start = NDArray[np.float64]
+SCHEMA = "optlink/result/1"
+MAX_STARTS = 100_000
+SAME_DESIGN = 1e-6  # of the frame
+LEVEL = 0.99  # share of the largest error that counts as reaching it
+FLAT = 1e-7  # least curvature, for an objective scaled to 1, that singles out one design
+PEOPLE = {"length": (1e3, "mm"), "angle": (math.degrees(1.0), "deg")}
+
+
+def people(name: str, value: float) -> tuple[float, str]:
+    """A quantity of a design in the unit that people read: mm or deg."""
+    factor, unit = PEOPLE["angle" if name in ("phi0", "psi0") else "length"]
+    return value * factor, unit
+
+
+@dataclass(frozen=True)
+class Result:
+    """A design with its proof, or why there is none."""
+
+    problem: ProblemFile
+    status: Status
+    backend: str
+    design: dict[str, float]
+    objective: float
+    validation: Validation
+    seconds: dict[str, float]
+    seed: int | None = None
+    starts: int = 0
+    solution: Solution | None = None
+    backends: dict[str, Solution] = field(default_factory=dict)
+    optima: tuple[Optimum, ...] = ()
+    conflict: tuple[Relaxed, ...] = ()
+    together: tuple[Relaxed, ...] = ()
+    first: FirstStep | None = None  # the best convex first step of a function
+    interrupted: bool = False
+    counts: tuple[int, ...] = ()  # random starts that reached each value of the objective, that of the design first
+
+    @property
+    def valid(self) -> bool:
+        """Whether the design is proven (and found to be an optimum, if one was searched)."""
+        return proven(self.status, self.validation)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know beside the figures."""
+        free = set(self.problem.spec.free)
+        if self.conflict:
+            return shortest_link(self.problem.spec.quantities, self.problem.spec.limits.crank)
+        if self.solution is None or not free.issuperset(LENGTHS) or self.solution.curvature > FLAT:
+            return ()
+        return (
+            "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one",
+        )
+
+    @property
+    def evidence(self) -> Evidence | None:
+        """What the random starts of the search tell about optima that it did not find; None where there were none."""
+        return evidence(self.counts) if self.counts else None
+
+    @property
+    def assembly(self) -> str:
+        """Assembly mode of the design."""
+        return self.problem.spec.mechanism.assembly
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """The four lengths of the design [m]."""
+        return {name: self.design[name] for name in LENGTHS}
+
+    def error(self, offsets: ArrayLike | None = None) -> NDArray[np.float64]:
+        """Wanted minus generated rocker angle [rad], in (-pi, pi], at crank rotations [rad] from the start.
+
+        At the design positions if no `offsets` are given.
+        """
+        problem = self.problem.spec
+        at = problem.law.offsets if offsets is None else np.asarray(offsets, dtype=float)
+        return error_at(problem, self.design, at)
+
+    @property
+    def fit(self) -> Fit | None:
+        """Its error at the design positions against the range of the output; None where there is no error to measure."""
+        problem = self.problem.spec
+        wanted = problem.law.curve(problem.law.offsets, self.design["phi0"], self.design["psi0"])
+        limits = self.solution.limits if self.solution else ()
+        return law_fit(problem, self.design, self.error(), wanted, limits)
+
+    @property
+    def alternations(self) -> int:
+        """How many times in a row the error (with what tolerances add to it) reaches its largest size with the other sign.
+
+        A minimax optimum of k free quantities has k + 1 of them where no limit holds it.
+        """
+        begin, end = self.problem.spec.law.offsets[[0, -1]]
+        error = judged(self.problem.spec)(self.design, np.linspace(begin, end, ALONG))
+        peaks = error[np.abs(error) >= LEVEL * np.max(np.abs(error))]
+        return 1 + int(np.sum(np.diff(np.sign(peaks)) != 0.0)) if len(peaks) else 0
+
+    @property
+    def measure(self) -> str:
+        """Name of the objective's measure, in words: with what tolerances add to it, if they count."""
+        task = self.problem.spec.requirement
+        return task.measure if task.robust is None else task.robust.named(task.measure)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the objective."""
+        return MEASURES[self.problem.spec.requirement.measure].unit
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        document = heading(SCHEMA, self) | {
+            "design": _design(self.design),
+            "assembly": self.assembly,
+            "objective": {
+                "value": self.objective,
+                "unit": self.unit,
+                "measure": self.problem.spec.requirement.measure,
+                "rms_deg": math.degrees(MEASURES["rms"].of(self.error())),
+                "largest_deg": math.degrees(MEASURES["max"].of(self.error())),
+            },
+        }
+        document["fit"] = None if self.fit is None else self.fit.to_dict()
+        machine = turning(self.problem, self.design)
+        document["strokes"] = {} if machine is None else stroke_document(machine, self.problem.spec.span)
+        document |= proof(self, lambda design: _design(self.problem.spec.design(design)))
+        if self.evidence is not None:
+            document["evidence"] = vars(self.evidence) | {}
+            document["starts_that_reached_each_value"] = list(self.counts)
+        if self.first is not None:
+            document["first_step"] = vars(self.first) | {"gap": self.first.gap}
+        if self.problem.spec.requirement.measure == "max":
+            document["objective"]["alternations"] = self.alternations
+        robust = self.problem.spec.requirement.robust
+        if robust is not None:
+            counted = {d.name: d.tolerance for d in self.problem.spec.deviations}
+            document["objective"] |= {"robust": robust.text, "tolerances_SI": counted}
+        return finite(document)  # type: ignore[no-any-return]
+
+
+def _design(design: Mapping[str, float]) -> dict[str, float]:
+    return {f"{name}_{people(name, value)[1]}": people(name, value)[0] for name, value in design.items()}
+
+
+def solve(
+    problem: ProblemFile,
+    backend: str = "ipopt",
+    starts: int | None = None,
+    seed: int = 0,
+    progress: Callable[[int], None] | None = None,
+    *,
+    track: bool = False,
+    begin: Mapping[str, float] | None = None,
+) -> Result:
+    """Find the design and prove it.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        From `optlink.load`.
+    backend : "slsqp", "ipopt" or "both"
+        Both: each searches for itself, the better design is taken, and they must agree.
+    starts : int, optional
+        Number of starts per assembly mode; the starts of a smaller number are the first ones of a larger one, so that more are
+        never worse. Of a law: the start given in the problem, then Sobol points over the bounds; left out: 1. Of a function: the
+        convex first steps (`optlink.synthesis.function_starts`) and the given start, always, then fits at random start
+        angles; left out: until the estimated chance of a missed better optimum is small (`optlink.tasks.function_search`).
+    seed : int
+        Of the Sobol points.
+    progress : function of the number of starts done, optional
+    track : bool
+        Keep the iterates of the first search.
+    begin : mapping of free quantities [SI], optional
+        Search from this design alone.
+
+    Raises
+    ------
+    InputError
+        when nothing is free, or an argument is out of range.
+    """
+    from optlink.optimization.nlp import build
+    from optlink.solvers import multistart
+    from optlink.tasks.function_search import Search, starts_of
+
+    if backend not in (*multistart.BACKENDS, "both"):
+        raise InputError(
+            Fault("unknown back end", nearest(backend, [*multistart.BACKENDS, "both"]), key="backend", value=backend)
+        )
+    if starts is not None and not 1 <= starts <= MAX_STARTS:
+        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_STARTS}", key="starts", value=starts))
+    if seed < 0:
+        raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
+    if not problem.spec.free:
+        example = 'Free one: coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
+        raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
+    done = 0
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(done)
+
+    if problem.spec.mechanism.assembly == EITHER:
+        found: list[Result] = []
+        for variant in _variants(problem):
+            found.append(solve(variant, backend, starts, seed, lambda _: advance(), track=track, begin=begin))
+            if found[-1].interrupted:
+                break
+        return _merged(found)
+    names = multistart.BACKENDS if backend == "both" else (backend,)
+    for name in names:
+        multistart.backend(name)  # imports are nobody's solving time
+    clock = [time.perf_counter()]
+    nlp = build(problem.spec)
+    for name in names:
+        multistart.prepare(nlp, name)
+    clock.append(time.perf_counter())
+    points = starts_of(problem.spec, nlp, seed, begin)
+    reason = functools.cache(lambda: _explained(nlp, seed))
+    searches = {name: Search(problem.spec, nlp, name, track=track) for name in names}
+    count, interrupted = starts, False
+    for one in searches.values():
+        if one.run(points, count, lambda: reason()[0], advance):
+            count, interrupted = one.starts, True  # the other back end then searches from as many
+    conflict: Conflict = ((), ())
+    chosen = min(searches.values(), key=lambda one: one.result.rank)
+    winner = chosen.result
+    if not chosen.usable:
+        _, miss, conflict = reason()
+        winner = winner if miss is None else chosen.judge(miss)
+    nlp.p[1:] = winner.solution.p[1:]
+    backends = {name: one.result.solution if one.usable else winner.solution for name, one in searches.items()}
+    checks: tuple[Check, ...] = ()
+    if len(names) > 1:
+        backends = multistart.reconcile(nlp, backends)
+        winner = min([winner, *(chosen.judge(solution) for solution in backends.values())], key=lambda candidate: candidate.rank)
+        checks = _agreement(multistart.compare(*backends.values()))
+    clock.append(time.perf_counter())
+    seconds = dict(zip(("build", "solve"), np.diff(clock).tolist(), strict=True))
+    validating = sum(one.validating for one in searches.values())
+    return Result(
+        problem=problem,
+        status=winner.solution.status,
+        backend=next(name for name, one in searches.items() if one is chosen),
+        design=winner.design,
+        objective=winner.solution.objective,
+        validation=replace(winner.validation, checks=(*winner.validation.checks, *checks)),
+        seconds=seconds | {"solve": seconds["solve"] - validating, "validate": validating},
+        seed=seed,
+        starts=chosen.starts,
+        solution=winner.solution,
+        backends=backends if backend == "both" else {},
+        optima=chosen.listed(problem.spec.mechanism.assembly) if begin is None else (),
+        counts=tuple(chosen.counts) if chosen.drawn else (),
+        interrupted=interrupted,
+        conflict=conflict[0],
+        together=conflict[1],
+        first=points.step,
+    )
+
+
+Conflict = tuple[tuple[Relaxed, ...], tuple[Relaxed, ...]]
+
+
+def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conflict]:
+    """Where no start led to a feasible design: a feasible point, or the nearest design and the limits that conflict."""
+    from optlink.solvers import multistart
+    from optlink.solvers.infeasibility import Explanation, explain
+
+    nlp.roam(np.zeros(nlp.roaming))
+    reason = explain(nlp, seed)
+    if not isinstance(reason, Explanation):
+        return reason, None, ((), ())
+    conflict, together = (tuple(Relaxed(**vars(item)) for item in items) for items in (reason.conflict, reason.together))
+    miss = replace(multistart.given(nlp, reason.x, "nearest design"), status=Status.INFEASIBLE)
+    return None, miss, (conflict, together)
+
+
+def _variants(problem: ProblemFile) -> list[ProblemFile]:
+    """The problem with each assembly mode that it leaves open."""
+    changes = problem.model.mechanism.variants(problem.model.linkage)
+    return [problem.override(change) if change else problem for change in changes]
+
+
+def _better(result: Result) -> tuple[bool, bool, float]:
+    """Valid before not valid before infeasible, then by objective."""
+    return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective
+
+
+def _merged(found: list[Result]) -> Result:
+    """The best of the assembly modes, with the evidence of all."""
+    best = min(found, key=_better)
+    optima = sorted((optimum for result in found for optimum in result.optima), key=lambda optimum: optimum.objective)
+    return replace(
+        best,
+        starts=sum(result.starts for result in found),
+        interrupted=any(result.interrupted for result in found),
+        seconds={key: sum(result.seconds[key] for result in found) for key in best.seconds},
+        optima=tuple(optima),
+        counts=best.counts + tuple(count for result in found if result is not best for count in result.counts),
+    )
+
+
+def _agreement(agreement: Agreement) -> tuple[Check, ...]:
+    """Both back ends found the same figure, and the same design unless several are equally good."""
+    one = agreement.design <= SAME_DESIGN
+    words = "" if one or not agreement.same else " (two of equal value)"
+    return (
+        Check("both back ends agree: objective", agreement.same, agreement.objective, "<= 1e-06", ""),
+        Check(f"both back ends agree: design{words}", agreement.same, agreement.design, "<= 1e-06 frame" if one else "-", ""),
+    )
+
+
+def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
+    """Prove a given design, or show where it fails; where the file leaves the assembly mode open, in the better one.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : mapping of every free quantity to its value [m, rad]; see `read_design`
+    """
+    begin = time.perf_counter()
+    results = []
+    for variant in _variants(problem):
+        full = variant.spec.design(design)
+        proof = prove(variant.spec, full)
+        seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
+        results.append(Result(variant, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds))
+    return min(results, key=_better)
+
+
+def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, object]]:
+    """KEY=VALUE as one assignment; a result.json as one for each quantity (phi0 and psi0 only where they are not derived)."""
+    if not text.endswith(".json"):
+        return [parse_assignment(text, "--design")]
+    try:
+        design = json.loads(Path(text).read_text(encoding="utf-8"))["design"].items()
+        parts = [(*key.rpartition("_"), float(value)) for key, value in design if not isinstance(value, bool)]
+        return [(name, f"{value!r} {unit}") for name, _, unit, value in parts if name in quantities or name in LENGTHS]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        reason = getattr(error, "strerror", None) or f"no design in it ({type(error).__name__})"
+        raise InputError(
+            Fault(f"cannot read a design: {reason}", "Give a result.json that `solve --out` wrote", text, "--design")
+        ) from None
+
+
+def read_design(problem: ProblemFile, assignments: list[str], varied: Collection[str] = ()) -> dict[str, float]:
+    """Read a design given as texts such as "coupler=412.26 mm", or as the name of a result.json; `varied` need not be given.
+
+    Raises
+    ------
+    InputError
+        unknown or missing names, values that are no quantities.
+    """
+    quantities = problem.model.quantities
+    given: dict[str, float] = {}
+    for key, value in (pair for text in assignments for pair in _pairs(text, quantities)):
+        name = key.removeprefix("mechanism.")
+        if name not in quantities:
+            raise InputError(Fault("unknown quantity of the design", nearest(name, quantities), problem.file, "--design", key))
+        if isinstance(value, dict | list):
+            remedy = f'Give one value, such as {name}="{show(quantities[name].value, quantities[name].kind)}"'
+            raise InputError(Fault("a given design has no bounds", remedy, problem.file, f"--design {name}", value))
+        try:
+            quantity: Quantity = read_quantity(value, quantities[name].kind)
+        except Unusable as error:
+            raise InputError(Fault(error.message, error.remedy, problem.file, f"--design {name}", value)) from None
+        given[name] = quantity.value
+    missing = [name for name in problem.model.free if name not in given and name not in varied]
+    if missing:
+        starts = ((name, show(quantities[name].value, quantities[name].kind)) for name in missing)
+        example = " ".join(f'--design {name}="{value}"' for name, value in starts)
+        raise InputError(Fault(f"the design lacks {', '.join(missing)}", f"Add for example {example}", problem.file, "--design"))
+    return given

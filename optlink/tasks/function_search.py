@@ -1,0 +1,264 @@
+"""Multistart search for a motion law or a function: every start to a validated local optimum, the best valid one kept.
+
+The starts of N are the first ones of M > N, and what a start brings never depends on later ones: the answer of more starts is
+never worse.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Status
+from optlink.linkage.fourbar import LENGTHS
+from optlink.optimization.nlp import NLP
+from optlink.problem.function import FULL_TURN, DesignProblem
+from optlink.problem.targets.function import Function
+from optlink.solvers import multistart
+from optlink.solvers.evidence import evidence
+from optlink.solvers.function_exchange import level
+from optlink.solvers.solution import Solution
+from optlink.synthesis import function_starts
+from optlink.synthesis.freudenstein import FirstStep
+from optlink.tasks.result import Optimum, optimality, proven
+from optlink.validation import Validation
+from optlink.validation import validate as prove
+
+Array = NDArray[np.float64]
+
+ROUND, MOST = 24, 144  # random starts after which the evidence is judged again, and at most, where no number is given
+MISSED = 0.025  # estimated chance of a missed better optimum at which a search of its own accord ends
+NEARBY = 2.0  # times the best objective, up to which an optimum at the design positions is levelled over the whole range
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a local search begins: `x`, whether it was drawn at random, and whether it is close to an optimum already."""
+
+    x: Array
+    drawn: bool
+    close: bool
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A local optimum over the whole range with its design [SI] and its validation."""
+
+    solution: Solution
+    design: dict[str, float]
+    validation: Validation
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Valid before not valid before infeasible; then by objective, or violation."""
+        solution = self.solution
+        if not solution.usable:
+            return (3 if solution.status is Status.NON_FINITE else 2), solution.violation
+        return int(not proven(solution.status, self.validation)), solution.objective
+
+
+@dataclass
+class Distinct:
+    """A distinct optimum of the programme at the design positions, and what it became over the whole range.
+
+    `count`: searches that ended there; `drawn`: those of them that began at random.
+    """
+
+    coarse: Solution
+    candidate: Candidate | None
+    count: int
+    drawn: int
+
+
+@dataclass(frozen=True)
+class Starts:
+    """The first starts of a search, always complete, then random ones without end; `step` is the best convex first step."""
+
+    first: list[Start]
+    rest: Callable[[], Iterator[Start]]
+    step: FirstStep | None
+
+
+def starts_of(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[str, float] | None) -> Starts:
+    """The sequence of starts: convex first steps of a function and the given start; then fits of a function, and Sobol points."""
+    if begin is not None:
+        return Starts([Start(nlp.x_of(dict(begin)), drawn=False, close=False)], lambda: iter(()), None)
+    given = Start(multistart.starts(nlp, 1, seed)[0], drawn=False, close=False)
+
+    def bounds() -> Iterator[Start]:
+        return (Start(x, drawn=True, close=False) for x in multistart.sobol(nlp, seed))
+
+    if not function_starts.applies(problem):
+        return Starts([given], bounds, None)
+    steps = function_starts.steps(problem)
+    first = [Start(nlp.x_of(function_starts.values(problem, step)), drawn=False, close=True) for step in steps]
+
+    def rest() -> Iterator[Start]:
+        for sizes in function_starts.fits(problem, seed):
+            yield Start(nlp.x_of(sizes), drawn=True, close=True)
+        yield from bounds()
+
+    return Starts([*first, given], rest, steps[0] if steps else None)
+
+
+def _alike(one: Solution, other: Solution) -> bool:
+    """Whether two solutions are one design: up to whole turns of its angles, and up to its size where only ratios matter."""
+    if not (other.usable and multistart.compare(one, other).same):
+        return False
+    away = one.x - other.x
+    names = [variable.name for variable in one.nlp.variables]
+    if set(LENGTHS) <= set(names):
+        own = [names.index(name) for name in LENGTHS]
+        away[own] = one.x[own] / one.x[own[-1]] - other.x[own] / other.x[own[-1]]
+    turning = [names.index(name) for name in ("phi0", "psi0") if name in names]
+    away[turning] -= FULL_TURN * np.round(away[turning] / FULL_TURN)
+    return float(np.max(np.abs(away), initial=0.0)) <= multistart.SAME_DESIGN
+
+
+class Search:
+    """The search with one back end: distinct `optima` in the order in which they were found, and the `best` candidate."""
+
+    def __init__(self, problem: DesignProblem, nlp: NLP, backend: str, *, track: bool = False) -> None:
+        self.problem, self.nlp, self.backend, self.track = problem, nlp, backend, track
+        self.best: Candidate | None = None
+        self.optima: list[Distinct] = []
+        self.starts = 0
+        self.validating = 0.0  # s
+
+    def advance(self, start: Start) -> None:
+        """Search from a start, level and validate what it brings."""
+        nlp = self.nlp
+        nlp.roam(np.zeros(nlp.roaming))
+        method = self._method(start)
+        found = multistart.solve_from(nlp, nlp.lifted(start.x), method, track=self.track and self.starts == 0)
+        known = next((one for one in self.optima if _alike(one.coarse, found)), None)
+        if known is None:
+            if method == multistart.CLOSE and self.backend != "ipopt" and found.usable:
+                again = multistart.solve_from(nlp, found.x, self.backend)
+                found = again if again.status is Status.OPTIMAL else found
+            candidate = self._followed(found)
+            if found.status is Status.OPTIMAL:
+                self.optima.append(Distinct(found, candidate, 1, int(start.drawn)))
+            if candidate is not None and (self.best is None or candidate.rank < self.best.rank):
+                self.best = candidate
+        else:
+            known.count += 1
+            known.drawn += start.drawn
+        self.starts += 1
+
+    def judge(self, solution: Solution) -> Candidate:
+        """A solution with its validation."""
+        begin = time.perf_counter()
+        design = self.problem.design(solution.design)
+        proof = prove(self.problem, design, solution.objective)
+        candidate = Candidate(solution, design, replace(proof, checks=(*proof.checks, *optimality(solution))))
+        self.validating += time.perf_counter() - begin
+        return candidate
+
+    def _method(self, start: Start) -> str:
+        """IPOPT near a close start; before SLSQP too, which takes long over the many rows of a largest error."""
+        if start.close and (self.backend == "ipopt" or (start.drawn and self.problem.everywhere)):
+            return multistart.CLOSE
+        return self.backend
+
+    def _followed(self, found: Solution) -> Candidate | None:
+        """The candidate that a new solution becomes; None where it is no match for the best one."""
+        best = self.best
+        if not found.usable:
+            return None if best is not None and best.solution.usable else self.judge(found)
+        valid = best is not None and proven(best.solution.status, best.validation)
+        if self.problem.everywhere:
+            if best is not None and valid and found.objective > NEARBY * best.solution.objective + multistart.SAME_ERROR:
+                return None
+            found = level(self.problem, self.nlp, found, self.backend)
+        return self.judge(found)
+
+    @property
+    def result(self) -> Candidate:
+        """The best candidate of a search that was run."""
+        assert self.best is not None
+        return self.best
+
+    @property
+    def drawn(self) -> bool:
+        """Whether an optimum was found from a random start."""
+        return any(one.drawn for one in self.optima)
+
+    def listed(self, assembly: str) -> tuple[Optimum, ...]:
+        """Distinct optima over the whole range, best first; those far above the best are not among them."""
+        found: list[tuple[Candidate, int]] = []
+        for candidate, count in sorted(
+            ((c, one.count) for one in self.optima if (c := one.candidate)), key=lambda one: one[0].rank
+        ):
+            for k, (known, already) in enumerate(found):
+                if _alike(known.solution, candidate.solution):
+                    found[k] = known, already + count
+                    break
+            else:
+                found.append((candidate, count))
+        return tuple(Optimum(c.design, c.solution.objective, count, assembly) for c, count in found)
+
+    @property
+    def usable(self) -> bool:
+        """Whether a feasible solution was found."""
+        return self.best is not None and self.best.solution.usable
+
+    @property
+    def counts(self) -> list[int]:
+        """Random starts that ended at each value of the objective, the best design's own first; 1 where none did.
+
+        Designs of equal value count as one: where only ratios matter there are as many designs as starts.
+        """
+        groups: list[tuple[Solution, int, bool]] = []
+        for one in self.optima:
+            mine = one.candidate is not None and one.candidate is self.best
+            for k, (known, drawn, best) in enumerate(groups):
+                if multistart.compare(known, one.coarse).same:
+                    groups[k] = known, drawn + one.drawn, best or mine
+                    break
+            else:
+                groups.append((one.coarse, one.drawn, mine))
+        groups.sort(key=lambda group: (not group[2], group[0].objective))
+        return [max(1, drawn) for _, drawn, _ in groups]
+
+    def run(self, starts: Starts, count: int | None, rescue: Callable[[], Array | None], progress: Callable[[], None]) -> bool:
+        """Search from the first starts and random ones, `count` in all, or until the evidence is enough.
+
+        `rescue` finds a feasible point where none of the first starts led to one, or None.
+
+        Returns
+        -------
+        whether it was interrupted (Ctrl-C); what is complete by then is kept, if there is anything
+        """
+        try:
+            for start in starts.first:
+                self.advance(start)
+                progress()
+            x = None if self.usable else rescue()
+            if x is not None:
+                self.advance(Start(x, drawn=False, close=False))
+                self.starts -= 1
+            rest = starts.rest() if self.usable or count is not None else iter(())
+            while not self._enough(self.starts - len(starts.first), len(starts.first), count):
+                drawn = next(rest, None)
+                if drawn is None:
+                    break
+                self.advance(drawn)
+                progress()
+        except KeyboardInterrupt:
+            if self.best is None:
+                raise
+            return True
+        return False
+
+    def _enough(self, drawn: int, first: int, count: int | None) -> bool:
+        """Whether so many random starts are enough: as many as prescribed, else by the evidence (a law needs none)."""
+        if count is not None:
+            return drawn >= count - first
+        if not isinstance(self.problem.requirement.law, Function) or drawn >= MOST:
+            return True
+        return drawn > 0 and drawn % ROUND == 0 and evidence(self.counts).missed <= MISSED

@@ -1,0 +1,181 @@
+"""Many simulations with clearance at once: in processes of this machine, each the same as alone.
+
+A run depends on its job only, so results are the same to the bit for any number of processes. Ctrl-C ends the processes at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.forward import Ending
+from optlink.errors import Fault, InputError, SolverError
+from optlink.problem.file import ProblemFile, read
+from optlink.solvers.interrupts import shielded
+from optlink.tasks.analyze import machine_of
+from optlink.tasks.clearance import LooseSimulation, counted, simulate_clearance
+
+Array = NDArray[np.float64]
+WAIT = 0.2  # s, how often an interrupt is looked for
+MOST = 256  # processes
+
+
+class Hopeless(Exception):
+    """The error of a run exceeds its limit, whatever the revolutions to come are like."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run.
+
+    Parameters
+    ----------
+    raw, name, file, folder
+        Of the problem, as `optlink.problem.file.read` takes them.
+    control : str
+    start : float [rad]
+    revolutions, points : int
+    tolerance : float
+    speed : float [rad/s], optional
+    design : mapping, optional
+    limit : float [m, rad]
+        Root mean square of the error from which on the run is of no use and stops.
+    whole : bool
+        Whether the whole simulation is wanted, not its figures alone.
+    """
+
+    raw: Mapping[str, Any]
+    name: str
+    file: str
+    folder: Path
+    control: str
+    start: float
+    revolutions: int
+    points: int
+    tolerance: float
+    speed: float | None = None
+    design: Mapping[str, float] | None = None
+    limit: float = math.inf
+    whole: bool = False
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What became of a run: its figures, whether it was finished, whether it was stopped as hopeless; all its parts if wanted."""
+
+    figures: Mapping[str, float]
+    unit: str
+    finished: bool
+    hopeless: bool = False
+    parts: Mapping[str, Any] | None = None
+
+    def simulation(self, problem: ProblemFile, design: Mapping[str, float] | None) -> LooseSimulation:
+        """The whole simulation."""
+        assert self.parts is not None
+        return LooseSimulation(problem=problem, machine=machine_of(problem, design), **self.parts)
+
+
+def job_of(problem: ProblemFile, **options: Any) -> Job:
+    """A run of a problem; `options` are those of `Job`."""
+    return Job(problem.raw, problem.name, problem.file, problem.folder, **options)
+
+
+def perform(job: Job) -> Ran:
+    """Do a run.
+
+    Raises
+    ------
+    InputError
+    KeyboardInterrupt
+        when it is interrupted.
+    """
+    problem = read(job.raw, job.name, job.file, job.folder)
+    count, seen, square = counted(job.revolutions), 0, 0.0
+
+    def judge(columns: Mapping[str, Array]) -> None:
+        nonlocal seen, square
+        seen += 1
+        if seen > job.revolutions - count:
+            square += sum(float(np.sum(values**2)) for name, values in columns.items() if ".error_" in name)
+            if square > count * job.points * job.limit**2:
+                raise Hopeless
+
+    options: dict[str, Any] = {"start": job.start, "design": job.design, "tolerance": job.tolerance, "twin": False}
+    try:
+        run = simulate_clearance(
+            problem,
+            job.revolutions,
+            job.points,
+            job.speed,
+            job.control,
+            stream=judge if math.isfinite(job.limit) else None,
+            **options,
+        )
+    except Hopeless:
+        return Ran({}, "", finished=False, hopeless=True)
+    if run.ending is Ending.INTERRUPTED:
+        raise KeyboardInterrupt
+    parts = {one.name: getattr(run, one.name) for one in fields(run) if one.name not in ("problem", "machine")}
+    return Ran(dict(run.figures), run.output.unit, run.finished, parts=parts if job.whole else None)
+
+
+def perform_all(jobs: Sequence[Job], workers: int | None = None) -> Iterator[tuple[int, Ran]]:
+    """Do runs; give each with its number as it is done.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+    workers : int, optional
+        Processes to begin for it; left out: this process does all. A script that begins processes must keep its own work below
+        `if __name__ == "__main__":`.
+
+    Raises
+    ------
+    InputError, SolverError, KeyboardInterrupt
+    """
+    if workers is not None and not 1 <= workers <= MOST:
+        raise InputError(Fault("out of range", f"Give 1 to {MOST} processes", key="workers", value=workers))
+    if workers is None or not jobs:
+        for index, job in enumerate(jobs):
+            yield index, perform(job)
+        return
+    before = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(workers, len(jobs)), context, initializer=_quiet)
+    try:
+        with shielded():
+            futures = {pool.submit(perform, job): index for index, job in enumerate(jobs)}
+        todo = set(futures)
+        while todo:
+            done, todo = wait(todo, WAIT, FIRST_COMPLETED)
+            for future in sorted(done, key=futures.__getitem__):
+                yield futures[future], future.result()
+    except BrokenProcessPool:
+        raise SolverError("a process of the simulation ended unexpectedly; is there enough memory?") from None
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in set(multiprocessing.active_children()) - before:
+            child.kill()
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _quiet() -> None:
+    """A process of the pool leaves Ctrl-C to who began it."""
+    with contextlib.suppress(ValueError):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)

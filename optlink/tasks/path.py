@@ -1,0 +1,233 @@
+"""From points or poses to valid designs: rounds of starts, polished with all limits, until a better design is unlikely."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optlink.errors import Fault, InputError, Status
+from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import nearest
+from optlink.solvers import interrupts
+from optlink.solvers.evidence import evidence
+from optlink.tasks.path_result import Design, Generation
+from optlink.tasks.path_search import Collection, Polisher, compound, model
+from optlink.tasks.result import Relaxed, shortest_link
+from optlink.validation.path import validate_generation
+
+if TYPE_CHECKING:
+    from optlink.solvers.infeasibility import Explanation
+
+MAX_STARTS = 1_000_000
+MOST_DESIGNS = 50
+SMALL = 0.02  # estimated chance that a better design was missed at which a search ends
+LEAST_ROUNDS, MOST_ROUNDS = 3, 20
+FAR_ROUNDS = 40  # at most, while the best design fits poorly
+COMPOUND_ROUNDS = 3  # of a linkage of several dyads, whose starts and limits take longer
+PART_STARTS = 400  # of the four-bar that a linkage contains
+NO_FOUR_BAR = "{} cannot trace the coupler curves of a four-bar within this linkage: the search had random starts only"
+FOUR_BAR_BETTER = (
+    "the four-bar within this linkage misses the points by {:.4g} mm (rms) within the same limits: no linkage that repeats its "
+    "coupler curve was found within all limits, and no other design is as good"
+)
+MOST_IN_VAIN = 12  # rounds without a valid design
+OFTEN = 3  # starts per exact design after which a search expects no other one
+
+
+def variants_of(problem: ProblemFile) -> list[ProblemFile]:
+    """The problem with definite assembly modes: one for each combination that the file leaves open."""
+    changes = problem.model.mechanism.variants(problem.model.linkage)
+    return [problem.override(change) if change else problem for change in changes]
+
+
+def generate(
+    problem: ProblemFile,
+    backend: str = "ipopt",
+    starts: int | None = None,
+    seed: int = 0,
+    designs: int = 3,
+    progress: Callable[[float], None] | None = None,
+) -> Generation:
+    """Find linkages that pass the points or take the poses, and prove them.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        From `optlink.load`, with a requirement of the kind "path" or "motion".
+    backend : "slsqp" or "ipopt"
+        Polishes what the batch finds, with every limit; `optlink.solvers.minimax` does where the largest deviation counts.
+    starts : int, optional
+        Least number, made up to whole rounds; if not given, rounds follow until a better design is unlikely.
+    seed : int
+    designs : int
+        Distinct designs that are wanted.
+    progress : function of the share that is done, optional
+
+    Raises
+    ------
+    InputError
+        when nothing is free, or an argument is out of range.
+    """
+    from optlink.solvers import multistart as local
+
+    interrupts.check()
+    if backend not in local.BACKENDS:
+        raise InputError(Fault("unknown back end", nearest(backend, local.BACKENDS), key="backend", value=backend))
+    if starts is not None and not 1 <= starts <= MAX_STARTS:
+        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_STARTS}", key="starts", value=starts))
+    if seed < 0:
+        raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
+    if not 1 <= designs <= MOST_DESIGNS:
+        raise InputError(Fault("out of range", f"Give a number from 1 to {MOST_DESIGNS}", key="designs", value=designs))
+    if not problem.model.free:
+        example = 'Free one: coupler = { bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
+        raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
+    local.backend(backend)
+    clock = [time.perf_counter()]
+    search = _Search(problem, backend, seed, designs)
+    clock.append(time.perf_counter())
+    search.run(starts, progress)
+    clock.append(time.perf_counter())
+    found, told = search.collection, search.collection.evidence()
+    task = model(problem)
+    notes = [*([task.wanted.note] if task.wanted.note else []), *search.notes]
+    reason = None if found.designs or search.interrupted else search.conflict(seed)
+    limits = () if reason is None else tuple(Relaxed(**vars(item)) for item in reason.conflict)
+    if search.better is not None and not found.no_worse(search.better):
+        error = math.sqrt(float(np.mean(search.better.measured.distances**2)))
+        notes.append(FOUR_BAR_BETTER.format(1e3 * error))
+    notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
+    if found.designs and told.missed > SMALL:
+        count = search.searcher.found.starts
+        notes.append(f"search incomplete: {count} starts, {told.chance}; use --starts {min(4 * count, MAX_STARTS)}")
+    return Generation(
+        problem=problem,
+        designs=tuple(found.designs),
+        nearest=found.nearest,
+        backend=local.MINIMAX if task.measure == "max" else backend,
+        seed=seed,
+        starts=search.searcher.found.starts,
+        evidence=told,
+        seconds={name: b - a for name, a, b in zip(("build", "search, polish and validate"), clock, clock[1:], strict=False)},
+        interrupted=search.interrupted,
+        notes=tuple(notes),
+        conflict=limits,
+        together=() if reason is None else tuple(Relaxed(**vars(item)) for item in reason.together),
+    )
+
+
+class _Search:
+    """Rounds of starts, each followed by polishing, until enough is found."""
+
+    def __init__(self, problem: ProblemFile, backend: str, seed: int, requested: int) -> None:
+        from optlink.synthesis.batch_search import Searcher
+
+        files = variants_of(problem)
+        self.searcher = Searcher([model(file) for file in files], seed)
+        self.collection = Collection(Polisher(files, backend), requested)
+        self.requested, self.interrupted = requested, False
+        self.problem, self.backend, self.seed = problem, backend, seed
+        self.notes: list[str] = []
+        self.better: Design | None = None  # the best four-bar, if no linkage that repeats its curve meets all limits
+
+    def run(self, starts: int | None, progress: Callable[[float], None] | None) -> None:
+        """Search until `starts` are made; without a number, until a better design is unlikely."""
+        found, exact = self.searcher.found, -1
+        try:
+            while found.starts < starts if starts else not self._enough(exact):
+                exact = self.collection.exact
+                self.collection.add(self.searcher.advance())
+                if found.rounds == 1 and compound(model(self.problem)) and not self.collection.exact:
+                    self._grow()
+                if progress:
+                    progress(min(found.starts / starts if starts else found.rounds / self._most, 1.0))
+        except KeyboardInterrupt:
+            if not self.collection.designs:
+                raise
+            self.interrupted = True
+
+    def conflict(self, seed: int) -> Explanation | None:
+        """Limits of the linkage that cannot hold together; None where some linkage meets them, whatever it misses.
+
+        The order of the points and their tolerances hold while limits give way.
+        """
+        from optlink.solvers.infeasibility import Explanation, explain
+
+        nlp = self.collection.polisher.programme(0, 1)
+        near = self.collection.nearest
+        points = None if near is None or near.solution is None or near.solution.nlp is not nlp else [near.solution.x, nlp.x_start]
+        found = explain(replace(nlp, states=nlp.states | {"requirement.points"}), seed, points)
+        return found if isinstance(found, Explanation) and found.conflict else None
+
+    def _grow(self) -> None:
+        """Add designs that begin as the best four-bars that the linkage contains."""
+        from optlink.synthesis.growth import contained
+        from optlink.tasks.path_growth import grow
+
+        part = contained(self.problem)
+        if part is None:
+            if model(self.problem).requirement.kind == "path":
+                self.notes.append(NO_FOUR_BAR.format(model(self.problem).requirement.point))
+            return
+        four_bars = generate(part.file, self.backend, PART_STARTS, self.seed).designs
+        for design in grow(part, four_bars, self.collection.polisher, self.seed):
+            self.collection.insert(design)
+        if four_bars and not self.collection.no_worse(four_bars[0]):
+            self.better = four_bars[0]
+
+    @property
+    def _most(self) -> int:
+        """Rounds at most, if no number of starts is prescribed."""
+        if compound(model(self.problem)) and not self.collection.exact:
+            return COMPOUND_ROUNDS
+        if not self.collection.designs:
+            return MOST_IN_VAIN
+        return FAR_ROUNDS if self.collection.far else MOST_ROUNDS
+
+    def _enough(self, exact: int) -> bool:
+        """Whether to stop; `exact` is the number of exact designs before the latest round."""
+        rounds, collection = self.searcher.found.rounds, self.collection
+        if collection.exact:
+            often = collection.evidence().hits >= OFTEN * collection.exact
+            return collection.exact >= self.requested or collection.exact == exact or often or rounds >= self._most
+        if rounds < LEAST_ROUNDS:
+            return False
+        return rounds >= self._most or collection.evidence().missed <= SMALL
+
+
+def validate(problem: ProblemFile, given: Mapping[str, float]) -> Generation:
+    """Prove a given design, or show where it fails; where the timing is free, at the crank angles at which it passes best.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    given : mapping of every free quantity [m, rad]; others may be given too and replace what the file says
+    """
+    from optlink.validation.timing import passing
+
+    clock = time.perf_counter()
+    found = []
+    for file in variants_of(problem):
+        task = model(file)
+        values = {name: float(given.get(name, quantity.value)) for name, quantity in task.quantities.items()}
+        angles, figure = passing(task, values)
+        found.append((figure, file, values, angles))
+    _, file, values, angles = min(found, key=lambda each: each[0])
+    proof = validate_generation(model(file), values, angles)
+    design = Design(file, values, angles, proof.objective, Status.NOT_SEARCHED, proof)
+    return Generation(
+        problem=problem,
+        designs=(design,) if design.valid else (),
+        nearest=None if design.valid else design,
+        backend="none",
+        seed=0,
+        starts=0,
+        evidence=evidence(()),
+        seconds={"validate": time.perf_counter() - clock},
+        notes=tuple(filter(None, [model(problem).wanted.note])),
+    )

@@ -1,0 +1,296 @@
+"""What a search for points, poses, a function or transmission brought: designs with their proofs, as data and JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import InputError, Status
+from optlink.io import finite
+from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
+from optlink.linkage.dyad_types import RRR
+from optlink.linkage.extrema import extremes
+from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.motion import sweep
+from optlink.problem.file import ProblemFile
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.path import START, TURN, GenerationProblem
+from optlink.solvers.evidence import Evidence
+from optlink.solvers.solution import LimitState, Solution
+from optlink.tasks.analyze import stroke_document, turning
+from optlink.tasks.fit import Fit, path_fit, transmission_fit
+from optlink.tasks.result import Relaxed, heading, proven
+from optlink.units import KINDS, factor
+from optlink.validation.check import Validation
+from optlink.validation.path import Deviations, deviations, transmission_angles
+
+SCHEMA = "optlink/generation/1"
+DISTINCT = 1e-2  # least difference of two designs, as a share of their size
+LEVEL = 1e-9  # of the size: root of a sum of squares below which a design passes the points
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """One design with its proof.
+
+    `problem` has definite assembly modes; `values` are all quantities [m, rad], `crank_angles` (points,) [rad] those at which
+    the points are met; `objective` in the unit of the measure, SI.
+    """
+
+    problem: ProblemFile
+    values: dict[str, float]
+    crank_angles: Array
+    objective: float
+    status: Status
+    validation: Validation
+    solution: Solution | None = None
+
+    @property
+    def task(self) -> GenerationProblem:
+        """The model of the problem."""
+        assert isinstance(self.problem.model, GenerationProblem)
+        return self.problem.model
+
+    @property
+    def valid(self) -> bool:
+        """Whether the design is proven, and an optimum if one was searched."""
+        return proven(self.status, self.validation)
+
+    @cached_property
+    def measured(self) -> Deviations:
+        """Generated points and how far they miss the wanted ones."""
+        return deviations(self.task, self.values, self.crank_angles)
+
+    @cached_property
+    def fit(self) -> Fit | None:
+        """Its error against the size of the task, or its least transmission angle; None where there is nothing to measure."""
+        if self.task.requirement.kind == "transmission":
+            return transmission_fit(self.least_transmission, self.task.mechanism.quantities, self.values, self.limits)
+        return path_fit(self.task, self.values, self.crank_angles, self.measured, self.limits)
+
+    @property
+    def exact(self) -> bool:
+        """Whether it passes everything but for rounding."""
+        return self.error <= self.level
+
+    @property
+    def error(self) -> float:
+        """The objective as a deviation [m, rad or 1]: the root of a sum of squares."""
+        return math.sqrt(max(self.objective, 0.0)) if self.task.measure == "sum of squares" else self.objective
+
+    @property
+    def level(self) -> float:
+        """Error up to which a design passes everything but for rounding [m, rad or 1]."""
+        return LEVEL * self.task.whole
+
+    def alike(self, other: Design) -> bool:
+        """Whether two designs differ by less than anybody would call another design."""
+        if self.assembly != other.assembly:
+            return False
+        gaps = []
+        for name, quantity in self.task.quantities.items():
+            gap = abs(self.values[name] - other.values[name])
+            if quantity.kind == "angle" or name == START:
+                gaps.append(abs(math.remainder(gap, TURN)))
+            else:
+                gaps.append(gap / max(self.task.size, abs(self.values[name])))
+        return max(gaps, default=0.0) <= DISTINCT
+
+    @property
+    def turns(self) -> bool:
+        """Whether the crank turns fully."""
+        return self.task.limits.crank != "span"
+
+    @cached_property
+    def least_transmission(self) -> float:
+        """How far the worst transmission angle of the needed motion is from 0 and 180 deg [rad]; NaN if there is none."""
+        begin, end = (0.0, TURN) if self.turns else sorted((float(self.crank_angles[0]), float(self.crank_angles[-1])))
+        groups = [group for group in self.task.linkage.groups if isinstance(group, RRR)]
+
+        def cosines(angles: Array) -> Array:  # smooth, other than the angles, which turn back sharply near 0 and pi
+            gamma = transmission_angles(sweep(self.task.linkage, self.values, angles), self.task.linkage)
+            return np.cos(gamma).T
+
+        grid = np.linspace(begin, end, 721)
+        if not groups or not np.all(np.isfinite(cosines(grid))):
+            return math.nan
+        return math.acos(min(float(np.max(np.abs(extremes(cosines, grid)[1]))), 1.0))
+
+    @cached_property
+    def cognates(self) -> tuple[Cognate, ...]:
+        """The other four-bars with the same coupler curve, those whose crank turns fully first; none of other mechanisms."""
+        linkage = self.coupler_linkage
+        if linkage is None:
+            return ()
+        try:
+            found = [c for c in cognates(linkage, at=float(self.crank_angles[0])) if c is not None]
+        except InputError:  # a miss that cannot be assembled at its first point
+            return ()
+        return tuple(sorted(found, key=lambda c: not (c.crank_turns and c.keeps_side)))
+
+    @property
+    def coupler_linkage(self) -> CouplerLinkage | None:
+        """The four-bar with its coupler point as plain numbers."""
+        if not isinstance(self.task.mechanism, FourBarSection) or self.task.requirement.point not in self.task.mechanism.points:
+            return None
+        point, values = self.task.requirement.point, self.values
+        x, y, direction = (values.get(name, 0.0) for name in ("A.x", "A.y", "direction"))
+        sizes = {name: values[name] for name in LENGTHS}
+        along, across = values[f"{point}.along"], values[f"{point}.across"]
+        return CouplerLinkage(**sizes, along=along, across=across, x=x, y=y, direction=direction, side=self.task.side)
+
+    @property
+    def assembly(self) -> object:
+        """Assembly modes, as the problem file words them."""
+        return self.problem.raw["mechanism"].get("assembly", "left")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The design as a JSON object: SI, or the unit that a key ends in."""
+        measured, task = self.measured, self.task
+        point: dict[str, Any] = {"crank_deg": np.degrees(self.crank_angles).tolist()}
+        if task.pointed:
+            point["x_mm"], point["y_mm"] = (measured.generated * 1e3).T.tolist()
+        elif task.requirement.kind == "transmission":
+            point["transmission_deg"] = np.degrees(measured.generated).tolist()
+        else:
+            factor_, unit = OUTPUT[task.unit]
+            point[f"output_{unit}"] = (measured.generated[:, 0] * factor_).tolist()
+        factor_, unit = OUTPUT[task.unit]
+        point[f"distance_{unit}".rstrip("_")] = (measured.distances * factor_).tolist()
+        if measured.turned is not None:
+            point["turned_deg"] = np.degrees(measured.turned).tolist()
+        document: dict[str, Any] = {
+            "valid": self.valid,
+            "status": self.status.value,
+            "assembly": self.assembly,
+            "design": {
+                f"{name}_{people_unit(self.task, name)[1]}": v for name, v in people_design(self.task, self.values).items()
+            },
+            "objective": {"value": self.objective, **_figures(self)},
+            "fit": None if self.fit is None else self.fit.to_dict(),
+            "least_transmission_deg": math.degrees(self.least_transmission),
+            "points": point,
+            "limits": [vars(limit) | {} for limit in self.limits],
+            "validation": [vars(check) | {} for check in self.validation.checks],
+        }
+        if self.solution is not None:
+            document |= {"kkt": self.solution.kkt, "violation": self.solution.violation, "iterations": self.solution.iterations}
+        document["cognates"] = [_cognate(cognate) for cognate in self.cognates]
+        return document
+
+    @property
+    def limits(self) -> tuple[LimitState, ...]:
+        """Every bound and limit as people read it."""
+        return self.solution.limits if self.solution is not None else ()
+
+
+def _cognate(cognate: Cognate) -> dict[str, Any]:
+    linkage = cognate.linkage
+    lengths = {f"{name}_mm": 1e3 * getattr(linkage, name) for name in (*LENGTHS, "along", "across")}
+    place = {"A.x_mm": 1e3 * linkage.x, "A.y_mm": 1e3 * linkage.y, "direction_deg": math.degrees(linkage.direction)}
+    kind = {"inversion": cognate.inversion.value, "crank_turns": cognate.crank_turns, "keeps_side": cognate.keeps_side}
+    return {**lengths, **place, "side": linkage.side, **kind, "turns_as": cognate.turns_as}
+
+
+def people_unit(task: GenerationProblem, name: str) -> tuple[float, str]:
+    """Factor from SI and unit in which people read a quantity of a design."""
+    unit = KINDS[task.quantities[name].kind].people
+    return 1.0 / factor(unit, task.quantities[name].kind), unit
+
+
+def people_design(task: GenerationProblem, values: Mapping[str, float]) -> dict[str, float]:
+    """A design in the units of `people_unit`."""
+    return {name: values[name] * people_unit(task, name)[0] for name in task.quantities}
+
+
+OUTPUT = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
+"""Factor from SI and unit in which people read deviations."""
+
+
+def objective_unit(task: GenerationProblem) -> str:
+    """SI unit of the objective."""
+    return f"{task.unit}^2" if task.measure == "sum of squares" and task.unit else task.unit
+
+
+def _figures(design: Design) -> dict[str, Any]:
+    measured, task = design.measured, design.task
+    factor_, unit = OUTPUT[task.unit]
+    found = {
+        "unit": objective_unit(task),
+        "measure": task.measure,
+        f"rms_{unit}".rstrip("_"): factor_ * math.sqrt(float(np.mean(measured.distances**2))),
+        f"largest_{unit}".rstrip("_"): factor_ * float(np.max(measured.distances)),
+    }
+    if measured.turned is not None:
+        found["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Generation:
+    """What a search for points or poses brought: designs, best first, each proven; or the nearest miss and why it fails."""
+
+    problem: ProblemFile
+    designs: tuple[Design, ...]
+    nearest: Design | None
+    backend: str
+    seed: int
+    starts: int
+    evidence: Evidence
+    seconds: dict[str, float]
+    interrupted: bool = False
+    notes: tuple[str, ...] = field(default=())
+    conflict: tuple[Relaxed, ...] = ()
+    together: tuple[Relaxed, ...] = ()
+
+    @property
+    def hits(self) -> int:
+        """Starts that reached the best design."""
+        return self.evidence.hits
+
+    @property
+    def valid(self) -> bool:
+        """Whether a proven design was found."""
+        return bool(self.designs)
+
+    @property
+    def best(self) -> Design | None:
+        """The best proven design; the nearest miss if there is none; None if no linkage reaches the points at all."""
+        return self.designs[0] if self.designs else self.nearest
+
+    @property
+    def status(self) -> Status:
+        """How the search ended."""
+        return Status.INFEASIBLE if self.best is None else self.best.status
+
+    @property
+    def objective(self) -> float:
+        """Objective of the best design [SI]; NaN if there is none."""
+        return math.nan if self.best is None else self.best.objective
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as a JSON document."""
+        document = heading(SCHEMA, self) | {
+            "starts_that_reached_the_best": self.hits,
+            "evidence": vars(self.evidence) | {},
+        }
+        if self.best is not None:
+            document["design"] = self.best.to_dict()["design"]
+            machine, angles = turning(self.best.problem, self.best.values), self.best.crank_angles
+            document["strokes"] = {} if machine is None else stroke_document(machine, float(angles[-1] - angles[0]))
+            document["assembly"] = self.best.assembly
+            document["fit"] = None if self.best.fit is None else self.best.fit.to_dict()
+        document["designs"] = [design.to_dict() for design in self.designs]
+        if self.conflict:
+            document["conflict"] = [vars(item) | {} for item in self.conflict]
+            document["relax_together"] = [vars(item) | {} for item in self.together]
+        document["nearest_miss"] = None if self.nearest is None or self.designs else self.nearest.to_dict()
+        return finite(document)  # type: ignore[no-any-return]

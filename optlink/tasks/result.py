@@ -1,0 +1,217 @@
+"""What every result of a search shares, whatever was sought: when it is valid, the checks of its search, its JSON document."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from optlink.errors import Status
+from optlink.io import head
+from optlink.linkage.fourbar import LENGTHS
+from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import Quantity
+from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
+from optlink.validation.check import Check, Validation
+
+People = Callable[[Mapping[str, float]], dict[str, float]]
+"""A design [SI] as a document tells it: in the units that the keys end in."""
+OPTIMALITY_CHECK = "optimality (KKT residual)"  # name of a check
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A distinct optimum of a multistart search: design [SI], objective, number of searches that ended there, assembly mode."""
+
+    design: Mapping[str, float]
+    objective: float
+    count: int
+    assembly: str = ""
+
+
+@dataclass(frozen=True)
+class Relaxed:
+    """A limit that would have to give (see `optlink.solvers.infeasibility.Relaxation`)."""
+
+    name: str
+    key: str
+    sense: str
+    bound: float
+    relaxed: float
+    amount: float
+    unit: str
+    approximate: bool = False
+
+
+def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, ...]:
+    """Whether the bounds of a four-bar forbid its crank to turn fully: the shortest link cannot be the shortest.
+
+    Parameters
+    ----------
+    quantities : mapping of the four lengths to Quantity
+    crank : str
+        `limits.crank` of the problem.
+    """
+    name = {"full rotation": "crank", "double-crank": "frame"}.get(crank)
+    if name is None or name not in quantities:
+        return ()
+    least = quantities[name].bounds[0]
+    other = min((link for link in LENGTHS if link != name), key=lambda link: quantities[link].bounds[1])
+    most = quantities[other].bounds[1]
+    if least <= most:
+        return ()
+    return (
+        f"the {name}, at least {1e3 * least:.6g} mm, cannot be the shortest link, as the {other} is at most {1e3 * most:.6g} mm: "
+        f'the crank cannot turn fully; shorten the {name}, or write limits.crank = "span"',
+    )
+
+
+class Sought(Protocol):
+    """A result of a search."""
+
+    @property
+    def problem(self) -> ProblemFile:
+        """What was asked."""
+        ...
+
+    @property
+    def status(self) -> Status:
+        """How the search ended."""
+        ...
+
+    @property
+    def valid(self) -> bool:
+        """Whether the design is proven."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know beside the figures."""
+        ...
+
+    @property
+    def backend(self) -> str:
+        """What searched."""
+        ...
+
+    @property
+    def seed(self) -> int | None:
+        """Of the starts."""
+        ...
+
+    @property
+    def starts(self) -> int:
+        """How many."""
+        ...
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """What took how long."""
+        ...
+
+
+class Single(Sought, Protocol):
+    """A result that is one design."""
+
+    @property
+    def validation(self) -> Validation:
+        """Its proof."""
+        ...
+
+    @property
+    def solution(self) -> Solution | None:
+        """What the solver found; None where nothing was searched."""
+        ...
+
+    @property
+    def backends(self) -> dict[str, Solution]:
+        """What each solver found."""
+        ...
+
+    @property
+    def optima(self) -> tuple[Optimum, ...]:
+        """Distinct optima."""
+        ...
+
+    @property
+    def conflict(self) -> Sequence[object]:
+        """Limits that cannot hold together."""
+        ...
+
+    @property
+    def together(self) -> Sequence[object]:
+        """The least relaxation of several at once."""
+        ...
+
+
+def proven(status: Status, validation: Validation) -> bool:
+    """Whether a design passes its validation, and is an optimum unless its status says otherwise."""
+    return status in (Status.OPTIMAL, Status.FEASIBLE, Status.NOT_SEARCHED) and validation.valid
+
+
+def optimality(solution: Solution) -> tuple[Check, ...]:
+    """What the programme itself says of an optimum."""
+    return (
+        Check("all limits met (scaled)", solution.violation <= FEASIBLE, solution.violation, f"<= {FEASIBLE:.0e}", ""),
+        _stationary(solution),
+    )
+
+
+def _stationary(solution: Solution) -> Check:
+    """The first-order condition; where the residual alone does not decide, `limit` says what does."""
+    passed, small = solution.status is Status.OPTIMAL, solution.kkt <= STATIONARY
+    limit = f"<= {STATIONARY:.0e}"
+    if passed and not small:
+        limit = "no measurable improvement"
+    if small and not passed:
+        limit = "of a feasible design" if solution.violation > FEASIBLE else "of the design searched for"
+    return Check(OPTIMALITY_CHECK, passed, solution.kkt, limit, "")
+
+
+def heading(schema: str, outcome: Sought) -> dict[str, Any]:
+    """What the JSON document of every search begins with."""
+    return head(schema, outcome.problem, outcome.status.value, outcome.seed) | {
+        "message": outcome.status.text,
+        "valid": outcome.valid,
+        "notes": list(outcome.notes),
+        "backend": outcome.backend,
+        "starts": outcome.starts,
+        "seconds": outcome.seconds,
+    }
+
+
+def proof(outcome: Single, people: People) -> dict[str, Any]:
+    """What the JSON document of one design says of its limits, its proof, how it was found, and what stands against it."""
+    solution = outcome.solution
+    document: dict[str, Any] = {
+        "limits": [vars(limit) | {} for limit in solution.limits] if solution else [],
+        "validation": [vars(check) | {} for check in outcome.validation.checks],
+        "iterations": solution.iterations if solution else 0,
+    }
+    if solution:
+        document |= {"kkt": solution.kkt, "violation": solution.violation, "curvature": solution.curvature}
+    if outcome.backends:
+        document["backends"] = {name: _searched(found, people) for name, found in outcome.backends.items()}
+    if outcome.optima:
+        document["optima"] = [_listed(optimum, people) for optimum in outcome.optima]
+    if outcome.conflict:
+        document["conflict"] = [vars(item) | {} for item in outcome.conflict]
+        document["relax_together"] = [vars(item) | {} for item in outcome.together]
+    return document
+
+
+def _listed(optimum: Optimum, people: People) -> dict[str, Any]:
+    document = {"design": people(optimum.design), "objective": optimum.objective, "count": optimum.count}
+    return document | ({"assembly": optimum.assembly} if optimum.assembly else {})
+
+
+def _searched(solution: Solution, people: People) -> dict[str, Any]:
+    return {
+        "status": solution.status.value,
+        "design": people(solution.design),
+        "objective": solution.objective,
+        "iterations": solution.iterations,
+        "kkt": solution.kkt,
+        "violation": solution.violation,
+        "message": solution.message,
+    }

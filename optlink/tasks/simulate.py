@@ -1,0 +1,187 @@
+"""Simulation of a machine in time: what `optlink simulate`, notebooks and reports call."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import Record
+from optlink.dynamics.forward import Ending, Run, reduced_inertia, run
+from optlink.dynamics.machine import Machine
+from optlink.errors import Fault, InputError
+from optlink.io import finite, head
+from optlink.linkage.continuation import follow
+from optlink.problem.file import ProblemFile
+from optlink.tasks.analyze import machine_of, motion_range, with_flywheel
+
+Array = NDArray[np.float64]
+SCHEMA = "optlink/simulation/1"
+MAX_ROWS = 1_000_000
+TURN = 2.0 * math.pi
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A machine in time: `run` as integrated, `columns` by name over the times asked for, and what they mean."""
+
+    problem: ProblemFile
+    machine: Machine
+    run: Run
+    columns: Mapping[str, Array]
+    meanings: Mapping[str, str]
+    driven: str
+    notes: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    @property
+    def finished(self) -> bool:
+        """Whether the whole duration was simulated, or the machine came to rest."""
+        return self.run.ending in (Ending.FINISHED, Ending.AT_REST)
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """The figures that sum it up, by name (SI)."""
+        found = {
+            "end.time_s": float(self.run.time[-1]),
+            "end.crank_angle_rad": float(self.run.crank_angle[-1]),
+            "end.speed_rad_s": float(self.run.speed[-1]),
+            **{f"{name}.work_J": float(work[-1]) for name, work in self.run.works.items()},
+            "drift_m": self.run.drift,
+            "drift_rad": self.run.drift_angle,
+            "imbalance_J": self.run.imbalance,
+            "turnover_J": self.run.turnover,
+        }
+        last = self._last_turn()
+        if last is not None:
+            mean = abs(float(self.run.crank_angle[last[-1]] - self.run.crank_angle[last[0]])) / float(
+                self.run.time[last[-1]] - self.run.time[last[0]]
+            )
+            found["last_turn.mean_speed_rad_s"] = mean
+            found["last_turn.fluctuation"] = float(np.ptp(self.run.speed[last])) / mean
+        return found
+
+    def _last_turn(self) -> NDArray[np.intp] | None:
+        """Rows of the last whole revolution, if there is one."""
+        turned = np.abs(self.run.crank_angle - self.run.crank_angle[-1])
+        rows = np.flatnonzero(turned <= TURN)
+        return rows if len(rows) > 2 and turned[0] >= TURN else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The simulation as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        return finite(  # type: ignore[no-any-return]
+            {
+                **head(SCHEMA, self.problem, self.run.ending.value),
+                "message": self.run.ending.text,
+                "finished": self.finished,
+                "driven": self.driven,
+                "notes": list(self.notes),
+                "sizes_SI": {name: self.machine.sizes[name] for name in self.problem.model.mechanism.quantities},
+                "figures": self.figures,
+                "mean_speed_over": "time",
+                "stopped_s": self.run.stopped,
+                "steps": self.run.steps,
+                "evaluations": self.run.evaluations,
+                "meanings": dict(self.meanings),
+                "columns": dict(self.columns),
+            }
+        )
+
+
+def simulate(
+    problem: ProblemFile,
+    duration: float | None = None,
+    rows: int = 1000,
+    speed: float | None = None,
+    design: Mapping[str, float] | None = None,
+    progress: Callable[[float], None] | None = None,
+    flywheel: float = 0.0,
+) -> Simulation:
+    """Move a machine in time, under the torque that the problem states, else at its constant speed.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        From `optlink.load`.
+    duration : float [s], optional
+        That of the problem if left out, else the time of one revolution at its speed.
+    rows : int
+        Steps of the table, evenly spaced in time; it has one row more. The integrator chooses its own steps.
+    speed : float [rad/s], optional
+        At the start (constant without a torque); that of the problem if left out.
+    design : mapping of quantity to value [SI], optional
+    progress : function of the share that is done, optional
+    flywheel : float [kg m^2]
+        Further inertia at the crank.
+
+    Raises
+    ------
+    InputError
+        when the mechanism cannot be assembled, or an argument is out of range.
+    """
+    drive = problem.model.drive
+    torque = drive.torque
+    machine, start = machine_of(problem, design), drive.start.value
+    machine = with_flywheel(machine, flywheel)
+    if speed is None:
+        given = drive.initial_speed if torque is not None else None
+        speed = given.value if given is not None else 0.0 if torque is not None else drive.speed.value
+    if duration is None:
+        if drive.duration is None and drive.speed.value == 0.0:
+            message = "how long the machine is simulated does not follow from a speed of zero"
+            raise InputError(Fault(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration"))
+        duration = drive.duration.value if drive.duration is not None else TURN / abs(drive.speed.value)
+    _check(duration, rows, speed, torque is not None)
+    ranges, low, high = motion_range(problem, machine, start)
+    notes = []
+    if torque is not None:
+        inertia, _ = reduced_inertia(machine, np.linspace(low, high, 361)[1:-1])
+        if not np.nanmin(inertia) > 0.0:
+            message = "the machine has no inertia, so no torque can govern its motion"
+            raise InputError(Fault(message, "Give the bodies masses", problem.file, "bodies"))
+    limits = None if ranges.full else (low, high)
+    singular = [position.crank_angle for position in ranges.singular]
+    if singular:  # the same motion up to there, without the rounding of formulas that are 0/0
+        mechanism, cycle = follow(machine.mechanism, machine.sizes, start, every=True), machine.mechanism.cycle
+        singular = [at + k * cycle for at in singular for k in range(round(mechanism.cycle / cycle))]
+        machine = machine.with_(mechanism=mechanism)
+    found = run(machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress, singular)
+    if found.ending is not Ending.FINISHED:
+        last, cycle = float(found.crank_angle[-1]), machine.mechanism.cycle
+        if found.ending is Ending.SINGULAR:
+            last = min((at + cycle * round((last - at) / cycle) for at in singular), key=lambda at: abs(at - last))
+        notes.append(f"{found.ending.text} (at {found.stopped:.9g} s, crank angle {math.degrees(last):.6g} deg)")
+    columns, meanings = _columns(machine, found)
+    driven = "torque" if torque is not None else "constant speed"
+    return Simulation(problem, machine, found, columns, meanings, driven, tuple(notes))
+
+
+def _check(duration: float, rows: int, speed: float, free: bool) -> None:
+    if not 1e-9 <= duration <= 1e7:
+        raise InputError(Fault("out of range", "Give a time from 1e-9 s to 1e7 s", key="duration", value=f"{duration:.6g} s"))
+    if not 1 <= rows <= MAX_ROWS:
+        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_ROWS:,}", key="points", value=rows))
+    if not math.isfinite(speed) or abs(speed) > 1e6 or (speed == 0.0 and not free):
+        remedy = "Give a speed other than zero, or a torque under [drive]"
+        raise InputError(Fault("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s"))
+
+
+def _columns(machine: Machine, found: Run) -> tuple[dict[str, Array], dict[str, str]]:
+    """The table: what `analyze` tells of every position, over time."""
+    moving = machine.moving(found.crank_angle, found.speed, found.acceleration, direction=found.direction)
+    record = Record(moving)
+    crank = machine.mechanism.crank.body
+    columns = {"time_s": found.time, "crank_angle_deg": np.degrees(found.crank_angle)}
+    meanings = {"time_s": "time", "crank_angle_deg": "crank angle"}
+    for name, column in record.columns.items():
+        columns[name], meanings[name] = column.values, column.meaning
+        if name == "input.power_W":
+            columns["input.work_J"], meanings["input.work_J"] = found.works["input"], "work of the drive, integrated"
+    columns[f"{crank}.angle_rad"] = found.crank_angle
+    return columns, meanings

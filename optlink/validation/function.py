@@ -1,0 +1,368 @@
+"""Is it true? A design is proven by sweeping the mechanism itself, by other routes than the optimiser's formulas.
+
+Link lengths are measured again between joint positions, the transmission angle between two unit vectors, dead centres where the
+rocker's velocity changes its sign, the crank condition by closing the loop at every crank angle. Nothing here imports the
+optimiser's terms or solvers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.extrema import extremes
+from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.vector2d import Vector, cross, dot, minus, unit
+from optlink.problem.function import DEAD_CENTRES, DesignProblem
+from optlink.problem.quantity import Interval
+from optlink.problem.robust import EXPECTED, WORST
+from optlink.validation.check import (
+    ANGLE_TOLERANCE,
+    LENGTH_TOLERANCE,
+    POSITIONS,
+    RATIO_TOLERANCE,
+    Check,
+    Validation,
+    bound,
+    limit_checks,
+    nan_last,
+    time_ratio_checks,
+)
+from optlink.validation.margins import alignment_checks, at_least, grashof_check
+
+Array = NDArray[np.float64]
+
+CLOSING = 4  # rounds of closing in on an extreme: to 6e-6 of a step of the sweep, where it is flat to rounding
+ROUNDING = 1e-12  # rad; two routes to an error that is all but zero need not agree more closely
+STEP = 1e-5  # of the frame, by which a size is made larger and smaller to see what that does
+
+
+def validate(
+    problem: DesignProblem,
+    design: Mapping[str, float],
+    objective: float | None = None,
+    mechanism: Mechanism | None = None,
+) -> Validation:
+    """Prove a design, or show where it fails.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    design : mapping [m, rad]
+        crank, coupler, rocker, frame, phi0, psi0.
+    objective : float, optional
+        What the optimiser claims; compared with what the kinematics core measures.
+    mechanism : Mechanism, optional
+        What is to be tested instead of the problem's own linkage (its bodies and joints must have the same names).
+    """
+    tested = _Tested(problem, design, mechanism or problem.linkage)
+    found = tested.objective()
+    checks = [check for group in (_sizes, _crank, _circuit, _transmission, _requirement, _extra) for check in group(tested)]
+    if objective is not None:
+        gap = abs(found - objective) / max(abs(found), 1e-12)
+        error, claimed = (math.sqrt(f) if tested.squared else f for f in (max(found, 0.0), max(objective, 0.0)))
+        agrees = bool(gap <= 1e-6 or abs(error - claimed) <= ROUNDING)
+        what = "objective" if problem.requirement.robust is None else "error with tolerances"
+        checks.append(Check(f"{what} measured in motion", agrees, gap, "<= 1e-06", ""))
+    return Validation(tuple(checks), found)
+
+
+class _Tested:
+    """A design in motion: the sweeps that the checks share."""
+
+    def __init__(self, problem: DesignProblem, design: Mapping[str, float], mechanism: Mechanism) -> None:
+        self.problem, self.design, self.mechanism = problem, design, mechanism
+        self.sizes = problem.sizes(design)
+        self.phi0, self.psi0 = design["phi0"], design["psi0"]
+        self.revolution = self._sweep(np.linspace(0.0, 2.0 * np.pi, POSITIONS, endpoint=False))
+
+    @cached_property
+    def span(self) -> Motion:
+        """The motion over the span of the requirement."""
+        count = max(2, math.ceil(abs(self.problem.span) / (2.0 * np.pi) * POSITIONS)) + 1
+        return self._sweep(self.phi0 + np.linspace(0.0, self.problem.span, count))
+
+    def _sweep(self, angles: Array) -> Motion:
+        return sweep(self.mechanism, self.sizes, angles)
+
+    def _placed(self, angles: Array) -> list[Vector]:
+        """Coordinates of B, C and D at crank angles: where nothing but positions matters, speeds are not asked for."""
+        with np.errstate(all="ignore"):
+            pose = self.mechanism.pose(self.sizes, unit(angles))
+        return [pose.point(name) for name in "BCD"]
+
+    @property
+    def squared(self) -> bool:
+        """Whether the objective is in rad^2."""
+        return self.problem.requirement.measure == "sum of squares"
+
+    @property
+    def turns(self) -> bool:
+        """Whether the crank has to turn fully."""
+        return self.problem.limits.crank != "span"
+
+    @property
+    def required(self) -> Motion:
+        """The motion over which the mechanism must be assembled."""
+        return self.revolution if self.turns else self.span
+
+    def transmission(self, b: Vector, c: Vector, d: Vector) -> Array:
+        """Angle B-C-D [rad] at each position."""
+        to_b, to_d = minus(b, c), minus(d, c)
+        gamma: Array = np.abs(np.arctan2(cross(to_b, to_d), dot(to_b, to_d)))
+        return gamma
+
+    def transmission_extremes(self, motion: Motion) -> tuple[float, float]:
+        """Least and largest transmission angle [rad], refined around the extreme positions of the sweep."""
+        angles = motion.crank_angle
+        gamma = self.transmission(*self._placed(angles))
+        if not np.all(np.isfinite(gamma)):
+            return math.nan, math.nan
+        low, high = sorted((angles[0], angles[-1])) if motion is self.span else (-np.inf, np.inf)
+        signs = np.array([[1.0], [-1.0]])  # both extremes are closed in on together
+        centres, width = angles[np.argmin(signs * gamma, axis=1)], abs(angles[1] - angles[0])
+        for _ in range(CLOSING):
+            near = np.clip(centres[:, None] + width * np.linspace(-1.0, 1.0, 41), low, high)
+            values = signs * self.transmission(*self._placed(near.ravel())).reshape(near.shape)
+            best = np.argmin(np.where(np.isfinite(values), values, np.inf), axis=1)
+            centres, width = near[[0, 1], best], width / 20.0
+        least, largest = self.transmission(*self._placed(centres))
+        return float(least), float(largest)
+
+    def dead_centres(self) -> list[tuple[float, float]]:
+        """Crank and rocker angle [rad] where the rocker's angular velocity changes its sign, refined by secants."""
+
+        def velocity(angle: float) -> float:
+            return float(self._sweep(np.array([angle])).body_angle("rocker").rate[0])
+
+        angles = self.revolution.crank_angle
+        rates = self.revolution.body_angle("rocker").rate
+        found = []
+        for i in np.flatnonzero(np.sign(rates) * np.sign(np.roll(rates, -1)) <= 0.0):
+            a, b = float(angles[i]), float(angles[i]) + 2.0 * np.pi / POSITIONS
+            at_a, at_b = velocity(a), velocity(b)
+            for _ in range(60):
+                if not at_a * at_b < 0.0:
+                    break
+                middle = 0.5 * (a + b)
+                secant = b - at_b * (b - a) / (at_b - at_a)
+                for guess in (secant, middle):
+                    value = velocity(guess)
+                    if value * at_a <= 0.0:
+                        b, at_b = guess, value
+                    else:
+                        a, at_a = guess, value
+                if abs(b - a) < 1e-14:
+                    break
+            angle = a if abs(at_a) < abs(at_b) else b
+            found.append((angle % (2.0 * np.pi), float(self._sweep(np.array([angle])).body_angle("rocker").value[0])))
+        return found
+
+    def reach(self, crank_angle: float) -> float:
+        """Distance A-C [m]: large at the outer, small at the inner dead centre."""
+        motion = self._sweep(np.array([crank_angle]))
+        return float(np.linalg.norm(motion.position("C")[0] - motion.position("A")[0]))
+
+    def wanted_minus_actual(self, offsets: Array | None = None) -> Array:
+        """Error of the rocker angle [rad], from two angles and their difference modulo a turn.
+
+        At crank rotations from the start, those of the design positions if no `offsets` are given.
+        """
+        law = self.problem.law
+        at, tabulated = (law.offsets, law.tabulated) if offsets is None else (offsets, 0.0)
+        _, c, d = self._placed(self.phi0 + at)
+        actual = np.arctan2(c[1] - d[1], c[0] - d[0])
+        wanted = np.asarray(law.wanted(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
+        error: Array = np.remainder(wanted - actual + np.pi, 2.0 * np.pi) - np.pi
+        return error
+
+    def _rocker(self, at: Array, name: str, by: float) -> Array:
+        """Rocker angle [rad] at crank rotations from the start, with one size or coordinate of a pivot larger by that [m].
+
+        The crank angle is that of the drawing. Pivots that move make another frame, in which the crank has turned otherwise.
+        """
+        sizes = {**self.sizes, **({name: self.sizes[name] + by} if name in self.sizes else {})}
+        along = sizes["frame"] - (by if name == "A.x" else 0.0)
+        across = {"D.y": by, "A.y": -by}.get(name, 0.0)
+        sizes["frame"], tilt = math.hypot(along, across), math.atan2(across, along)
+        with np.errstate(all="ignore"):
+            pose = self.mechanism.pose(sizes, unit(self.phi0 + at - tilt))
+        c, d = pose.point("C"), pose.point("D")
+        return np.asarray(np.arctan2(c[1] - d[1], c[0] - d[0]) + tilt, dtype=float)
+
+    def scattered(self, offsets: Array | None = None) -> tuple[Array, Array]:
+        """Middle of the error [rad] as it is built, and how far it counts to either side; by central differences of the motion.
+
+        Standard deviations as many as the requirement asks for (one where the expected square is wanted), or the worst case.
+        """
+        at, robust = self.problem.law.offsets if offsets is None else offsets, self.problem.requirement.robust
+        middle, spread = self.wanted_minus_actual(offsets), np.zeros(len(at))
+        step = STEP * self.design["frame"]
+        for deviation in self.problem.deviations if robust is not None else ():
+            there, back = (self._rocker(at, deviation.size, way) for way in (step, -step))
+            slope = -(np.remainder(there - back + np.pi, 2.0 * np.pi) - np.pi) / (2.0 * step)
+            if robust is not None and robust.text == WORST:
+                ends = slope * np.array(deviation.ends)[:, None]
+                middle, spread = middle + np.mean(ends, axis=0), spread + 0.5 * np.abs(ends[1] - ends[0])
+            else:
+                middle, spread = middle + slope * deviation.mean, spread + np.square(slope * deviation.sigma)
+        if robust is not None and robust.text != WORST:
+            spread = (1.0 if robust.text == EXPECTED else robust.sigmas) * np.sqrt(spread)
+        return middle, spread
+
+    def objective(self) -> float:
+        """The figure that the requirement minimises; the largest error of a function is that of its whole range."""
+
+        def sides(at: Array) -> Array:
+            middle, spread = self.scattered(at)
+            return np.stack([spread + middle, spread - middle])
+
+        if self.problem.everywhere:
+            grid = np.sort(np.linspace(0.0, self.problem.span, POSITIONS + 1))
+            return float(np.max(extremes(sides, grid)[1][:, 1]))
+        middle, spread = self.scattered()
+        if self.problem.requirement.measure == "max":
+            return float(np.max(np.abs(middle) + spread))
+        total = math.fsum(float(e) ** 2 for e in (*middle, *spread))
+        return math.sqrt(total / len(middle)) if self.problem.requirement.measure == "rms" else total
+
+
+def _sizes(tested: _Tested) -> Iterator[Check]:
+    """Free quantities within their bounds, fixed ones as given; links keep their length while they move."""
+    frame = tested.design["frame"]
+    for name, quantity in tested.problem.quantities.items():
+        yield bound(name, quantity, tested.design[name], frame)
+    worst = 0.0
+    for link in tested.mechanism.links:
+        ends = (tested.required.position(point) for point in (link.start, link.end))
+        start, end = ends
+        measured = np.linalg.norm(end - start, axis=-1)
+        wanted = tested.design[link.body]
+        worst = max(
+            worst,
+            float(np.max(np.abs(measured - wanted))) if np.all(np.isfinite(measured)) else math.nan,
+            key=nan_last,
+        )
+    limit = LENGTH_TOLERANCE * frame * 1e3
+    yield Check("link lengths re-measured in motion", bool(worst * 1e3 <= limit), worst * 1e3, f"<= {limit:.1e}", "mm")
+
+
+def _crank(tested: _Tested) -> Iterator[Check]:
+    """The crank condition from the lengths, and the loop closed at every position."""
+    limits, longest = tested.problem.limits, max(tested.design[name] for name in LENGTHS)
+    if tested.turns:
+        yield grashof_check(tested.design, limits)
+    grid = np.sort(tested.required.crank_angle)
+    if tested.turns:
+        grid = np.append(grid, grid[0] + 2.0 * np.pi)
+    where = "the whole revolution" if tested.turns else "the span"
+    yield from alignment_checks(tested._sweep, grid, limits, where)
+    if "phi0" not in tested.problem.quantities and tested.problem.requirement.start == DEAD_CENTRES[1]:
+        gap = abs(tested.design["coupler"] - tested.design["crank"])
+        yield at_least("inner dead centre: C apart from A", gap * 1e3, limits.length_margin * longest * 1e3, "mm")
+
+
+def _circuit(tested: _Tested) -> Iterator[Check]:
+    """One branch: C stays on its side of the line B-D. One circuit: C moves without a jump, and comes back to where it was."""
+    motion = tested.required
+    b, c, d = (motion.position(name) for name in "BCD")
+    diagonal, coupler = d - b, c - b
+    height = (diagonal[:, 0] * coupler[:, 1] - diagonal[:, 1] * coupler[:, 0]) / np.linalg.norm(diagonal, axis=-1)
+    least = float(np.min(tested.problem.side * height)) * 1e3
+    yield Check("one branch: C on one side of B-D", bool(least > 0.0), least, "> 0", "mm")
+    step = abs(motion.crank_angle[1] - motion.crank_angle[0])
+    closed = np.concatenate([c, c[:1]]) if tested.turns else c
+    speed = np.linalg.norm(motion.velocity("C"), axis=-1)
+    fastest = float(np.max(speed)) * step * 1.5 + 1e-9
+    jump = float(np.max(np.linalg.norm(np.diff(closed, axis=0), axis=-1)))
+    yield Check(
+        "one circuit: C moves without a jump",
+        bool(jump <= fastest),
+        jump * 1e3,
+        f"<= {fastest * 1e3:.3g}",
+        "mm",
+    )
+
+
+def _transmission(tested: _Tested) -> Iterator[Check]:
+    """Transmission angle at its extremes, by sweep and refinement."""
+    limits = tested.problem.limits
+    interval = limits.transmission_angle
+    if limits.transmission_cosine is not None:
+        low, high = limits.transmission_cosine.low, limits.transmission_cosine.high
+        interval = Interval(None if high is None else math.acos(high), None if low is None else math.acos(low), "angle", "deg")
+    if interval is None:
+        return
+    motion = tested.revolution if tested.problem.transmission_over == "revolution" else tested.span
+    least, largest = (math.degrees(x) for x in tested.transmission_extremes(motion))
+    if interval.low is not None:
+        bound = math.degrees(interval.low)
+        yield Check("smallest transmission angle", bool(least >= bound - ANGLE_TOLERANCE), least, f">= {bound:.6g}", "deg")
+    if interval.high is not None:
+        bound = math.degrees(interval.high)
+        yield Check("largest transmission angle", bool(largest <= bound + ANGLE_TOLERANCE), largest, f"<= {bound:.6g}", "deg")
+
+
+def _requirement(tested: _Tested) -> Iterator[Check]:
+    """The requirement starts where it says, and has a value at every design position."""
+    problem, start = tested.problem, tested.problem.requirement.start
+    if start in DEAD_CENTRES and "phi0" not in problem.quantities:
+        rate = abs(float(sweep(tested.mechanism, tested.sizes, [tested.phi0]).body_angle("rocker").rate[0]))
+        yield Check("rocker at rest at its dead centre", bool(rate <= 1e-6), rate, "<= 1e-06", "")
+        reach = tested.reach(tested.phi0) if math.isfinite(tested.phi0) else math.nan
+        wanted = tested.design["coupler"] + (1.0 if start == DEAD_CENTRES[0] else -1.0) * tested.design["crank"]
+        gap, near = abs(reach - abs(wanted)) * 1e3, 1e-6 * tested.design["frame"] * 1e3
+        yield Check(
+            "crank and coupler in line there",
+            bool(gap <= near),
+            gap,
+            f"<= {near:.1e}",
+            "mm",
+        )
+    if problem.tied:
+        motion = sweep(tested.mechanism, tested.sizes, [tested.phi0])
+        d, c = motion.position("D")[0], motion.position("C")[0]
+        own = math.atan2(c[1] - d[1], c[0] - d[0])
+        gap = math.degrees(abs(math.remainder(own - tested.psi0, 2.0 * math.pi)))
+        yield Check("psi0 is the rocker's own angle", bool(gap <= 1e-7), gap, "<= 1e-07", "deg")
+    error = tested.wanted_minus_actual()
+    largest = math.degrees(float(np.max(np.abs(error))))
+    yield Check("output error has a value everywhere", bool(np.all(np.isfinite(error))), largest, "finite", "deg")
+    if problem.requirement.robust is not None:
+        middle, spread = tested.scattered()
+        most = math.degrees(float(np.max(np.abs(middle) + spread)))
+        counted = problem.requirement.robust.band
+        yield Check(f"error with tolerances, {counted}, has a value", bool(math.isfinite(most)), most, "finite", "deg")
+
+
+def _extra(tested: _Tested) -> Iterator[Check]:
+    """Swing angle and time ratio from the dead centres of the motion; lengths by ratio."""
+    limits = tested.problem.limits
+    if limits.swing_angle is not None or limits.time_ratio is not None:
+        centres = tested.dead_centres()
+        two = len(centres) == 2
+        yield Check("the rocker has two dead centres", two, float(len(centres)), "= 2", "")
+        if not two:
+            return
+        (phi_a, psi_a), (phi_b, psi_b) = centres
+        if limits.swing_angle is not None:
+            swing = math.degrees(abs(math.remainder(psi_a - psi_b, 2.0 * math.pi)))
+            yield from limit_checks("swing angle", swing, limits.swing_angle, ANGLE_TOLERANCE, math.degrees(1.0), "deg")
+        if limits.time_ratio is not None:
+            turned = math.copysign(1.0, tested.problem.span) * (phi_b - phi_a) % (2.0 * math.pi)
+            rest = 2.0 * math.pi - turned
+            rising = math.remainder(psi_b - psi_a, 2.0 * math.pi) > 0.0  # a rocker swings by less than half a turn
+            forward, backward = (turned, rest) if rising else (rest, turned)
+            yield from time_ratio_checks(forward, backward, limits.time_ratio)
+    frame = tested.design["frame"]
+    if limits.frame_length is not None:
+        yield from limit_checks("frame length", frame * 1e3, limits.frame_length, 1e-8 * frame * 1e3, 1e3, "mm")
+    if limits.link_ratio is not None:
+        for name in LENGTHS[:3]:
+            yield from limit_checks(f"{name} / frame", tested.design[name] / frame, limits.link_ratio, RATIO_TOLERANCE, 1.0, "")

@@ -1,0 +1,328 @@
+"""Path and motion generation proven: the mechanism is driven through the points, and through all that lies between them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.dyad_types import RRR
+from optlink.linkage.extrema import extremes
+from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.motion import Motion, sweep
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.path import MARK, STEP, TURN, ZERO, GenerationProblem
+from optlink.validation.check import (
+    ANGLE_TOLERANCE,
+    LENGTH_TOLERANCE,
+    POSITIONS,
+    RATIO_TOLERANCE,
+    Check,
+    Validation,
+    bound,
+    limit_checks,
+    nan_last,
+    time_ratio_checks,
+)
+from optlink.validation.margins import alignment_checks, grashof_check
+
+Array = NDArray[np.float64]
+
+ROUNDING = 1e-11  # of the size of the curve; two routes to a deviation that is all but zero need not agree more closely
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """What was measured at the positions, and the objective [SI].
+
+    `generated` (positions, 2) [m]: points; of a function (positions, 1): its output [m or rad]; of the transmission (positions,
+    joints): angles [rad]. `distances` (positions,): from the points [m], of the output, of the cosine farthest from 0.
+    `turned`: errors of the angle [rad] of poses.
+    """
+
+    generated: Array
+    distances: Array
+    turned: Array | None
+    objective: float
+
+
+def deviations(problem: GenerationProblem, design: Mapping[str, float], crank_angles: Array) -> Deviations:
+    """Drive the mechanism to the crank angles and measure how far it misses what is wanted, weighted as the problem asks."""
+    motion = sweep(problem.linkage, design, crank_angles)
+    wanted, weights = problem.data.columns, problem.data.roots**2
+    kind, turned = problem.requirement.kind, None
+    if kind == "transmission":
+        generated = transmission_angles(motion, problem.linkage)
+        square = np.sum(np.cos(generated) ** 2, axis=1)
+        distances = np.max(np.abs(np.cos(generated)), axis=1)
+    elif kind == "function":
+        output = str(problem.requirement.output)
+        travel = np.asarray(motion.slide(output).value if problem.slides else motion.body_angle(output).value, dtype=float)
+        error = travel - design[ZERO] - wanted[:, 0]
+        error = error if problem.slides else np.remainder(error + math.pi, TURN) - math.pi
+        generated, distances, square = travel[:, None], np.abs(error), error**2
+    else:
+        point = problem.requirement.point
+        generated = motion.position(point) if point in motion.pose.points else np.full((len(wanted), 2), np.nan)
+        distances = np.hypot(*(generated - wanted[:, :2]).T)
+        square = distances**2
+    if kind == "motion":
+        angle = np.asarray(motion.body_angle(problem.body).value) + design[MARK]
+        aim = np.arctan2(wanted[:, 3], wanted[:, 2])
+        turned = np.remainder(angle - aim + math.pi, TURN) - math.pi
+        square = square + (problem.radian * turned) ** 2
+    if problem.measure == "max":
+        objective = float(np.max(np.sqrt(square * weights)))
+    else:
+        objective = float(np.sum(square * weights))
+        objective = math.sqrt(objective / len(wanted)) if problem.measure == "rms" else objective
+    return Deviations(generated, distances, turned, objective)
+
+
+def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
+    """Angle between the two links of every RRR group [rad], 0 ... pi, (positions, groups)."""
+    found = []
+    for group in mechanism.groups:
+        if isinstance(group, RRR):
+            p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
+            one, other = p - c, q - c
+            cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+            found.append(np.abs(np.arctan2(cross, np.sum(one * other, axis=-1))))
+    return np.stack(found, axis=1) if found else np.zeros((len(motion.crank_angle), 0))
+
+
+def validate_generation(
+    problem: GenerationProblem, design: Mapping[str, float], crank_angles: Array, objective: float | None = None
+) -> Validation:
+    """Prove a design, or show where it fails.
+
+    Parameters
+    ----------
+    problem : GenerationProblem
+        With definite assembly modes.
+    design : mapping of every quantity [m, rad]
+    crank_angles : array (points,) [rad]
+        At which the points are met.
+    objective : float, optional
+        What the optimiser claims; compared with what the kinematics core measures.
+    """
+    tested = _Tested(problem, design, np.asarray(crank_angles, dtype=float))
+    found = tested.measured.objective
+    groups = (_sizes, _closure, _circuit, _order, _points, _transmission, _strokes, _pivots)
+    checks = [check for group in groups for check in group(tested)]
+    if objective is not None:
+        squared = problem.measure == "sum of squares"
+        gap = abs(found - objective) / max(abs(found), 1e-300)
+        error, claimed = (math.sqrt(f) if squared else f for f in (max(found, 0.0), max(objective, 0.0)))
+        missed = abs(error - claimed) / problem.whole
+        if gap <= 1e-6 or not missed <= ROUNDING:  # not a number is not nearly zero
+            checks.append(Check("objective measured in motion", gap <= 1e-6, gap, "<= 1e-06", ""))
+        else:
+            checks.append(Check("objective measured in motion", True, missed, f"<= {ROUNDING:.0e} of the size", ""))
+    return Validation(tuple(checks), found)
+
+
+class _Tested:
+    """A design in motion: the sweeps that the checks share."""
+
+    def __init__(self, problem: GenerationProblem, design: Mapping[str, float], crank_angles: Array) -> None:
+        self.problem, self.design, self.crank_angles = problem, dict(design), crank_angles
+        self.mechanism = problem.linkage
+        self.turns = problem.limits.crank != "span"
+        self.way = 1.0 if crank_angles[-1] >= crank_angles[0] else -1.0
+        begin, end = float(crank_angles[0]), float(crank_angles[-1])
+        count = max(2, math.ceil(abs(end - begin) / TURN * POSITIONS)) + 1
+        self.span = self.sweep(np.linspace(begin, end, count))
+        self.revolution = self.sweep(begin + self.way * np.linspace(0.0, TURN, POSITIONS, endpoint=False)) if self.turns else None
+        self.measured = deviations(problem, design, crank_angles)
+
+    def sweep(self, angles: Array) -> Motion:
+        """The mechanism at crank angles."""
+        return sweep(self.mechanism, self.design, angles)
+
+    @property
+    def required(self) -> Motion:
+        """The motion over which the mechanism must be assembled."""
+        return self.span if self.revolution is None else self.revolution
+
+    def asked(self) -> Motion:
+        """The motion over which the transmission angle is limited."""
+        whole = self.problem.transmission_over == "revolution" and self.revolution is not None
+        return self.revolution if whole and self.revolution is not None else self.span
+
+
+def _sizes(tested: _Tested) -> Iterator[Check]:
+    """Free quantities within their bounds, fixed ones as given; links keep their length while they move."""
+    size = tested.problem.size
+    for name, quantity in tested.problem.quantities.items():
+        yield bound(name, quantity, tested.design[name], size)
+    worst = 0.0
+    for link in tested.mechanism.links:
+        if link.end:
+            start, end = (tested.required.position(point) for point in (link.start, link.end))
+            measured = np.linalg.norm(end - start, axis=-1)
+            wanted = tested.design[link.length] if isinstance(link.length, str) else link.length
+            miss = float(np.max(np.abs(measured - wanted))) if np.all(np.isfinite(measured)) else math.nan
+            worst = max(worst, miss, key=nan_last)
+    limit = LENGTH_TOLERANCE * max(size, *(tested.design[name] for name in tested.problem.mechanism.quantities)) * 1e3
+    yield Check("link lengths re-measured in motion", bool(worst * 1e3 <= limit), worst * 1e3, f"<= {limit:.1e}", "mm")
+
+
+def _closure(tested: _Tested) -> Iterator[Check]:
+    """The crank condition from the lengths, and every loop closed at every position."""
+    problem = tested.problem
+    if tested.turns and isinstance(problem.mechanism, FourBarSection):
+        yield grashof_check(tested.design, problem.limits)
+    where = "the whole revolution" if tested.turns else "the range of the points"
+    grid = np.sort(tested.required.crank_angle)
+    if tested.turns:
+        grid = np.append(grid, grid[0] + TURN)
+    yield from alignment_checks(tested.sweep, grid, problem.limits, where)
+
+
+def _circuit(tested: _Tested) -> Iterator[Check]:
+    """One branch: each joint of two links stays on its side. One circuit: all points move without a jump, and come back."""
+    motion = tested.required
+    groups = [group for group in tested.mechanism.groups if isinstance(group, RRR)]
+    if groups:
+        least = _least_height(tested, groups) * 1e3
+        yield Check("one branch: every joint on one side", bool(least > 0.0), least, "> 0", "mm")
+    step = abs(motion.crank_angle[1] - motion.crank_angle[0])
+    worst, allowed = 0.0, 1.0
+    for name in dict.fromkeys((*(group.joint for group in tested.mechanism.groups), tested.problem.requirement.point)):
+        if name not in motion.pose.points:
+            continue
+        places = motion.position(name)
+        path = np.concatenate([places, places[:1]]) if tested.turns else places
+        speed, bend = (np.linalg.norm(f(name), axis=-1) for f in (motion.velocity, motion.acceleration))
+        ends = np.concatenate([speed, speed[:1]]) if tested.turns else speed
+        bends = np.concatenate([bend, bend[:1]]) if tested.turns else bend
+        fastest = np.maximum(ends[1:], ends[:-1]) * step + np.maximum(bends[1:], bends[:-1]) * step * step
+        jump = np.linalg.norm(np.diff(path, axis=0), axis=-1) / (1.5 * fastest + 1e-9 * tested.problem.size)
+        largest = float(np.max(jump)) if np.all(np.isfinite(jump)) else math.nan
+        worst = max(worst, largest, key=nan_last)
+    yield Check("one circuit: no point jumps", bool(worst <= allowed), worst, "<= 1 step at its speed", "")
+
+
+def _least_height(tested: _Tested, groups: Sequence[RRR]) -> float:
+    """Least distance [m] of a joint from the line of its outer pins, negative on the wrong side; NaN where not assembled."""
+    motion, least = tested.required, math.inf
+    for group in groups:
+        p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
+        line, arm = q - p, c - p
+        height = group.side * (line[:, 0] * arm[:, 1] - line[:, 1] * arm[:, 0]) / np.linalg.norm(line, axis=-1)
+        least = min(least, float(np.min(height))) if np.all(np.isfinite(height)) else math.nan
+    return least
+
+
+def _order(tested: _Tested) -> Iterator[Check]:
+    """The points are met in the order listed, within one revolution, the crank turning one way."""
+    steps = np.diff(tested.crank_angles) * tested.way
+    if len(steps) and tested.problem.pointed:
+        least = math.degrees(float(np.min(steps)))
+        yield Check("points met in order", bool(least >= math.degrees(STEP) * (1.0 - 1e-3)), least, "> 0", "deg")
+        whole = math.degrees(float(np.sum(steps)))
+        most = (
+            360.0 if tested.problem.meets_again else 360.0 - math.degrees(STEP)
+        )  # only a point that is wanted again may be met there
+        yield Check("points met within one revolution", bool(whole <= most + 1e-6), whole, f"<= {most:.6g}", "deg")
+    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(tested.problem.requirement.rotation)
+    if rotation is not None:
+        yield Check(
+            f"crank turns {tested.problem.requirement.rotation}", tested.way == rotation, tested.way, f"= {rotation:g}", ""
+        )
+    given = tested.problem.data.offsets
+    if not tested.problem.pointed and tested.problem.timing == "given":
+        return
+    if given is not None:
+        start = tested.design["start"] if tested.problem.timing == "from start" else 0.0
+        miss = math.degrees(float(np.max(np.abs(tested.crank_angles - start - given))))
+        yield Check("crank angles as given", bool(miss <= 1e-7), miss, "<= 1e-07", "deg")
+
+
+def _points(tested: _Tested) -> Iterator[Check]:
+    """Every point has a position, and is met within its tolerance."""
+    distances, tolerances = tested.measured.distances, tested.problem.data.tolerances
+    whole = bool(np.all(np.isfinite(distances)))
+    factor, unit = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}[tested.problem.unit]
+    largest = float(np.max(distances)) * factor
+    yield Check("the linkage has a position for everything wanted", whole, largest, "finite", unit)
+    if np.any(np.isfinite(tolerances)):
+        used = np.max(distances / tolerances)
+        yield Check("points met within their tolerances", bool(used <= 1.0 + 1e-6), float(used), "<= 1", "of the tolerance")
+
+
+def _transmission(tested: _Tested) -> Iterator[Check]:
+    """Transmission angle of every group of two links at its extremes, by sweep and refinement."""
+    limits = tested.problem.limits
+    low, high = (
+        (None, None) if limits.transmission_angle is None else (limits.transmission_angle.low, limits.transmission_angle.high)
+    )
+    if limits.transmission_cosine is not None:
+        low, high = (
+            None if side is None else math.acos(side)
+            for side in (limits.transmission_cosine.high, limits.transmission_cosine.low)
+        )
+    if low is None and high is None:
+        return
+    groups = [group for group in tested.mechanism.groups if isinstance(group, RRR)]
+
+    def angles(at: Array) -> Array:
+        return transmission_angles(tested.sweep(at), tested.mechanism).T
+
+    motion = tested.asked()
+    grid = np.sort(motion.crank_angle)
+    if motion is tested.revolution:
+        grid = np.append(grid, grid[0] + TURN)
+    extreme = np.degrees(extremes(angles, grid)[1])
+    for group, (least, largest) in zip(groups, extreme, strict=True):
+        where = "" if len(groups) == 1 else f" at {group.joint}"
+        if low is not None:
+            at_least = math.degrees(low)
+            passed = bool(least >= at_least - ANGLE_TOLERANCE)
+            yield Check(f"smallest transmission angle{where}", passed, float(least), f">= {at_least:.6g}", "deg")
+        if high is not None:
+            at_most = math.degrees(high)
+            passed = bool(largest <= at_most + ANGLE_TOLERANCE)
+            yield Check(f"largest transmission angle{where}", passed, float(largest), f"<= {at_most:.6g}", "deg")
+
+
+def _strokes(tested: _Tested) -> Iterator[Check]:
+    """Proportions, swing angle and time ratio of a four-bar."""
+    from optlink.linkage.stroke import travels
+
+    limits = tested.problem.limits
+    if limits.swing_angle is not None or limits.time_ratio is not None:
+        travel = travels(tested.mechanism, tested.design, 0.0, TURN, True)[0].get("rocker")
+        swing = math.nan if travel is None else math.degrees(travel.span)
+        strokes = {} if travel is None else {stroke.name: stroke.rotation for stroke in travel.strokes(tested.way)}
+        if limits.swing_angle is not None:
+            yield from limit_checks("swing angle", swing, limits.swing_angle, ANGLE_TOLERANCE, math.degrees(1.0), "deg")
+        if limits.time_ratio is not None:
+            rotations = strokes.get("forward", math.nan), strokes.get("backward", math.nan)
+            yield from time_ratio_checks(*rotations, limits.time_ratio)
+    if limits.frame_length is not None:
+        frame = tested.design["frame"]
+        yield from limit_checks("frame length", frame * 1e3, limits.frame_length, 1e-8 * frame * 1e3, 1e3, "mm")
+    if limits.link_ratio is not None:
+        for name in LENGTHS[:3]:
+            ratio = tested.design[name] / tested.design["frame"]
+            yield from limit_checks(f"{name} / frame", ratio, limits.link_ratio, RATIO_TOLERANCE, 1.0, "")
+
+
+def _pivots(tested: _Tested) -> Iterator[Check]:
+    """Every point of the frame inside the region."""
+    region = tested.problem.limits.pivots
+    if region is None:
+        return
+    tolerance = 1e-8 * tested.problem.size * 1e3
+    for name in [point for point, bodies in tested.mechanism.owners.items() if FRAME in bodies]:
+        place = tested.required.position(name)[0] * 1e3
+        for axis, value in zip("xy", place, strict=True):
+            interval = getattr(region, axis)
+            if interval is not None:
+                yield from limit_checks(f"{name}.{axis}", float(value), interval, tolerance, 1e3, "mm")

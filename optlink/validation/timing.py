@@ -1,0 +1,102 @@
+"""The crank angles at which a given linkage passes points or poses best, in their order: by dynamic programming.
+
+Source: R. Bellman, Dynamic Programming, Princeton University Press (1957).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.motion import sweep
+from optlink.problem.path import MARK, STEP, TURN, GenerationProblem
+
+Array = NDArray[np.float64]
+
+GRID = 720  # crank angles of the first look
+NEAR = 25  # crank angles per point and round of the refinement
+ROUNDS = 16
+SHRINK = 6.0
+FAR = 1e3  # sizes of the curve: the distance of a position that does not exist
+
+
+def passing(problem: GenerationProblem, design: Mapping[str, float]) -> tuple[Array, float]:
+    """Crank angles at which a design passes what is wanted, and the objective there, without the limits.
+
+    Parameters
+    ----------
+    problem : GenerationProblem
+        With definite assembly modes.
+    design : mapping of every quantity [m, rad]
+
+    Returns
+    -------
+    angles, figure : array (points,) [rad] that rises or falls within one revolution; sum of squares (largest one of "max")
+    """
+    if problem.data.offsets is not None or not problem.pointed:
+        return problem.crank_angles(design, None), float(np.sum(_squares(problem, design, problem.crank_angles(design, None))))
+    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
+    found = [_one_way(problem, design, way) for way in ((1.0, -1.0) if rotation is None else (rotation,))]
+    return min(found, key=lambda each: each[1])
+
+
+def _squares(problem: GenerationProblem, design: Mapping[str, float], angles: Array) -> Array:
+    """Weighted squares of the deviations of every point (points,) at its crank angles (points, k) or (points,)."""
+    data, at = problem.data, np.atleast_2d(angles.T).T
+    motion = sweep(problem.linkage, design, at.ravel())
+    far = (FAR * problem.size) ** 2
+    if not problem.pointed:
+        return np.zeros(at.shape)
+    places = motion.position(problem.requirement.point).reshape(*at.shape, 2)
+    square = np.sum((places - data.columns[:, None, :2]) ** 2, axis=-1)
+    if problem.requirement.kind == "motion":
+        turned = np.asarray(motion.body_angle(problem.body).value).reshape(at.shape) + design[MARK]
+        aim = np.arctan2(data.columns[:, 3], data.columns[:, 2])[:, None]
+        square = square + (problem.radian * (np.remainder(turned - aim + np.pi, TURN) - np.pi)) ** 2
+    found: Array = np.where(np.isfinite(square), square, far) * data.roots[:, None] ** 2
+    return found
+
+
+def _one_way(problem: GenerationProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:
+    count = len(problem.data.columns)
+    grid = TURN * np.arange(GRID) / GRID
+    cost = _squares(problem, design, np.broadcast_to(way * grid, (count, GRID)))
+    joined = np.maximum if problem.measure == "max" else np.add
+
+    ahead = np.arange(GRID)[:, None] + np.arange(GRID)[None, :]  # (starts, steps from the start)
+    best = np.where(np.arange(GRID) == 0, cost[0][ahead % GRID], np.inf)
+    for row in cost[1:]:
+        reached = np.minimum.accumulate(best, axis=1)
+        best = joined(np.concatenate([np.full((GRID, 1), np.inf), reached[:, :-1]], axis=1), row[ahead % GRID])
+    start = int(np.argmin(np.min(best, axis=1)))
+    rolled = np.roll(cost, -start, axis=1)
+    rolled[0, 1:] = np.inf
+    if problem.meets_again:  # the last point is the first again, and may be met there
+        rolled = np.concatenate([rolled, np.where(np.arange(count) == count - 1, rolled[:, 0], np.inf)[:, None]], axis=1)
+    steps = TURN / GRID * np.arange(rolled.shape[1])
+    angles, _ = _ordered(rolled, np.full((count, 1), grid[start]) + steps, joined)
+    reach, figure = TURN / GRID, np.inf
+    for _ in range(ROUNDS):
+        near = angles[:, None] + reach * np.linspace(-1.0, 1.0, NEAR)
+        angles, figure = _ordered(_squares(problem, design, way * near), near, joined)
+        reach /= SHRINK
+    angles = np.minimum(angles, angles[0] + TURN)
+    return way * angles, figure
+
+
+def _ordered(cost: Array, angles: Array, joined: np.ufunc) -> tuple[Array, float]:
+    """One angle of every row (points, k), rising by STEP at least, with the least figure of the costs (points, k)."""
+    best, origins = cost[0], []
+    for row, at, before in zip(cost[1:], angles[1:], angles[:-1], strict=True):
+        least = np.minimum.accumulate(best)
+        where = np.maximum.accumulate(np.where(best == least, np.arange(len(best)), 0))
+        last = np.searchsorted(before, at - STEP * (1.0 - 1e-9), side="right") - 1
+        best = np.where(last >= 0, joined(least[np.maximum(last, 0)], row), np.inf)
+        origins.append(where[np.maximum(last, 0)])
+    k = int(np.argmin(best))
+    figure, chosen = float(best[k]), [k]
+    for origin in reversed(origins):
+        chosen.append(int(origin[chosen[-1]]))
+    return angles[np.arange(len(angles)), chosen[::-1]], figure

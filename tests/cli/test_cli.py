@@ -1,0 +1,326 @@
+"""The command line as people and scripts meet it: exit codes, clean JSON, one clear message, nothing half written."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.errors import Fault
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(*arguments: str, **kwargs):
+    """Run a command in this process; stdout, stderr and exit code."""
+    return CliRunner().invoke(app, list(arguments), **kwargs)
+
+
+def process(*arguments: str, cwd: Path | None = None):
+    """Run a command as people do, in a process of its own."""
+    environment = {**os.environ, "COLUMNS": "100", "PYTHONWARNINGS": "error"}
+    return subprocess.run(
+        [sys.executable, "-m", "optlink", *arguments], capture_output=True, text=True, cwd=cwd, env=environment, check=False
+    )
+
+
+def test_solve_as_json_has_the_promised_keys():
+    done = process("solve", "crank-rocker", "--backend", "both", "--json")
+    assert done.returncode == 0
+    assert done.stderr == ""
+    result = json.loads(done.stdout)
+    promised = "schema problem status valid backend design objective limits validation iterations seconds seed backends"
+    assert set(promised.split()) <= set(result)
+    assert result["status"] == "optimal"
+    assert result["valid"] is True
+    assert result["design"]["coupler_mm"] == pytest.approx(412.86542, abs=1e-3)
+    assert result["design"]["rocker_mm"] == pytest.approx(232.24617, abs=1e-3)
+    assert result["design"]["phi0_deg"] == pytest.approx(26.472, abs=1e-3)
+    assert result["objective"] == {
+        "value": pytest.approx(0.00759237, abs=1e-8),
+        "unit": "rad^2",
+        "measure": "sum of squares",
+        "rms_deg": pytest.approx(0.911494, abs=1e-5),
+        "largest_deg": pytest.approx(2.290047, abs=1e-5),
+    }
+    assert {"name", "value", "bound", "unit", "active", "multiplier"} <= set(result["limits"][0])
+    assert {"name", "passed", "value", "limit", "unit"} == set(result["validation"][0])
+    assert set(result["seconds"]) == {"build", "solve", "validate"}
+    assert set(result["backends"]) == {"slsqp", "ipopt"}
+    for name in ("coupler_mm", "rocker_mm"):
+        values = [result["backends"][b]["design"][name] for b in ("slsqp", "ipopt")]
+        assert values[0] == pytest.approx(values[1], abs=1e-6)
+    active = [limit for limit in result["limits"] if limit["active"]]
+    assert [limit["name"] for limit in active] == ["largest transmission angle"]
+    assert active[0]["multiplier"] == pytest.approx(-1.4646960e-4, rel=1e-6)
+
+
+def test_solve_for_people():
+    done = process("solve", "crank-rocker")
+    assert done.returncode == 0
+    for words in ("412.865", "232.246", "0.00759237", "largest transmission angle", "per deg", "checks passed", "optimal, valid"):
+        assert words in done.stdout
+    assert "FAIL" not in done.stdout
+
+
+def test_infeasible_is_exit_one_and_names_the_conflict():
+    changes = ("--set", 'limits.transmission_angle=["80 deg", "100 deg"]')
+    for backend in ("slsqp", "ipopt"):
+        done = run("solve", "crank-rocker", "--backend", backend, *changes)
+        assert done.exit_code == 1
+        assert "cannot hold together" in done.stdout
+        assert "61.42" in done.stdout
+        assert "149.2" in done.stdout
+    document = json.loads(run("solve", "crank-rocker", "--json", *changes).stdout)
+    assert document["status"] == "infeasible"
+    assert document["valid"] is False
+    assert {item["unit"] for item in document["conflict"]} == {"deg"}
+
+
+def test_validate_printed_design_is_exit_one():
+    arguments = ("validate", "crank-rocker", "--design", "coupler=412.26 mm", "--design", 'rocker="232.2417 mm"')
+    done = run(*arguments)
+    assert done.exit_code == 1
+    assert "FAIL" in done.stdout
+    assert "135.298" in done.stdout
+    document = json.loads(run(*arguments, "--json").stdout)
+    failed = [check for check in document["validation"] if not check["passed"]]
+    assert failed[0]["value"] == pytest.approx(135.298, abs=5e-4)
+    assert run("solve", *arguments[1:]).exit_code == 1
+
+
+def test_out_writes_everything_and_can_be_validated_again(tmp_path):
+    out = tmp_path / "new" / "folder"
+    done = run("solve", "crank-rocker", "--backend", "both", "--out", str(out), "--json")
+    assert done.exit_code == 0
+    names = {path.name for path in out.iterdir()}
+    assert names == {
+        "result.json",
+        "design.toml",
+        "mechanism.png",
+        "law.png",
+        "transmission.png",
+        "map.png",
+        "motion.gif",
+        ".optlink-run.json",
+    }
+    assert json.loads((out / "result.json").read_text()) == json.loads(done.stdout)
+    again = run("validate", "crank-rocker", "--design", str(out / "result.json"), "--json")
+    assert again.exit_code == 0
+    assert json.loads(again.stdout)["design"] == pytest.approx(json.loads(done.stdout)["design"], rel=1e-12)
+
+
+def test_infeasible_with_out_still_writes_the_result(tmp_path):
+    done = run("solve", "crank-rocker", "--set", "mechanism.crank=950 mm", "--out", str(tmp_path))
+    assert done.exit_code == 1
+    assert json.loads((tmp_path / "result.json").read_text())["status"] == "infeasible"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("solve", "crank-roker"), 'Did you mean "crank-rocker"'),
+        (("solve", "nowhere.toml"), "no such file"),
+        (("solve", "crank-rocker", "--set", "mechanism.fram=480 mm"), 'Did you mean "frame"'),
+        (("solve", "crank-rocker", "--set", "mechanism.frame=480"), "needs a unit"),
+        (("solve", "crank-rocker", "--set", "mechanism.frame"), "KEY=VALUE"),
+        (("solve", "crank-rocker", "--set", "requirement.law=psi0 + __import__('os')"), "unknown"),
+        (("solve", "crank-rocker", "--backend", "fmincon"), "fmincon"),
+        (("solve", "crank-rocker", "--starts", "0"), "starts"),
+        (("solve", "crank-rocker", "--starts", "many"), "many"),
+        (("solve", "crank-rocker", "--seed", "-1"), "seed"),
+        (("validate", "crank-rocker"), "lacks coupler, rocker"),
+        (("validate", "crank-rocker", "--design", "couple=3 mm"), 'Did you mean "coupler"'),
+        (("validate", "crank-rocker", "--design", "coupler=3"), "needs a unit"),
+        (("validate", "crank-rocker", "--design", "nowhere.json"), "cannot read a design"),
+        (("show", "nothing"), "no such problem"),
+        (("fly",), "fly"),
+    ],
+)
+def test_bad_input_is_exit_two_with_a_sentence(arguments, words):
+    done = run(*arguments)
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.output
+    assert done.stdout == ""
+
+
+@pytest.mark.parametrize("where", ["file", "beneath a file", "read-only"])
+def test_out_that_cannot_be_written_is_refused_before_any_work(tmp_path, where):
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    out = {"file": taken, "beneath a file": taken / "deeper", "read-only": Path("/proc/optlink")}[where]
+    done = run("solve", "crank-rocker", "--out", str(out))
+    assert done.exit_code == 2
+    assert "--out" in done.stderr
+    assert taken.read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+def test_error_with_json_is_one_document():
+    done = process("solve", "crank-rocker", "--json", "--set", "mechanism.frame=480", "--set", "requirement.points=0")
+    assert done.returncode == 2
+    document = json.loads(done.stdout)
+    assert document["status"] == "error"
+    assert [fault["key"] for fault in document["faults"]] == ["mechanism.frame", "requirement.points"]
+    assert done.stderr.count("Error:") == 2
+    assert "Traceback" not in done.stderr
+
+
+def test_usage_error_with_json_is_one_document_too():
+    for arguments in (("solve", "crank-rocker", "--json", "--starts", "many"), ("solve", "--json"), ("fly", "--json")):
+        done = process(*arguments)
+        assert done.returncode == 2
+        assert json.loads(done.stdout)["status"] == "error"
+
+
+NASTY = [
+    ("--set", f"mechanism.frame={'9' * 400}"),
+    ("--set", f"requirement.points=0x{'F' * 4000}"),
+    ("--set", "requirement.points=3\nfoo=4"),
+    ("--set", "requirement.law=psi0 + 1e999"),
+    ("--set", "mechanism.frame=[/red]"),
+    ("--set", "mechanism.frame=\udcff mm"),
+    ("--set", "..=3"),
+    ("--set", "mechanism.=3"),
+    ("--set", "title=5"),
+    ("--set", 'limits={crank="span", transmission_over="revolution"}'),
+]
+
+
+@pytest.mark.parametrize("arguments", NASTY)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_nasty_values_get_a_sentence_and_no_traceback(arguments, as_json):
+    done = process("solve", "crank-rocker", *arguments, *(["--json"] if as_json else []))
+    assert done.returncode == 2
+    assert done.stderr.startswith("Error: ")
+    assert "Traceback" not in done.stderr
+    assert json.loads(done.stdout)["faults"] if as_json else done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "[" * 100_000,
+        '{"design": {"coupler_mm": 1' + "0" * 400 + "}}",
+        '{"design": {"coupler_mm": true, "rocker_mm": 232}}',
+        '{"design": [1]}',
+        "",
+    ],
+)
+def test_broken_designs_are_refused(tmp_path, content):
+    path = tmp_path / "design.json"
+    path.write_text(content)
+    done = run("validate", "crank-rocker", "--design", str(path))
+    assert done.exit_code == 2
+    assert "--design" in done.stderr
+
+
+def test_titles_are_printed_as_they_are(tmp_path):
+    """Brackets in a title are no markup, and a terminal that lacks a letter does not break the run."""
+    path = tmp_path / "mine.toml"
+    text = run("show", "crank-rocker", "--toml").stdout
+    path.write_text("\ufeff" + text.replace("Crank-rocker that", "[/red] ψ [bold] that"), encoding="utf-8")
+    assert "[/red] ψ [bold] that" in run("solve", str(path)).stdout
+    assert "[/red]" in run("show", str(path)).stdout
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    command = [sys.executable, "-m", "optlink", "solve", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0
+    assert "412.865" in done.stdout
+
+
+def test_list_and_show():
+    assert "crank-rocker" in run("list").stdout
+    assert "crank-rocker" in [problem["name"] for problem in json.loads(run("list", "--json").stdout)["problems"]]
+    shown = run("show", "crank-rocker").stdout
+    for words in ("frame", "500 mm", "free, 100 mm ... 900 mm", "psi0 + 2/(3*pi)*(phi - phi0)^2", "default"):
+        assert words in shown
+    assert json.loads(run("show", "crank-rocker", "--json").stdout)["problem"]["mechanism"]["frame"] == "500 mm"
+
+
+def test_show_as_toml_is_the_beginning_of_one_s_own_problem(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(run("show", "crank-rocker", "--toml", "--set", "mechanism.frame=480 mm").stdout)
+    done = run("solve", str(path), "--json")
+    assert done.exit_code == 0
+    assert json.loads(done.stdout)["design"]["frame_mm"] == 480.0
+    assert json.loads(done.stdout)["problem"] == "mine"
+
+
+GAPPED = ("simulate", "crank-rocker-clearance")
+COMPARED = (*GAPPED, "--control", "compare", "--revolutions", "1", "--starts", "1")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option", "words"),
+    [
+        ((*COMPARED, "--csv", "a.csv"), "--csv", "has no use for it"),
+        ((*COMPARED, "--flywheel", "0.1 kg*m^2"), "--flywheel", "has no use for it"),
+        ((*COMPARED, "--tune", "integral"), "--tune", "Name the kind to tune"),
+        ((*GAPPED, "--evaluations", "8"), "--evaluations", "--tune NAME"),
+        ((*GAPPED, "--workers", "2"), "--workers", "--tune NAME"),
+        ((*GAPPED, "--starts", "3"), "--starts", "--control compare"),
+        ((*GAPPED, "--seed", "0"), "--seed", "--control compare"),
+        ((*GAPPED, "--ideal", "--tolerance", "1e-6"), "--tolerance", "joints count as ideal"),
+        ((*GAPPED, "--ideal", "--resume"), "--resume", "joints count as ideal"),
+        (("simulate", "six-bar", "--tolerance", "1e-6"), "--tolerance", "no joint has clearance"),
+        (("simulate", "six-bar", "--control", "compare"), "--control", "no joint has clearance"),
+        (("simulate", "six-bar", "--seed", "3"), "--seed", "Leave it out"),
+        (("report", "result.json", "-o", "a.html", "--starts", "3"), "--starts", "has its design already"),
+        (("solve", "crank-rocker", "--designs", "2"), "--designs", "several designs"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_refused(tmp_path, monkeypatch, arguments, option, words):
+    monkeypatch.chdir(tmp_path)
+    done = run(*arguments)
+    assert done.exit_code == 2
+    assert option in done.stderr
+    assert words in " ".join(done.stderr.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_comparison_takes_its_tolerance_and_its_points(monkeypatch):
+    """What is given reaches the library; what is not is left to it."""
+    taken = []
+
+    def compare(*arguments, **options):
+        own = ("progress", "checkpoint", "resume", "workers")  # of the command
+        taken.append((arguments[1:], {key: value for key, value in options.items() if key not in own}))
+        raise optlink.InputError(Fault("enough", "Stop"))
+
+    monkeypatch.setattr("optlink.tasks.control_comparison.compare", compare)
+    assert run(*COMPARED, "--tolerance", "1e-5", "--points", "60", "--seed", "4").exit_code == 2
+    assert run(*GAPPED, "--control", "compare").exit_code == 2
+    common = {"speed": None, "design": None}
+    assert taken[0] == ((1,), {**common, "starts": 1, "tolerance": 1e-5, "points": 60, "seed": 4})
+    assert taken[1] == ((20,), common)
+
+
+def test_json_is_repeatable():
+    first, second = (json.loads(run("solve", "crank-rocker", "--starts", "6", "--seed", "5", "--json").stdout) for _ in "ab")
+    del first["seconds"], second["seconds"]
+    assert first == second
+
+
+def test_launcher_in_a_checkout():
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "cli.py"), "solve", "crank-rocker", "--json"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["valid"] is True
+
+
+def test_help_and_version():
+    assert "Commands" in run("--help").stdout
+    assert run("--version").stdout.startswith("optlink ")
+    for command in ("list", "show", "solve", "validate", "analyze", "balance", "simulate", "report", "export", "study"):
+        assert run(command, "--help").exit_code == 0
+        assert command in run("--help").stdout

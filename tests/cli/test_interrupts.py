@@ -1,0 +1,327 @@
+"""Ctrl-C, closed pipes, full devices and files without end: one sentence, the right exit code, nothing half written."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import optlink
+from optlink.tasks import parallel_runs
+
+COMMAND = (sys.executable, "-m", "optlink")
+posix = pytest.mark.skipif(os.name != "posix", reason="signals and devices of POSIX")
+
+BEAN = """
+title = "An ellipse that no four-bar passes exactly"
+[mechanism]
+type = "four-bar"
+crank = { bounds = ["5 mm", "70 mm"] }
+coupler = { bounds = ["5 mm", "90 mm"] }
+rocker = { bounds = ["5 mm", "90 mm"] }
+frame = { bounds = ["5 mm", "90 mm"] }
+points = { P = [{ bounds = ["-90 mm", "90 mm"] }, { bounds = ["-90 mm", "90 mm"] }] }
+pivot = [{ bounds = ["-90 mm", "90 mm"] }, { bounds = ["-90 mm", "90 mm"] }]
+direction = { bounds = ["-180 deg", "180 deg"] }
+assembly = "either"
+[requirement]
+kind = "path"
+points = { x = "25*cos(t)", y = "12*sin(t) + 3*cos(3*t)", unit = "mm", t = [0, "2*pi"], points = 20 }
+[limits]
+transmission_angle = ["30 deg", "150 deg"]
+link_ratio = [0.1, 10.0]
+"""
+
+PUMP = """
+title = "A slider-crank whose sizes are free"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+[mechanism.links]
+crank = { joints = ["A", "B"], length = { bounds = ["20 mm", "60 mm"] } }
+rod = { joints = ["B", "C"], length = { bounds = ["90 mm", "400 mm"] } }
+ram = { joints = ["C"] }
+[mechanism.guides]
+G = { slider = "ram", direction = "-90 deg", through = "A", offset = { bounds = ["0 mm", "60 mm"] } }
+[mechanism.assembly]
+C = "forward"
+[bodies]
+ram = { mass = "5 kg" }
+[loads]
+pressing = { on = "ram", force = "2 kN", acts = "opposing", stroke = "forward" }
+[drive]
+speed = "90 rpm"
+[objective]
+quantity = "torque"
+[limits]
+stroke = { quantity = "stroke", of = "ram", exactly = "70 mm" }
+"""
+
+
+def run(*arguments, **options):
+    options = {"capture_output": True, "text": True, "errors": "replace", "timeout": 120} | options
+    return subprocess.run([*COMMAND, *map(str, arguments)], check=False, **options)
+
+
+def press(arguments, after, folder, times=1, apart=0.3):
+    """Start a command, press Ctrl-C after a while; its exit code, both outputs, seconds from there to its end."""
+    with subprocess.Popen(
+        [*COMMAND, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+        start_new_session=True,
+    ) as process:
+        try:
+            process.wait(after)
+            raise AssertionError(f"too quick: {process.communicate()}")
+        except subprocess.TimeoutExpired:
+            pressed = time.monotonic()
+            for _ in range(times):
+                process.send_signal(signal.SIGINT)
+                time.sleep(apart if times > 1 else 0.0)
+            out, err = process.communicate(timeout=60)
+    return process.returncode, out, err, time.monotonic() - pressed
+
+
+@pytest.fixture
+def files(tmp_path):
+    (tmp_path / "bean.toml").write_text(BEAN)
+    (tmp_path / "pump.toml").write_text(PUMP)
+    return tmp_path
+
+
+LONG = {
+    "solve a path": ("solve", "bean.toml", "--starts", "900000", "--out", "out"),
+    "solve a machine": ("solve", "pump.toml", "--starts", "2000", "--out", "out"),
+    "solve a law": ("solve", "crank-rocker", "--starts", "90000", "--out", "out"),
+    "report": ("report", "bean.toml", "-o", "page.html", "--starts", "900000"),
+    "export": ("export", "bean.toml", "-o", "drawing.dxf", "--starts", "900000"),
+    "sensitivity": ("study", "sensitivity", "bean.toml", "--starts", "900000", "--out", "out"),
+    "pareto": (
+        "study",
+        "pareto",
+        "crank-rocker",
+        "--objectives",
+        "error,limits.transmission_angle.max",
+        "--points",
+        "900",
+        "--out",
+        "out",
+    ),
+    "tolerance": ("study", "tolerance", "crank-rocker", "--tolerance", "coupler=0.1 mm", "--samples", "90000000", "--out", "out"),
+}
+
+
+@posix
+def test_processes_are_begun_without_ctrl_c(monkeypatch):
+    """They inherit the mask of signals: one that is just starting would answer with a traceback."""
+    masked = []
+
+    class Pool:
+        def __init__(self, *_arguments, **_options):
+            pass
+
+        def submit(self, *_arguments):
+            masked.append(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+            raise KeyboardInterrupt
+
+        def shutdown(self, **_options):
+            pass
+
+    monkeypatch.setattr(parallel_runs, "ProcessPoolExecutor", Pool)
+    with pytest.raises(KeyboardInterrupt):
+        list(parallel_runs.perform_all([None], 1))
+    assert masked == [True]
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+TUNED = (
+    "simulate",
+    "crank-rocker-clearance",
+    "--control",
+    "pid",
+    "--tune",
+    "proportional",
+    "--evaluations",
+    "900",
+    "--workers",
+    "3",
+)
+
+
+@posix
+@pytest.mark.slow
+@pytest.mark.parametrize("after", [2.5, 6.0])
+def test_ctrl_c_of_a_terminal_ends_tuning_and_all_its_processes(after, files):
+    """A terminal sends the signal to every process, also to those that are just starting: one sentence, nobody left."""
+    with subprocess.Popen(
+        [*COMMAND, *TUNED], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=files, start_new_session=True
+    ) as process:
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(after)
+        os.killpg(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == ""
+    lines = [line for line in err.splitlines() if "interrupted" not in line.lower()]
+    assert lines == [], err
+    assert "interrupted while compiled code" not in err
+    for _ in range(100):
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            break
+        time.sleep(0.1)
+    else:
+        raise AssertionError("a process is left")
+
+
+@posix
+@pytest.mark.slow
+@pytest.mark.parametrize("case", LONG)
+def test_ctrl_c_ends_long_work_with_one_sentence_and_no_pictures(case, files):
+    code, _, err, _ = press(LONG[case], 6.0, files)
+    assert code == 130, err
+    assert "Traceback" not in err
+    assert "nterrupted" in err
+    left = {path.name for path in files.rglob("*") if path.is_file()} - {"bean.toml", "pump.toml"}
+    assert not any(name.endswith((".html", ".png", ".gif", ".dxf", ".svg")) for name in left), left
+    if "result.json" in left:
+        assert json.loads((files / "out" / "result.json").read_text())["interrupted"] is True
+
+
+@posix
+def test_a_second_ctrl_c_kills_at_once(files):
+    script = "import time\nfrom optlink import interrupts\ninterrupts.listen()\n"
+    script += "try:\n    print('ready', flush=True)\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    time.sleep(60)\n"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", script], **pipes) as process:
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.5)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "killed" in err
+
+
+@posix
+def test_compiled_code_that_does_not_return_is_ended():
+    script = "import hashlib, signal, threading, os\nfrom optlink import interrupts\ninterrupts.listen()\n"
+    script += "threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT]).start()\n"
+    script += "hashlib.pbkdf2_hmac('sha256', b'a', b'b', 10 ** 9)\n"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 130
+    assert "compiled code" in done.stderr
+
+
+@posix
+def test_ipopt_passes_an_interrupt_on(monkeypatch):
+    from optlink.solvers import interrupts, ipopt
+
+    class Solver:
+        """Stops at Ctrl-C and returns, as casadi does."""
+
+        def __call__(self, **_):
+            monkeypatch.setattr(interrupts, "_pressed", True)
+            return {"x": [0.0]}
+
+        def stats(self):
+            return {"iter_count": 1, "return_status": "User_Requested_Stop"}
+
+    problem = optlink.load("crank-rocker").spec
+    from optlink.optimization.nlp import build
+
+    nlp = build(problem)
+    monkeypatch.setattr(ipopt, "compiled", lambda *_: Solver())
+    with pytest.raises(KeyboardInterrupt):
+        ipopt.ipopt(nlp, nlp.x_start, nlp.p)
+
+
+@posix
+def test_output_that_cannot_be_written_is_one_sentence():
+    for arguments in (("list",), ("solve", "crank-rocker", "--json")):
+        with open("/dev/full", "w") as full:
+            done = run(*arguments, capture_output=False, stdout=full, stderr=subprocess.PIPE)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1
+        assert "cannot write the output: No space left" in done.stderr
+
+
+@posix
+@pytest.mark.parametrize("arguments", [("list",), ("show", "six-bar", "--toml"), ("solve", "crank-rocker", "--json")])
+def test_a_closed_pipe_is_no_failure(arguments):
+    read, write = os.pipe()
+    os.close(read)
+    done = run(*arguments, capture_output=False, stdout=write, stderr=subprocess.PIPE)
+    os.close(write)
+    assert done.returncode in (0, 141)
+    assert done.stderr == ""
+
+
+ENDLESS = {
+    "a law": ("show", "crank-rocker", "--set", 'requirement.law={{ csv = "{}" }}'),
+    "a load": ("show", "slider-crank", "--set", 'loads.push={{ on = "slider", force = {{ over = "phi", csv = "{}" }} }}'),
+    "a tolerance": ("study", "tolerance", "crank-rocker", "--tolerance", "coupler={}"),
+}
+
+
+@posix
+@pytest.mark.parametrize("case", ENDLESS)
+@pytest.mark.parametrize("name", ["/dev/zero", "pipe.csv", "folder.csv", "x" * 300 + ".csv", "large.csv"])
+def test_files_of_numbers_are_plain_files_of_moderate_size(case, name, tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "folder.csv").mkdir()
+    with open(tmp_path / "large.csv", "wb") as file:
+        file.truncate(200_000_000)
+    place = name if name.startswith("/") else str(tmp_path / name)
+    if case == "a tolerance" and name == "/dev/zero":
+        os.symlink(name, tmp_path / "zero.csv")
+        place = str(tmp_path / "zero.csv")
+    done = run(*(argument.format(place) for argument in ENDLESS[case]), timeout=30)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "cannot read the file" in done.stderr or "is larger than" in done.stderr
+
+
+HUGE = "9" * 400
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("function-log10", "requirement.law.x", [1, int(HUGE)]),
+        ("path-bean", "limits.link_ratio", [0.1, int(HUGE)]),
+        ("slider-crank", "bodies.slider.mass", int(HUGE)),
+        ("six-bar", "expected.figures", {"input.torque_Nm.max": int(HUGE)}),
+    ],
+)
+def test_an_integer_of_400_digits_is_refused_where_it_stands(name, key, value):
+    with pytest.raises(optlink.InputError, match="too large") as refused:
+        optlink.load(name).override({key: value})
+    assert refused.value.faults[0].key.startswith(key)
+
+
+def test_an_integer_of_400_digits_in_a_file(tmp_path):
+    file = tmp_path / "huge.toml"
+    file.write_text(Path(optlink.shipped()["crank-rocker"]).read_text().replace("points = 30", f"points = {HUGE}"))
+    done = run("solve", file, "--json")
+    assert done.returncode == 2
+    assert json.loads(done.stdout)["faults"][0]["key"] == "requirement.points"
+
+
+@posix
+def test_undecodable_bytes_in_an_option():
+    for arguments in ((b"--set", b"mechanism.crank=\xff\xfe mm"), (b"--set", b"\xff=1"), (b"--design", b"coupler=\xff")):
+        done = subprocess.run(
+            [*COMMAND, "solve", "crank-rocker", "--json", *arguments], capture_output=True, timeout=60, check=False
+        )
+        assert done.returncode == 2
+        assert b"Traceback" not in done.stderr
+        assert json.loads(done.stdout)["status"] == "error"

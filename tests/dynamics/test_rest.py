@@ -1,0 +1,54 @@
+"""A drive that starts from rest: a speed of zero under a torque, and what needs a constant speed."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.errors import InputError
+from optlink.problem.file import ProblemFile, read
+
+FLYWHEEL = """
+title = "Slider-crank from rest"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+[mechanism.links]
+crank = { joints = ["A", "B"], length = "30 mm" }
+rod = { joints = ["B", "C"], length = "110 mm" }
+slide = { joints = ["C"] }
+[mechanism.guides]
+G = { slider = "slide", direction = "0 deg", through = "A" }
+[mechanism.assembly]
+C = "forward"
+[bodies]
+crank = { mass = "2 kg", inertia = "0.01 kg*m^2", centroid = "start" }
+[drive]
+speed = "0 rad/s"
+torque = "0.5 N*m"
+duration = "1 s"
+"""
+
+
+def machine(**changes: object) -> ProblemFile:
+    text = FLYWHEEL.replace('centroid = "start"', 'centroid = ["0 mm", "0 mm"]')
+    return read(tomllib.loads(text), "rest").override({key.replace("__", "."): value for key, value in changes.items()})
+
+
+def test_a_machine_with_a_speed_of_zero_is_simulated_from_rest():
+    """A crank alone with a constant torque: half the angular acceleration times the time squared."""
+    found = optlink.simulate(machine())
+    turned = np.radians(found["crank_angle_deg"][-1] - found["crank_angle_deg"][0])
+    assert turned == pytest.approx(0.5 * (0.5 / 0.01), rel=1e-6)
+
+
+def test_what_needs_a_constant_speed_says_so():
+    for run in (optlink.analyze, lambda file: optlink.analyze_batch(file, {"crank.length": [0.03]})):
+        with pytest.raises(InputError, match=r"drive\.speed.*stands still"):
+            run(machine())
+    with pytest.raises(InputError, match=r"drive\.duration"):
+        optlink.simulate(machine(drive__duration=None))
+    with pytest.raises(InputError, match=r"drive\.speed.*stands still"):
+        machine(drive__torque=None)

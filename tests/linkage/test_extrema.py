@@ -1,0 +1,181 @@
+"""Extremes and zeros of many functions at once, against dense sampling and SciPy; work and memory of large machines."""
+
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq, minimize_scalar
+
+import optlink
+from optlink.linkage import extrema
+from optlink.linkage.extrema import extremes, zeros
+
+TURN = 2.0 * math.pi
+GRID = np.linspace(0.0, TURN, 1441)
+
+
+def family(seed, count=60):
+    """Periodic functions of every sort that columns have: smooth, peaked, with a cusp, with a corner, flat."""
+    rng = np.random.default_rng(seed)
+    amplitudes, phases = rng.normal(size=(count, 7)), rng.uniform(0.0, TURN, (count, 7))
+    sharp = 10.0 ** rng.uniform(-4.0, 1.0, count)
+    sort = np.arange(count) % 5
+
+    def function(angles):
+        waves = sum(amplitudes[:, [k]] * np.cos((k + 1) * angles[None, :] + phases[:, [k]]) / (k + 1) for k in range(7))
+        near = np.sin(0.5 * (angles[None, :] - phases[:, [0]]))
+        sorts = [
+            waves,
+            waves / np.sqrt(near**2 + sharp[:, None]),
+            np.hypot(np.sin(angles[None, :] - phases[:, [1]]), sharp[:, None] * waves),
+            np.abs(waves),
+            np.broadcast_to(amplitudes[:, [0]], waves.shape),
+        ]
+        return np.choose(sort[:, None], sorts)
+
+    return function
+
+
+def far(function, found):
+    """By how much an extreme is missed, as a share of the size of its function, and how untrue it is of the angle named."""
+    angles, values = found
+    dense = np.linspace(0.0, TURN, 20_001)
+    samples, step, missed, untrue = function(dense), dense[1], 0.0, 0.0
+    for row, own in enumerate(samples):
+        size = float(np.max(np.abs(own)))
+        for k, sign in enumerate((1.0, -1.0)):
+            centre = dense[np.argmin(sign * own)]
+            bounds = (centre - step, centre + step)
+            options = {"bounds": bounds, "method": "bounded", "options": {"xatol": 1e-12}}
+            beside = minimize_scalar(lambda at, row=row, sign=sign: sign * float(function(np.array([at]))[row, 0]), **options)
+            truth = min(float(np.min(sign * own)), beside.fun)
+            missed = max(missed, (sign * values[row, k] - truth) / size)
+            untrue = max(untrue, abs(float(function(angles[row, [k]])[row, 0]) - values[row, k]) / size)
+    return missed, untrue
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_extremes_are_those_of_a_dense_search(seed):
+    function = family(seed)
+    missed, untrue = far(function, extremes(function, GRID))
+    assert missed < 1e-9
+    assert untrue < 1e-12
+
+
+def test_the_comparison_sees_interpolants_that_nothing_verifies(monkeypatch):
+    monkeypatch.setattr(extrema, "EXACT", 1.0)
+    monkeypatch.setattr(extrema, "SMOOTH", 1e9)
+    function = family(0)
+    assert far(function, extremes(function, GRID))[0] > 1e-6
+
+
+def test_no_interpolant_reaches_across_a_jump_or_a_gap():
+    def function(angles):
+        step = np.where(angles >= 2.0, 1.0, 0.0)
+        return np.array(
+            [
+                np.sin(angles) + step,  # rises at once beside its largest value
+                np.cos(angles - 1.99) - 0.9 * step,  # falls at once beside its largest value
+                np.where(np.abs(angles - 1.5) < 0.3, np.nan, np.sin(angles)),  # has no value near there
+            ]
+        )
+
+    grid = np.unique([*GRID, 2.0])
+    angles, values = extremes(function, grid, (2.0,))
+    assert values[0, 1] == pytest.approx(1.0 + math.sin(2.0), abs=1e-12)
+    assert angles[0, 1] == pytest.approx(2.0, abs=1e-12)
+    assert values[1, 1] == pytest.approx(1.0, abs=1e-12)
+    assert values[2, 1] == pytest.approx(math.sin(1.8), abs=1e-4)
+    assert values[2, 1] <= math.sin(1.8)
+    assert values[2, 0] == pytest.approx(-1.0, abs=1e-12)
+
+
+def test_a_function_without_values_has_no_extremes():
+    angles, values = extremes(lambda at: np.full((1, len(at)), np.nan), GRID)
+    assert np.all(np.isnan(angles))
+    assert np.all(np.isnan(values))
+
+
+def test_rounding_beside_others_of_its_kind_is_not_refined():
+    calls = []
+
+    def function(angles):
+        calls.append(len(angles))
+        return np.array([np.cos(angles), 1e-15 * np.random.default_rng(len(angles)).normal(size=len(angles))])
+
+    extremes(function, GRID, kinds=("m", "m"))
+    alike, calls[:] = sum(calls), []
+    extremes(function, GRID, kinds=("m", "rad"))
+    assert sum(calls) > alike + 100
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_zeros_are_those_of_brentq(seed):
+    function = family(seed, 20)
+    values = function(GRID)
+    for row, found in enumerate(zeros(function, GRID)):
+        change = np.flatnonzero(values[row, :-1] * values[row, 1:] < 0.0)
+        brackets = [(GRID[k], GRID[k + 1]) for k in change]
+        roots = [brentq(lambda at, row=row: function(np.array([at]))[row, 0], a, b, xtol=1e-15, rtol=1e-15) for a, b in brackets]
+        assert found == pytest.approx(roots, abs=1e-12)
+
+
+def test_zeros_end_behind_the_change_of_sign():
+    def function(angles):
+        return np.array([np.tanh(1e6 * (angles - 1.0)), np.where(angles < 2.5, -1.0, 1.0), (angles - 3.0) ** 3])
+
+    for row, (found, at) in enumerate(zip(zeros(function, GRID), (1.0, 2.5, 3.0), strict=True)):
+        assert len(found) == 1
+        assert found[0] == pytest.approx(at, abs=1e-14 if row else 1e-12)
+        assert function(found)[row, 0] >= 0.0
+        assert function(found - 2e-15 * at)[row, 0] <= 0.0
+
+
+def chain(dyads):
+    """A crank-rocker that drives parallelograms in a row, all links with mass."""
+    ground = {"G0": ["0 mm", "0 mm"]}
+    links = {"crank": {"joints": ["G0", "P0"], "length": "50 mm"}}
+    modes = {}
+    for k in range(1, dyads + 1):
+        ground[f"G{k}"] = [f"{200 * k} mm", "0 mm"]
+        links[f"c{k}"] = {"joints": [f"P{k - 1}", f"P{k}"], "length": "220 mm" if k == 1 else "200 mm"}
+        links[f"r{k}"] = {"joints": [f"G{k}", f"P{k}"], "length": "120 mm"}
+        modes[f"P{k}"] = f"left of P{k - 1}-G{k}"
+    bodies = {name: {"mass": "1 kg", "inertia": "uniform bar"} for name in links}
+    return {"title": "chain", "mechanism": {"ground": ground, "links": links, "assembly": modes}, "bodies": bodies}
+
+
+def work_and_memory(dyads, monkeypatch):
+    """Positions at which motions are computed by one analysis, its largest memory [byte], and the analysis."""
+    from optlink.linkage import motion, stroke
+
+    positions = 0
+    sweep = motion.sweep
+
+    def counting(mechanism, sizes, crank_angle, *rest, **more):
+        nonlocal positions
+        positions += np.size(crank_angle)
+        return sweep(mechanism, sizes, crank_angle, *rest, **more)
+
+    for module in (stroke, __import__("optlink.dynamics.machine", fromlist=["sweep"])):
+        monkeypatch.setattr(module, "sweep", counting)
+    problem = optlink.read(chain(dyads))
+    tracemalloc.start()
+    try:
+        result = optlink.analyze(problem, points=8)
+        return positions, tracemalloc.get_traced_memory()[1], result
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.slow
+def test_work_grows_in_proportion_to_the_links_and_memory_stays_small(monkeypatch):
+    _, _, small = work_and_memory(10, monkeypatch)
+    half, _, _ = work_and_memory(20, monkeypatch)
+    whole, memory, result = work_and_memory(40, monkeypatch)
+    assert len(result.machine.mechanism.links) == 81
+    assert whole < 2.5 * half < 25_000
+    assert memory < 60e6
+    for name in ("r1.omega_rad_s", "r10.omega_rad_s", "P1.ay_m_s2"):  # a parallelogram more changes no motion before it
+        assert result.extremes[name].largest == pytest.approx(small.extremes[name].largest, rel=1e-9)

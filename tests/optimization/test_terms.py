@@ -1,0 +1,200 @@
+"""Terms over the cycle: derivatives against differences, values against the ordinary analysis, input that cannot be used."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.errors import InputError
+from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
+from optlink.optimization.cycle_signals import Trace
+from optlink.validation.cycle import Cycle
+
+CUT = {"of": "F"}
+EVERY = {
+    "peak_torque": {"quantity": "torque", "measure": "peak", "max": "2000 N*m"},
+    "rms_torque": {"quantity": "torque", "measure": "rms", "max": "2000 N*m"},
+    "mean_torque": {"quantity": "torque", "measure": "mean", "max": "2000 N*m"},
+    "least_torque": {"quantity": "torque", "measure": "least", "min": "-2000 N*m"},
+    "static_torque": {"quantity": "torque", "measure": "largest", "static": True, "max": "2000 N*m"},
+    "static_rms": {"quantity": "torque", "measure": "rms", "static": True, "max": "2000 N*m"},
+    "pin": {"quantity": "reaction", "of": "B", "max": "30 kN"},
+    "pin_rms": {"quantity": "reaction", "of": "D", "on": "coupler", "measure": "rms", "max": "30 kN"},
+    "static_pin": {"quantity": "reaction", "of": "C", "static": True, "max": "30 kN"},
+    "guide": {"quantity": "guide force", **CUT, "max": "3 kN"},
+    "guide_rms": {"quantity": "guide force", **CUT, "measure": "rms", "max": "3 kN"},
+    "tilt": {"quantity": "guide moment", "of": "G", "measure": "largest", "max": "300 N*m"},
+    "shaking": {"quantity": "shaking force", "max": "9 kN"},
+    "shaking_rms": {"quantity": "shaking force", "measure": "rms", "max": "9 kN"},
+    "rocking": {"quantity": "shaking moment", "measure": "rms", "max": "2 kN*m"},
+    "speed": {"quantity": "velocity", "of": "D", "max": "9 m/s"},
+    "jolt": {"quantity": "acceleration", "of": "E", "max": "90 m/s^2"},
+    "jolt_rms": {"quantity": "acceleration", "of": "E", "measure": "rms", "max": "90 m/s^2"},
+    "incline": {"quantity": "transmission angle", "of": "E", "measure": "least", "min": "20 deg"},
+    "near": {"quantity": "slide", "of": "G", "measure": "least", "min": "10 mm"},
+    "lever": {"quantity": "lever arm", **CUT, "max": "900 mm"},
+    "lever_rms": {"quantity": "lever arm", **CUT, "measure": "rms", "max": "900 mm"},
+    "stroke": {"quantity": "stroke", "of": "ram", "max": "900 mm"},
+    "swing": {"quantity": "stroke", "of": "rocker", "max": "90 deg"},
+    "reach": {"quantity": "stroke", "of": "D", "direction": "20 deg", "max": "900 mm"},
+    "farthest": {"quantity": "end", "of": "ram", "stroke": "backward", "min": "-900 mm"},
+    "quick": {"quantity": "time ratio", "of": "ram", "max": 3.0},
+    "work": {"quantity": "work", "max": "9000 J"},
+    "cut": {"quantity": "work", "of": "ram", "stroke": "backward", "max": "9000 J"},
+    "swing_ratio": {"quantity": "time ratio", "of": "rocker", "max": 3.0},
+    "long": {"quantity": "length", "of": "coupler.length", "max": "500 mm"},
+}
+
+
+def changed(**changes: object) -> optlink.ProblemFile:
+    return optlink.load("shaper-design").override(changes)
+
+
+@cache
+def programme(speed: str = "64 rpm") -> CycleNLP:
+    file = changed(**{"limits": EVERY, "drive.speed": speed})
+    trace = Trace(file.model)
+    start = {name: quantity.value for name, quantity in file.model.quantities.items() if quantity.free}
+    start["C.x"], start["coupler.length"] = 0.013, 0.21  # no symmetry, which would hide a wrong derivative
+    structure = trace.structure(start)
+    assert structure is not None
+    nlp = build_cycle(trace, structure, start)
+    nlp.x_start[:] = nlp.lifted(nlp.x_start)
+    return nlp
+
+
+def differences(nlp: CycleNLP, x: np.ndarray, h: float = 1e-4) -> np.ndarray:
+    columns = []
+    for e in h * np.eye(len(x)):
+        rows = [np.append(nlp.values(x + k * e, nlp.p)[1], nlp.values(x + k * e, nlp.p)[0]) for k in (-2, -1, 1, 2)]
+        columns.append((rows[0] - 8.0 * rows[1] + 8.0 * rows[2] - rows[3]) / (12.0 * h))
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("speed", ["64 rpm", "-40 rpm"])
+def test_derivatives_of_every_term_are_those_of_differences(speed):
+    nlp = programme(speed)
+    point, expected = nlp.at(nlp.x_start, nlp.p), differences(nlp, nlp.x_start)
+    assert point.finite
+    assert {row.limit for row in nlp.rows} >= {f"limits.{name}" for name in EVERY}
+    size = np.maximum(np.max(np.abs(expected[:-1]), axis=1, keepdims=True), 1.0)
+    worst = np.max(np.abs(point.jacobian - expected[:-1]) / size, axis=1)
+    assert {row.label for row, miss in zip(nlp.rows, worst, strict=True) if miss > 1e-6} == set()
+    np.testing.assert_allclose(point.gradient, expected[-1], rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("speed", ["64 rpm", "-40 rpm"])
+def test_values_of_every_term_are_those_of_the_analysis(speed):
+    """Figures are met; of what a single position decides no position exceeds the analysis, and the densest comes near."""
+    nlp = programme(speed)
+    problem = nlp.traced.problem
+    cycle = Cycle(problem, nlp.design(nlp.x_start))
+    _, g = nlp.values(nlp.x_start, nlp.p)
+    for bound in problem.bounds:
+        own = [(row.scale.people(value), row) for row, value in zip(nlp.rows, g, strict=True) if row.limit == bound.key]
+        unit = optlink.units.factor(bound.interval.unit, bound.interval.kind) if bound.interval.kind else 1.0
+        figures = np.array([value * unit for value, _ in own])
+        found, measured = (np.min if bound.term.how == "least" else np.max)(figures), cycle.figure(bound.term)
+        assert math.isfinite(measured), bound.name
+        if not bound.term.extreme:
+            np.testing.assert_allclose(found, measured, rtol=1e-7, err_msg=bound.name)
+        else:
+            np.testing.assert_allclose(found, measured, rtol=0.05, err_msg=bound.name)
+            beyond = (measured - found) if bound.term.how == "least" else (found - measured)
+            assert beyond <= 1e-9 * abs(measured), bound.name
+
+
+def test_work_of_the_stroke_and_mean_torque_are_those_of_the_cutting_force():
+    """Independent of the dynamics: 5880 N along the stroke, which is what the drive gives in a revolution."""
+    nlp = programme()
+    stroke = 5880.0 * Cycle(nlp.traced.problem, nlp.design(nlp.x_start)).figure(nlp.traced.problem.limits.named["stroke"])
+    _, g = nlp.values(nlp.x_start, nlp.p)
+    found = {row.limit: row.scale.people(value) for row, value in zip(nlp.rows, g, strict=True)}
+    assert found["limits.work"] == pytest.approx(stroke, rel=1e-8)
+    assert found["limits.mean_torque"] == pytest.approx(stroke / (2.0 * math.pi), rel=1e-8)
+
+
+def test_static_torque_by_virtual_work():
+    """Without inertia the torque is the cutting force and the weights times their velocities over that of the crank."""
+    nlp = programme()
+    trace, x = nlp.traced, nlp.x_start
+    machine = trace.problem.machine(nlp.design(x))
+    at = np.linspace(0.3, 2.5, 7)  # in the cutting stroke
+    moving = machine.moving(at, trace.speed)
+    power = -5880.0 * np.abs(moving.velocity("E")[0])
+    rocker, coupler = (0.5 * (moving.velocity(a)[1] + moving.velocity(b)[1]) for a, b in (("C", "D"), ("D", "E")))
+    power = power - 9.8 * (20.0 * rocker + 3.0 * coupler)
+    senses = np.asarray(trace.sensed([*trace.known(nlp.design(x)), 1.4])).ravel()
+    static = trace.signals(*trace.known(nlp.design(x)), at, *senses)[sum(trace.widths[: trace.cyclic.index(_term(trace))])]
+    np.testing.assert_allclose(static, -power / trace.speed, rtol=1e-10)
+
+
+def _term(trace: Trace) -> object:
+    return next(term for term in trace.cyclic if term.static and term.how == "largest")
+
+
+def test_a_wrong_sense_of_the_cutting_force_is_seen():
+    nlp = programme()
+    trace = nlp.traced
+    known, at = trace.known(nlp.design(nlp.x_start)), 1.4
+    senses = np.asarray(trace.sensed([*known, at])).ravel()
+    good, bad = (trace.signals(*known, np.array([at]), *(sign * senses))[0, 0] for sign in (1.0, -1.0))
+    assert abs(good - bad) > 100.0
+
+
+BAD = {
+    "limits.x": [
+        ({"quantity": "torqe", "max": "1 N*m"}, "limits.x.quantity", "torque"),
+        ({"quantity": "torque"}, "limits.x.max", "max"),
+        ({"quantity": "torque", "min": "5 N*m"}, "limits.x.min", "max"),
+        ({"quantity": "torque", "measure": "least", "max": "5 N*m"}, "limits.x.max", "min"),
+        ({"quantity": "torque", "max": "5 N"}, "limits.x.max", "N*m"),
+        ({"quantity": "torque", "of": "ram", "max": "5 N*m"}, "limits.x.of", "whole machine"),
+        ({"quantity": "reaction", "max": "5 N"}, "limits.x.of", "pin"),
+        ({"quantity": "reaction", "of": "Q", "max": "5 N"}, "limits.x.of", "Known"),
+        ({"quantity": "reaction", "of": "B", "on": "ram", "max": "5 N"}, "limits.x.on", "block"),
+        ({"quantity": "guide force", "of": "crank", "max": "5 N"}, "limits.x.of", "G, F"),
+        ({"quantity": "transmission angle", "of": "E", "min": "20 deg"}, "limits.x.measure", "least"),
+        ({"quantity": "transmission angle", "of": "B", "measure": "least", "min": "20 deg"}, "limits.x.of", "E"),
+        ({"quantity": "stroke", "of": "crank", "max": "20 deg"}, "limits.x.of", "fully"),
+        ({"quantity": "stroke", "of": "D", "max": "20 mm"}, "limits.x.direction", "direction"),
+        ({"quantity": "stroke", "of": "ram", "measure": "rms", "max": "20 mm"}, "limits.x.measure", "one figure"),
+        ({"quantity": "time ratio", "of": "ram", "exactly": 0.5}, "limits.x.exactly", "1 or more"),
+        ({"quantity": "time ratio", "of": "ram", "exactly": "2"}, "limits.x.exactly", "plain number"),
+        ({"quantity": "velocity", "of": "A", "max": "1 m/s"}, "limits.x.of", "moving"),
+        ({"quantity": "velocity", "of": "E", "static": True, "max": "1 m/s"}, "limits.x.static", "static"),
+        ({"quantity": "work", "of": "ram", "max": "1 J"}, "limits.x.stroke", "forward"),
+        ({"quantity": "length", "of": "coupler", "max": "1 m"}, "limits.x.of", "coupler.length"),
+        ({"quantity": "stroke", "of": "ram", "min": "3 mm", "max": "2 mm"}, "limits.x.min", "above"),
+        ({"quantity": "stroke", "of": "ram", "min": "3 mm", "exactly": "4 mm"}, "limits.x.exactly", "no room"),
+    ],
+    "objective": [
+        ({}, "objective.quantity", "torque"),
+        ({"quantity": "torque", "measure": "peak", "sense": "maximise"}, "objective.sense", "minimise"),
+        ({"quantity": "slide", "of": "G", "measure": "least"}, "objective.sense", "maximise"),
+        ({"terms": [{"quantity": "torque"}, {"quantity": "work"}]}, "objective.terms.0.scale", "scale"),
+        ({"quantity": "torque", "terms": [{"quantity": "torque"}]}, "objective.quantity", "terms"),
+        ({"terms": [{"quantity": "torque", "weight": -1.0}]}, "objective.terms.0.weight", "positive"),
+        ({"terms": [{"quantity": "torque", "scale": "2 m"}]}, "objective.terms.0.scale", "torque"),
+        ({"quantity": "reaction", "of": "Z"}, "objective.of", "Known"),
+    ],
+}
+
+
+@pytest.mark.parametrize(("where", "value", "key", "words"), [(w, *row) for w, rows in BAD.items() for row in rows])
+def test_what_cannot_be_used_is_named(where, value, key, words):
+    with pytest.raises(InputError) as caught:
+        changed(**({"limits": {"x": value}} if where == "limits.x" else {"objective": value}))
+    fault = caught.value.faults[0]
+    assert fault.key == key
+    assert words in f"{fault.message}. {fault.remedy}"
+    assert caught.value.exit_code == 2
+
+
+def test_friction_is_refused_where_forces_are_asked_for():
+    with pytest.raises(InputError, match="friction"):
+        changed(**{"mechanism.guides.F.friction": 0.1})

@@ -1,0 +1,811 @@
+"""Wanted points of a path: every way to state them gives the right points, and whatever is wrong is named with key and row."""
+
+from __future__ import annotations
+
+import cmath
+import itertools
+import math
+import os
+import random
+import string
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from optlink.problem.quantity import Unusable
+from optlink.problem.targets.points import DEFAULT_POINTS, MAX_POINTS, Wanted, closed, read_points
+
+CIRCLE = {"x": "20*cos(t)", "y": "20*sin(t)", "unit": "mm", "t": [0, "2*pi"], "points": 40}
+
+
+def mm(wanted: Wanted) -> np.ndarray:
+    return 1e3 * np.array(wanted.points)
+
+
+def refused(raw, folder, key, words):
+    with pytest.raises(Unusable) as caught:
+        read_points(raw, folder)
+    error = caught.value
+    assert words in error.message, error.message
+    assert error.key == key
+    assert error.remedy
+    assert len(str(error)) < 700
+    assert "\n" not in str(error)
+    return error
+
+
+def svg(folder, body, root='viewBox="0 0 80 60"', name="drawing.svg", **more):
+    text = f'<svg xmlns="http://www.w3.org/2000/svg" {root}>{body}</svg>'
+    (folder / name).write_text(text)
+    return {"svg": name, **more}
+
+
+# ---- lists
+
+
+def test_list_of_points(tmp_path):
+    wanted = read_points([["20 mm", "25 mm"], ["2.5 cm", "-1e-2 m"], ["1 in", "0 mm"]], tmp_path)
+    np.testing.assert_allclose(mm(wanted), [[20, 25], [25, -10], [25.4, 0]], rtol=1e-14)
+    assert wanted == Wanted(wanted.points)
+    assert not closed(wanted)
+    assert read_points(wanted, tmp_path) is wanted
+    assert read_points([["1 in", "0 in"]], tmp_path).unit == "in"
+    assert read_points([["1 in", "0 in"]], tmp_path).points == ((0.0254, 0.0),)
+
+
+def test_rows_as_tables_and_lists_mixed(tmp_path):
+    raw = [
+        {"x": "20 mm", "y": "25 mm", "crank": "30 deg", "angle": "10 deg", "weight": 2.0, "tolerance": "0.1 mm"},
+        {"x": "21 mm", "y": "25 mm", "crank": "1 rad", "angle": "0 deg"},
+    ]
+    wanted = read_points(raw, tmp_path)
+    np.testing.assert_allclose(wanted.crank, [math.pi / 6, 1.0])
+    np.testing.assert_allclose(wanted.angles, [math.pi / 18, 0.0])
+    assert wanted.weights == (2.0, 1.0)
+    assert wanted.tolerances == (pytest.approx(1e-4), math.inf)
+    mixed = read_points([["1 mm", "2 mm"], {"x": "3 mm", "y": "4 mm"}, {"x": "5 mm", "y": "6 mm", "weight": 3}], tmp_path)
+    np.testing.assert_allclose(mm(mixed), [[1, 2], [3, 4], [5, 6]])
+    assert (mixed.crank, mixed.angles, mixed.weights, mixed.tolerances) == (None, None, (1.0, 1.0, 3.0), None)
+
+
+def test_listed_points_stay_as_they_are_when_they_close(tmp_path):
+    square = [["0 mm", "0 mm"], ["1 mm", "0 mm"], ["1 mm", "1 mm"], ["0 mm", "0 mm"]]
+    wanted = read_points(square, tmp_path)
+    assert len(wanted.points) == 4
+    assert closed(wanted)
+    assert not wanted.loop
+    assert not closed(read_points(square[:3], tmp_path))
+    assert not closed(read_points(square[:1], tmp_path))
+
+
+def test_dwells_and_turns_in_place(tmp_path):
+    dwell = [{"x": "1 mm", "y": "0 mm", "crank": f"{10 * k} deg"} for k in range(3)]
+    assert read_points([*dwell, {"x": "2 mm", "y": "0 mm", "crank": "90 deg"}], tmp_path).crank is not None
+    turn = [{"x": "1 mm", "y": "0 mm", "angle": f"{10 * k} deg"} for k in range(3)]
+    assert len(read_points(turn, tmp_path).points) == 3
+    refused([*turn, turn[-1]], tmp_path, "[3]", "points 3 and 4 coincide")
+    refused(dwell, tmp_path, "", "all points lie in one place")
+
+
+def test_long_list_is_reduced(tmp_path):
+    line = [[f"{k**2 / 1000!r} mm", "5 mm"] for k in range(1001)]
+    wanted = read_points(line, tmp_path)
+    assert wanted.note == "1,001 points were reduced to 400, evenly by arc length"
+    np.testing.assert_allclose(mm(wanted)[:, 0], np.linspace(0, 1000, MAX_POINTS), atol=1e-9)
+    cranks = [{"x": f"{k} mm", "y": "5 mm", "crank": f"{k * 0.36!r} deg", "tolerance": f"{k + 1} mm"} for k in range(1001)]
+    wanted = read_points(cranks, tmp_path)
+    assert wanted.note == "1,001 points were reduced to 400, evenly by rows"
+    picked = mm(wanted)[:, 0]
+    np.testing.assert_allclose(picked, np.round(picked), atol=1e-9)
+    np.testing.assert_allclose(np.degrees(wanted.crank), 0.36 * picked)
+    np.testing.assert_allclose(1e3 * np.array(wanted.tolerances), picked + 1)
+    assert picked[[0, -1]].tolist() == pytest.approx([0, 1000])
+    assert set(np.diff(np.round(picked))) <= {2, 3}
+
+
+P = {"x": "20 mm", "y": "25 mm"}
+BAD_LISTS = {
+    "a number": (3, "", "a list or a table"),
+    "a text": ("curve.csv", "", "a list or a table"),
+    "nothing": (None, "", "a list or a table"),
+    "empty": ([], "", "no point"),
+    "empty table": ({}, "", "nothing says where"),
+    "only t": ({"t": [0, 1]}, "", "nothing says where"),
+    "unknown form": ({"cvs": "a.csv"}, "cvs", "unknown key"),
+    "row is a text": ([["1 mm", "2 mm"], "3 mm"], "[1]", "point 2 is neither"),
+    "row of one": ([["1 mm"]], "[0]", "two values"),
+    "row of three": ([["1 mm", "2 mm", "3 deg"]], "[0]", "two values"),
+    "angle for x": ([P, {"x": "20 deg", "y": "25 mm"}], "[1].x", '"deg" is not a unit of coordinate'),
+    "angle for y in a list": ([["1 mm", "20 deg"]], "[0].y", '"deg" is not a unit of coordinate'),
+    "no unit": ([["1 mm", "2 mm"], [3, "4 mm"]], "[1].x", "needs a unit"),
+    "length for crank": ([{**P, "crank": "3 mm"}], "[0].crank", "not a unit of angle"),
+    "no y": ([{"x": "1 mm"}], "[0].y", "point 1 has no y"),
+    "unknown key": ([{**P, "wieght": 2}], "[0].wieght", "unknown key"),
+    "nan": ([["nan mm", "1 mm"]], "[0].x", "finite"),
+    "nan as number": ([[math.nan, "1 mm"]], "[0].x", "finite"),
+    "infinite": ([["1e999 mm", "1 mm"]], "[0].x", "finite"),
+    "far away": ([P, ["1 mm", "1e300 m"]], "[1].y", "point 2 lies too far away"),
+    "crank of some": ([{**P, "crank": "1 deg"}, ["1 mm", "2 mm"]], "[1].crank", "point 2 has no crank, and point 1 has"),
+    "angle of the last": ([P, {"x": "1 mm", "y": "1 mm", "angle": "3 deg"}], "[0].angle", "point 1 has no angle, and point 2"),
+    "weight zero": ([{**P, "weight": 0}], "[0].weight", "out of range"),
+    "weight negative": ([{**P, "weight": -1}], "[0].weight", "out of range"),
+    "weight text": ([{**P, "weight": "2"}], "[0].weight", "plain number"),
+    "weight bool": ([{**P, "weight": True}], "[0].weight", "plain number"),
+    "weight nan": ([{**P, "weight": math.nan}], "[0].weight", "plain number"),
+    "weight huge": ([{**P, "weight": 10**400}], "[0].weight", "plain number"),
+    "tolerance zero": ([{**P, "tolerance": "0 mm"}], "[0].tolerance", "must be positive"),
+    "tolerance of an angle": ([{**P, "tolerance": "1 deg"}], "[0].tolerance", "not a unit of length"),
+    "coincident": ([["1 mm", "2 mm"], ["3 mm", "4 mm"], ["3 mm", "4 mm"]], "[2]", "points 2 and 3 coincide"),
+    "nearly coincident": ([["0 mm", "0 mm"], ["1 m", "0 mm"], ["1 m", "0.5e-9 m"]], "[2]", "points 2 and 3 coincide"),
+    "coincident with weight": ([{**P, "weight": 2}, P], "[1]", "points 1 and 2 coincide"),
+    "tiny": ([["0 mm", "0 mm"], ["1e-10 m", "0 mm"]], "", "smaller than 1e-09 m"),
+    "angle far too large": ([{**P, "angle": "1e200 deg"}], "[0].angle", "too large an angle"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_LISTS)
+def test_bad_list_is_named(tmp_path, name):
+    raw, key, words = BAD_LISTS[name]
+    refused(raw, tmp_path, key, words)
+
+
+def cranked(*degrees):
+    return [{"x": f"{k} mm", "y": "0 mm", "crank": f"{angle} deg"} for k, angle in enumerate(degrees)]
+
+
+def test_crank_angles_rise_or_fall_within_a_turn(tmp_path):
+    for good in [(0, 10, 360), (0, -10, -360), (350, 370, 710), (5,)]:
+        assert np.degrees(read_points(cranked(*good), tmp_path).crank) == pytest.approx(good)
+    refused(cranked(0, 20, 10, 30), tmp_path, "[2].crank", "that of point 3 does not")
+    refused(cranked(350, 10, 20, 30), tmp_path, "[1].crank", "that of point 2 does not")
+    refused(cranked(30, 20, 25, 10), tmp_path, "[2].crank", "that of point 3 does not")
+    refused(cranked(0, 0), tmp_path, "[1].crank", "must rise")
+    error = refused(cranked(0, 180, 361), tmp_path, "[2].crank", "more than one revolution")
+    assert error.value == "361 deg"
+
+
+# ---- CSV
+
+
+def test_csv_in_any_order_with_gaps(tmp_path):
+    (tmp_path / "c.csv").write_text(
+        "\ufefftolerance_mm, y_mm ,x_m,crank_deg,weight,angle_rad,\n\n0.1,25,0.020,30,,0.5,\n,26,0.021,40,2.5,0.6\n", "utf-8"
+    )
+    wanted = read_points({"csv": "c.csv"}, tmp_path)
+    np.testing.assert_allclose(mm(wanted), [[20, 25], [21, 26]])
+    np.testing.assert_allclose(np.degrees(wanted.crank), [30, 40])
+    assert wanted.angles == (0.5, 0.6)
+    assert wanted.weights == (1.0, 2.5)
+    assert wanted.tolerances == (pytest.approx(1e-4), math.inf)
+    assert wanted.unit == "m"
+    assert wanted.note == ""
+
+
+@pytest.mark.parametrize("sign", [";", "\t"])
+def test_csv_with_other_delimiters_is_the_same(tmp_path, sign):
+    (tmp_path / "c.csv").write_text(f"x_mm{sign}y_mm\r\n1{sign}2\r\n3{sign}4\r\n")
+    np.testing.assert_allclose(mm(read_points({"csv": "c.csv"}, tmp_path)), [[1, 2], [3, 4]])
+
+
+def test_csv_of_a_hundred_thousand_rows(tmp_path):
+    t = np.linspace(0.0, 2.0 * np.pi, 100_000) ** 2 / (2.0 * np.pi)  # unevenly spaced on purpose
+    np.savetxt(
+        tmp_path / "curve.csv", np.stack([50 + 30 * np.cos(t), 30 * np.sin(t)], 1), "%.10f", ",", header="x_mm,y_mm", comments=""
+    )
+    wanted = read_points({"csv": "curve.csv", "points": 200}, tmp_path)
+    assert wanted.note == "100,000 points of curve.csv were reduced to 200, evenly by arc length"
+    assert wanted.loop
+    assert closed(wanted)
+    angle = 2.0 * np.pi * np.arange(200) / 200
+    np.testing.assert_allclose(mm(wanted), np.stack([50 + 30 * np.cos(angle), 30 * np.sin(angle)], 1), atol=1e-6)
+    assert len(read_points({"csv": "curve.csv"}, tmp_path).points) == MAX_POINTS
+
+
+def test_fewer_rows_than_asked_are_all_kept(tmp_path):
+    (tmp_path / "c.csv").write_text("x_mm,y_mm\n1,2\n3,4\n")
+    wanted = read_points({"csv": "c.csv", "points": 60}, tmp_path)
+    assert len(wanted.points) == 2
+    assert wanted.note == "c.csv has 2 points, fewer than the 60 asked for; all were kept"
+
+
+def test_repeated_rows_do_no_harm_where_the_curve_is_reduced(tmp_path):
+    (tmp_path / "c.csv").write_text("x_mm,y_mm\n" + "".join(f"{k // 3},0\n" for k in range(3000)))
+    wanted = read_points({"csv": "c.csv", "points": 10}, tmp_path)
+    np.testing.assert_allclose(mm(wanted)[:, 0], np.linspace(0, 999, 10))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "has no rows"),
+        (b"x_mm,y_mm\n", "has no rows"),
+        (b"\n\n  \n", "has no rows"),
+        (b"1,2\n3,4\n", 'unknown column "1"'),
+        (b"x,y\n3,4\n", 'unknown column "x"'),
+        (b"x_mm,y_mm,crnak_deg\n3,4,5\n", 'unknown column "crnak_deg"'),
+        (b"x_deg,y_mm\n3,4\n", 'unknown column "x_deg"'),
+        (b"x_mm,weight\n3,4\n", "has no column y_mm"),
+        (b"x_mm,y_mm,x_m\n3,4,5\n", "has two columns of x"),
+        (b"x_mm,,y_mm\n3,4,5\n", 'unknown column ""'),
+        (b"x_mm,y_mm\n1,2\n\n3,abc\n", "row 4 of c.csv has no finite number in column y_mm"),
+        (b"x_mm,y_mm\n1,2\n3\n", "row 3 of c.csv has no finite number in column y_mm"),
+        (b"x_mm,y_mm\n1,2\nnan,1\n", "row 3 of c.csv has no finite number in column x_mm"),
+        (b"x_mm,y_mm\n1,2\n1,-inf\n", "row 3 of c.csv has no finite"),
+        (b"x_mm,y_mm,tolerance_mm\n1,2,inf\n", "row 2 of c.csv has no finite number in column tolerance_mm"),
+        (b"x_mm,y_mm,tolerance_mm\n1,2,0\n", "the tolerance of row 2 of c.csv is out of range"),
+        (b"x_mm,y_mm,weight\n1,2,\n3,4,0\n", "the weight of row 3 of c.csv is out of range"),
+        (b"x_mm,y_mm,crank_deg\n1,2,\n", "row 2 of c.csv has no finite number in column crank_deg"),
+        (b"x_mm,y_mm,crank_deg\n1,2,0\n3,4,20\n5,6,10\n", "that of row 4 of c.csv does not"),
+        (b"x_mm,y_mm\n1,2\n3,4\n\n3,4\n", "rows 3 and 5 of c.csv coincide"),
+        (b"x_mm,y_mm\n" + b"3,4\n" * 1000, "all points lie in one place"),
+        (b"x_mm,y_mm\n1,5,2,5\n", "row 2 of c.csv has 4 cells, and there are 2 columns"),
+        (b"x_mm;y_mm\n1,5;2,5\n", "row 2 of c.csv has no finite number in column x_mm"),
+        (b"x_mm,y_mm\n1,1e300\n", "row 2 of c.csv lies too far away"),
+        (b"\xff\xfe\x00x", "not a CSV text file"),
+        (b"x_mm,y_mm\n1,\x002\n", "c.csv"),
+        (b'x_mm,y_mm\n1,"2\n' + b"3,4\n" * 40_000, "not a CSV text file"),
+    ],
+)
+def test_bad_csv_names_the_row(tmp_path, content, words):
+    (tmp_path / "c.csv").write_bytes(content)
+    refused({"csv": "c.csv"}, tmp_path, "csv", words)
+
+
+@pytest.mark.parametrize("form", ["csv", "svg"])
+def test_files_that_are_none(tmp_path, form):
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    for name, words in {
+        "nothing.csv": "no such file",
+        "folder": "it is a folder",
+        "pipe": "no plain file",
+        "/dev/zero": "no plain file",
+        "a\0b": "expected the name of a file",
+        "": "expected the name of a file",
+        "x" * 5000: "cannot read the file",
+        "nothing\nhere": "no such file",
+    }.items():
+        refused({form: name}, tmp_path, form, words)
+    refused({form: 3}, tmp_path, form, "expected the name of a file")
+    with (tmp_path / "huge").open("wb") as file:
+        file.truncate(50_000_001)
+    refused({form: "huge"}, tmp_path, form, "larger than 50 MB")
+
+
+def test_too_many_rows(tmp_path, monkeypatch):
+    monkeypatch.setattr("optlink.problem.targets.point_table.MAX_ROWS", 5)
+    monkeypatch.setattr("optlink.problem.targets.svg_path.MAX_ELEMENTS", 5)
+    (tmp_path / "c.csv").write_text("x_mm,y_mm\n" + "".join(f"{k},0\n" for k in range(6)))
+    refused({"csv": "c.csv"}, tmp_path, "csv", "more than 5 rows")
+    refused([[f"{k} mm", "0 mm"] for k in range(6)], tmp_path, "", "6 points, more than 5")
+    refused(svg(tmp_path, "<g/>" * 6), tmp_path, "svg", "more than 5 elements")
+
+
+def test_more_than_one_form_and_unknown_keys(tmp_path):
+    refused({"csv": "a.csv", "svg": "b.svg"}, tmp_path, "svg", "given twice, by csv and by svg")
+    refused({"csv": "a.csv", "x": "t"}, tmp_path, "x", "given twice")
+    assert 'Did you mean "points"' in refused({"csv": "a.csv", "point": 3}, tmp_path, "point", "unknown key").remedy
+    refused({"svg": "a.svg", "spacing": "t"}, tmp_path, "spacing", "unknown key")
+    refused({**CIRCLE, "crank": "t"}, tmp_path, "crank", "unknown key")
+    for count in (1, 0, -3, 401, 10**30, 2.5, True, "40", None):
+        refused({**CIRCLE, "points": count}, tmp_path, "points", "whole number from 2 to 400")
+        refused({"csv": "a.csv", "points": count}, tmp_path, "points", "whole number")
+        refused({"svg": "a.svg", "points": count}, tmp_path, "points", "whole number")
+
+
+# ---- expressions
+
+
+def test_expression_evenly_in_t(tmp_path):
+    raw = {"x": "20*cos(t)", "y": "10*sin(t)", "unit": "mm", "t": [0, "2*pi"], "points": 40}
+    wanted = read_points(raw, tmp_path)
+    t = 2.0 * np.pi * np.arange(40) / 40
+    np.testing.assert_allclose(mm(wanted), np.stack([20 * np.cos(t), 10 * np.sin(t)], 1), atol=1e-12)
+    assert wanted.loop
+    assert closed(wanted)
+    assert "40 points evenly by t; closed" in wanted.note
+    half = read_points({**raw, "t": ["pi", 0], "unit": "in"}, tmp_path)
+    t = np.linspace(np.pi, 0.0, 40)
+    np.testing.assert_allclose(mm(half), 25.4 * np.stack([20 * np.cos(t), 10 * np.sin(t)], 1), atol=1e-12)
+    assert not closed(half)
+    assert half.unit == "in"
+    constant = read_points({"x": "5", "y": "t", "unit": "mm", "t": [0, 1]}, tmp_path)
+    np.testing.assert_allclose(mm(constant)[:, 0], 5.0)
+    assert len(constant.points) == DEFAULT_POINTS
+
+
+def test_expression_evenly_by_arc_length(tmp_path):
+    """The arc between any two neighbours, by adaptive quadrature of the speed: all equal, and equal to the stated length."""
+    raw = {"x": "20*cos(t)", "y": "5*sin(t)", "unit": "mm", "t": [0, "2*pi"], "points": 12, "spacing": "arc length"}
+    points = mm(read_points(raw, tmp_path))
+    t = np.append(np.unwrap(np.arctan2(points[:, 1] / 5, points[:, 0] / 20)), 2 * np.pi)
+
+    def speed(t):
+        return math.hypot(20 * math.sin(t), 5 * math.cos(t))
+
+    arcs = [quad(speed, a, b, epsabs=1e-12)[0] for a, b in itertools.pairwise(t)]
+    np.testing.assert_allclose(arcs, quad(speed, 0, 2 * np.pi, epsabs=1e-12, limit=200)[0] / 12, rtol=1e-7)
+
+
+BAD_EXPRESSIONS = {
+    "pole": ({"x": "1/(t - 0.7)"}, "x", "divides by zero"),
+    "pole of even order": ({"y": "1/(t - 0.7)^2"}, "y", "exceeds 1000 km"),
+    "pole of tan": ({"y": "tan(t)"}, "y", "pole of tan"),
+    "root of a negative": ({"x": "sqrt(t - 1)"}, "x", "no finite real value"),
+    "too large": ({"x": "1e12*t"}, "x", "exceeds 1000 km"),
+    "unknown name": ({"x": "s + 1"}, "x", '"s" is unknown'),
+    "code": ({"x": "__import__('os')"}, "x", "unknown"),
+    "number": ({"x": 3}, "x", "is text"),
+    "list": ({"y": ["1 mm"]}, "y", "is text"),
+    "long": ({"x": "1+" * 5000 + "1"}, "x", "characters"),
+    "no length": ({"x": "1", "y": "2"}, "", "no length"),
+    "t missing": ({"t": None}, "t", "two values"),
+    "t of one": ({"t": [0]}, "t", "two values"),
+    "t of a unit": ({"t": [0, "360 deg"]}, "t[1]", "not expected"),
+    "t of t": ({"t": [0, "t"]}, "t[1]", '"t" is unknown'),
+    "t of a list": ({"t": [[0], 1]}, "t[0]", "bound of t"),
+    "t is nan": ({"t": [0, math.nan]}, "t[1]", "not finite"),
+    "t is infinite": ({"t": ["1/0", 1]}, "t[0]", "not finite"),
+    "t is huge": ({"t": [0, 10**400]}, "t[1]", "too large"),
+    "t is a bool": ({"t": [0, True]}, "t[1]", "bound of t"),
+    "t stands still": ({"t": ["pi", "pi"]}, "t[1]", "starts where it ends"),
+    "unit of an angle": ({"unit": "deg"}, "unit", "not a unit of length"),
+    "unit is a number": ({"unit": 1}, "unit", "unit of length"),
+    "unit unknown": ({"unit": "furlong"}, "unit", "unknown"),
+    "spacing": ({"spacing": "arc"}, "spacing", "unknown spacing"),
+    "to and fro": ({"x": "cos(t)", "y": "0", "points": 7}, "points", "points 4 and 5 coincide"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_EXPRESSIONS)
+def test_bad_expression_is_named(tmp_path, name):
+    changes, key, words = BAD_EXPRESSIONS[name]
+    refused({**CIRCLE, **changes}, tmp_path, key, words)
+
+
+@pytest.mark.parametrize("key", ["x", "y", "t", "unit"])
+def test_expressions_need_all_of_their_keys(tmp_path, key):
+    refused({name: value for name, value in CIRCLE.items() if name != key}, tmp_path, key, f"need {key}")
+
+
+# ---- SVG: the oracle walks the path by de Casteljau and tries both centres of an arc; it shares nothing with the reader
+
+
+def casteljau(points, u):
+    points = list(points)
+    while len(points) > 1:
+        points = [(1 - u) * a + u * b for a, b in itertools.pairwise(points)]
+    return points[0]
+
+
+def arc_oracle(start, end, rx, ry, degrees, large, sweep):
+    """The ellipse is made a unit circle; of its two centres and two ways round, that which has the wanted flags."""
+    turn = cmath.exp(1j * math.radians(degrees))
+
+    def to_circle(z):
+        w = z / turn
+        return complex(w.real / rx, w.imag / ry)
+
+    a, b = to_circle(start), to_circle(end)
+    half = abs(b - a) / 2
+    grow = max(1.0, half)  # radii that do not reach are scaled up
+    for side in (1, -1):
+        centre = (a + b) / 2 + side * 1j * (b - a) / abs(b - a) * math.sqrt(max(grow**2 - half**2, 0.0))
+        begin = cmath.phase(a - centre)
+        for way in (1, -1):
+            extent = way * ((way * (cmath.phase(b - centre) - begin)) % (2 * math.pi))
+            if (way == 1) == bool(sweep) and ((abs(extent) > math.pi) == bool(large) or half >= grow):
+
+                def at(u, centre=centre, begin=begin, extent=extent):
+                    w = centre + grow * np.exp(1j * (begin + extent * u))
+                    return turn * (w.real * rx + 1j * w.imag * ry)
+
+                return at
+    raise AssertionError
+
+
+def lined(a, b):
+    return lambda u: a + u * (b - a)
+
+
+def curved(*points):
+    return lambda u: casteljau(points, u)
+
+
+# absolute coordinates throughout, worked out by hand from the relative ones
+EVERY = (
+    "M10,10 L 30 10 l5 5 H 50 h-5 V30 v 5 C 50 40 60 40 60 30 c 0-5 5-10,10-10 S 80 30 80 40 s -5 10 -10 10 "
+    "Q 60 60 50 50 q-5-5-10 0 T 30 50 t-5,5 A 8 5 30 0 1 15 45 a6 9 -20 10-5-5 Z"
+)
+PIECES = [
+    lined(10 + 10j, 30 + 10j),
+    lined(30 + 10j, 35 + 15j),
+    lined(35 + 15j, 50 + 15j),
+    lined(50 + 15j, 45 + 15j),
+    lined(45 + 15j, 45 + 30j),
+    lined(45 + 30j, 45 + 35j),
+    curved(45 + 35j, 50 + 40j, 60 + 40j, 60 + 30j),
+    curved(60 + 30j, 60 + 25j, 65 + 20j, 70 + 20j),
+    curved(70 + 20j, 75 + 20j, 80 + 30j, 80 + 40j),
+    curved(80 + 40j, 80 + 50j, 75 + 50j, 70 + 50j),
+    curved(70 + 50j, 60 + 60j, 50 + 50j),
+    curved(50 + 50j, 45 + 45j, 40 + 50j),
+    curved(40 + 50j, 35 + 55j, 30 + 50j),
+    curved(30 + 50j, 25 + 45j, 25 + 55j),
+    arc_oracle(25 + 55j, 15 + 45j, 8, 5, 30, 0, 1),
+    arc_oracle(15 + 45j, 10 + 40j, 6, 9, -20, 1, 0),
+    lined(10 + 40j, 10 + 10j),
+]
+
+
+def measured(pieces, n=20_000):
+    """Arc length to each of many points of the pieces, and the points."""
+    z = np.concatenate([piece(np.linspace(0, 1, n)) for piece in pieces])
+    return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(z)))]), z
+
+
+def test_every_command_of_a_path(tmp_path):
+    wanted = read_points(svg(tmp_path, f'<path id="c" d="{EVERY}"/>', path="c", points=97), tmp_path)
+    assert wanted.loop
+    points = mm(wanted) @ [1, -1j]  # back to y down
+    here, z = measured(PIECES)
+    at = here[-1] * np.arange(97) / 97
+    expected = np.interp(at, here, z.real) + 1j * np.interp(at, here, z.imag)
+    np.testing.assert_allclose(points, expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("large", [0, 1])
+@pytest.mark.parametrize("sweep", [0, 1])
+@pytest.mark.parametrize("radii", ["15 8", "3 2", "12 30"])
+def test_arcs_of_every_flag(tmp_path, large, sweep, radii):
+    rx, ry = map(float, radii.split())
+    wanted = read_points(svg(tmp_path, f'<path d="M2 3A{radii} 40 {large}{sweep}20 9"/>', points=21), tmp_path)
+    here, z = measured([arc_oracle(2 + 3j, 20 + 9j, rx, ry, 40, large, sweep)])
+    at = np.linspace(0, here[-1], 21)
+    expected = np.interp(at, here, z.real) + 1j * np.interp(at, here, z.imag)
+    np.testing.assert_allclose(mm(wanted) @ [1, -1j], expected, atol=1e-5)
+
+
+def test_even_spacing_of_a_bezier_by_quadrature(tmp_path):
+    """Parameters of the points found by root search; the arcs between them by adaptive quadrature of the derivative."""
+    control = np.array([0 + 0j, 10 + 60j, 70 + 50j, 80 + 0j])
+    wanted = read_points(svg(tmp_path, '<path d="M0 0C10 60 70 50 80 0"/>', points=9), tmp_path)
+    x = mm(wanted)[:, 0]
+    u = [brentq(lambda u, x=x: casteljau(control, u).real - x, 0, 1, xtol=1e-15) for x in np.clip(x, 0, 80)]
+    steps = 3 * np.diff(control)
+    arcs = [quad(lambda u: abs(casteljau(steps, u)), a, b, epsabs=1e-12)[0] for a, b in itertools.pairwise(u)]
+    np.testing.assert_allclose(arcs, np.mean(arcs), rtol=2e-6)
+    np.testing.assert_allclose(mm(wanted)[:, 1], [-casteljau(control, u).imag for u in u], atol=1e-9)
+
+
+def test_cusp_and_needle_do_not_upset_the_spacing(tmp_path):
+    wanted = read_points(svg(tmp_path, '<path d="M0 0C20 20 0 20 20 0"/>', points=30), tmp_path)
+    here, z = measured([curved(0j, 20 + 20j, 20j, 20 + 0j)], 200_000)
+    at = np.linspace(0, here[-1], 30)
+    expected = np.interp(at, here, z.real) + 1j * np.interp(at, here, z.imag)
+    np.testing.assert_allclose(mm(wanted) @ [1, -1j], expected, atol=1e-4)
+    needle = svg(tmp_path, '<path d="M0 0 L10 0 Z"/>', points=7)
+    refused(needle, tmp_path, "points", "points 4 and 5 coincide")
+
+
+def test_y_points_up(tmp_path):
+    wanted = read_points(svg(tmp_path, '<path d="M10 20 L 40 50"/>', points=2), tmp_path)
+    np.testing.assert_allclose(mm(wanted), [[10, -20], [40, -50]])
+    assert not closed(wanted)
+    assert wanted.note.endswith("one user unit is 1 mm, as the file does not say")
+
+
+SHAPES = {
+    "line": ('<line x1="1" y1="2" x2="4" y2="6"/>', 2, [1 + 2j, 4 + 6j]),
+    "polyline": ('<polyline points="0,0 10,0 10,10"/>', 3, [0, 10, 10 + 10j]),
+    "polygon": ('<polygon points="0 0 10 0 10 10 0 10"/>', 4, [0, 10, 10 + 10j, 10j]),
+    "rect": ('<rect x="1" y="2" width="10" height="10"/>', 4, [1 + 2j, 11 + 2j, 11 + 12j, 1 + 12j]),
+    "circle": ('<circle cx="5" cy="6" r="10"/>', 4, [15 + 6j, 5 + 16j, -5 + 6j, 5 - 4j]),
+    "ellipse": ('<ellipse cx="5" cy="6" rx="10px" ry="3"/>', 4, [15 + 6j, 5 + 9j, -5 + 6j, 5 + 3j]),
+    "flat arc": ('<path d="M0 0 A 0 5 0 0 1 10 0"/>', 3, [0, 5, 10]),
+    "arc to itself": ('<path d="M0 0 A 5 5 0 0 1 0 0 L 10 0"/>', 2, [0, 10]),
+    "goes on after Z": ('<path d="M0 0 L 10 0 10 10 0 10 z l -10 0"/>', 6, [0, 10, 10 + 10j, 10j, 0, -10]),
+    "needless moves": ('<path d="M 5 5 m 1 1 M 0 0 L 4 0 M 4 0 L 8 0 M 9 9"/>', 3, [0, 4, 8]),
+    "half turn twice": ('<path d="M0 0 a 5 5 0 0 1 10 0 a 5 5 0 0 1 -10 0"/>', 4, [0, 5 - 5j, 10, 5 + 5j]),
+    "exponents": ('<path d="M1e1-.5L2E+1-.5"/>', 2, [10 - 0.5j, 20 - 0.5j]),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_other_shapes_and_corners_of_the_grammar(tmp_path, name):
+    body, count, expected = SHAPES[name]
+    wanted = read_points(svg(tmp_path, body, points=count), tmp_path)
+    np.testing.assert_allclose(mm(wanted) @ [1, -1j], expected, atol=1e-6)
+
+
+TRANSFORMS = {
+    "translate(3)": lambda z: z + 3,
+    "translate(3,-4)": lambda z: z + 3 - 4j,
+    "scale(2)": lambda z: 2 * z,
+    "scale(2 -3)": lambda z: complex(2 * z.real, -3 * z.imag),
+    "rotate(30)": lambda z: z * cmath.exp(1j * math.pi / 6),
+    "rotate(30, 5 6)": lambda z: (z - 5 - 6j) * cmath.exp(1j * math.pi / 6) + 5 + 6j,
+    "skewX(30)": lambda z: z + z.imag * math.tan(math.pi / 6),
+    "skewY(30)": lambda z: z + 1j * z.real * math.tan(math.pi / 6),
+    "matrix(1 2 3 4 5 6)": lambda z: complex(z.real + 3 * z.imag + 5, 2 * z.real + 4 * z.imag + 6),
+    "translate(3) , scale(2)": lambda z: 2 * z + 3,
+    "": lambda z: z,
+}
+
+
+@pytest.mark.parametrize("text", TRANSFORMS)
+def test_transforms_are_honoured(tmp_path, text):
+    body = f'<g transform="rotate(90)"><a><path transform="{text}" d="M1 2 L 7 4"/></a></g>'
+    points = mm(read_points(svg(tmp_path, body, points=2), tmp_path)) @ [1, -1j]
+    np.testing.assert_allclose(points, [1j * TRANSFORMS[text](1 + 2j), 1j * TRANSFORMS[text](7 + 4j)], atol=1e-9)
+
+
+def test_arc_length_is_that_of_the_transformed_curve(tmp_path):
+    body = '<circle r="5" transform="scale(4, 1)"/>'
+    wanted = read_points(svg(tmp_path, body, points=12), tmp_path)
+    drawn = read_points(
+        {"x": "20*cos(t)", "y": "-5*sin(t)", "unit": "mm", "t": [0, "2*pi"], "points": 12, "spacing": "arc length"}, tmp_path
+    )
+    np.testing.assert_allclose(mm(wanted), mm(drawn), atol=1e-4)
+
+
+SCALES = {
+    "none": ("", {}, 1.0, "mm"),
+    "viewBox alone": ('viewBox="0 0 800 600"', {}, 1.0, "mm"),
+    "plain width": ('width="800" viewBox="0 0 80 60"', {}, 1.0, "mm"),
+    "pixels": ('width="800px" viewBox="0 0 80 60"', {}, 1.0, "mm"),
+    "true": ('width="80mm" height="60mm" viewBox="0 0 800 600"', {}, 0.1, "mm"),
+    "inch": ('width="8in" viewBox="0,0,8,6"', {}, 25.4, "mm"),
+    "height alone": ('height="6cm" viewBox="-10 -10 800 600"', {}, 0.1, "mm"),
+    "meets": ('width="80mm" height="120mm" viewBox="0 0 800 600"', {}, 0.1, "mm"),
+    "slices": ('width="80mm" height="120mm" viewBox="0 0 800 600" preserveAspectRatio="xMidYMid slice"', {}, 0.2, "mm"),
+    "no viewBox": ('width="80mm"', {}, 25.4 / 96, "mm"),
+    "stated": ("", {"unit": "in"}, 25.4, "in"),
+    "stated beats true": ('width="80mm" height="60mm" viewBox="0 0 800 600"', {"unit": "mm"}, 1.0, "mm"),
+    "stated beats broken": ('width="80mm" viewBox="broken"', {"unit": "cm"}, 10.0, "cm"),
+}
+
+
+@pytest.mark.parametrize("name", SCALES)
+def test_scale_of_a_drawing(tmp_path, name):
+    root, more, scale, unit = SCALES[name]
+    wanted = read_points(svg(tmp_path, '<path d="M10 20 L 40 50"/>', root, points=2, **more), tmp_path)
+    np.testing.assert_allclose(mm(wanted), scale * np.array([[10, -20], [40, -50]]), rtol=1e-12)
+    assert wanted.unit == unit
+    assert f"one user unit is {scale:.6g} mm" in wanted.note
+    assert ("though the file says 0.1 mm" in wanted.note) == (name == "stated beats true")
+
+
+def test_paths_by_id_and_number(tmp_path):
+    body = (
+        '<defs><path id="d" d="M0 0L1 1"/></defs><rect id="page" width="9" height="9"/>'
+        '<path id="a" d="M1 0L2 2"/><g><path id="7" d="M2 0L2 2"/><path d="M3 0L2 2"/></g>'
+    )
+
+    def first(**more):
+        return mm(read_points(svg(tmp_path, body, points=2, **more), tmp_path))[0, 0]
+
+    assert [first(path=path) for path in (1, 2, 3, "a", "7", "3", "page")] == pytest.approx([1, 2, 3, 1, 2, 3, 0])
+    error = refused(svg(tmp_path, body), tmp_path, "path", "3 paths")
+    assert '1 <path id="a">, 2 <path id="7">, 3 <path>' in error.remedy
+    for bad in ("b", 0, 4, -1, 10**30, "", "9" * 50):
+        refused(svg(tmp_path, body, path=bad), tmp_path, "path", "no such path")
+    for bad in (1.5, True, None, ["a"]):
+        refused(svg(tmp_path, body, path=bad), tmp_path, "path", "an id or a number")
+    refused(svg(tmp_path, body, path="d"), tmp_path, "path", "lies in <defs>")
+    assert len(read_points(svg(tmp_path, '<text>M</text><circle id="c" r="3"/>'), tmp_path).points) == DEFAULT_POINTS
+
+
+LINE = '<path id="p" d="M0 0 L9 9"/>'
+BAD_DRAWINGS = {
+    "no shape": ("<text>hello</text>", "svg", "draws no path"),
+    "only defs": (f"<defs>{LINE}</defs>", "svg", "draws no path"),
+    "twice": (LINE * 2, "path", "2 shapes of that id"),
+    "nested drawing": (f'<svg viewBox="0 0 1 1">{LINE}</svg>', "path", "lies in <svg>"),
+    "symbol": (f'<symbol id="s">{LINE}</symbol><use href="#s"/>', "path", "lies in <symbol"),
+    "transform unknown": (LINE.replace(" d=", ' transform="rotate3d(1,1,1,45)" d='), "path", "cannot be read"),
+    "transform with units": (LINE.replace(" d=", ' transform="translate(3px)" d='), "path", "cannot be read"),
+    "transform of none": (LINE.replace(" d=", ' transform="none" d='), "path", "cannot be read"),
+    "transform of two for six": (LINE.replace(" d=", ' transform="matrix(1 2)" d='), "path", "cannot be read"),
+    "transform infinite": (LINE.replace(" d=", ' transform="scale(1e999)" d='), "path", "cannot be read"),
+    "transform above": (f'<g transform="scale(1 2 3)">{LINE}</g>', "path", "the transform of <g>"),
+    "collapsed": (LINE.replace(" d=", ' transform="scale(0)" d='), "path", "no length"),
+    "style": (LINE.replace(" d=", ' style="fill:none; Transform : scale(2)" d='), "path", "moved by a style"),
+    "style above": (f'<g style="rotate:3deg">{LINE}</g>', "path", "moved by a style"),
+    "transform-origin": (LINE.replace(" d=", ' transform-origin="3 3" d='), "path", "moved by a style"),
+    "style sheet": (f"<style>.a{{fill:none}} #p {{ transform : scale(2) }}</style>{LINE}", "svg", "style sheet"),
+    "animation": (f"<g><animateTransform/>{LINE}</g>", "path", "moved by an animation"),
+    "no data": ('<path id="p"/>', "path", "no path data"),
+    "blank data": ('<path id="p" d="  "/>', "path", "no path data"),
+    "no move": ('<path id="p" d="L 3 4"/>', "path", "from character 1 on"),
+    "only a move": ('<path id="p" d="M 3 4"/>', "path", "no length"),
+    "a point": ('<path id="p" d="M 3 4 L 3 4 z"/>', "path", "no length"),
+    "curled up": ('<path id="p" d="M 3 4 C 3 4 3 4 3 4"/>', "path", "no length"),
+    "odd number": ('<path id="p" d="M0 0 L 3 4 5 L 6 6"/>', "path", "from character 6 on"),
+    "unknown command": ('<path id="p" d="M0 0 L 3 4 R 5 6"/>', "path", "from character 12 on"),
+    "words": ('<path id="p" d="M0 0 L 3 4 foo"/>', "path", "from character 12 on"),
+    "bad flag": ('<path id="p" d="M0 0 A 3 4 0 2 1 5 6"/>', "path", "from character 6 on"),
+    "bad second arc": ('<path id="p" d="M0 0 A3 4 0 0 1 5 6 -3 4 0 0 1 9 9"/>', "path", "from character 6 on"),
+    "numbers after Z": ('<path id="p" d="M0 0 L 3 4 Z 5 6"/>', "path", "from character 12 on"),
+    "infinite": ('<path id="p" d="M0 0 L 1e999 4"/>', "path", "beyond all bounds"),
+    "infinite on the way": ('<path id="p" d="M0 0 C 1e999 0 4 4 5 5"/>', "path", "too large"),
+    "vast": ('<path id="p" d="M0 0 L 1e12 4"/>', "path", "too large"),
+    "tiny arc": ('<path id="p" d="M0 0 A 1e-200 1e-200 0 0 1 1e-300 0"/>', "path", ""),
+    "endless turn": ('<path id="p" d="M0 0 A 3 3 1e999 0 1 4 0"/>', "path", ""),
+    "two parts": ('<path id="p" d="M0 0 L 3 4 M 5 5 L 6 6"/>', "path", "more than one part"),
+    "odd polyline": ('<polyline id="p" points="0 0 1"/>', "path", "cannot be read"),
+    "empty polygon": ('<polygon id="p" points=""/>', "path", "cannot be read"),
+    "round corners": ('<rect id="p" width="3" height="3" rx="1"/>', "path", "round corners"),
+    "percent": ('<circle id="p" r="50%"/>', "path", "r is no plain number"),
+    "flat circle": ('<circle id="p"/>', "path", "no length"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_DRAWINGS)
+def test_bad_drawing_is_named(tmp_path, name):
+    body, key, words = BAD_DRAWINGS[name]
+    more = {} if name in ("no shape", "only defs") else {"path": "p"}
+    refused(svg(tmp_path, body, **more), tmp_path, key, words)
+
+
+@pytest.mark.parametrize(
+    ("root", "words"),
+    [
+        ('width="80mm" viewBox="0 0 0 60"', "viewBox"),
+        ('width="80mm" viewBox="0 0 80"', "viewBox"),
+        ('width="-80mm" viewBox="0 0 80 60"', "viewBox"),
+        ('width="80mm" height="80mm" viewBox="0 0 80 60" preserveAspectRatio="none"', "stretched"),
+    ],
+)
+def test_scale_that_is_not_clear(tmp_path, root, words):
+    refused(svg(tmp_path, LINE, root), tmp_path, "svg", words)
+
+
+def test_unit_of_a_drawing(tmp_path):
+    refused(svg(tmp_path, LINE, unit="deg"), tmp_path, "unit", "not a unit of length")
+    refused(svg(tmp_path, LINE, unit=3), tmp_path, "unit", "unit of length")
+
+
+LAUGHS = (
+    '<!DOCTYPE svg [<!ENTITY a "ha">'
+    + "".join(f'<!ENTITY {chr(98 + k)} "{f"&{chr(97 + k)};" * 10}">' for k in range(20))
+    + ']><svg xmlns="http://www.w3.org/2000/svg"><path d="&u;"/></svg>'
+)
+OUTER = '<!DOCTYPE svg PUBLIC "-//W3C//DTD SVG 1.1//EN" "http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd">'
+HOSTILE = {
+    "billion laughs": (LAUGHS.encode(), "declares entities"),
+    "in UTF-16": (LAUGHS.encode("utf-16"), "declares entities"),
+    "a file inside": (b'<!DOCTYPE svg [<!ENTITY a SYSTEM "file:///etc/passwd">]><svg><path d="&a;"/></svg>', "declares entities"),
+    "unknown entity": (f'{OUTER}<svg><path d="M0 0 &a; L9 9"/></svg>'.encode(), "uses entities"),
+    "undeclared entity": (b'<svg><path d="M0 0 &a; L9 9"/></svg>', "not an SVG file"),
+    "binary": (bytes(range(256)) * 100, "not an SVG file"),
+    "empty": (b"", "not an SVG file"),
+    "text": (b"M 0 0 L 9 9", "not an SVG file"),
+    "cut": (b'<svg><path d="M0 0 L9', "not an SVG file"),
+    "another language": (b"<html><path d='M0 0 L9 9'/></html>", "begins with <html>"),
+    "another namespace": (b"<svg xmlns='urn:x'><path d='M0 0 L9 9'/></svg>", "not an SVG file"),
+    "unknown encoding": (b"<?xml version='1.0' encoding='klingon'?><svg/>", "not an SVG file"),
+    "deep": (b"<svg>" + b"<g>" * 100_000 + LINE.encode() + b"</g>" * 100_000 + b"</svg>", None),
+    "paths in paths": (b"<svg>" + b'<path d="M0 0L9 9">' * 50_000 + b"</path>" * 50_000 + b"</svg>", None),
+    "long word": (b"<svg><style>" + b"a" * 1_000_000 + b"</style>" + LINE.encode() + b"</svg>", None),
+    "long data": (b'<svg><path id="p" d="M' + b" 1" * 1_000_001 + b'"/></svg>', "cannot be read"),
+    "long digits": (b'<svg><path id="p" d="M0 0 L' + b"1" * 1_000_000 + b'x"/></svg>', "cannot be read"),
+    "many commands": (b'<svg><path id="p" d="M0 0' + b"h1v1" * 60_000 + b'"/></svg>', "more than 100,000 segments"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_drawings_come_to_an_end(tmp_path, name):
+    """What takes quadratic time would hang here: a hundred thousand of everything."""
+    content, words = HOSTILE[name]
+    (tmp_path / "h.svg").write_bytes(content)
+    if words is None:
+        assert len(read_points({"svg": "h.svg", "path": 1}, tmp_path).points) == DEFAULT_POINTS
+    else:
+        with pytest.raises(Unusable, match=words) as caught:
+            read_points({"svg": "h.svg"}, tmp_path)
+        assert caught.value.key in ("svg", "path")
+        assert len(str(caught.value)) < 700
+
+
+def test_doctype_that_only_points_elsewhere_is_usual(tmp_path):
+    text = f'<?xml version="1.0" encoding="UTF-8" standalone="no"?>{OUTER}<svg xmlns="http://www.w3.org/2000/svg">{LINE}</svg>'
+    for encoding in ("utf-8", "utf-8-sig"):
+        (tmp_path / "a.svg").write_text(text, encoding)
+        assert len(read_points({"svg": "a.svg"}, tmp_path).points) == DEFAULT_POINTS
+
+
+# ---- whatever comes
+
+
+JUNK = [
+    *(
+        None,
+        True,
+        -1,
+        0,
+        1e308,
+        math.nan,
+        math.inf,
+        10**400,
+        "",
+        " ",
+        "1 mm",
+        "-5 mm",
+        "1e300 km",
+        "5 deg",
+        "\0",
+        "t",
+        "((",
+        "1/t",
+    ),
+    *("9" * 400, "2*pi", [], {}, [[]], ["1 mm"], ["1 mm", "2 mm"], [0, 1], {"csv": ".."}, {"x": "1 mm"}, "arc length", "c.csv"),
+]
+
+
+def test_thousand_mutated_statements_never_break_the_reader(tmp_path):
+    (tmp_path / "c.csv").write_text("x_mm,y_mm,crank_deg\n0,0,0\n1,1,10\n2,0,20\n")
+    whole = [
+        lambda: [dict(P, crank="1 deg"), {"x": "1 mm", "y": "2 mm", "crank": "2 deg", "weight": 2.0, "tolerance": "1 mm"}],
+        lambda: [["1 mm", "2 mm"], ["3 mm", "4 mm"], ["5 mm", "2 mm"]],
+        lambda: {"csv": "c.csv", "points": 2},
+        lambda: svg(tmp_path, LINE, path="p", unit="mm", points=5),
+        lambda: {"x": "20*cos(t)", "y": "t", "unit": "mm", "t": [0, 1], "points": 5, "spacing": "t"},
+    ]
+    rng, good = random.Random(5), 0
+    for k in range(1000):
+        raw = whole[k % len(whole)]()
+        node = raw
+        while isinstance(node, list | dict):
+            keys = list(node) if isinstance(node, dict) else list(range(len(node)))
+            if not keys:
+                break
+            key = rng.choice(keys)
+            if isinstance(node[key], list | dict) and rng.random() < 0.7:
+                node = node[key]
+                continue
+            if isinstance(node, dict) and rng.random() < 0.2:
+                del node[key]
+            elif isinstance(node[key], str) and node[key] and rng.random() < 0.5:
+                text = list(node[key])
+                text[rng.randrange(len(text))] = rng.choice(string.printable)
+                node[key] = "".join(text)
+            else:
+                node[key] = rng.choice(JUNK)
+            break
+        try:
+            wanted = read_points(raw, tmp_path)
+        except Unusable as error:
+            assert error.remedy
+            continue
+        good += 1
+        assert np.all(np.isfinite(wanted.points))
+        assert 1 <= len(wanted.points) <= MAX_POINTS
+        for column in (wanted.crank, wanted.angles, wanted.weights, wanted.tolerances):
+            assert column is None or len(column) == len(wanted.points)
+    assert 100 < good < 900
+
+
+def test_mutated_drawings_never_break_the_reader(tmp_path):
+    text = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="80mm" viewBox="0 0 80 60"><g transform="rotate(30, 5 6)">'
+        f'<path d="{EVERY}" style="fill:none"/></g></svg>'
+    ).encode()
+    rng = random.Random(3)
+    for _ in range(200):
+        data = bytearray(text)
+        for _ in range(rng.randint(1, 3)):
+            at = rng.randrange(len(data))
+            if rng.random() < 0.6:
+                data[at] = rng.randrange(32, 127)
+            else:
+                del data[at : at + rng.randint(1, 20)]
+        (tmp_path / "m.svg").write_bytes(bytes(data))
+        try:
+            wanted = read_points({"svg": "m.svg", "points": 3}, tmp_path)
+        except Unusable as error:
+            assert error.remedy
+            continue
+        assert np.all(np.isfinite(wanted.points))

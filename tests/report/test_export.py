@@ -1,0 +1,493 @@
+"""Exported files read back by other programs: DXF by ezdxf, SVG by an XML parser, CSV and JSON by the standard library."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import ezdxf
+import numpy as np
+import pytest
+from ezdxf.document import Drawing
+
+import optlink
+from optlink.dynamics.columns import slider_names
+from optlink.problem.fixed_design import settled
+from optlink.problem.mechanism import sizes_of
+from optlink.report.export import dxf
+from optlink.report.export.export import FORMATS, Options, export, geometry
+from optlink.report.report_model import Subject, answered, subject_of
+from optlink.report.scene import scene
+from optlink.tasks.path import variants_of
+from tests.cli.test_cli import run
+
+MACHINES = ("crank-rocker", "shaper", "watt-i", "toggle-press", "scotch-yoke", "slider-crank", "oscillating-cylinder")
+SVG = "{http://www.w3.org/2000/svg}"
+SWINGING = """
+title = "Double-rocker"
+[mechanism]
+crank = "400 mm"
+coupler = "200 mm"
+rocker = "400 mm"
+frame = "500 mm"
+[drive]
+start = "{start} deg"
+"""
+
+
+def subject(name: str) -> Subject:
+    file = optlink.load(name)
+    return subject_of(file, answered(file))
+
+
+@pytest.fixture(scope="module", params=MACHINES)
+def machine(request) -> Subject:
+    return subject(request.param)
+
+
+@pytest.fixture(scope="module")
+def crank_rocker_subject() -> Subject:
+    return subject("crank-rocker")
+
+
+def holes(block) -> list[np.ndarray]:
+    return [np.array(circle.dxf.center)[:2] for circle in block.query("CIRCLE")]
+
+
+def assembled(drawing: Drawing) -> dict[str, list[np.ndarray]]:
+    """Centres of the holes of every block of the assembly, where ezdxf puts them."""
+    found = {}
+    for insert in drawing.modelspace().query('INSERT[layer=="ASSEMBLY"]'):
+        parts = insert.virtual_entities()
+        found[insert.dxf.name] = [np.array(part.dxf.center)[:2] for part in parts if part.dxftype() == "CIRCLE"]
+    return found
+
+
+def written(about: Subject, path: Path, **options) -> Drawing:
+    export(about, path, Options(**options))
+    return ezdxf.readfile(path)
+
+
+def machine_as_stated(name: str) -> Subject:
+    """The machine of a shipped problem with its values and starts; of modes that are open, the first that closes."""
+    file = optlink.load(name)
+    for variant in variants_of(file):
+        settled_ = settled(variant, sizes_of(variant.model.mechanism.quantities))
+        try:
+            cycle = optlink.analyze(settled_)
+        except optlink.InputError:
+            continue
+        return Subject(settled_, cycle, cycle)
+    pytest.skip("its start cannot be assembled: only a search finds its sizes")
+
+
+# --- DXF ---------------------------------------------------------------------------------------------------------------------
+
+
+def test_links_of_a_dxf_have_their_lengths(machine, tmp_path):
+    """Every link of known length: the distance of its first two holes is the length that the problem gives."""
+    drawing = written(machine, tmp_path / "a.dxf")
+    mechanism, sizes = machine.cycle.machine.mechanism, machine.cycle.machine.sizes
+    compared = 0
+    for link in mechanism.links:
+        if link.start in mechanism.pins and link.end in mechanism.pins:
+            length = 1e3 * (sizes[link.length] if isinstance(link.length, str) else link.length)
+            centres = holes(drawing.blocks[f"LINK {link.body}"])
+            distances = [float(np.linalg.norm(a - b)) for a in centres for b in centres]
+            assert min(abs(distance - length) for distance in distances) <= 1e-9
+            compared += 1
+    assert compared >= (0 if machine.problem.name == "scotch-yoke" else 1)
+
+
+@pytest.mark.parametrize("name", optlink.shipped())
+def test_every_shipped_machine_is_read_back_from_its_dxf(name, tmp_path):
+    """Links, pivots and slots of all shipped problems, against the sizes that the problem states."""
+    about = machine_as_stated(name)
+    drawing = written(about, tmp_path / "a.dxf", at=math.radians(float(about.cycle["crank_angle_deg"][1])))
+    assert drawing.audit().errors == []
+    machine = about.cycle.machine
+    mechanism, sizes = machine.mechanism, {key: 1e3 * float(np.asarray(value)) for key, value in machine.sizes.items()}
+    tolerance = 1e-9 * max(1.0, max(scene(about.cycle).box[2:]) / 1000.0)
+    compared = 0
+    for link in mechanism.links:
+        if isinstance(link.length, str) and {link.start, link.end} <= mechanism.pins.keys():
+            centres = holes(drawing.blocks[f"LINK {link.body}"])
+            distances = [float(np.linalg.norm(a - b)) for a in centres for b in centres]
+            assert min(abs(distance - sizes[link.length]) for distance in distances) <= tolerance, link.body
+            compared += 1
+    pivots = [point for point in mechanism.ground if point in mechanism.pins and f"{point}.x" in sizes]
+    ground = holes(drawing.blocks["FRAME"])
+    for point in pivots:
+        place = np.array([sizes[f"{point}.x"], sizes[f"{point}.y"]])
+        assert min(float(np.linalg.norm(place - hole)) for hole in ground) <= tolerance, point
+        compared += 1
+    for guide in mechanism.guides:
+        slider = slider_names(machine)[guide.name]
+        stroke = np.ptp(about.cycle[f"{slider}.s_m"][np.isfinite(about.cycle[f"{slider}.s_m"])]) * 1e3
+        block = drawing.blocks["FRAME" if guide.on == "frame" else f"LINK {guide.on}"]
+        if guide.on == "frame":
+            lengths = [float(np.linalg.norm(np.array(one.dxf.end) - np.array(one.dxf.start))) for one in block.query("LINE")]
+        else:
+            corners = [np.array(line.get_points("xy")) for line in block.query("LWPOLYLINE")]
+            lengths = [float(np.linalg.norm(one[1] - one[2])) for one in corners if len(one) == 4]
+        # at the rows of the table the stroke is at most that between the exact dead centres
+        assert any(stroke - tolerance <= length <= stroke * (1 + 1e-3) + 1e-6 for length in lengths), (
+            guide.name,
+            stroke,
+            lengths,
+        )
+        compared += 1
+    assert compared >= 1
+
+
+def test_a_dxf_of_the_solved_crank_rocker(crank_rocker_subject, tmp_path):
+    """The published optimum, read from the drawing alone."""
+    drawing = written(crank_rocker_subject, tmp_path / "a.dxf")
+    for body, length in {"crank": 100.0, "coupler": 412.86542, "rocker": 232.24617}.items():
+        first, second = holes(drawing.blocks[f"LINK {body}"])
+        assert np.linalg.norm(first - second) == pytest.approx(length, abs=1e-5)
+    first, second = holes(drawing.blocks["FRAME"])
+    assert np.linalg.norm(first - second) == pytest.approx(500.0, abs=1e-9)
+    assert drawing.units == ezdxf.units.MM
+    assert {"LINK crank", "LINK coupler", "LINK rocker", "ASSEMBLY", "PARTS"} <= {layer.dxf.name for layer in drawing.layers}
+    assert drawing.audit().errors == []
+
+
+def test_the_assembly_closes(machine, tmp_path):
+    """At every pin the holes of all links that share it lie on one another: the loops close in the drawing."""
+    drawing = written(machine, tmp_path / "a.dxf", at=math.radians(37.0))
+    centres, extent = assembled(drawing), max(scene(machine.cycle).box[2:])
+    for bodies in machine.cycle.machine.mechanism.pins.values():
+        blocks = ["FRAME" if body == "frame" else f"LINK {body}" for body in bodies]
+        first, *others = (np.array(centres[block]) for block in blocks)
+        for other in others:
+            nearest = np.min(np.linalg.norm(first[:, None] - other[None, :], axis=-1))
+            assert nearest <= 1e-9 * extent
+
+
+def test_the_assembly_stands_at_the_crank_angle(crank_rocker_subject, tmp_path):
+    centres = assembled(written(crank_rocker_subject, tmp_path / "a.dxf", at=math.radians(110.0)))
+    a, b = sorted(centres["LINK crank"], key=np.linalg.norm)
+    assert np.degrees(np.arctan2(*(b - a)[::-1])) == pytest.approx(110.0, abs=1e-9)
+    d = np.array([500.0, 0.0])
+    # the joint between coupler and rocker by the law of cosines, on the left of B -> D
+    coupler, rocker = (1e3 * crank_rocker_subject.outcome.design[name] for name in ("coupler", "rocker"))
+    reach = np.linalg.norm(d - b)
+    angle = math.acos((coupler**2 + reach**2 - rocker**2) / (2 * coupler * reach))
+    way = math.atan2(*(d - b)[::-1]) + angle
+    c = b + coupler * np.array([math.cos(way), math.sin(way)])
+    assert min(np.linalg.norm(c - hole) for hole in centres["LINK rocker"]) <= 1e-9 * 500
+
+
+def area(polyline) -> float:
+    """Of the polygon, and of the circular segment over every edge with a bulge: tan(a quarter of the arc)."""
+    corners = polyline.get_points("xyb")
+    found = 0.0
+    for (x, y, bulge), (u, v, _) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        found += (x * v - y * u) / 2
+        if bulge:
+            arc, chord = 4 * math.atan(bulge), math.hypot(u - x, v - y)
+            found += (chord / (2 * math.sin(arc / 2))) ** 2 / 2 * (arc - math.sin(arc))
+    return found
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [(0.0, 0.0)],
+        [(0.0, 0.0), (80.0, 0.0)],
+        [(0.0, 0.0), (40.0, 0.0), (80.0, 0.0)],
+        [(0.0, 0.0), (80.0, 0.0), (20.0, 50.0)],
+        [(0.0, 0.0), (80.0, 0.0), (40.0, 0.0), (20.0, -50.0), (30.0, -10.0)],
+    ],
+)
+def test_outlines_by_steiners_formula(corners):
+    """Area of everything within r of a convex set: its area + its perimeter times r + pi r^2 (J. Steiner)."""
+    radius = 7.0
+    drawing = ezdxf.new()
+    outline = drawing.modelspace().add_lwpolyline(dxf.rounded(np.array(corners), radius), format="xyb", close=True)
+    ring = [c for c in corners if c not in {(40.0, 0.0), (30.0, -10.0)}]
+    turned = list(zip(ring, [*ring[1:], ring[0]], strict=True))
+    inner = abs(sum(p[0] * q[1] - p[1] * q[0] for p, q in turned)) / 2
+    around = sum(math.dist(p, q) for p, q in turned)
+    assert area(outline) == pytest.approx(inner + around * radius + math.pi * radius**2, rel=1e-12)
+
+
+def test_holes_and_widths_can_be_chosen(crank_rocker_subject, tmp_path):
+    drawing = written(crank_rocker_subject, tmp_path / "a.dxf", hole=0.008, width=0.03)
+    block = drawing.blocks["LINK crank"]
+    assert {circle.dxf.radius for circle in block.query("CIRCLE")} == {4.0}
+    assert area(block.query("LWPOLYLINE")[0]) == pytest.approx(100.0 * 30.0 + math.pi * 15.0**2, rel=1e-12)
+
+
+@pytest.mark.parametrize(("extent", "size"), [(100.0, 3.0), (520.0, 15.0), (1.0, 0.03), (33.0, 0.8), (2000.0, 60.0)])
+def test_the_usual_hole_is_a_round_number(extent, size):
+    assert dxf.usual_hole(extent) == pytest.approx(size, rel=1e-12)
+
+
+def test_a_slot_is_as_long_as_the_slider_travels(tmp_path):
+    """The block of the shaper slides from |AC| - r to |AC| + r on the rocker: 2 r, and the slot's round ends."""
+    drawing = written(subject("shaper"), tmp_path / "a.dxf", hole=0.02)
+    slot, outline = drawing.blocks["LINK rocker"].query("LWPOLYLINE")
+    assert area(slot) == pytest.approx(250.0 * 20.0 + math.pi * 10.0**2, rel=1e-12)
+    assert area(outline) > area(slot)
+
+
+# --- SVG, CSV, JSON ----------------------------------------------------------------------------------------------------------
+
+
+def test_an_svg_is_in_true_size(crank_rocker_subject, tmp_path):
+    export(crank_rocker_subject, tmp_path / "a.svg", Options(at=0.5))
+    root = ElementTree.parse(tmp_path / "a.svg").getroot()
+    box = [float(part) for part in root.get("viewBox").split()]
+    assert [root.get("width"), root.get("height")] == [f"{part:.3f}".rstrip("0").rstrip(".") + "mm" for part in box[2:]]
+    joints = {}
+    for circle in root.iter(f"{SVG}circle"):
+        if circle.get("data-point"):
+            x, y = circle.get("transform").removeprefix("translate(").rstrip(")").split()
+            joints[circle.get("data-point")] = np.array([float(x), -float(y)])
+    design = crank_rocker_subject.outcome.design
+    for pair, name in {"AB": "crank", "BC": "coupler", "CD": "rocker", "AD": "frame"}.items():
+        assert np.linalg.norm(joints[pair[0]] - joints[pair[1]]) == pytest.approx(1e3 * design[name], abs=2e-3)
+    assert math.atan2(*(joints["B"] - joints["A"])[::-1]) == pytest.approx(0.5, abs=1e-4)
+
+
+def test_a_csv_keeps_the_lengths_and_leaves_out_forces(crank_rocker_subject, tmp_path):
+    export(crank_rocker_subject, tmp_path / "a.csv", Options(points=48))
+    with (tmp_path / "a.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 49
+    for row in rows:
+        b, c = (np.array([float(row[f"{name}.{axis}_m"]) for axis in "xy"]) for name in "BC")
+        assert np.linalg.norm(b) == pytest.approx(0.1, abs=1e-12)
+        assert np.linalg.norm(c - b) == pytest.approx(crank_rocker_subject.outcome.design["coupler"], abs=1e-12)
+    assert not [name for name in rows[0] if name.endswith(("_N", "_Nm", "_J", "_W"))]
+    export(subject("six-bar"), tmp_path / "b.csv")
+    assert "input.torque_Nm" in (tmp_path / "b.csv").read_text().splitlines()[0]
+
+
+def test_a_json_holds_the_whole_geometry(machine):
+    """Points in the axes of their bodies, brought to where the bodies are, are where the points are."""
+    document = geometry(machine, machine.cycle, 0.7)
+    assert document["problem_hash"] == machine.problem.hash
+    for body in document["bodies"].values():
+        c, s = math.cos(body["angle_rad"]), math.sin(body["angle_rad"])
+        for name, (along, across) in body["points_m"].items():
+            x, y = body["at_m"][0] + along * c - across * s, body["at_m"][1] + along * s + across * c
+            assert [x, y] == pytest.approx(document["points_m"][name], abs=1e-12)
+
+
+# --- the command ---------------------------------------------------------------------------------------------------------------
+
+
+GOOD = ("export", "crank-rocker")
+
+
+def left_behind(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize("ending", [".dxf", ".svg", ".csv", ".json"])
+def test_every_format_by_the_command(tmp_path, ending):
+    path = tmp_path / f"a{ending}"
+    done = run(*GOOD, "-o", str(path), "--at", "45 deg", "--json")
+    assert done.exit_code == 0
+    assert json.loads(done.stdout)["bytes"] == path.stat().st_size > 500
+    assert left_behind(tmp_path) == [path.name]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("-o", "a.stp"), ".dxf, .svg, .csv, .json"),
+        (("-o", "a"), "no ending"),
+        (("-o", "nowhere/a.dxf"), "there is no folder nowhere"),
+        (("-o", "folder.dxf"), "this is a folder"),
+        (("-o", "a.dxf", "--at", "3 mm"), "unit of angle"),
+        (("-o", "a.dxf", "--at", "nan deg"), "--at"),
+        (("-o", "a.dxf", "--hole", "0 mm"), "positive"),
+        (("-o", "a.dxf", "--hole", "8 mm", "--width", "5 mm"), "narrower than its holes"),
+        (("-o", "a.csv", "--points", "0"), "out of range"),
+        (("-o", "a.dxf", "--backend", "magic"), "magic"),
+        (("-o", "a.dxf", "--problem", "six-bar"), "only a RESULT"),
+    ],
+)
+def test_bad_input_is_named_and_nothing_is_written(tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.dxf").mkdir()
+    done = run(*GOOD, *arguments)
+    assert done.exit_code == 2
+    assert words in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    assert left_behind(tmp_path) == ["folder.dxf"]
+
+
+def test_a_crank_angle_that_cannot_be_reached(tmp_path):
+    problem = tmp_path / "swing.toml"
+    problem.write_text(SWINGING.format(start=60))
+    done = run("export", str(problem), "-o", str(tmp_path / "a.dxf"), "--at", "180 deg")
+    assert done.exit_code == 2
+    assert "fails to close by" in done.stderr
+    assert "Give an angle within" in done.stderr
+    assert left_behind(tmp_path) == ["swing.toml"]
+    problem.write_text(SWINGING.format(start=180))
+    done = run("export", str(problem), "-o", str(tmp_path / "a.dxf"))
+    assert done.exit_code == 2
+    assert left_behind(tmp_path) == ["swing.toml"]
+
+
+def test_an_invalid_design_is_written_only_if_asked_for(tmp_path):
+    design = ("--design", "coupler=410 mm", "--design", "rocker=220 mm")
+    path = tmp_path / "a.dxf"
+    done = run(*GOOD, *design, "-o", str(path))
+    assert done.exit_code == 1
+    assert "transmission angle" in done.stderr
+    assert not path.exists()
+    document = json.loads(run(*GOOD, *design, "-o", str(path), "--json").stdout)
+    assert document["valid"] is False
+    assert document["file"] is None
+    assert run(*GOOD, *design, "-o", str(path), "--even-invalid").exit_code == 1
+    first, second = holes(ezdxf.readfile(path).blocks["LINK coupler"])
+    assert np.linalg.norm(first - second) == pytest.approx(410.0, abs=1e-9)
+
+
+def test_what_it_is_made_of_is_not_overwritten(tmp_path):
+    result = tmp_path / "result.json"
+    result.write_text(run("solve", "crank-rocker", "--json").stdout)
+    before = result.read_bytes()
+    done = run("export", str(result), "-o", str(result))
+    assert done.exit_code == 2
+    assert "overwrite" in done.stderr
+    assert result.read_bytes() == before
+
+
+def test_a_full_disk_leaves_nothing_behind(tmp_path, monkeypatch, crank_rocker_subject):
+    path = tmp_path / "a.dxf"
+    path.write_text("as it was")
+
+    def full(self, name, *_):
+        Path(name).write_text("half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Drawing, "saveas", full)
+    with pytest.raises(optlink.InputError, match="No space left"):
+        export(crank_rocker_subject, path)
+    assert left_behind(tmp_path) == ["a.dxf"]
+    assert path.read_text() == "as it was"
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+from optlink.cli.app import app
+app(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize("ending", [*FORMATS, ".html"])
+def test_a_file_that_may_not_grow_leaves_the_former_one(tmp_path, ending):
+    """A limit of the system on the size of files, met in the middle of the writing, in a process of its own."""
+    pytest.importorskip("resource", reason="this system has no such limits")
+    path = tmp_path / f"a{ending}"
+    path.write_text("as it was")
+    command = ["report" if ending == ".html" else "export", "shaper", "-o", str(path)]
+    done = subprocess.run([sys.executable, "-c", LIMITED, *command], capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "cannot write the file: File too large" in done.stderr
+    assert left_behind(tmp_path) == [path.name]
+    assert path.read_text() == "as it was"
+
+
+@pytest.mark.parametrize("ending", [".svg", ".csv", ".json", ".html"])
+def test_a_full_disk_leaves_the_former_file(tmp_path, monkeypatch, ending):
+    """Every way of writing, with a disk that is full after the first letters."""
+    path = tmp_path / f"a{ending}"
+    path.write_text("as it was")
+    opened = Path.open
+
+    def full(self, *arguments, **keywords):
+        if self.name.startswith(".a-"):
+            with opened(self, "w") as file:
+                file.write("half")
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return opened(self, *arguments, **keywords)
+
+    monkeypatch.setattr(Path, "open", full)
+    done = run("report" if ending == ".html" else "export", "shaper", "-o", str(path))
+    monkeypatch.undo()
+    assert done.exit_code == 2
+    assert "No space left on device" in done.stderr
+    assert left_behind(tmp_path) == [path.name]
+    assert path.read_text() == "as it was"
+
+
+def test_a_disk_that_is_full_before_the_first_letter(tmp_path, monkeypatch):
+    """Not even the temporary file can be made; and long names leave room for it."""
+    import tempfile
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    path = tmp_path / f"{'a' * 245}.svg"
+    assert run("export", "shaper", "-o", str(path)).exit_code == 0
+    before = path.read_bytes()
+    monkeypatch.setattr(tempfile, "mkstemp", full)
+    done = run("export", "shaper", "-o", str(path), "--at", "40 deg")
+    assert done.exit_code == 2
+    assert "No space left on device" in done.stderr
+    assert path.read_bytes() == before
+    assert left_behind(tmp_path) == [path.name]
+
+
+def test_a_subject_with_a_name_that_no_system_takes(tmp_path):
+    for command, ending in {"export": "dxf", "report": "html"}.items():
+        done = run(command, "a" * 300, "-o", str(tmp_path / f"a.{ending}"))
+        assert done.exit_code == 2
+        assert "no such problem" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["export", "report"])
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_place_that_cannot_be_written_to_is_named_before_any_work(tmp_path, monkeypatch, command, as_json):
+    """A folder that is none, a file in place of one, a folder in place of a file, an ending that nobody knows."""
+    monkeypatch.chdir(tmp_path)
+    ending = ".html" if command == "report" else ".dxf"
+    (tmp_path / f"folder{ending}").mkdir()
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setattr("optlink.report.report_model.answered", None)  # whatever is solved would break down
+    for name, words in {
+        f"nowhere/a{ending}": "there is no folder",
+        f"file/a{ending}": "there is no folder",
+        f"folder{ending}": "this is a folder",
+        "a.xyz": "no ending that can be written",
+        "a": "the name has no ending",
+        f"{'a' * 300}{ending}": "the name is too long",
+        f"/proc/a{ending}": "cannot write there",
+    }.items():
+        done = run(command, "crank-rocker", "-o", name, *(["--json"] if as_json else []))
+        assert done.exit_code == 2, name
+        assert words in " ".join(done.stderr.split()), (name, done.stderr)
+        assert "Traceback" not in done.stderr
+        if as_json:
+            assert [fault["key"] for fault in json.loads(done.stdout)["faults"]] == ["-o"]
+    assert left_behind(tmp_path) == ["file", f"folder{ending}"]
+
+
+def test_no_permission(tmp_path, monkeypatch):
+    """Also for those whom no permission binds: the trial file cannot be made."""
+    import tempfile
+
+    def refused(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refused)
+    done = run(*GOOD, "-o", str(tmp_path / "a.dxf"))
+    assert done.exit_code == 2
+    assert "Permission denied" in done.stderr

@@ -1,0 +1,160 @@
+"""Pictures show what they claim: data of the drawn lines against the kinematics, not just that a file exists."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import optlink
+from optlink.errors import InputError
+from optlink.report import files as store
+from optlink.report.views import function_pictures
+
+
+def test_mechanism_is_drawn_in_its_telling_positions(solved):
+    figure = function_pictures.mechanism(solved)
+    titles = [axes.get_title() for axes in figure.axes]
+    assert len(titles) == 5
+    assert any("start = outer dead centre" in title and "26.47" in title for title in titles)
+    assert any("largest transmission angle" in title and "γ 135.00" in title for title in titles)
+    for axes in figure.axes:
+        links = [line.get_xydata() for line in axes.get_lines() if line.get_linewidth() >= 3.0]
+        lengths = sorted(float(np.linalg.norm(xy[1] - xy[0])) for xy in links)
+        assert lengths == pytest.approx([100.0, 232.246171, 412.865416], abs=1e-5)
+
+
+def test_letters_stand_clear_of_links_and_inside(solved):
+    figure = function_pictures.mechanism(solved)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        letters = {text.get_text(): text.get_window_extent() for text in axes.texts}
+        assert set(letters) == set("ABCD")
+        area = axes.get_window_extent()
+        for name, box in letters.items():
+            assert area.x0 <= box.x0 < box.x1 <= area.x1, name
+            assert area.y0 <= box.y0 < box.y1 <= area.y1, name
+            for line in axes.get_lines():
+                if line.get_linewidth() >= 3.0:
+                    (x0, y0), (x1, y1) = axes.transData.transform(line.get_xydata())
+                    share = np.linspace(0.0, 1.0, 400)
+                    assert not any(
+                        box.contains(x, y) for x, y in zip(x0 + share * (x1 - x0), y0 + share * (y1 - y0), strict=True)
+                    )
+        assert [line.get_gid() for line in axes.get_lines() if line.get_linewidth() >= 3.0] == ["crank", "coupler", "rocker"]
+
+
+def test_a_large_four_bar_is_drawn_in_metres(crank_rocker):
+    raw = {**crank_rocker.raw, "limits": {"crank": "full rotation"}}
+    raw["mechanism"] = {"crank": "10 m", "frame": "50 m", "coupler": "41.3 m", "rocker": "23.2 m"}
+    figure = function_pictures.mechanism(optlink.validate(optlink.read(raw), {}))
+    assert figure.axes[0].get_xlabel() == "x [m]"
+    assert "crank 10.000   coupler 41.300   rocker 23.200   frame 50.000 m" in figure.get_suptitle()
+    lengths = sorted(
+        float(np.linalg.norm(np.diff(line.get_xydata(), axis=0)))
+        for line in figure.axes[0].get_lines()
+        if line.get_linewidth() >= 3
+    )
+    assert lengths == pytest.approx([10.0, 23.2, 41.3])
+
+
+def test_law_shows_wanted_generated_and_error(solved):
+    top, bottom = function_pictures.law(solved).axes
+    wanted, found, marks = (line.get_xydata() for line in top.get_lines())
+    start = math.degrees(solved.design["phi0"])
+    assert wanted[0] == pytest.approx([start, math.degrees(solved.design["psi0"])])
+    assert wanted[-1, 1] - wanted[0, 1] == pytest.approx(30.0)
+    assert len(marks) == 30
+    error = bottom.get_lines()[1].get_ydata()
+    np.testing.assert_allclose(error, wanted[:, 1] - found[:, 1], atol=1e-9)
+    assert np.max(np.abs(error)) == pytest.approx(2.29005, abs=1e-4)
+
+
+def test_transmission_touches_its_limit(solved):
+    axes = function_pictures.transmission(solved).axes[0]
+    gamma = max((line.get_ydata() for line in axes.get_lines()), key=len)
+    assert np.max(gamma) == pytest.approx(135.0, abs=1e-6)
+    assert np.min(gamma) == pytest.approx(70.3792, abs=1e-3)
+
+
+def test_map_holds_the_iterations_and_the_optimum(solved):
+    axes = function_pictures.objective_map(solved).axes[0]
+    labels = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
+    assert labels["design"][0] == pytest.approx([412.865416, 232.246171], abs=1e-5)
+    for name in ("slsqp", "ipopt"):
+        path = labels[f"{name}, iterations"]
+        assert path[0] == pytest.approx([400.0, 400.0], abs=60.0)
+        assert path[-1] == pytest.approx([412.865416, 232.246171], abs=0.1)
+
+
+def test_map_only_for_two_free_quantities(crank_rocker):
+    changed = crank_rocker.override({"mechanism.frame": {"bounds": ["450 mm", "550 mm"]}})
+    assert function_pictures.objective_map(optlink.solve(changed)) is None
+
+
+def test_film_moves_through_the_revolution(solved, tmp_path):
+    pictures = function_pictures.frames(solved, count=12)
+    assert len(pictures) == 12
+    arrays = [np.asarray(picture.convert("RGB")) for picture in pictures]
+    assert all(np.any(a != b) for a, b in itertools.pairwise(arrays))
+    files = function_pictures.write_all(solved, tmp_path)
+    with Image.open(tmp_path / "motion.gif") as film:
+        assert film.n_frames == 90
+    assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
+
+
+def test_a_design_that_cannot_be_assembled_leaves_out_its_pictures(crank_rocker, tmp_path):
+    result = optlink.validate(crank_rocker, {"coupler": 0.12, "rocker": 0.12})
+    assert not result.valid
+    files = function_pictures.write_all(result, tmp_path)
+    assert [file.name for file in files] == ["result.json", "design.toml"]
+    assert json.loads((tmp_path / "result.json").read_text())["objective"]["value"] is None
+
+
+def test_crank_that_only_swings_is_drawn_over_its_reachable_range(crank_rocker, tmp_path):
+    """A triple-rocker: the pictures cover the range that can be reached, and no more."""
+    raw = {**crank_rocker.raw, "limits": {"crank": "span"}}
+    raw["mechanism"] = {
+        name: f"{value} mm" for name, value in zip(("crank", "coupler", "rocker", "frame"), (300, 250, 280, 500), strict=True)
+    }
+    raw["requirement"] = {**raw["requirement"], "from": "30 deg", "span": "20 deg"}
+    result = optlink.validate(optlink.read(raw), {})
+    assert result.valid
+    axes = function_pictures.transmission(result).axes[0]
+    angles = max((line.get_xdata() for line in axes.get_lines()), key=len)
+    highest = math.degrees(math.acos((0.3**2 + 0.5**2 - 0.53**2) / (2 * 0.3 * 0.5)))
+    assert angles[-1] == pytest.approx(highest, abs=1e-3)
+    assert angles[0] == pytest.approx(-highest, abs=1e-3)
+    function_pictures.write_all(result, tmp_path)
+    assert (tmp_path / "motion.gif").exists()
+
+
+def test_a_failed_write_leaves_nothing_behind(tmp_path):
+    target = tmp_path / "result.json"
+    target.write_text("before")
+
+    def fail_half_way():
+        with store.whole(target) as temporary:
+            temporary.write_text("half")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail_half_way()
+    assert target.read_text() == "before"
+    assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
+
+
+def test_a_full_disk_is_told_and_leaves_nothing_behind(tmp_path, monkeypatch):
+    target = tmp_path / "result.json"
+
+    def full(*_args, **_kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_text", full)
+    with pytest.raises(InputError, match="No space left on device"):
+        store.write_json(target, {})
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,502 @@
+"""The report: complete, true to the design, safe, and at work in a real browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+
+import optlink
+from optlink.report.html.charts import charts, tornado
+from optlink.report.html.page import LARGEST, page, sensitivities_of, write_page
+from optlink.report.report_model import Subject, answered, subject_of
+from optlink.report.scene import scene
+from optlink.report.stored.stored_result import read_subject
+from tests.browser import browser, console, opened, requests
+from tests.cli.test_cli import run
+
+PROBLEMS = (
+    "crank-rocker",
+    "motion-3-poses",
+    "six-bar",
+    "shaper",
+    "watt-i",
+    "toggle-press",
+    "scotch-yoke",
+    "oscillating-cylinder",
+)
+EVIL = "<script>window.caught = 1</script><img src=x onerror='window.caught = 2'> \"&' </title></style>"
+
+
+def subject(name: str, given: dict[str, float] | None = None, **changes: object) -> Subject:
+    file = optlink.load(name, changes)
+    return subject_of(file, answered(file, given=given))
+
+
+@pytest.fixture(scope="module", params=PROBLEMS)
+def about(request) -> Subject:
+    return subject(request.param)
+
+
+@pytest.fixture(scope="module")
+def crank_rocker_subject() -> Subject:
+    return subject("crank-rocker")
+
+
+class Reader(HTMLParser):
+    """What a page is made of: texts by element, scripts, addresses, names."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.inside: list[str] = []
+        self.scripts = 0
+        self.addresses: list[str] = []
+        self.ids: list[str] = []
+        self.handlers: list[str] = []
+        self.texts: dict[str, list[str]] = {}
+        self.data: dict[str, str] = {}
+        self.kept = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.inside.append(tag)
+        found = dict(attributes)
+        self.scripts += tag == "script"
+        self.kept = found.get("id", "") if tag == "script" else ""
+        self.addresses += [value for key, value in attributes if key in ("src", "href", "data", "action", "poster", "srcset")]
+        self.handlers += [key for key, _ in attributes if key.startswith("on")]
+        self.ids += [found["id"]] if "id" in found else []
+
+    def handle_endtag(self, tag):
+        while self.inside and self.inside.pop() != tag:
+            pass
+
+    def handle_data(self, data):
+        if self.inside:
+            self.texts.setdefault(self.inside[-1], []).append(data)
+        if self.kept:
+            self.data[self.kept] = self.data.get(self.kept, "") + data
+
+
+# --- what the page says ------------------------------------------------------------------------------------------------------
+
+
+def test_a_page_is_complete_and_small(about):
+    text = page(about)
+    assert len(text.encode()) < 6_000_000
+    read = Reader(text)
+    assert read.scripts == 4
+    assert all(address.startswith(("#", "data:,")) for address in read.addresses)
+    assert read.handlers == []
+    assert len(read.ids) == len(set(read.ids))
+    assert {address[1:] for address in read.addresses if address.startswith("#")} <= set(read.ids)
+    told = " ".join(" ".join(texts) for tag, texts in read.texts.items() if tag not in ("script", "style"))
+    assert about.problem.model.title in told
+    assert about.problem.hash in told
+    for words in (about.problem.model.source, about.problem.model.about):
+        assert " ".join(words.split()) in " ".join(told.split())
+
+
+def test_the_page_of_the_crank_rocker_tells_the_published_figures(crank_rocker_subject):
+    text = page(crank_rocker_subject)
+    for words in ("412.865", "232.246", "0.00759237", "rad^2 per deg", "largest transmission angle", "Valid: every check passed"):
+        assert words in text
+    assert text.count('<span class="good">ok</span>') == len(crank_rocker_subject.outcome.validation.checks)
+
+
+def test_an_invalid_design_is_called_so():
+    text = page(subject("crank-rocker", {"coupler": 0.41, "rocker": 0.22}))
+    assert "Not valid: largest transmission angle" in text
+    assert '<span class="bad">FAIL</span>' in text
+    apart = page(subject("crank-rocker", {"coupler": 0.2, "rocker": 0.2}))
+    assert "Not valid" in apart
+
+
+def test_a_design_that_cannot_be_assembled_has_a_page_without_a_drawing():
+    text = page(subject("crank-rocker", {"coupler": 0.1, "rocker": 0.1}))
+    assert "It cannot be shown in motion" in text
+    assert "<svg" not in Reader(text).texts.get("div", [])
+
+
+def test_every_chart_is_a_figure_that_plotly_knows(about):
+    """plotly's own checker refuses what its schema does not have."""
+    found = charts(about)
+    assert found
+    for chart in found:
+        go.Figure(chart.figure)
+        assert any(any(value is not None for value in trace["y"]) for trace in chart.figure["data"])
+
+
+def test_the_checker_would_notice():
+    with pytest.raises(ValueError, match="Invalid property"):
+        go.Figure({"data": [{"type": "scatter", "colour": "red"}]})
+
+
+def test_the_torque_chart_is_the_analysis():
+    about = subject("six-bar")
+    chart = next(chart for chart in charts(about) if chart.title == "Driving torque and work")
+    torque = next(trace for trace in chart.figure["data"] if trace["name"] == "torque")
+    values = np.array([np.nan if value is None else value for value in torque["y"]])
+    assert np.nanmax(values) == pytest.approx(278.8344391, rel=1e-6)  # the source of the problem
+    assert np.nanmin(values) == pytest.approx(-320.0521365, rel=1e-6)
+
+
+def test_what_matters_by_searching_again(crank_rocker_subject):
+    """The tornado's bar of the transmission angle, against the problem solved at 134.9 and 135.1 deg."""
+    answers = sensitivities_of(crank_rocker_subject)
+    [bars] = tornado(answers).figure["data"]
+    told = dict(zip(bars["y"], bars["x"], strict=True))["largest transmission angle: 135 deg"]
+    found = []
+    for most in (134.9, 135.1):
+        file = optlink.load("crank-rocker", {"limits.transmission_angle": ["45 deg", f"{most} deg"]})
+        found.append(optlink.solve(file).objective)
+    assert told == pytest.approx(100.0 * (found[1] - found[0]) / 0.2 / crank_rocker_subject.objective, rel=1e-3)
+    assert told == pytest.approx(-1.929, abs=1e-3)
+    text = page(crank_rocker_subject)
+    assert "What matters" in text
+    assert "-1.929 %" in text
+    assert "What matters" not in page(subject("motion-3-poses"))  # all poses are met exactly: nothing is left to gain
+
+
+def test_the_moving_drawing_is_the_linkage(about):
+    """Every body is a rigid one: its points keep their place in its own axes at every crank angle, and it turns with them."""
+    document = scene(about.cycle).to_dict()
+    mechanism, sizes = about.cycle.machine.mechanism, about.cycle.machine.sizes
+    tolerance = 1.6 * 10.0 ** -scene(about.cycle).decimals  # four rounded coordinates: sqrt(2) units of the last place
+    for link in mechanism.links:
+        if not link.end or link.end not in document["points"]:
+            continue
+        pose, end = document["bodies"][link.body], document["points"][link.end]
+        dx, dy = (np.array(end[axis]) - np.array(pose[axis]) for axis in "xy")
+        length = 1e3 * (sizes[link.length] if isinstance(link.length, str) else link.length)
+        assert np.max(np.abs(np.hypot(dx, dy) - length)) <= tolerance
+        turned = np.radians(pose["a"])
+        assert np.max(np.abs(dx * np.sin(turned) - dy * np.cos(turned))) <= tolerance
+    crank = document["bodies"][mechanism.crank.body]["a"]
+    assert np.abs(np.diff(crank)) == pytest.approx(np.abs(np.diff(document["angles_deg"])), abs=2e-5)
+
+
+# --- what others write into it -----------------------------------------------------------------------------------------------
+
+
+def evil_problem(folder: Path) -> Path:
+    """A problem whose every text tries to run."""
+    text = EVIL.replace("\\", "\\\\").replace('"', '\\"')
+    path = folder / "evil.toml"
+    raw = (Path(__file__).parents[2] / "problems" / "crank-rocker.toml").read_text()
+    raw = re.sub(r'^(title|source) = ".*"$', lambda found: f'{found[1]} = "{text}"', raw, flags=re.MULTILINE)
+    path.write_text(re.sub(r'about = """.*?"""', f'about = "{text}"', raw, flags=re.DOTALL))
+    return path
+
+
+def test_texts_stay_texts(tmp_path):
+    file = optlink.load(evil_problem(tmp_path))
+    about = subject_of(file, answered(file, given={"coupler": 0.41286542, "rocker": 0.23224617}))
+    read = Reader(page(about))
+    assert read.scripts == 4
+    assert read.handlers == []
+    assert "img" not in read.texts
+    assert EVIL in " ".join(read.texts["h1"])
+    plain = Reader(page(subject("crank-rocker")))
+    assert read.texts.keys() == plain.texts.keys()
+
+
+def test_the_check_of_texts_would_notice(tmp_path):
+    text = page(subject("crank-rocker")).replace("Crank-rocker that", EVIL)
+    assert Reader(text).scripts > 4
+    assert set(Reader(text).handlers) == {"onerror"}
+
+
+# --- result files ------------------------------------------------------------------------------------------------------------
+
+
+def recorded(folder: Path, *command: str) -> None:
+    """Write what a command would write as result.json, without its pictures."""
+    done = run(*command, "--json")
+    assert done.exit_code == 0
+    folder.mkdir(exist_ok=True)
+    (folder / "result.json").write_text(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    commands = {name: ("solve", name) for name in ("crank-rocker", "motion-3-poses", "function-sin")}
+    for name, command in {**commands, "shaper": ("analyze", "shaper", "--speed", "64 rpm")}.items():
+        recorded(folder / name, *command)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["crank-rocker", "motion-3-poses", "function-sin", "shaper"])
+def test_a_result_is_shown_as_the_problem_would_be(results, tmp_path, name):
+    path = tmp_path / "a.html"
+    done = run("report", str(results / name / "result.json"), "-o", str(path), "--json")
+    assert done.exit_code == 0
+    assert json.loads(done.stdout)["valid"] is True
+    document = json.loads((results / name / "result.json").read_text())
+    about = read_subject(results / name / "result.json")
+    if name == "shaper":
+        assert about.cycle.speed == pytest.approx(64 * math.pi / 30)
+    else:
+        first = document["designs"][0] if name == "motion-3-poses" else document
+        assert about.objective == pytest.approx(first["objective"]["value"], rel=1e-6, abs=1e-20)
+    text = path.read_text()
+    if name == "crank-rocker":
+        assert "0.0001465 rad^2 per deg (1.93%)" in text
+        assert "optimality (KKT residual)" in text
+
+
+def test_results_that_cannot_be_shown(results, tmp_path):
+    good = json.loads((results / "crank-rocker" / "result.json").read_text())
+    bad = {
+        "schema": ({**good, "schema": "optlink/list/1"}, "not a result that can be shown here"),
+        "version": ({**good, "schema": "optlink/result/99"}, "of another version of its format"),
+        "none": ({"a": 1}, "not a result of optlink"),
+        "hash": ({**good, "problem_hash": "0" * 16}, "of another problem or version"),
+        "name": ({**good, "problem": "nobodys"}, "is not found"),
+        "path": ({**good, "problem": "../../etc/passwd"}, "is not found"),
+        "damaged": ({**good, "design": {}}, "lacks coupler, rocker"),
+        "status": ({**good, "status": "fine"}, "damaged"),
+        "limits": ({**good, "limits": [{"name": 1}]}, "damaged"),
+        "conflict": ({**good, "conflict": [{"name": 1}]}, "damaged"),
+        "checks": ({**good, "validation": 7}, "damaged"),
+        "list": ([good], "not a result"),
+    }
+    for name, (document, words) in bad.items():
+        path = tmp_path / f"{name}.json"
+        path.write_text(json.dumps(document))
+        done = run("report", str(path), "-o", str(tmp_path / "a.html"))
+        assert done.exit_code == 2, name
+        assert words in " ".join(done.stderr.split()), name
+    (tmp_path / "broken.json").write_text("{")
+    assert "it holds no JSON" in run("report", str(tmp_path / "broken.json"), "-o", str(tmp_path / "a.html")).stderr
+    assert not (tmp_path / "a.html").exists()
+
+
+def test_a_result_finds_its_changed_problem(tmp_path):
+    change = ("--set", "mechanism.frame=480 mm")
+    recorded(tmp_path, "solve", "crank-rocker", *change)
+    result, out = str(tmp_path / "result.json"), str(tmp_path / "a.html")
+    refused = run("report", result, "-o", out)
+    assert refused.exit_code == 2
+    assert "--set" in refused.stderr
+    assert run("report", result, *change, "-o", out).exit_code == 0
+    assert "480.000" in (tmp_path / "a.html").read_text()
+
+
+def test_an_infeasible_result_names_the_conflict(tmp_path):
+    change = ("--set", 'limits.transmission_angle=["80 deg", "100 deg"]')
+    (tmp_path / "result.json").write_text(run("solve", "crank-rocker", *change, "--json").stdout)
+    for subject_ in ("crank-rocker", str(tmp_path / "result.json")):
+        done = run("report", subject_, *change, "-o", str(tmp_path / "a.html"))
+        assert done.exit_code == 1
+        text = (tmp_path / "a.html").read_text()
+        assert "no feasible design" in text
+        assert "These limits cannot hold together" in text
+        assert "What matters" not in text
+
+
+def test_a_result_finds_its_problem_beside_it(tmp_path):
+    raw = (Path(__file__).parents[2] / "problems" / "crank-rocker.toml").read_text()
+    (tmp_path / "elsewhere").mkdir()
+    mine = tmp_path / "elsewhere" / "mine.toml"
+    mine.write_text(raw.replace('frame = "500 mm"', 'frame = "490 mm"'))
+    recorded(tmp_path / "out", "solve", str(mine))
+    result, out = str(tmp_path / "out" / "result.json"), str(tmp_path / "a.html")
+    assert run("report", result, "-o", out).exit_code == 2
+    assert run("report", result, "-o", out, "--problem", str(mine)).exit_code == 0
+    for folder in (tmp_path / "out", tmp_path):
+        (folder / "mine.toml").write_bytes(mine.read_bytes())
+        assert run("report", result, "-o", out).exit_code == 0
+        (folder / "mine.toml").unlink()
+
+
+def test_the_hash_of_a_problem_is_the_same_in_every_process():
+    """Else no result file would find its problem again; a set is told in another order with another seed of hashes."""
+    code = "import optlink; print([optlink.load(name).hash for name in optlink.shipped()])"
+    found = set()
+    for seed in ("1", "2", "3"):
+        environment = {**os.environ, "PYTHONHASHSEED": seed}
+        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        found.add(done.stdout)
+    assert len(found) == 1
+
+
+def test_a_recorded_design_is_proven_anew(results, tmp_path):
+    """A result file that claims more than is true is found out."""
+    document = json.loads((results / "crank-rocker" / "result.json").read_text())
+    document["design"]["rocker_mm"] = 220.0
+    (tmp_path / "result.json").write_text(json.dumps(document))
+    done = run("report", str(tmp_path / "result.json"), "-o", str(tmp_path / "a.html"))
+    assert done.exit_code == 1
+    assert "Not valid" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("crank-rocker", "-o", "a.pdf"), ".html"),
+        (("crank-rocker", "-o", "nowhere/a.html"), "there is no folder"),
+        (("crank-roker", "-o", "a.html"), "crank-rocker"),
+        (("gone.json", "-o", "a.html"), "No such file"),
+    ],
+)
+def test_bad_input_is_named(tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    done = run("report", *arguments)
+    assert done.exit_code == 2
+    assert words in " ".join(done.stderr.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_limit_of_a_page():
+    assert LARGEST == 6_000_000
+
+
+# --- in a browser ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_assets_belong_to_the_package():
+    """Beside the modules, where the wheel takes them from."""
+    folder = Path(optlink.__file__).parent / "report" / "assets"
+    assert {path.name for path in folder.iterdir()} == {"page.html", "page.css", "page.js"}
+
+
+@pytest.fixture(scope="module")
+def driver():
+    with browser() as started:
+        yield started
+
+
+def poses(driver) -> dict[str, str]:
+    script = """return Object.fromEntries([...document.querySelectorAll('[data-body]')]
+        .map(node => [node.dataset.body, node.getAttribute('transform')]))"""
+    return driver.execute_script(script)
+
+
+def slide_to(driver, index: int) -> None:
+    script = """const slider = document.getElementById('crank'); slider.value = arguments[0];
+        slider.dispatchEvent(new Event('input', {bubbles: true}))"""
+    driver.execute_script(script, index)
+
+
+@pytest.mark.parametrize("name", ["crank-rocker", "motion-3-poses", "shaper", "oscillating-cylinder"])
+def test_a_page_in_a_browser(driver, tmp_path, name):
+    """No complaint, no request, all charts drawn; the slider moves the linkage to where the kinematics has it."""
+    about, path = subject(name), tmp_path / "a.html"
+    write_page(about, path)
+    complaints, asked = opened(driver, path)
+    assert complaints == []
+    assert asked == []
+    drawn = driver.execute_script("return document.querySelectorAll('.plot .main-svg').length")
+    assert drawn >= len(charts(about))
+    buttons = driver.execute_script(
+        "return [...document.querySelectorAll('.modebar-btn')].map(one => one.dataset.title.toLowerCase())"
+    )
+    assert set(buttons) == {"download plot as a png", "zoom", "pan", "zoom in", "zoom out", "reset axes"}  # none that uploads
+    before = poses(driver)
+    slide_to(driver, 100)
+    after = poses(driver)
+    assert (
+        set(before) == set(after) == {body.name for body in scene(about.cycle).bodies if body.parts or body.centroid is not None}
+    )
+    assert all(before[body] != after[body] for body in before)
+    expected = scene(about.cycle)
+    for body in expected.bodies:
+        if body.name in after:
+            told = [float(part) for part in re.findall(r"-?[\d.]+(?:e-?\d+)?", after[body.name])]
+            assert told == pytest.approx(body.poses[100], abs=2e-5 * max(expected.box[2:]))
+    angle = driver.execute_script("return document.getElementById('crank-angle').textContent")
+    assert float(angle.rstrip("°").replace("−", "-")) == pytest.approx(expected.angles[100], abs=0.051)
+    assert console(driver) == []
+    assert requests(driver, path) == []
+
+
+def test_the_slider_of_the_crank_rocker_by_the_law_of_cosines(driver, tmp_path, crank_rocker_subject):
+    """Where the page puts the rocker's end, against the textbook."""
+    path = tmp_path / "a.html"
+    write_page(crank_rocker_subject, path)
+    opened(driver, path)
+    crank, coupler, rocker, frame = (
+        1e3 * crank_rocker_subject.outcome.design[n] for n in ("crank", "coupler", "rocker", "frame")
+    )
+    script = "return document.querySelector('circle[data-point=C]').getAttribute('transform')"
+    for index in (0, 77, 200, 359):
+        slide_to(driver, index)
+        phi = crank_rocker_subject.outcome.design["phi0"] + math.radians(index)
+        reach = math.sqrt(crank**2 + frame**2 - 2 * crank * frame * math.cos(phi))
+        inner = math.atan2(crank * math.sin(phi), frame - crank * math.cos(phi))
+        outer = math.acos((reach**2 + rocker**2 - coupler**2) / (2 * reach * rocker))
+        psi = math.pi - inner - outer
+        x, y = (float(part) for part in re.findall(r"-?[\d.]+", driver.execute_script(script)))
+        assert (x, -y) == pytest.approx((frame + rocker * math.cos(psi), rocker * math.sin(psi)), abs=0.01)
+
+
+def test_the_play_button_moves_and_stops(driver, tmp_path, crank_rocker_subject):
+    path = tmp_path / "a.html"
+    write_page(crank_rocker_subject, path)
+    opened(driver, path)
+    before = poses(driver)
+    button = driver.find_element("id", "play")
+    button.click()
+    driver.execute_async_script("setTimeout(arguments[0], 400)")
+    assert poses(driver) != before
+    button.click()
+    stopped = poses(driver)
+    driver.execute_async_script("setTimeout(arguments[0], 200)")
+    assert poses(driver) == stopped
+    toggles = driver.find_elements("css selector", "[data-toggle]")
+    toggles[0].click()
+    assert driver.execute_script("return document.querySelector('[data-layer=traces]').style.display") == "none"
+
+
+def test_a_page_prints(driver, tmp_path, crank_rocker_subject):
+    """On paper: a few sheets, no controls, and the charts as wide as the sheet."""
+    path = tmp_path / "a.html"
+    write_page(crank_rocker_subject, path)
+    opened(driver, path)
+    printed = driver.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
+    document = base64.b64decode(printed["data"])
+    assert document.startswith(b"%PDF")
+    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", document)) <= 8
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    assert not driver.find_element("id", "play").is_displayed()
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert console(driver) == []
+
+
+def test_texts_do_not_run_in_a_browser(driver, tmp_path):
+    file = optlink.load(evil_problem(tmp_path))
+    path = tmp_path / "a.html"
+    write_page(subject_of(file, answered(file, given={"coupler": 0.41286542, "rocker": 0.23224617})), path)
+    complaints, asked = opened(driver, path)
+    assert (complaints, asked) == ([], [])
+    assert driver.execute_script("return window.caught === undefined")
+    assert driver.execute_script("return document.querySelector('h1').textContent") == EVIL
+
+
+def test_what_got_into_a_page_would_still_not_run(driver, tmp_path, crank_rocker_subject):
+    """The second lock: the page's own policy lets no other script run and nothing be loaded; and the checks above see a fault."""
+    path = tmp_path / "a.html"
+    text = page(crank_rocker_subject)
+    more = "<script>window.caught = 1</script><img src='http://127.0.0.1:9/x.png'>"
+    path.write_text(text.replace("</footer>", f"</footer>{more}"))
+    complaints, _ = opened(driver, path)
+    assert len(complaints) >= 2
+    assert driver.execute_script("return window.caught === undefined")
+    policy = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
+    path.write_text(policy.sub("", text).replace("</footer>", f"</footer>{more}"))
+    complaints, asked = opened(driver, path)
+    assert asked == ["http://127.0.0.1:9/x.png"]
+    assert complaints
+    assert driver.execute_script("return window.caught === 1")

@@ -1,0 +1,654 @@
+"""Pages of recorded results: they say what was computed, refuse what is damaged in a sentence, and work in a browser."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import importlib
+import itertools
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+
+import optlink
+from optlink.errors import InputError
+from optlink.report.html.shell import LARGEST, Sheet
+from optlink.report.stored.loader import STUDIES, opened
+from optlink.report.stored.reader import LARGEST as LARGEST_NUMBER
+from optlink.report.stored.stored_result import KNOWN
+from optlink.report.stored.stored_study import Studied, _sheet, studied_page
+from tests.browser import browser, console, requests
+from tests.browser import opened as shown
+from tests.cli.test_cli import run
+from tests.report.test_report_page import Reader, poses, slide_to
+
+COMMANDS = {
+    "course": ("simulate", "six-bar", "--duration", f"{2.0 * math.pi / 10.0!r} s", "--points", "360"),
+    "play": ("simulate", "crank-rocker-clearance", "--revolutions", "2", "--points", "90", "--tolerance", "1e-6"),
+    "compared": (
+        "simulate",
+        "crank-rocker-clearance",
+        "--control",
+        "compare",
+        "--revolutions",
+        "1",
+        "--starts",
+        "2",
+        "--tolerance",
+        "1e-5",
+    ),
+    "balance": ("balance", "balance-four-bar", "--trade", "force,torque", "--points", "5"),
+    "tolerance": (
+        *("study", "tolerance", "crank-rocker", "--tolerance", "coupler=0.3 mm", "--tolerance", "rocker=0.2 mm uniform"),
+        *("--limit", "2.33 deg", "--samples", "4096", "--allocate", "90 %"),
+    ),
+    "sensitivity": ("study", "sensitivity", "crank-rocker", "--check"),
+    "solve": ("solve", "crank-rocker"),
+}
+FOLDERS = {
+    "sweep": ("study", "sweep", "crank-rocker", "--vary", "limits.transmission_angle.max=110..179 deg:24"),
+    "map": (
+        "study",
+        "sweep",
+        "crank-rocker",
+        "--vary",
+        "mechanism.frame=480..520 mm:3",
+        "--vary",
+        "limits.transmission_angle.max=130..140 deg:4",
+    ),
+    "many": (
+        *("study", "sweep", "crank-rocker", "--analyze", "--column", "C.transmission_rad", "--points", "24"),
+        *("--design", "rocker=232 mm", "--design", "coupler=400 mm", "--vary", "mechanism.frame=480..520 mm:2"),
+        *("--vary", "mechanism.crank=90..100 mm:2", "--vary", "mechanism.coupler=400..420 mm:3"),
+    ),
+    "front": ("study", "pareto", "crank-rocker", "--objectives", "error, limits.transmission_angle.max", "--points", "6"),
+}
+RECORDED = [name for name in (*COMMANDS, *FOLDERS) if name not in ("sensitivity", "solve")]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    for name, command in COMMANDS.items():
+        done = run(*command, "--json")
+        assert done.exit_code == 0, done.stderr
+        (folder / name).mkdir()
+        (folder / name / "result.json").write_text(done.stdout)
+    for name, command in FOLDERS.items():
+        assert run(*command, "--out", str(folder / name)).exit_code == 0
+    return folder
+
+
+def document(results: Path, name: str) -> dict:
+    return json.loads((results / name / "result.json").read_text())
+
+
+def sheet(results: Path, name: str) -> Sheet:
+    found = opened(str(results / name))
+    assert isinstance(found, Studied)
+    return _sheet(found, 90)
+
+
+def trace(made: Sheet, name: str) -> dict:
+    return next(one for chart in made.charts for one in chart.figure["data"] if one["name"].startswith(name))
+
+
+def numbers(values: list) -> np.ndarray:
+    return np.array([math.nan if value is None else value for value in values])
+
+
+# --- what pages say ------------------------------------------------------------------------------------------------------------
+
+
+def test_schemas_are_those_of_the_commands():
+    """They are written out beside their readers, so that none is loaded before it is needed."""
+    for schema, (_, reader) in STUDIES.items():
+        room = importlib.import_module(f"optlink.report.views.{reader.partition('.')[0]}")
+        assert schema in (room.SCHEMA, getattr(room, "COMPARISON", ""))
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_a_page_is_complete_small_and_safe(results, tmp_path, name):
+    path = tmp_path / "a.html"
+    done = run("report", str(results / name), "-o", str(path), "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["bytes"] == path.stat().st_size < LARGEST
+    read, told = Reader(path.read_text()), document(results, name)
+    assert read.scripts == 4
+    assert read.handlers == []
+    assert all(address.startswith(("#", "data:,")) for address in read.addresses)
+    assert len(read.ids) == len(set(read.ids))
+    assert {address[1:] for address in read.addresses if address.startswith("#")} <= set(read.ids)
+    words = " ".join(" ".join(texts) for tag, texts in read.texts.items() if tag not in ("script", "style"))
+    assert told["title"] in words
+    assert told["problem_hash"] in words
+    assert "nan" not in re.findall(r"[a-z]+", words)
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_every_chart_is_a_figure_that_plotly_knows(results, name):
+    made = sheet(results, name)
+    assert made.charts
+    for chart in made.charts:
+        go.Figure(chart.figure)
+        if chart.picks is not None:
+            assert all(len(row) == len(chart.picks.names) for row in chart.picks.rows)
+            assert len(chart.picks.rows) == len(chart.picks.x) == len(chart.picks.y)
+            assert chart.figure["data"][-1]["x"] == [chart.picks.x[chart.picks.first]]
+
+
+def test_a_simulation_at_constant_speed_is_the_analysis(results):
+    """Published extremes of the torque and of the slide, read from the curves."""
+    made = sheet(results, "course")
+    torque = numbers(trace(made, "driving torque")["y"])
+    assert np.max(torque) == pytest.approx(278.8344391, rel=2e-4)
+    assert np.min(torque) == pytest.approx(-320.0521365, rel=2e-4)
+    slide = numbers(trace(made, "position")["y"])
+    assert np.ptp(slide) == pytest.approx(373.9041584796, rel=1e-4)
+    stops = made.moving.stops
+    assert stops.values[-1] == pytest.approx(2 * math.pi / 10.0)  # a revolution at 10 rad/s
+    crank = numbers(made.moving.readouts[0].values)
+    assert np.diff(crank) == pytest.approx(360.0 / (len(crank) - 1), abs=2e-3)
+
+
+def test_a_simulation_is_drawn_with_the_sizes_that_ran(tmp_path):
+    problem = optlink.load("crank-rocker")
+    run = optlink.simulate(problem, speed=5.0, rows=90, design={"coupler": 0.43, "rocker": 0.22})
+    told = json.loads(json.dumps(run.to_dict()))
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    moving = _sheet(opened(str(tmp_path)), 90).moving
+    places = moving.scene.points["C"] - moving.scene.points["B"]
+    assert np.hypot(*places.T) == pytest.approx(430.0, abs=1e-3)
+    del told["sizes_SI"]["coupler"]
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match=r"sizes_SI\.coupler"):
+        _sheet(opened(str(tmp_path)), 90)
+    del told["sizes_SI"]
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    assert _sheet(opened(str(tmp_path)), 90).moving is None  # the sizes of the file are those of another linkage
+
+
+def test_an_orbit_stays_in_its_gap(results):
+    told, made = document(results, "play"), sheet(results, "play")
+    [gap] = told["gaps"]
+    circle = trace(made, "clearance")
+    assert np.hypot(numbers(circle["x"]), numbers(circle["y"])) == pytest.approx(gap["clearance"] * 1e6, rel=1e-5)
+    deepest = max(told["columns"][f"{gap['point']}.penetration_m"]) * 1e6
+    for name in ("apart", "in contact"):
+        path = trace(made, name)
+        away = np.hypot(numbers(path["x"]), numbers(path["y"]))
+        assert np.nanmax(away) <= gap["clearance"] * 1e6 + deepest + 1e-3
+    error = numbers(trace(made, "deviation of rocker")["y"])
+    assert np.nanmax(np.abs(error)) <= math.degrees(told["figures"]["peak_rad"]) * (1 + 1e-6)
+
+
+def test_a_balance_is_proven_anew(results, tmp_path):
+    """The full force balance leaves no shaking force (Berkof and Lowen 1969); a heavier weight in the file is found out."""
+    made, told = sheet(results, "balance"), document(results, "balance")
+    assert np.max(np.abs(numbers(trace(made, "balanced: shaking force")["y"]))) < 1e-9
+    shaking = next(chart for chart in made.charts if chart.title == "Shaking and drive")
+    given = numbers(shaking.figure["data"][0]["y"])
+    rms = next(one["before"] for one in told["measures"] if one["name"] == "rms shaking force")
+    assert np.sqrt(np.mean(given**2)) == pytest.approx(rms * 1e3, rel=1e-6)  # a figure in mN
+    told["counterweights"][0]["first_moment_along_kg_m"] *= 1.02
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match="with these counterweights, not"):
+        opened(str(tmp_path))
+
+
+def test_the_tolerances_of_a_page_add_up(results):
+    told, made = document(results, "tolerance"), sheet(results, "tolerance")
+    shares = [numbers(trace(made, name)["y"]) for name in ("coupler", "rocker")]
+    assert np.sum(shares, axis=0) == pytest.approx(100.0, abs=1e-4)
+    inside, beyond = (np.sum(numbers(trace(made, name)["y"])) for name in ("within the limit", "beyond it"))
+    assert inside + beyond == pytest.approx(100.0)
+    edges = np.array(told["monte_carlo"]["histogram"]["edges"])
+    held = np.array(told["monte_carlo"]["histogram"]["counts"])
+    below = np.sum(held[edges[1:] <= told["limit"]]) / held.sum()
+    above = np.sum(held[edges[:-1] <= told["limit"]]) / held.sum()
+    assert below <= told["monte_carlo"]["yield"] <= above  # counted one by one, between the bins around the limit
+    text = made.html()
+    assert f"Yield {100 * told['monte_carlo']['yield']:.3f} %" in text
+    low, high = told["monte_carlo"]["yield_interval_95_percent"]
+    assert f"{100 * low:.3f} % ... {100 * high:.3f} %" in text
+
+
+def test_a_sweep_by_its_table(results):
+    """Best row and changes of the active set, found in the CSV file by other means."""
+    made = sheet(results, "sweep")
+    with (results / "sweep" / "sweep.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    best = min(range(len(rows)), key=lambda k: float(rows[k]["objective_rad2"]))
+    picks = made.charts[0].picks
+    assert picks.first == best
+    assert float(picks.rows[best][picks.names.index("coupler [mm]")]) == pytest.approx(float(rows[best]["coupler_mm"]), rel=1e-6)
+    places = [
+        float(new["limits.transmission_angle.max_deg"]) for old, new in itertools.pairwise(rows) if old["active"] != new["active"]
+    ]
+    assert places  # from some angle on the limit holds no more
+    assert [shape["x0"] for shape in made.charts[0].figure["layout"]["shapes"]] == pytest.approx(places)
+    frame = 1e3 * opened(str(results / "sweep")).problem.model.quantities["frame"].value
+    assert made.moving.scene.points["D"][0][0] == pytest.approx(frame)
+
+
+def test_a_map_has_every_point_at_its_place(results):
+    made = sheet(results, "map")
+    shaded = trace(made, "objective")
+    with (results / "map" / "sweep.csv").open() as file:
+        for row in csv.DictReader(file):
+            i = shaded["y"].index(float(row["mechanism.frame_mm"]))
+            j = min(range(4), key=lambda k: abs(shaded["x"][k] - float(row["limits.transmission_angle.max_deg"])))
+            assert shaded["z"][i][j] == pytest.approx(float(row["objective_rad2"]), rel=1e-5)
+            number = shaded["customdata"][i][j]
+            assert made.charts[0].picks.rows[number][0] == f"{float(row['mechanism.frame_mm']):g}"
+
+
+def test_a_front_by_its_table(results):
+    """The knee by the distance from the chord, and every design that can be picked."""
+    made = sheet(results, "front")
+    with (results / "front" / "front.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    names = list(rows[0])[:2]
+    points = np.array([[float(row[name]) for name in names] for row in rows])
+    scaled = (points - points.min(axis=0)) / np.ptp(points, axis=0)
+    chord = scaled[-1] - scaled[0]
+    off = (scaled - scaled[0]) @ np.array([-chord[1], chord[0]])
+    picks = made.charts[0].picks
+    assert picks.first == int(np.argmax(np.abs(off)))
+    for row, told in zip(rows, picks.rows, strict=True):
+        assert float(told[picks.names.index("rocker [mm]")]) == pytest.approx(float(row["rocker_mm"]), rel=1e-6)
+    crank, rocker = (made.moving.scene.points[name] for name in "BC")
+    assert np.hypot(*(rocker - crank).T) == pytest.approx(float(rows[picks.first]["coupler_mm"]), rel=1e-9)
+
+
+def test_three_objectives_have_a_colour(results, tmp_path):
+    """A front of three, made from one of two: the colour of every point is its third objective."""
+    told = document(results, "front")
+    told["objectives"].append({"name": "swing", "column": "swing_deg", "unit": "deg", "sense": "maximise"})
+    for k, point in enumerate(told["front"]):
+        point["objectives"]["swing_deg"] = 40.0 + k
+    told["ends"]["swing_deg"], told["knee"] = 1, None
+    told["given"]["swing_deg"] = 41.0
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    made = _sheet(opened(str(tmp_path)), 90)
+    cloud = made.charts[0].figure["data"][0]
+    assert cloud["marker"]["color"] == [40.0 + k for k in range(len(told["front"]))]
+    assert "swing [deg] (more is better)" in made.charts[0].picks.names
+    go.Figure(made.charts[0].figure)
+
+
+def test_a_machine_that_stays_at_rest_has_a_page(tmp_path):
+    """One row, no curve; a drive that is too weak is no damage."""
+    change = ("--set", "drive.torque=1 N*m")
+    done = run("simulate", "shaper", *change, "--json")
+    (tmp_path / "result.json").write_text(done.stdout)
+    assert len(json.loads(done.stdout)["columns"]["time_s"]) == 1
+    made = run("report", str(tmp_path), *change, "-o", str(tmp_path / "a.html"))
+    assert made.exit_code == 0
+    assert "Came to rest" in made.stdout
+
+
+def test_limits_that_cannot_hold_together_are_named(tmp_path):
+    change = ("--set", 'balance.limits={ "largest reaction at D" = "1 N" }')
+    (tmp_path / "result.json").write_text(run("balance", "balance-six-bar", *change, "--json").stdout)
+    done = run("report", str(tmp_path), *change, "-o", str(tmp_path / "a.html"))
+    assert done.exit_code == 1
+    text = (tmp_path / "a.html").read_text()
+    assert "No counterweights meet all limits" in text
+    assert "These limits cannot hold together" in text
+
+
+def test_what_matters_stands_on_the_page_of_a_result(results, tmp_path):
+    """Sensitivities of a recorded optimum are those of the searched one, for which another test solves the problem again."""
+    for name in ("solve", "sensitivity"):
+        path = tmp_path / f"{name}.html"
+        assert run("report", str(results / name), "-o", str(path)).exit_code == 0
+        text = path.read_text()
+        assert "What matters" in text
+        assert "-1.929 %" in text
+        assert ("Searched again on both sides of each" in text) is (name == "sensitivity")
+    text = (tmp_path / "sensitivity.html").read_text()
+    assert text.index('id="what-matters"') < text.index('id="design-and-proof"')
+
+
+def test_a_sensitivity_that_is_no_optimum_is_found_out(results, tmp_path):
+    told = document(results, "sensitivity")
+    told["design"]["rocker"] += 1.0
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match="not the optimum"):
+        opened(str(tmp_path))
+
+
+# --- what is damaged -----------------------------------------------------------------------------------------------------------
+
+
+def damaged(results: Path, name: str):
+    """The document with every key missing, and with other things at every key; of tables, of their first two keys."""
+    whole = document(results, name)
+    places = [(key,) for key in whole]
+    for key, held in whole.items():
+        below = held[0] if isinstance(held, list) and held and isinstance(held[0], dict) else held
+        if isinstance(below, dict):
+            places += [(key, *((0,) if below is not held else ()), inner) for inner in list(below)[:5]]
+    for place in places:
+        for value in (KeyError, None, "x", [1.0, None]):
+            copy = at = dict(whole)
+            for step in place[:-1]:
+                at[step] = [*at[step]] if isinstance(at[step], list) else {**at[step]}
+                at = at[step]
+            if value is KeyError:
+                del at[place[-1]]
+            else:
+                at[place[-1]] = value
+            yield place, value, copy
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_whatever_is_damaged_is_shown_or_refused_in_a_sentence(results, tmp_path, name):
+    for beside in results.joinpath(name).glob("*.csv"):
+        (tmp_path / beside.name).write_bytes(beside.read_bytes())
+    refused = 0
+    for place, value, copy in damaged(results, name):
+        (tmp_path / "result.json").write_text(json.dumps(copy))
+        try:
+            opened(str(tmp_path))
+        except InputError as error:
+            refused += 1
+            [fault] = error.faults
+            assert fault.remedy, (place, value)
+            assert "\n" not in fault.message
+    assert refused > 25
+
+
+@pytest.mark.parametrize("what", ["penetration_max_m", "normal_max_N"])
+def test_a_simulation_of_an_earlier_version_is_to_be_run_again(results, tmp_path, what):
+    """It has no largest values between rows, for which nothing else in the file can stand."""
+    old = document(results, "play")
+    name = next(name for name in old["turns"] if name.endswith(f".{what}"))
+    del old["turns"][name]
+    (tmp_path / "result.json").write_text(json.dumps(old))
+    with pytest.raises(InputError, match=rf"turns\.{name}.*earlier version.*Run the command again"):
+        opened(str(tmp_path))
+
+
+def test_the_sentences_of_damaged_results(results, tmp_path):
+    good = document(results, "tolerance")
+    bad = {
+        "a missing key": (
+            {key: value for key, value in good.items() if key != "linear"},
+            "linear: the result is damaged: this is missing",
+        ),
+        "another kind": ({**good, "limit": "2 deg"}, 'limit = "2 deg": the result is damaged: this is not a number'),
+        "cut arrays": ({**good, "value": good["value"][:3]}, "there are 3 numbers where 31 belong"),
+        "another version": ({**good, "schema": "optlink/tolerance/2"}, "of another version of its format"),
+        "no study": ({**good, "schema": "optlink/list/1"}, "not a result that can be shown here"),
+        "no schema": ({"a": 1}, "not a result of optlink"),
+        "another problem": ({**good, "problem_hash": "0" * 16}, "of another problem or version"),
+    }
+    for name, (copy, words) in bad.items():
+        (tmp_path / "result.json").write_text(json.dumps(copy))
+        done = run("report", str(tmp_path), "-o", str(tmp_path / "a.html"))
+        assert done.exit_code == 2, name
+        assert words in " ".join(done.stderr.split()), (name, done.stderr)
+        assert done.stderr.count("Error:") == 1
+        assert not (tmp_path / "a.html").exists()
+
+
+def test_a_sweep_needs_its_table(results, tmp_path):
+    folder = tmp_path / "sweep"
+    folder.mkdir()
+    told = document(results, "sweep") | {"table": None}
+    (folder / "result.json").write_text(json.dumps(told))
+    table = (results / "sweep" / "sweep.csv").read_text()
+    for text, words in {
+        None: "cannot read the table",
+        table[: len(table) // 2]: "cannot read the table|not that of this sweep",
+        table.replace("rocker_mm", "rocker_m"): "not that of this sweep",
+        "\n".join(table.split("\n")[:-4]): "not that of this sweep",
+        table.replace("0.00", "zero", 1): "holds no number",
+    }.items():
+        if text is not None:
+            (folder / "sweep.csv").write_text(text)
+        with pytest.raises(InputError, match=words):
+            opened(str(folder))
+
+
+def test_a_folder_without_a_result(tmp_path):
+    done = run("report", str(tmp_path), "-o", str(tmp_path / "a.html"))
+    assert done.exit_code == 2
+    assert "the folder holds no result.json" in done.stderr
+    assert "--resume" in done.stderr
+
+
+def test_a_shipped_problem_goes_before_a_folder_of_its_name(results, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "six-bar").mkdir()
+    (tmp_path / "six-bar" / "result.json").write_bytes((results / "course" / "result.json").read_bytes())
+    assert run("report", "six-bar", "-o", "a.html").stdout.endswith("Analysed\n")
+    assert run("report", "six-bar/", "-o", "a.html").stdout.endswith("Finished\n")
+
+
+def test_a_study_is_no_one_design_to_export(results, tmp_path):
+    done = run("export", str(results / "sweep"), "-o", str(tmp_path / "a.dxf"))
+    assert done.exit_code == 2
+    assert "a sweep is no one design that could be drawn" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_texts_of_a_result_stay_texts(results, tmp_path):
+    evil = "<script>window.caught = 1</script><img src=x onerror=alert(1)>"
+    told = document(results, "front")
+    for point in told["front"]:
+        point["active"] = [evil]
+        point["mark"] = evil
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    read = Reader(studied_page(opened(str(tmp_path))))
+    assert read.scripts == 4
+    assert read.handlers == []
+    assert "img" not in read.texts
+    for trace_ in _sheet(opened(str(tmp_path)), 90).charts[0].figure["data"]:
+        assert evil not in str(trace_.get("text", ""))  # plotly reads texts of points as markup
+
+
+def test_known_schemas_are_told(tmp_path):
+    (tmp_path / "a.json").write_text(json.dumps({"schema": "optlink/other/1"}))
+    with pytest.raises(InputError, match="study pareto") as caught:
+        opened(str(tmp_path / "a.json"))
+    for command in {*KNOWN.values(), *(command for command, _ in STUDIES.values())}:
+        assert command in str(caught.value)
+
+
+# --- in a browser --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def driver():
+    with browser() as started:
+        yield started
+
+
+def picked(driver) -> list[str]:
+    return driver.execute_script("return [...document.querySelectorAll('[data-pick]')].map(one => one.textContent)")
+
+
+@pytest.mark.parametrize("name", [*RECORDED, "sensitivity"])
+def test_a_page_in_a_browser(driver, results, tmp_path, name):
+    """No complaint, no request, every chart drawn; the slider moves the linkage; the keyboard goes from point to point."""
+    from selenium.webdriver.common.keys import Keys
+
+    path = tmp_path / "a.html"
+    assert run("report", str(results / name), "-o", str(path)).exit_code == 0
+    complaints, asked = shown(driver, path)
+    assert (complaints, asked) == ([], [])
+    charts = driver.execute_script("return document.querySelectorAll('.plot').length")
+    assert charts == driver.execute_script(
+        "return [...document.querySelectorAll('.plot')].filter(one => one.querySelector('svg')).length"
+    )
+    assert charts > 0
+    if name not in ("compared", "many"):
+        before = poses(driver)
+        slide_to(driver, 20)
+        after = poses(driver)
+        assert before.keys() == after.keys()
+        assert all(before[body] != after[body] for body in before)
+        slider = driver.find_element("id", "crank")
+        slider.send_keys(Keys.ARROW_RIGHT)
+        assert poses(driver) != after
+        assert slider.get_attribute("aria-valuetext") == driver.find_element("id", "crank-angle").text
+    if name in ("balance", "sweep", "map", "front"):
+        slider = driver.find_element("css selector", ".picked input")
+        for key in (Keys.HOME, Keys.ARROW_RIGHT):
+            slider.send_keys(key)
+        rows = json.loads(driver.execute_script("return document.getElementById('chart-data').textContent"))
+        picks = next(one["picks"] for one in rows if "picks" in one)
+        assert picked(driver) == list(picks["rows"][1])
+        driver.execute_async_script("setTimeout(arguments[0], 300)")
+        mark = driver.execute_script(
+            "const d = document.querySelector('.picked').previousElementSibling.data; return d[d.length - 1].x"
+        )
+        assert mark == [picks["x"][1]]
+    assert console(driver) == []
+    assert requests(driver, path) == []
+
+
+@pytest.mark.parametrize("name", ["front", "map"])
+def test_pointing_at_a_place_tells_its_design(driver, results, tmp_path, name):
+    """The mouse goes there as a person's would."""
+    path = tmp_path / "a.html"
+    assert run("report", str(results / name), "-o", str(path)).exit_code == 0
+    shown(driver, path)
+    chart = json.loads(driver.execute_script("return document.getElementById('chart-data').textContent"))[0]
+    curve = next(one for one in chart["figure"]["data"] if "customdata" in one)
+    i, j = (1, 2) if name == "map" else (2, 2)
+    wanted = curve["customdata"][i][j] if name == "map" else curve["customdata"][j]
+    assert wanted != chart["picks"]["first"]
+    script = """const place = document.getElementById('chart-1');
+        place.scrollIntoView();
+        const [x, y] = [place._fullLayout.xaxis, place._fullLayout.yaxis];
+        const box = place.getBoundingClientRect();
+        return [box.left + x._offset + x.d2p(arguments[0]), box.top + y._offset + y.d2p(arguments[1])]"""
+    x, y = driver.execute_script(script, curve["x"][j], curve["y"][i])
+    for away in (4.0, 0.0):
+        driver.execute_cdp_cmd("Input.dispatchMouseEvent", {"type": "mouseMoved", "x": x + away, "y": y + away})
+        driver.execute_async_script("setTimeout(arguments[0], 300)")
+    assert picked(driver) == list(chart["picks"]["rows"][wanted])
+
+
+@pytest.mark.parametrize("name", RECORDED)
+@pytest.mark.parametrize("width", [1400, 400])
+def test_nothing_is_wider_than_the_screen(driver, results, tmp_path, name, width):
+    path = tmp_path / "a.html"
+    assert run("report", str(results / name), "-o", str(path)).exit_code == 0
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        shown(driver, path)
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+    finally:
+        driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_a_page_prints_its_points_without_sliders(driver, results, tmp_path):
+    path = tmp_path / "a.html"
+    assert run("report", str(results / "front"), "-o", str(path)).exit_code == 0
+    shown(driver, path)
+    printed = driver.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
+    pages = len(re.findall(rb"/Type\s*/Page\b", base64.b64decode(printed["data"])))
+    assert 2 <= pages <= 8
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        assert not driver.find_element("css selector", ".picked input").is_displayed()
+        assert driver.find_element("css selector", "[data-pick]").is_displayed()
+    finally:
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+@pytest.mark.parametrize("value", [-1e308, 1e200, 10**400, math.inf], ids=["low", "high", "whole", "endless"])
+@pytest.mark.parametrize(
+    "place", [("linear", "worst_high", 1), ("limit",), ("monte_carlo", "samples"), ("tolerances", 0, "tolerance_SI")]
+)
+def test_numbers_without_measure_are_refused_in_a_sentence(results, tmp_path, place, value):
+    told = at = document(results, "tolerance")
+    for step in place[:-1]:
+        at = at[step]
+    at[place[-1]] = value
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    done = run("report", str(tmp_path), "-o", str(tmp_path / "a.html"))
+    assert done.exit_code == 2
+    assert "the result is damaged" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_the_largest_numbers_that_are_shown_make_a_page(results, tmp_path):
+    told = document(results, "tolerance")
+    told["linear"]["worst_high"][1] = LARGEST_NUMBER
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    assert run("report", str(tmp_path), "-o", str(tmp_path / "a.html")).exit_code == 0
+
+
+def test_a_sensitivity_with_an_unknown_unit_is_damaged(results, tmp_path):
+    told = document(results, "sensitivity")
+    told["design_units"]["rocker"] = "x"
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    done = run("report", str(tmp_path), "-o", str(tmp_path / "a.html"))
+    assert done.exit_code == 2
+    assert 'design_units.rocker = "x": the result is damaged: the unit "x" is unknown' in done.stderr
+
+
+def test_a_table_with_numbers_without_measure_is_refused(results, tmp_path):
+    (tmp_path / "result.json").write_text(json.dumps(document(results, "sweep") | {"table": None}))
+    lines = (results / "sweep" / "sweep.csv").read_text().split("\n")
+    cells = lines[1].split(",")
+    cells[1] = "1e308"
+    (tmp_path / "sweep.csv").write_text("\n".join([lines[0], ",".join(cells), *lines[2:]]))
+    with pytest.raises(InputError, match="holds no number"):
+        opened(str(tmp_path))
+
+
+@pytest.mark.parametrize(("counted", "row"), [("yield", "largest as drawn"), ("3 standard deviations", "largest")])
+def test_the_largest_figure_of_a_robust_design_says_what_it_is_of(results, tmp_path, counted, row):
+    """With standard deviations they stand in the table's title; of a most-yield design the figure has no scatter in it."""
+    told = document(results, "tolerance")
+    design = {"coupler": 0.41, "rocker": 0.23}
+    told["robust"] = {"counted": counted, "valid": True, "design_SI": design, "nominal_design_SI": design}
+    told["robust"] |= {"largest_rad": 0.04, "largest_of_the_nominal_design_rad": 0.05}
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    texts = [text.strip() for told in Reader(studied_page(opened(str(tmp_path)))).texts.values() for text in told]
+    assert row in texts
+    assert ("largest as drawn" in texts) is (counted == "yield")
+
+
+@pytest.mark.parametrize("count", [-7, 0, 10**15])
+def test_a_front_along_no_or_endless_values_is_damaged(results, tmp_path, count):
+    told = document(results, "front")
+    told["held"][0]["values"] = count
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match="no front has so many"):
+        opened(str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "place", [("monte_carlo", "samples"), ("allocation", "check", "samples"), ("allocation", "cost_of_those_given")]
+)
+def test_what_shares_are_taken_of_is_not_zero(results, tmp_path, place):
+    told = at = document(results, "tolerance")
+    for step in place[:-1]:
+        at = at[step]
+    at[place[-1]] = 0
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match=f"{place[-1]} = 0"):
+        opened(str(tmp_path))
+
+
+@pytest.mark.parametrize(("key", "value"), [("before", [0.0, 1.0]), ("before", [1.0, None]), ("first_point_s", 0)])
+def test_a_trade_is_told_against_what_was_before(results, tmp_path, key, value):
+    told = document(results, "balance")
+    told["trade"][key] = value
+    (tmp_path / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match=f"trade.{key}.*not above zero"):
+        opened(str(tmp_path))

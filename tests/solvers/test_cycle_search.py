@@ -1,0 +1,235 @@
+"""The search for machines by their cycle: starting points in one sequence, both slow strokes, distinct designs, continua."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import tomllib
+from functools import cache
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.errors import InputError
+from optlink.optimization.cycle_signals import Trace
+from optlink.problem.file import ProblemFile, read
+from optlink.solvers.cycle_search import Samples, begins
+from optlink.tasks.cycle import check_machine, design_machine
+from optlink.tasks.cycle_result import MachineDesign, task_of
+
+PUMP = """
+title = "Offset pump"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+[mechanism.links]
+crank = { joints = ["A", "B"], length = { start = "40 mm", bounds = ["20 mm", "70 mm"] } }
+rod = { joints = ["B", "C"], length = { start = "180 mm", bounds = ["120 mm", "260 mm"] } }
+piston = { joints = ["C"] }
+[mechanism.guides]
+G = { slider = "piston", direction = "0 deg", through = "A", offset = { start = "0 mm", bounds = ["-60 mm", "60 mm"] } }
+[mechanism.assembly]
+C = "forward"
+[bodies]
+piston = { mass = "3 kg" }
+[loads]
+delivery = { on = "piston", force = "2 kN", acts = "opposing", stroke = "slow" }
+[drive]
+speed = "120 rpm"
+[objective]
+quantity = "torque"
+[limits]
+stroke = { quantity = "stroke", of = "piston", exactly = "90 mm" }
+ratio = { quantity = "time ratio", of = "piston", min = 1.06 }
+"""
+
+LINKS = """
+title = "Crank-rocker, every length free"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+D = [{ start = "200 mm", bounds = ["100 mm", "400 mm"] }, "0 mm"]
+[mechanism.links]
+crank = { joints = ["A", "B"], length = { start = "60 mm", bounds = ["20 mm", "120 mm"] } }
+coupler = { joints = ["B", "C"], length = { start = "190 mm", bounds = ["40 mm", "600 mm"] } }
+rocker = { joints = ["D", "C"], length = { start = "120 mm", bounds = ["40 mm", "400 mm"] } }
+[mechanism.assembly]
+C = "left of B-D"
+[drive]
+speed = "60 rpm"
+[objective]
+quantity = "transmission angle"
+of = "C"
+measure = "least"
+sense = "maximise"
+[limits]
+swing = { quantity = "stroke", of = "rocker", exactly = "60 deg" }
+ratio = { quantity = "time ratio", of = "rocker", stroke = "forward", exactly = 1.15 }
+most = { quantity = "transmission angle", of = "C", measure = "largest", max = "150 deg" }
+"""
+
+
+def problem(text: str, **changes: object) -> ProblemFile:
+    return read(tomllib.loads(text), "machine").override({key.replace("__", "."): value for key, value in changes.items()})
+
+
+@cache
+def pump(**changes: object) -> MachineDesign:
+    return design_machine(problem(PUMP, **changes), starts=2)
+
+
+# --- the slow stroke in a search -----------------------------------------------------------------------------------------
+
+
+def rotations(result: MachineDesign) -> dict[str, float]:
+    """Crank rotation of each stroke, from the signs of the ordinary analysis alone [deg]."""
+    assert result.found is not None
+    velocity = result.found["piston.v_m_s"][:-1]
+    share = float(np.mean(velocity > 0.0))
+    return {"forward": 360.0 * share, "backward": 360.0 * (1.0 - share)}
+
+
+@pytest.mark.parametrize("speed", ["120 rpm", "-120 rpm"])
+@pytest.mark.parametrize("stroke", ["forward", "backward"])
+def test_a_time_ratio_with_a_direction_makes_that_stroke_the_slow_one(stroke, speed):
+    ratio = {"quantity": "time ratio", "of": "piston", "stroke": stroke, "exactly": 1.2}
+    result = design_machine(problem(PUMP, limits__ratio=ratio, drive__speed=speed), starts=1)
+    assert result.valid
+    found = rotations(result)
+    other = next(name for name in found if name != stroke)
+    assert found[stroke] / found[other] == pytest.approx(1.2, abs=0.03)
+    assert result.built is not None
+    assert result.to_dict()["strokes"]["piston slides"]["slow_stroke"] == stroke
+
+
+def test_both_slow_strokes_are_searched_from_a_start_that_has_none():
+    """The start is centred: the answer is the better of the two machines whose offset is kept to one side."""
+    sides = [["-60 mm", "-1 mm"], ["1 mm", "60 mm"]]
+    one, other = (
+        design_machine(problem(PUMP, mechanism__guides__G__offset={"start": f"{5 * k} mm", "bounds": side}), starts=1)
+        for k, side in zip((-1, 1), sides, strict=True)
+    )
+    assert one.valid
+    assert other.valid
+    assert pump().valid
+    assert pump().objective <= min(one.objective, other.objective) * (1.0 + 1e-7)
+    assert pump().built is not None
+    (record,) = (r for name, r in pump().to_dict()["strokes"].items() if name == "piston slides")
+    assert record["slow_stroke"] == record["working_stroke"]
+
+
+def test_a_load_of_the_slow_stroke_needs_one():
+    """Where every machine is centred the validation says so, and the start is refused where nothing is free."""
+    result = check_machine(problem(PUMP), {"G.offset": 0.0})
+    assert not result.valid
+    assert any("no slow stroke" in check.name for check in result.validation.checks)
+    fixed = {"mechanism__guides__G__offset": "0 mm", "mechanism__links__crank__length": "45 mm"}
+    with pytest.raises(InputError, match="no slow stroke"):
+        problem(PUMP, **fixed, mechanism__links__rod__length="180 mm")
+
+
+def test_a_ratio_below_a_limit_is_that_of_the_slow_stroke_in_either_direction():
+    """A largest ratio of the slow stroke holds in both directions: the quick-return of the other direction is no way out."""
+    ratio = {"quantity": "time ratio", "of": "piston", "max": 1.02}
+    low = {"quantity": "length", "of": "rod.length", "max": "150 mm"}
+    offset = {"start": "20 mm", "bounds": ["-60 mm", "60 mm"]}
+    changes = {"limits__ratio": ratio, "limits__rod": low, "mechanism__guides__G__offset": offset}
+    result = design_machine(problem(PUMP, **changes, loads__delivery__stroke="forward"), starts=2)
+    assert result.valid
+    found = rotations(result)
+    assert max(found.values()) / min(found.values()) <= 1.03
+
+
+@pytest.mark.parametrize(
+    ("limit", "key"),
+    [
+        ({"quantity": "time ratio", "of": "piston", "stroke": "slow", "min": 0.9}, "limits.ratio.min"),
+        ({"quantity": "time ratio", "of": "piston", "stroke": "quick", "max": 1.1}, "limits.ratio.max"),
+        ({"quantity": "time ratio", "of": "piston", "stroke": "forward", "max": -1.0}, "limits.ratio.max"),
+        ({"quantity": "end", "of": "piston", "stroke": "slow", "max": "1 m"}, "limits.ratio.stroke"),
+    ],
+)
+def test_ratios_that_no_stroke_has_are_refused(limit, key):
+    with pytest.raises(InputError, match=key):
+        problem(PUMP, limits__ratio=limit)
+
+
+# --- more starting points ------------------------------------------------------------------------------------------------
+
+
+def test_starting_points_of_a_smaller_number_come_first():
+    trace = Trace(task_of(problem(PUMP)), slow={"delivery": "forward"})
+    few, more = (begins(Samples(trace, 3), count, lambda _: True) for count in (3, 9))
+    assert {own.structure.slow for own in few} == {own.structure.slow for own in more}
+    for own in few:
+        (same,) = (other for other in more if other.structure.slow == own.structure.slow)
+        assert same.starts[: len(own.starts)] == own.starts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_more_starting_points_are_never_worse(seed):
+    rng = np.random.default_rng(seed)
+    load, mass = rng.uniform(0.5, 4.0), rng.uniform(1.0, 20.0)
+    file = problem(
+        PUMP,
+        loads__delivery__force=f"{load} kN",
+        bodies__piston__mass=f"{mass} kg",
+        drive__speed=f"{rng.choice([-1, 1]) * rng.uniform(30.0, 300.0)} rpm",
+        limits__ratio__min=float(rng.uniform(1.0, 1.15)),
+    )
+    found = [design_machine(file, starts=count, seed=seed) for count in (1, 3, 8)]
+    assert found[-1].valid
+    for few, more in itertools.pairwise(found):
+        assert (not more.valid, more.objective) <= (not few.valid, few.objective * (1.0 + 1e-9))
+    usual = design_machine(file, seed=seed)
+    assert usual.objective == found[-1].objective
+
+
+def test_without_a_feasible_point_no_objective_is_searched(monkeypatch):
+    """A stroke longer than any crank makes: the conflict is named although no local search of the objective ran."""
+    from optlink.solvers import multistart
+
+    monkeypatch.setattr(multistart, "solve_from", lambda *_, **__: pytest.fail("an objective was searched"))
+    result = design_machine(problem(PUMP, limits__stroke__exactly="300 mm"), starts=3)
+    assert not result.valid
+    assert [item.key for item in result.conflict] == ["limits.stroke"]
+    assert 140.0 < result.conflict[0].relaxed < 300.0  # twice the longest crank, and a little more by the offset
+
+
+# --- distinct designs ------------------------------------------------------------------------------------------------------
+
+
+def test_listed_optima_are_polished_and_none_is_below_the_answer():
+    result = pump()
+    assert result.optima[0].objective == result.objective
+    for optimum in result.optima:
+        assert optimum.objective >= result.objective * (1.0 - 1e-9)
+        proof = check_machine(result.problem, optimum.design)
+        assert proof.valid  # also the others meet every limit where it is measured
+        assert proof.objective == pytest.approx(optimum.objective, rel=1e-7)
+    free = np.array([list(optimum.design.values()) for optimum in result.optima])
+    for one, other in itertools.combinations(free, 2):
+        assert np.max(np.abs(one - other)) > 1e-6
+
+
+def test_a_scale_continuum_is_named_and_listed_once():
+    """Angles do not change with the scale of a linkage: all lengths together may be larger or smaller."""
+    result = design_machine(problem(LINKS), starts=4)
+    assert result.valid
+    assert any("scaled together" in note for note in result.notes)
+    assert len(result.optima) == 1
+    assert result.optima[0].count >= 2
+    fixed = design_machine(problem(LINKS, mechanism__links__coupler__length="150 mm"), starts=2)
+    assert fixed.valid
+    assert not any("scaled" in note or "continuum" in note for note in fixed.notes)
+    assert fixed.objective == pytest.approx(result.objective, rel=1e-6)
+    for factor in (0.97, 1.02):  # the independent route: the scaled machine measured
+        scaled = {name: factor * value for name, value in result.values.items()}
+        cycle = check_machine(problem(LINKS), scaled)
+        assert cycle.objective == pytest.approx(result.objective, rel=1e-9)
+        assert math.isfinite(cycle.objective)
+
+
+def test_a_single_optimum_is_no_continuum():
+    assert not any("continuum" in note or "scaled" in note for note in pump().notes)
+    assert optlink.load("press-toggle").model.free  # a machine whose lengths are held by loads and limits in millimetres

@@ -1,0 +1,104 @@
+"""Which limits conflict where no linkage for a path or the best transmission exists, and checks and prices that say something."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.errors import Status
+from optlink.solvers.solution import LEAST_PRICE
+from optlink.tasks.function import solve
+from optlink.tasks.path import Generation, generate
+from optlink.tasks.result import optimality
+
+SWING = 110.0
+MOVER: dict[str, Any] = {
+    "title": "Swinging arm",
+    "mechanism": {
+        "type": "four-bar",
+        "crank": "30 mm",
+        "frame": {"bounds": ["80 mm", "300 mm"]},
+        "coupler": {"bounds": ["80 mm", "400 mm"]},
+        "rocker": {"bounds": ["20 mm", "150 mm"]},
+    },
+    "requirement": {"kind": "transmission"},
+    "limits": {"swing_angle": f"{SWING} deg", "transmission_angle": ["40 deg", "140 deg"]},
+}
+
+
+@pytest.fixture(scope="module")
+def mover() -> Generation:
+    return generate(optlink.read(MOVER), starts=60)
+
+
+def widest_swing() -> float:
+    """Largest swing [deg] of a crank-rocker with 40 ... 140 deg of transmission: grids that close in, by the law of cosines."""
+    low, high, r, best = np.array([80.0, 20.0, 80.0]), np.array([400.0, 150.0, 300.0]), 30.0, math.nan
+    box = low, high
+    for _ in range(12):
+        axes = [np.linspace(*side, 61) for side in zip(*box, strict=True)]
+        a, b, f = np.meshgrid(*axes, indexing="ij")
+        with np.errstate(invalid="ignore"):
+            far, near = (np.degrees(np.arccos((f**2 + b**2 - line**2) / (2 * f * b))) for line in (a + r, a - r))
+            ends = [np.degrees(np.arccos((a**2 + b**2 - d**2) / (2 * a * b))) for d in (f - r, f + r)]
+            swing = np.where((ends[0] >= 40.0) & (ends[1] <= 140.0), far - near, -1.0)
+        k = np.unravel_index(np.argmax(np.nan_to_num(swing, nan=-1.0)), swing.shape)
+        best, centre, half = float(swing[k]), np.array([a[k], b[k], f[k]]), 0.3 * (box[1] - box[0])
+        box = np.maximum(centre - half, low), np.minimum(centre + half, high)
+    return best
+
+
+def test_an_infeasible_transmission_problem_names_its_limits_and_their_amounts(mover: Generation) -> None:
+    assert not mover.valid
+    assert {item.key for item in mover.conflict} == {"limits.swing_angle", "limits.transmission_angle"}
+    (swing,) = (item for item in mover.conflict if item.key == "limits.swing_angle")
+    widest = widest_swing()
+    assert widest < SWING
+    assert swing.relaxed == pytest.approx(widest, abs=0.1)
+    assert mover.to_dict()["conflict"][0]["amount"] > 0.0
+
+
+def test_a_crank_that_is_longer_than_all_cannot_be_the_shortest_link() -> None:
+    mechanism = {**MOVER["mechanism"], "crank": "420 mm", "coupler": {"bounds": ["80 mm", "260 mm"]}}
+    found = generate(optlink.read({**MOVER, "mechanism": mechanism, "limits": {}}), starts=60)
+    assert not found.valid
+    assert found.conflict
+    assert any("cannot be the shortest link" in note for note in found.notes)
+
+
+def test_a_law_whose_crank_is_longest_says_so() -> None:
+    mechanism = {"crank": "310 mm", "frame": "240 mm"}
+    mechanism |= {"coupler": {"bounds": ["50 mm", "290 mm"]}, "rocker": {"bounds": ["50 mm", "200 mm"]}}  # type: ignore[dict-item]
+    requirement = {"law": "psi0 + 0.3*(phi - phi0)", "span": "90 deg", "points": 10}
+    result = solve(optlink.read({"title": "long crank", "mechanism": mechanism, "requirement": requirement}))
+    assert result.status is Status.INFEASIBLE
+    assert any("cannot be the shortest link" in note for note in result.notes)
+
+
+def test_the_check_of_optimality_never_contradicts_its_figure(mover: Generation) -> None:
+    solution = solve(optlink.load("crank-rocker")).solution
+    assert solution is not None
+    for status in Status:
+        for kkt in (1e-16, 1e-3):
+            for violation in (0.0, 1.0):
+                (check,) = optimality(replace(solution, status=status, kkt=kkt, violation=violation))[1:]
+                holds = kkt <= 1e-6
+                assert ("<=" not in check.limit) or check.passed == holds, (status, kkt, check)
+
+
+def test_a_limit_without_a_price_shows_none() -> None:
+    """A law that the four-bar meets exactly has nothing to gain from any limit."""
+    result = solve(optlink.load("crank-rocker"))
+    assert result.solution is not None
+    assert any(limit.multiplier for limit in result.solution.limits)
+    proof = result.solution.proof
+    dead = replace(proof, multipliers=proof.multipliers * (0.1 * LEAST_PRICE / np.max(np.abs(proof.multipliers))))
+    f = result.solution.nlp.values(result.solution.x, result.solution.p)[0]
+    assert math.isfinite(f)
+    scaled = replace(dead, multipliers=dead.multipliers * abs(f))
+    assert not any(limit.multiplier for limit in replace(result.solution, proof=scaled).limits)

@@ -1,0 +1,235 @@
+"""What moves the optimum of a machine: against machines searched again, laws of scaling, and moves of the whole machine."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+import tomli_w
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.errors import InputError
+from optlink.report.stored.stored_result import read_subject
+from optlink.studies.sensitivity import sensitivities
+from optlink.tasks.cycle import design_machine
+
+PUMP = {
+    "title": "Pump on an inclined guide",
+    "gravity": "9.81 m/s^2",
+    "mechanism": {
+        "ground": {"A": ["0 mm", "5 mm"]},
+        "links": {
+            "crank": {"joints": ["A", "B"], "length": {"start": "42 mm", "bounds": ["20 mm", "80 mm"]}},
+            "rod": {"joints": ["B", "C"], "length": {"start": "200 mm", "bounds": ["100 mm", "400 mm"]}},
+            "ram": {"joints": ["C"]},
+        },
+        "guides": {
+            "G": {
+                "slider": "ram",
+                "on": "frame",
+                "through": ["0 mm", {"start": "0 mm", "bounds": ["-30 mm", "30 mm"]}],
+                "direction": "3 deg",
+            }
+        },
+        "assembly": {"C": "forward"},
+    },
+    "bodies": {
+        "crank": {"mass": "1 kg", "inertia": "uniform bar"},
+        "rod": {"mass": "1.5 kg", "inertia": "0.004 kg*m^2"},
+        "ram": {"mass": "4 kg"},
+    },
+    "loads": {"pumping": {"on": "ram", "force": "900 N", "acts": "opposing", "stroke": "forward"}},
+    "drive": {"speed": "150 rpm"},
+    "objective": {"quantity": "torque", "measure": "peak"},
+    "limits": {
+        "stroke": {"quantity": "stroke", "of": "ram", "exactly": "80 mm"},
+        "guide": {"quantity": "guide force", "of": "G", "measure": "peak", "max": "180 N"},
+        "room": {"quantity": "length", "of": "rod.length", "max": "260 mm"},
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def pump():
+    return sensitivities(optlink.read(PUMP), starts=2)
+
+
+@pytest.fixture(scope="module")
+def shaper():
+    return sensitivities(optlink.load("shaper-design"), starts=2)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "unit"),
+    [
+        ("loads.pumping.force", 900.0, "N"),
+        ("bodies.ram.mass", 4.0, "kg"),
+        ("bodies.rod.inertia", 0.004, "kg*m^2"),
+        ("drive.speed", 150.0, "rpm"),
+        ("gravity", 9.81, "m/s^2"),
+        ("limits.stroke.exactly", 80.0, "mm"),
+        ("limits.guide.max", 180.0, "N"),
+        ("mechanism.guides.G.direction", 3.0, "deg"),
+    ],
+)
+def test_derivatives_are_those_of_machines_that_are_searched_again(pump, key, value, unit):
+    step = 2e-3 * value
+    low, high = (design_machine(optlink.read(PUMP).override({key: f"{value + way!r} {unit}"}), starts=1) for way in (-step, step))
+    assert low.valid
+    assert high.valid
+    row = pump[key]
+    assert row.objective == pytest.approx((high.objective - low.objective) / (2.0 * step), rel=2e-5)
+    for name in ("crank.length", "G.y"):
+        moved = 1e3 * (high.values[name] - low.values[name]) / (2.0 * step)
+        assert row.design[name] == pytest.approx(moved, rel=2e-3, abs=2e-4 / step)
+
+
+def test_a_limit_of_a_length_moves_the_length(pump):
+    row = pump["limits.room.max"]
+    assert row.design["rod.length"] == pytest.approx(1.0, abs=1e-12)
+    assert row.objective < 0.0
+
+
+def test_who_moves_the_pivot_moves_the_guide(pump):
+    """Along the guide nothing changes; across it, what lies on the machine goes along."""
+    assert pump["mechanism.ground.A.y"].design["G.y"] == pytest.approx(1.0, abs=1e-9)
+    assert pump["mechanism.ground.A.x"].design["G.y"] == pytest.approx(-math.tan(math.radians(3.0)), rel=1e-9)
+    assert pump["mechanism.guides.G.through.x"].design["G.y"] == pytest.approx(math.tan(math.radians(3.0)), rel=1e-9)
+    for key in ("mechanism.ground.A.x", "mechanism.ground.A.y", "mechanism.guides.G.through.x"):
+        assert abs(pump[key].objective) < 1e-9
+        assert abs(pump[key].design["crank.length"]) < 1e-9
+
+
+def test_a_shaper_on_another_place_is_the_same(shaper):
+    row = shaper["mechanism.ground.A.x"]
+    assert row.design == pytest.approx({"C.x": 1.0} | dict.fromkeys(set(row.design) - {"C.x"}, 0.0), abs=1e-7)
+    assert not shaper["mechanism.guides.F.through.x"].moves
+    assert shaper.notes == ()  # though peaks lie on positions that the programme knows anyway
+
+
+@pytest.mark.parametrize("name", ["pump", "shaper"])
+def test_forces_scale_together(name, request):
+    """What is minimised is linear in loads and limits of forces, and in masses times gravity or the square of the speed."""
+    found = request.getfixturevalue(name)
+
+    def weighed(keys):
+        return sum(row.parameter.value * row.objective for row in found.rows if row.parameter.key.startswith(keys))
+
+    loads = weighed(("loads.", "limits.guide"))
+    masses, gravity, speed = weighed("bodies."), weighed("gravity"), 0.5 * weighed("drive.speed")
+    objective = found.solution.objective
+    assert masses == pytest.approx(gravity + speed, rel=1e-6)
+    assert loads + gravity + speed == pytest.approx(objective, rel=1e-7)
+
+
+def test_every_figure_of_the_file_is_there(pump):
+    keys = {row.parameter.key for row in pump.rows}
+    assert keys >= {
+        "gravity",
+        "drive.speed",
+        "bodies.crank.mass",
+        "bodies.rod.mass",
+        "bodies.rod.inertia",
+        "bodies.ram.mass",
+        "loads.pumping.force",
+        "limits.stroke.exactly",
+        "limits.guide.max",
+        "limits.room.max",
+        "mechanism.ground.A.x",
+        "mechanism.guides.G.direction",
+        "mechanism.guides.G.through.y.max",
+        "mechanism.links.rod.length.min",
+    }
+    assert len(keys) == len(pump.rows)
+
+
+def test_a_result_is_shown_as_it_was_found(pump, tmp_path):
+    file = tmp_path / "pump.toml"
+    file.write_text(tomli_w.dumps(PUMP), encoding="utf-8")
+    out = tmp_path / "out"
+    run = CliRunner().invoke(app, ["study", "sensitivity", str(file), "--starts", "2", "--out", str(out)])
+    assert run.exit_code == 0, run.output
+    told = {row["key"]: row for row in json.loads((out / "result.json").read_text(encoding="utf-8"))["parameters"]}
+    subject = read_subject(out / "result.json", str(file))
+    for row in subject.answers.rows:
+        one = told[row.parameter.key]
+        assert row.objective == pytest.approx(one["objective_per_unit"], rel=1e-5, abs=1e-9)
+        np.testing.assert_allclose(list(row.design.values()), list(one["design_per_unit"].values()), rtol=1e-4, atol=1e-6)
+    assert pump["gravity"].objective == pytest.approx(told["gravity"]["objective_per_unit"], rel=1e-6)
+
+
+def test_where_there_is_no_optimum_it_says_so():
+    tight = optlink.read(PUMP).override({"limits.guide.max": "1 N"})
+    with pytest.raises(InputError, match="no optimum whose sensitivity could be told: infeasible"):
+        sensitivities(tight, starts=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["pump", "shaper-design", "press-toggle"])
+def test_all_of_them_searched_again(name):
+    found = sensitivities(optlink.read(PUMP) if name == "pump" else optlink.load(name), starts=1, check=True)
+    for row in found.moving:
+        assert row.check is not None
+        assert row.check.gap < (1e-3 if name == "press-toggle" else 1e-5), row.parameter.key
+
+
+def test_every_key_can_be_set(pump, shaper):
+    """What is told can be tried: the value that stands there, under the key that stands there."""
+    for found in (pump, shaper):
+        for row in found.rows:
+            p = row.parameter
+            again = found.problem.override({p.key: f"{p.value!r} {p.unit}".strip() if p.unit else p.value})
+            assert again.model.free == found.problem.model.free
+
+
+def test_a_coordinate_has_a_key():
+    problem = optlink.load("shaper-design")
+    moved = problem.override({"mechanism.ground.A.x": "3 mm", "mechanism.ground.C.y.min": "-330 mm"}).model.quantities
+    assert moved["A.x"].value == pytest.approx(3e-3)
+    assert moved["C.y"].bounds == pytest.approx((-0.33, -0.18))
+    for key, words in (
+        ("mechanism.ground.A.z", "it has no z"),
+        ("mechanism.ground.A.along", "it has no along"),
+        ("mechanism.links.crank.joints.x", "it has no x"),
+        ("limits.guide.max.x", "it has no x"),
+    ):
+        with pytest.raises(InputError, match=words):
+            problem.override({key: "1 mm"})
+
+
+def changed(**changes):
+    return optlink.read(PUMP).override({key.replace("__", "."): value for key, value in changes.items()})
+
+
+def test_only_figures_are_figures():
+    """Not the digits in an expression, a file's name or a unit; of a table all values together."""
+    force = {"expression": "-20*v - 5*sin(phi)", "unit": "N"}
+    found = sensitivities(changed(loads__drag={"on": "ram", "force": force}), starts=1)
+    assert [row.parameter.key for row in found.rows if row.parameter.key.startswith("loads.")] == ["loads.pumping.force"]
+    table = {"over": "phi", "at": ["0 deg", "120 deg", "240 deg"], "values": ["0 N", "-60 N", "-20 N"]}
+    problem = changed(loads__gas={"on": "ram", "force": table})
+    row = sensitivities(problem, starts=1)["loads.gas.force.values"]
+    assert (row.parameter.value, row.parameter.unit) == (100.0, "%")
+    low, high = (
+        design_machine(
+            problem.override({"loads.gas.force.values": ["0 N", f"{-60 * share!r} N", f"{-20 * share!r} N"]}), starts=1
+        )
+        for share in (0.98, 1.02)
+    )
+    assert row.objective == pytest.approx((high.objective - low.objective) / 4.0, rel=1e-4)
+
+
+def test_one_per_cent_more_of_a_negative_speed_is_faster(pump):
+    row = sensitivities(changed(drive__speed="-150 rpm", limits__guide__max="400 N"), starts=1)["drive.speed"]
+    other = sensitivities(changed(limits__guide__max="400 N"), starts=1)["drive.speed"]
+    assert row.parameter.step == -other.parameter.step == -1.5
+    assert row.effect == row.objective * row.parameter.step
+
+
+def test_gravity_that_is_tilted_has_two_figures():
+    found = sensitivities(changed(gravity=["1 m/s^2", "-9.7 m/s^2"]), starts=1)
+    assert {"gravity.x", "gravity.y"} <= {row.parameter.key for row in found.moving}

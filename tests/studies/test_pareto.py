@@ -1,0 +1,573 @@
+"""Fronts: against closed forms and single solves, whatever the engine; ends, knee, what is refused, files and exit codes."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+import random
+import signal
+import subprocess
+import sys
+import time
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.errors import InputError
+from optlink.optimization.pareto_front import ends, knee, undominated
+from optlink.problem.file import ProblemFile, load
+from optlink.report.views.pareto_pictures import picture
+from optlink.studies import cycle_task, epsilon_ranges, pareto_objectives
+from optlink.studies.cycle_task import restarted
+from optlink.studies.pareto import ENDS, Pareto, pareto
+from optlink.studies.sweep import sweep
+from optlink.validation import validate as prove
+
+ANGLE = "limits.transmission_angle.max"
+PRESS = """
+title = "Slider-crank whose rod is short"
+source = "Plane geometry: crank r, rod l, stroke 2 r, least angle between rod and the normal of the line arccos(r / l)."
+
+[mechanism]
+type = "dyads"
+
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+
+[mechanism.links]
+crank = { joints = ["A", "B"], length = { start = "50 mm", bounds = ["20 mm", "100 mm"] } }
+rod = { joints = ["B", "E"], length = { start = "200 mm", bounds = ["120 mm", "400 mm"] } }
+ram = { joints = ["E"] }
+
+[mechanism.guides]
+F = { slider = "ram", on = "frame", through = "A", direction = "0 deg" }
+
+[mechanism.assembly]
+E = "forward"
+
+[bodies]
+ram = { mass = "1 kg" }
+
+[loads]
+pressing = { on = "ram", force = "100 N", acts = "opposing", stroke = "forward" }
+
+[drive]
+body = "crank"
+start = "0 deg"
+speed = "60 rpm"
+
+[objective]
+quantity = "length"
+of = "rod.length"
+
+[limits]
+stroke = { quantity = "stroke", of = "ram", exactly = "100 mm" }
+"""
+LEAST = "least transmission angle at E"
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def press(tmp_path_factory: pytest.TempPathFactory) -> ProblemFile:
+    path = tmp_path_factory.mktemp("press") / "press.toml"
+    path.write_text(PRESS, encoding="utf-8")
+    return load(path)
+
+
+@cache
+def crank_rocker() -> Pareto:
+    return pareto(optlink.load("crank-rocker"), f"error, {ANGLE}", points=25, workers=1)
+
+
+# --- what a set of points says -----------------------------------------------------------------------------------------
+
+
+def test_undominated_points_are_those_that_no_other_beats():
+    costs = np.random.default_rng(4).uniform(size=(120, 3))
+    beaten = [any(np.all(o <= c) and np.any(o < c) for o in costs) for c in costs]
+    assert undominated(costs).tolist() == [not b for b in beaten]
+    assert undominated(np.array([[0.0, 1.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])).tolist() == [True, False, True, False]
+    assert undominated(np.zeros((0, 2))).tolist() == []
+    rounding = np.array([[3.0, 7.0 + 1e-12], [3.0 + 1e-12, 7.0], [3.0 - 1e-12, 7.0 + 2e-12]])
+    assert undominated(rounding).tolist() == [True, False, False]
+
+
+def test_knee_of_a_quarter_circle_is_its_middle():
+    t = np.linspace(0.0, 0.5 * np.pi, 91)
+    front = np.stack([7.0 * (1.0 - np.sin(t)), 300.0 * (1.0 - np.cos(t))], axis=1)
+    found = knee(front)
+    assert found is not None
+    assert found[0] == 45
+    assert found[1] == pytest.approx(1.0 - math.sqrt(0.5), rel=1e-12)
+    assert ends(front) == (90, 0)
+    assert knee(front[::-1] * [1.0, -1.0] + [0.0, 300.0]) is None  # bulges the other way
+    assert knee(np.stack([t, -t], axis=1)) is None
+
+
+def test_knee_of_a_sphere_lies_on_its_diagonal():
+    angles = np.linspace(0.0, 0.5 * np.pi, 31)
+    points = [
+        1.0 - np.array([math.sin(a) * math.cos(b), math.sin(a) * math.sin(b), math.cos(a)])
+        for a, b in itertools.product(angles, angles)
+    ]
+    # ends of the sphere are where one cost is zero, and the others are one: the plane u + v + w = 2
+    found = knee(np.array(points))
+    assert found is not None
+    assert np.array(points)[found[0]] == pytest.approx(np.full(3, 1.0 - math.sqrt(1.0 / 3.0)), abs=0.03)
+    assert found[1] == pytest.approx((2.0 - 3.0 * (1.0 - math.sqrt(1.0 / 3.0))) / math.sqrt(3.0), abs=1e-3)
+
+
+# --- four-bars for a law -----------------------------------------------------------------------------------------------
+
+
+def test_points_are_single_optima_and_proven():
+    front = crank_rocker()
+    assert front.complete
+    assert (front.solved, front.valid, front.dominated) == (25, 25, 0)
+    for k in (1, 9, 17, 21):
+        error, angle = front.points[k].values
+        single = optlink.solve(
+            optlink.load("crank-rocker", {"limits.transmission_angle": ["45 deg", f"{angle!r} deg"]}), starts=5
+        )
+        assert single.valid
+        assert error == pytest.approx(single.objective, rel=1e-6)
+        design = {name: front.points[k].design[f"{name}_mm"] / 1e3 for name in ("coupler", "rocker")}
+        assert prove(single.problem.spec, single.problem.spec.design(design), error).valid
+
+
+def test_angles_of_the_front_are_measured_in_motion():
+    for point in crank_rocker().points:
+        sizes = {
+            "crank": 0.1,
+            "frame": 0.5,
+            "coupler": point.design["coupler_mm"] / 1e3,
+            "rocker": point.design["rocker_mm"] / 1e3,
+        }
+        phi = np.linspace(0.0, 2.0 * np.pi, 3601)
+        square = sizes["crank"] ** 2 + sizes["frame"] ** 2 - 2.0 * sizes["crank"] * sizes["frame"] * np.cos(phi)
+        a, b = sizes["coupler"], sizes["rocker"]
+        angle = np.degrees(np.arccos((a * a + b * b - square) / (2.0 * a * b)))
+        assert point.values[1] == pytest.approx(float(np.max(angle)), abs=1e-6)
+        assert float(np.min(angle)) >= 45.0 - 1e-6
+
+
+def test_the_tight_end_is_the_tightest_there_is():
+    """Over a grid of all couplers and rockers no crank-rocker with 45 deg at least has a much smaller largest angle."""
+    a, b = np.meshgrid(np.linspace(0.1, 0.9, 1601), np.linspace(0.1, 0.9, 1601))
+    low, high = (np.degrees(np.arccos(np.clip((a * a + b * b - d * d) / (2.0 * a * b), -1.0, 1.0))) for d in (0.4, 0.6))
+    turning = (a + b >= 0.6) & (np.abs(a - b) <= 0.4) & (low >= 45.0)
+    least = float(np.min(high[turning]))
+    tight = crank_rocker().points[-1].values[1]
+    assert least - 0.2 <= tight <= least + 0.05
+
+
+def test_the_file_lies_on_the_front():
+    front = crank_rocker()
+    assert front.given is not None
+    assert front.given == pytest.approx((0.00759237, 135.0), rel=1e-6)
+    error, angle = np.array([point.values for point in front.points]).T
+    assert np.interp(-135.0, -angle, error) == pytest.approx(front.given[0], rel=2e-3)
+    assert np.all(np.diff(error) > 0.0)
+    assert np.all(np.diff(angle) < 0.0)
+    assert front.points[0].mark == "least error"
+    assert front.points[-1].mark == "best largest transmission angle"
+
+
+def test_knee_is_furthest_from_the_chord():
+    front = crank_rocker()
+    values = np.array([point.values for point in front.points])
+    share = (values - values.min(axis=0)) / np.ptp(values, axis=0)
+    one, other = share[0], share[-1]
+    way = (other - one) / np.linalg.norm(other - one)
+    away = [abs(way[0] * (p - one)[1] - way[1] * (p - one)[0]) for p in share]
+    assert front.knee is not None
+    assert front.knee[0] == int(np.argmax(away))
+    assert front.knee[1] == pytest.approx(max(away), rel=1e-9)
+    assert front.points[front.knee[0]].mark == "knee"
+
+
+def test_a_size_is_walked_along_as_well():
+    front = pareto(optlink.load("crank-rocker"), "coupler=330..410 mm, error", points=5, workers=1)
+    assert front.complete
+    for point in front.points:
+        assert point.values[0] == pytest.approx(point.design["coupler_mm"], rel=1e-12)
+    assert [point.values[0] for point in front.points] == pytest.approx([330.0, 350.0, 370.0, 390.0, 410.0], rel=1e-6)
+    assert np.all(np.diff([point.values[1] for point in front.points]) < 0.0)
+
+
+@pytest.mark.parametrize(
+    ("limit", "sense", "end"),
+    [
+        ("limits.time_ratio.max", 1, 1.0),  # a crank-rocker whose dead centres lie opposite: Grashof's r^2 + f^2 = a^2 + b^2
+        ("limits.swing_angle.min", -1, None),
+        ("limits.link_ratio.max", 1, None),
+    ],
+)
+def test_every_limit_can_be_walked_along(limit, sense, end):
+    front = pareto(optlink.load("crank-rocker"), f"error, {limit}", points=5, workers=1)
+    assert front.complete
+    assert front.aims[1].sense == sense
+    error, other = np.array([point.values for point in front.points]).T
+    assert np.all(np.diff(error) > 0.0)
+    assert np.all(np.diff(sense * other) < 0.0)
+    if end is not None:
+        assert other[-1] == pytest.approx(end, abs=1e-3)
+        sizes = [0.1, *(front.points[-1].design[f"{name}_mm"] / 1e3 for name in ("coupler", "rocker")), 0.5]
+        assert sizes[0] ** 2 + sizes[3] ** 2 == pytest.approx(sizes[1] ** 2 + sizes[2] ** 2, rel=2e-3)
+
+
+def test_three_objectives_leave_no_dominated_point():
+    front = pareto(optlink.load("crank-rocker"), f"error, {ANGLE}, coupler", points=6, workers=1)
+    assert front.complete
+    assert front.solved == 36
+    assert front.dominated > 0  # found on the way, and taken out
+    assert front.infeasible + front.dominated + len(front.points) == 36
+    for one, other in itertools.permutations(front.costs, 2):
+        assert not (np.all(one <= other) and np.any(one < other - 1e-5 * np.abs(other)))
+    for column, end in enumerate(front.ends):
+        assert front.costs[end, column] == pytest.approx(front.costs[:, column].min(), rel=1e-5)
+
+
+# --- machines ----------------------------------------------------------------------------------------------------------
+
+
+def test_front_of_a_slider_crank_is_its_closed_form(press):
+    """With a stroke of 100 mm the rod of the least angle mu is 50 mm / cos(mu)."""
+    front = pareto(press, f"rod.length, {LEAST}", points=6, workers=1)
+    assert front.complete
+    assert len(front.points) == 6
+    assert [aim.sense for aim in front.aims] == [1, -1]
+    length, angle = np.array([point.values for point in front.points]).T
+    assert length * np.cos(np.radians(angle)) == pytest.approx(50.0, rel=1e-6)
+    assert (length[0], length[-1]) == pytest.approx((120.0, 400.0), rel=1e-3)
+    assert front.given == pytest.approx((200.0, math.degrees(math.acos(0.25))), rel=1e-9)
+    assert front.points[0].mark == "least rod.length"
+
+
+def test_the_limit_on_an_objective_gives_way_and_others_stay(press):
+    limited = press.override(
+        {
+            f"limits.{k}": v
+            for k, v in {
+                "angle": {"quantity": "transmission angle", "of": "E", "measure": "least", "min": "70 deg"},
+                "rod": {"quantity": "length", "of": "rod.length", "max": "300 mm"},
+            }.items()
+        }
+    )
+    found = pareto_objectives.read_aims(limited, "stroke of ram, limits.angle")
+    assert [aim.name for aim in found] == ["stroke of ram", LEAST]
+    walked = pareto_objectives.walked(limited, found, {0: 1.0}, {1: "60 deg"})
+    assert set(walked.raw["limits"]) == {"rod", "front_2"}
+    assert walked.raw["limits"]["front_2"]["min"] == "60 deg"
+
+
+def test_three_objectives_of_a_machine_lie_on_their_surface(press):
+    front = pareto(press, f"rod.length, maximise stroke of ram=60..120 mm, {LEAST}=60..75 deg", points=3, workers=1)
+    assert front.complete
+    assert len(front.points) == 9
+    for length, stroke, angle in (point.values for point in front.points):
+        assert length == pytest.approx(max(120.0, 0.5 * stroke / math.cos(math.radians(angle))), rel=1e-6)
+
+
+def test_a_search_begins_where_it_is_told(press):
+    begun = restarted(press, {"rod.length": 0.3, "crank.length": 1.0})
+    assert begun.model.quantities["rod.length"].value == pytest.approx(0.3, rel=1e-12)
+    assert begun.model.quantities["crank.length"].value == pytest.approx(0.1, rel=1e-12)  # its bound
+    assert begun.model.quantities["rod.length"].bounds == press.model.quantities["rod.length"].bounds
+
+
+def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
+    """Every row in people's units, and what peaks are judged by, as if the file had stated the bound."""
+    problem = optlink.load("shaper-design")
+    found = pareto_objectives.read_aims(problem, "peak torque, guide force in F")
+    one, other = (pareto_objectives.walked(problem, found, {0: 1.0}, {1: f"{bound} N"}) for bound in (1500.0, 1320.0))
+    made, wanted = cycle_task.Programme(one, "slsqp").nlp, cycle_task.Programme(other, "slsqp").nlp
+    moved = cycle_task.held(made, {"limits.front_2.max": 1320.0})
+
+    def rows(nlp):
+        return [
+            (row.limit, row.label, *(row.scale.people(float(bound)) if math.isfinite(bound) else bound for bound in bounds))
+            for row, *bounds in zip(nlp.rows, nlp.low, nlp.high, strict=True)
+        ]
+
+    for one_row, other_row in zip(rows(moved), rows(wanted), strict=True):
+        assert one_row[:2] == other_row[:2]
+        assert one_row[2:] == pytest.approx(other_row[2:], rel=1e-12)
+    assert any(row[3] == pytest.approx(1320.0) for row in rows(moved))
+    assert any(row[3] == pytest.approx(1500.0) for row in rows(made))  # which stays as it was
+    for one_peak, other_peak in zip(moved.watched, wanted.watched, strict=True):
+        assert one_peak.bound * one_peak.size == pytest.approx(other_peak.bound * other_peak.size, rel=1e-12)
+
+
+def test_machines_are_swept_over_limits_and_sizes(press):
+    """A stroke is twice the crank; the shortest rod is that of its bound, or that of the least angle asked for."""
+    result = sweep(press, ["limits.stroke.exactly=80..120 mm:5"], workers=1)
+    assert result.complete
+    assert result.columns["crank.length_mm"] == pytest.approx(0.5 * result.columns["limits.stroke.exactly_mm"], rel=1e-8)
+    assert result.columns["rod.length_mm"] == pytest.approx(np.full(5, 120.0), rel=1e-8)
+    angled = press.override({"limits.angle": {"quantity": "transmission angle", "of": "E", "measure": "least", "min": "70 deg"}})
+    result = sweep(angled, ["limits.angle.min=66..78 deg:7"], workers=1)
+    assert result.complete
+    angle = np.radians(result.columns["limits.angle.min_deg"])
+    assert result.columns["rod.length_mm"] == pytest.approx(50.0 / np.cos(angle), rel=1e-8)
+    assert result.columns["objective_m"] == pytest.approx(0.05 / np.cos(angle), rel=1e-8)
+    low = sweep(press, ["mechanism.links.rod.length.min=120..160 mm:3"], workers=1)
+    assert low.columns["rod.length_mm"] == pytest.approx([120.0, 140.0, 160.0], rel=1e-8)
+
+
+def test_what_has_no_range_is_minimised_and_both_ways_give_one_front(press):
+    one = pareto(press, f"rod.length, {LEAST}=66..80 deg", points=3, workers=1)
+    other = pareto(press, f"rod.length=150..300 mm, {LEAST}", points=3, workers=1)
+    assert (one.minimised, other.minimised) == (0, 1)
+    for front in (one, other):
+        assert front.complete
+        for length, angle in (point.values for point in front.points):
+            assert length * math.cos(math.radians(angle)) == pytest.approx(50.0, rel=1e-6)
+
+
+def test_one_design_best_in_everything_is_no_trade_off(press):
+    front = pareto(press, "rod.length, crank.length", points=3, workers=1)
+    assert len(front.points) == 1
+    assert front.knee is None
+
+
+# --- engines, resuming, files --------------------------------------------------------------------------------------------
+
+
+def test_same_front_whatever_the_workers_and_after_an_interruption(tmp_path):
+    words, problem = f"error, {ANGLE}=100..150 deg, coupler=330..400 mm", optlink.load("crank-rocker")
+    whole = pareto(problem, words, tmp_path / "one", points=15, workers=1)
+    two = pareto(problem, words, tmp_path / "two", points=15, workers=2)
+    assert whole.path.read_bytes() == two.path.read_bytes()
+    assert whole.points == two.points
+
+    class Enough(Exception):
+        pass
+
+    def stop(done: int, total: int) -> None:
+        if done:
+            raise Enough
+
+    with pytest.raises(Enough):
+        pareto(problem, words, tmp_path / "late", points=15, workers=1, progress=stop)
+    late = pareto(problem, words, tmp_path / "late", points=15, workers=1, resume=True)
+    assert 0 < late.done < 225
+    assert late.path.read_bytes() == whole.path.read_bytes()
+    with pytest.raises(InputError, match="another study"):
+        pareto(problem, words, tmp_path / "late", points=14, workers=1, resume=True)
+
+
+def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
+    words = f"rod.length, {LEAST}"
+    whole = pareto(press, words, tmp_path / "whole", points=5, workers=1)
+    real, calls, seen = epsilon_ranges.design_machine, [0], []
+
+    def fails_third(*arguments, **options):
+        calls[0] += 1
+        if calls[0] == 3:
+            raise KeyboardInterrupt
+        return real(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(epsilon_ranges, "design_machine", fails_third)
+        with pytest.raises(KeyboardInterrupt):
+            pareto(press, words, tmp_path / "run", points=5, workers=1)
+    kept = json.loads((tmp_path / "run" / ENDS).read_text(encoding="utf-8"))
+    assert list(kept) == ["least rod.length", "best least transmission angle at E"]
+    calls[0] = 3
+
+    def fails_never(*arguments, **options):
+        calls[0] += 1
+        return real(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(epsilon_ranges, "design_machine", fails_never)
+        late = pareto(press, words, tmp_path / "run", points=5, workers=1, resume=True, progress=lambda *at: seen.append(at))
+        assert calls[0] == 5  # two of four searches were left
+        again = pareto(press, words, tmp_path / "run", points=5, workers=1, resume=True)
+        assert calls[0] == 5
+    assert late.path.read_bytes() == whole.path.read_bytes()
+    assert late.points == again.points == whole.points
+    assert {total for _, total in seen} == {4 + 5}  # searches for the ends, and points
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+    assert seen[-1] == (9, 9)
+
+
+def test_ends_that_cannot_be_read_are_searched_again(press, tmp_path):
+    words = f"rod.length, {LEAST}"
+    first = pareto(press, words, tmp_path, points=3, workers=1)
+    (tmp_path / ENDS).write_bytes(b"\xff{")
+    assert pareto(press, words, tmp_path, points=3, workers=1, resume=True).points == first.points
+    assert len(json.loads((tmp_path / ENDS).read_text(encoding="utf-8"))) == 4
+
+
+def test_a_front_without_an_end_leaves_nothing_behind(press, tmp_path):
+    impossible = press.override({"limits.stroke": {"quantity": "stroke", "of": "ram", "exactly": "900 mm"}})
+    with pytest.raises(InputError, match="cannot be found"):
+        pareto(impossible, f"rod.length, {LEAST}", tmp_path / "new", points=3, workers=1)
+    assert not (tmp_path / "new").exists()
+
+
+def killed(arguments: list[str], out: Path, pattern: str, wait: float) -> None:
+    """Begin a study, and kill it a while after there are more files of a pattern than before."""
+    before = len(list(out.glob(pattern)))
+    run = subprocess.Popen([sys.executable, "-m", "optlink", "study", *arguments], cwd=ROOT, stdout=subprocess.DEVNULL)
+    begin = time.monotonic()
+    while len(list(out.glob(pattern))) <= before and time.monotonic() - begin < 120.0:
+        assert run.poll() is None
+        time.sleep(0.01)
+    time.sleep(wait)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
+def test_killed_three_times_and_resumed(press, tmp_path):
+    """SIGKILL while the ends are searched, and twice on the walk: the same front, byte for byte, and nothing is done twice."""
+    words, rng = f"rod.length, {LEAST}", random.Random(3)
+    whole = pareto(press, words, tmp_path / "whole", points=14, workers=1)
+    out = tmp_path / "run"
+    asked = ["pareto", press.file, "--objectives", words, "--points", "14", "--workers", "1", "--out", str(out)]
+    killed(asked, out, ENDS, 0.3 * rng.random())
+    searched = list(json.loads((out / ENDS).read_text(encoding="utf-8")))
+    assert 1 <= len(searched) <= 4
+    for _ in range(2):
+        killed([*asked, "--resume"], out, "chunks/*/0*.csv", 0.1 * rng.random())
+    kept = len(list(out.glob("chunks/*/0*.csv")))
+    assert 2 <= kept < 4
+    done = subprocess.run(
+        [sys.executable, "-m", "optlink", "study", *asked, "--resume", "--json"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert json.loads(done.stdout)["points_done_now"] == 14 - 4 * kept
+    assert (out / "sweep.csv").read_bytes() == whole.path.read_bytes()
+    assert json.loads((out / ENDS).read_text(encoding="utf-8")) == json.loads(
+        (tmp_path / "whole" / ENDS).read_text(encoding="utf-8")
+    )
+
+
+def test_a_cluster_gives_the_same_front(press):
+    pytest.importorskip("distributed")
+    words = f"rod.length, {LEAST}=66..80 deg"
+    local = pareto(press, words, points=6, workers=1)
+    cluster = pareto(press, words, points=6, engine="dask", workers=2)
+    assert cluster.path.read_bytes() == local.path.read_bytes()
+
+
+def test_command_writes_table_document_and_picture(tmp_path):
+    out = tmp_path / "front"
+    run = CliRunner().invoke(
+        app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--points", "7", "--out", str(out), "--json"]
+    )
+    assert run.exit_code == 0, run.output
+    document = json.loads(run.stdout)
+    assert document["schema"] == "optlink/pareto/1"
+    assert document["status"] == "complete"
+    assert document == json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert document["given"]["error_rad2"] == pytest.approx(0.00759237, rel=1e-6)
+    with (out / "front.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(document["front"]) == 7
+    for row, point in zip(rows, document["front"], strict=True):
+        assert float(row["error_rad2"]) == point["objectives"]["error_rad2"]
+        assert float(row["coupler_mm"]) == point["design"]["coupler_mm"]
+        assert row["mark"] == (point["mark"] or "")
+    assert (out / "front.png").read_bytes()[:4] == b"\x89PNG"
+    shown = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--points", "5"])
+    assert shown.exit_code == 0
+    for words in ("every one proven", "knee", "least error", "as the file asks"):
+        assert words in shown.output
+
+
+def test_picture_marks_ends_knee_and_what_was_given():
+    axes = picture(crank_rocker()).axes
+    assert len(axes) == 1
+    marked = {line.get_gid(): line.get_xydata() for line in axes[0].lines}
+    front = crank_rocker()
+    for k, name in ((0, "least error"), (24, "best largest transmission angle"), (front.knee[0], "knee")):
+        assert marked[name] == pytest.approx(np.array([front.points[k].values]))
+    assert marked["given"] == pytest.approx(np.array([front.given]))
+    three = pareto(optlink.load("crank-rocker"), f"error, {ANGLE}=100..150 deg, coupler=330..400 mm", points=4, workers=1)
+    panels = [panel for panel in picture(three).axes if panel.get_label() != "<colorbar>"]
+    assert len(panels) == 3
+    assert [panel.get_xlabel() for panel in panels] == ["error [rad²]", "error [rad²]", "largest transmission angle [deg]"]
+
+
+# --- what is refused -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("objectives", "words"),
+    [
+        ("error", "one objective has no trade-off"),
+        ("error,, coupler", "an objective is empty"),
+        ("error, coupler, rocker, limits.time_ratio.max", "4 objectives are more than a front shows"),
+        ("error, error", "twice"),
+        ("coupler, rocker", 'write "error, coupler"'),
+        ("error, frame", "frame is fixed at 500 mm"),
+        ("error, limits.transmision_angle.max", 'Did you mean "limits.transmission_angle.max"'),
+        ("error=1..2, coupler", "it is what is minimised"),
+        ("error, coupler=", "the range is empty"),
+        ("error, coupler=400..300 mm", "ends are exchanged"),
+        ("error, coupler=300..400 kg", "not a unit of length"),
+        ("error, coupler=300..400", "needs a unit"),
+        (f"error, {ANGLE}=10..30 deg", "lower limit is above the upper"),
+    ],
+)
+def test_objectives_without_sense_are_refused(objectives, words):
+    with pytest.raises(InputError) as error:
+        pareto(optlink.load("crank-rocker"), objectives, points=3, workers=1)
+    assert words in str(error.value)
+    assert "--objectives" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("objectives", "words"),
+    [
+        ("peak torqe, rod.length", 'Did you mean "torque"'),
+        ("torque, guide force in G", "no such guide"),
+        ("torque, guide force", "of which guide"),
+        ("torque, transmission angle at E", "which transmission angle"),
+        ("torque, limits.stroke", "from both sides"),
+        ("maximise peak torque, rod.length", "can only be minimised"),
+        ("torque, rod.length=1..2 kN", "not a unit of"),
+        ("torque=1..2 N*m, rod.length=200..300 mm", "all objectives have ranges"),
+    ],
+)
+def test_terms_without_sense_are_refused(press, objectives, words):
+    with pytest.raises(InputError) as error:
+        pareto(press, objectives, points=3, workers=1)
+    assert words in str(error.value)
+    assert "--objectives" in str(error.value)
+
+
+def test_other_problems_and_sizes_are_refused():
+    with pytest.raises(InputError, match="points of a path are wanted"):
+        pareto(optlink.load("path-bean"), "error, crank.length")
+    with pytest.raises(InputError, match=r"limits\.link_ratio\.max=LOW\.\.HIGH"):
+        pareto(optlink.load("function-sin"), "error, limits.link_ratio.max")
+    with pytest.raises(InputError, match="nothing is to be designed"):
+        pareto(optlink.load("six-bar"), "torque, stroke of ram")
+    for points, words in ((1, "out of range"), (1000, "1,000 x 1,000 = 1,000,000 points")):
+        with pytest.raises(InputError, match=words):
+            pareto(optlink.load("crank-rocker"), f"error, {ANGLE}, coupler", points=points)
+    with pytest.raises(InputError, match='Did you mean "ipopt"'):
+        pareto(optlink.load("crank-rocker"), f"error, {ANGLE}", backend="ipop")
+    with pytest.raises(InputError, match="searches with one back end"):
+        pareto(optlink.load("crank-rocker"), f"error, {ANGLE}", backend="both")
+    with pytest.raises(InputError, match="200,000 points are more"):
+        pareto(optlink.load("crank-rocker"), f"error, {ANGLE}=100..140 deg:200000")
+    with pytest.raises(InputError, match="optlink balance balance-four-bar --trade force,torque"):
+        pareto(optlink.load("balance-four-bar"), "rms shaking force, rms torque")
+    with pytest.raises(InputError, match="optlink study sweep motion-3-poses --vary"):
+        pareto(optlink.load("motion-3-poses"), "error, coupler")
+    run = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--resume"])
+    assert run.exit_code == 2
+    assert "which run is to go on" in run.output

@@ -1,0 +1,296 @@
+"""Sensitivities of an optimum, against problems that are solved again, scaling laws, published tables and finite differences."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.errors import InputError
+from optlink.linkage.motion import sweep
+from optlink.studies.motion_sensitivity import output_names, output_sensitivity
+from optlink.studies.sensitivity import sensitivities
+
+LIMIT = "limits.transmission_angle.max"
+
+
+def solved(**overrides) -> optlink.Result:
+    """The crank-rocker with other values, built and searched from its own start."""
+    result = optlink.solve(optlink.load("crank-rocker", overrides))
+    assert result.valid
+    return result
+
+
+def figures(result: optlink.Result) -> np.ndarray:
+    """Objective [rad^2], coupler and rocker [mm]."""
+    return np.array([result.objective, 1e3 * result.design["coupler"], 1e3 * result.design["rocker"]])
+
+
+@pytest.fixture(scope="module")
+def crank_rocker():
+    return sensitivities(optlink.load("crank-rocker"))
+
+
+@pytest.mark.parametrize(
+    ("key", "step", "override"),
+    [
+        ("mechanism.frame", 0.02, lambda h: {"mechanism.frame": f"{500.0 + h!r} mm"}),
+        ("mechanism.crank", 0.004, lambda h: {"mechanism.crank": f"{100.0 + h!r} mm"}),
+        (LIMIT, 0.004, lambda h: {"limits.transmission_angle": ["45 deg", f"{135.0 + h!r} deg"]}),
+    ],
+)
+def test_derivatives_are_those_of_problems_that_are_solved_again(crank_rocker, key, step, override):
+    above, below = (figures(solved(**override(h))) for h in (step, -step))
+    row = crank_rocker[key]
+    exact = np.array([row.objective, row.design["coupler"], row.design["rocker"]])
+    np.testing.assert_allclose(exact, (above - below) / (2.0 * step), rtol=1e-5)
+
+
+def test_one_more_degree_buys_what_is_printed():
+    """To first order: what is left over falls with the square of the change."""
+    base = solved()
+    (limit,) = (item for item in base.solution.limits if item.active)
+    assert (limit.name, limit.bound, limit.unit) == ("largest transmission angle", 135.0, "deg")
+    left = {}
+    for change in (1.0, 0.5, 0.25):
+        there = solved(**{"limits.transmission_angle": ["45 deg", f"{135.0 + change} deg"]})
+        left[change] = there.objective - base.objective - limit.multiplier * change
+    assert abs(left[1.0]) < 0.02 * abs(limit.multiplier)
+    assert left[1.0] / left[0.5] == pytest.approx(4.0, rel=0.02)
+    assert left[0.5] / left[0.25] == pytest.approx(4.0, rel=0.02)
+
+
+def test_the_price_is_that_of_solve(crank_rocker):
+    (limit,) = (item for item in solved().solution.limits if item.active)
+    assert crank_rocker[LIMIT].objective == pytest.approx(limit.multiplier, rel=1e-9)
+
+
+def test_scaling_the_given_lengths_scales_the_design(crank_rocker):
+    """Euler: the objective is homogeneous of degree 0 in the lengths that are given, the design of degree 1."""
+    crank, frame = crank_rocker["crank"], crank_rocker["frame"]
+    assert 100.0 * crank.objective + 500.0 * frame.objective == pytest.approx(0.0, abs=1e-12)
+    for name, value in crank_rocker.values.items():
+        assert 100.0 * crank.design[name] + 500.0 * frame.design[name] == pytest.approx(value, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        {"requirement.measure": "max"},
+        {"requirement.measure": "rms"},
+        {"limits.swing_angle": "50 deg"},
+        {"mechanism.frame": {"start": "500 mm", "bounds": ["450 mm", "550 mm"]}},
+        {"mechanism.coupler": {"start": "400 mm", "bounds": ["100 mm", "410 mm"]}},
+        {"requirement.psi0": {"start": "100 deg", "bounds": ["60 deg", "150 deg"]}},
+        {"mechanism.crank": "4 in", "mechanism.frame": "20 in"},
+    ],
+)
+def test_its_own_check_agrees_on_variations(overrides):
+    result = sensitivities(optlink.load("crank-rocker", overrides), check=True)
+    assert result.moving
+    assert all(row.check is not None for row in result.moving)
+    assert result.gap < 1e-5
+
+
+def test_a_minimax_function_scales_with_its_frame():
+    """Its largest errors lie anywhere in the range, and move along."""
+    result = sensitivities(optlink.load("function-sin"), check=True)
+    frame, size = result["frame"], result["frame"].parameter.value
+    assert frame.objective == 0.0
+    for name in ("crank", "coupler", "rocker"):
+        assert frame.design[name] == pytest.approx(result.values[name] / size, rel=1e-6)
+    assert frame.design["phi0"] == pytest.approx(0.0, abs=1e-6)
+    assert result.gap < 1e-5
+
+
+def test_a_path_with_its_frame_at_a_bound():
+    result = sensitivities(optlink.load("path-ellipse10"), starts=64, check=True)
+    (row,) = result.moving
+    assert row.parameter.key == "mechanism.frame.max"
+    assert row.objective < 0.0
+    assert row.design["frame"] == pytest.approx(1.0)
+    assert result.gap < 1e-5
+
+
+def test_the_range_ends_where_the_bound_lets_go():
+    """The coupler held at 412.5 mm: freed, it would go to 412.865 mm; nearly linear so close to it."""
+    free = 1e3 * solved().design["coupler"]
+    bounds = {"mechanism.coupler": {"start": "400 mm", "bounds": ["100 mm", "412.5 mm"]}}
+    row = sensitivities(optlink.load("crank-rocker", bounds))["mechanism.coupler.max"]
+    assert row.above.event == "the bound of coupler lets go"
+    assert row.above.value == pytest.approx(free, abs=0.005)
+    assert row.below.value < 412.5
+
+
+def test_the_range_ends_where_another_limit_is_reached():
+    """A limit of the smallest angle just below the one that the optimum has."""
+    found = [check.value for check in solved().validation.checks if check.name == "smallest transmission angle"]
+    limits = {"limits.transmission_angle": [f"{found[0] - 0.05!r} deg", "135 deg"]}
+    row = sensitivities(optlink.load("crank-rocker", limits))["mechanism.frame"]
+    ends = {end.event: end.value for end in (row.below, row.above)}
+    at = ends["smallest transmission angle is reached"]
+    there = optlink.solve(optlink.load("crank-rocker", {"mechanism.frame": f"{at!r} mm"}))
+    reached = [check.value for check in there.validation.checks if check.name == "smallest transmission angle"]
+    assert reached[0] == pytest.approx(found[0] - 0.05, abs=1e-3)
+
+
+def test_rows_are_sorted_by_effect(crank_rocker):
+    effects = [abs(row.effect) for row in crank_rocker.rows]
+    assert effects == sorted(effects, reverse=True)
+    first, *others = [(row.parameter.key, row.parameter.step) for row in crank_rocker.moving]
+    assert first == (LIMIT, 1.0)
+    assert sorted(others) == [("mechanism.crank", 1.0), ("mechanism.frame", 5.0)]  # a hundredth of each: as much, by similarity
+
+
+def test_nothing_to_be_told_where_nothing_is_optimal():
+    with pytest.raises(InputError, match="no optimum"):
+        sensitivities(optlink.load("crank-rocker", {"limits.transmission_angle": ["80 deg", "90 deg"]}))
+
+
+# --- outputs ---------------------------------------------------------------------------------------------------------
+
+# Sensitivities of the output angle of the crank-rocker optimum, l = 1, 4.12865417, 2.3224617, 5: computed by others from the
+# closed form of the four-bar; crank angle and psi in deg, d psi / d l1 .. l4 in rad per unit length.
+TABLE = """
+0    103.533936  -0.382699 -0.457120  0.153498  0.382699
+60   105.157531  -0.328158 -0.431796  0.032414  0.407123
+120  129.480461   0.140934 -0.481177 -0.214789  0.468903
+240  147.377012   0.420297 -0.481177 -0.214789  0.413031
+"""
+SIZES = {"crank": 1.0, "coupler": 4.12865417, "rocker": 2.3224617, "frame": 5.0}
+
+
+def test_output_angle_table():
+    rows = np.array([[float(x) for x in line.split()] for line in TABLE.strip().splitlines()])
+    linkage = optlink.load("crank-rocker").model.linkage
+    found = output_sensitivity(linkage, SIZES, np.radians(rows[:, 0]), "rocker")
+    np.testing.assert_allclose(np.degrees(found.value), rows[:, 1], atol=1e-5)
+    np.testing.assert_allclose(np.column_stack([found.by[name] for name in SIZES]), rows[:, 2:], atol=1e-5, rtol=0.0)
+
+
+@pytest.mark.parametrize("name", ["crank-rocker", "six-bar", "shaper", "slider-crank"])
+def test_outputs_of_every_kind_against_central_differences(name):
+    model = optlink.load(name).model
+    sizes = {key: quantity.value for key, quantity in model.mechanism.quantities.items()}
+    angles = np.radians([20.0, 100.0, 215.0])
+
+    def measured(output: str, values: dict[str, float]) -> np.ndarray:
+        motion = sweep(model.linkage, values, angles)
+        if output in model.linkage.bodies:
+            return np.asarray(motion.body_angle(output).value)
+        point, _, axis = output.rpartition(".")
+        return motion.position(point)[:, "xy".index(axis)]
+
+    for output in output_names(model.linkage):
+        found = output_sensitivity(model.linkage, sizes, angles, output)
+        np.testing.assert_allclose(np.exp(1j * found.value), np.exp(1j * measured(output, sizes)), atol=1e-12)
+        for size, value in sizes.items():
+            step = 1e-6 * max(1.0, abs(value))
+            above, below = (measured(output, {**sizes, size: value + way}) for way in (step, -step))
+            np.testing.assert_allclose(found.by[size], (above - below) / (2.0 * step), atol=2e-7, rtol=1e-6)
+
+
+def test_unknown_outputs_are_answered_with_the_nearest():
+    linkage = optlink.load("crank-rocker").model.linkage
+    with pytest.raises(InputError, match='Did you mean "rocker"'):
+        output_sensitivity(linkage, SIZES, [0.0], "roker")
+    with pytest.raises(InputError, match='Did you mean "coupler"'):
+        output_sensitivity(linkage, SIZES, [0.0], "rocker", ["copler"])
+
+
+# --- keys and the command --------------------------------------------------------------------------------------------
+
+
+def test_sides_of_ranges_can_be_changed():
+    problem = optlink.load("crank-rocker")
+    other = problem.override({LIMIT: "140 deg", "limits.transmission_angle.min": "40 deg", "mechanism.coupler.min": "200 mm"})
+    interval = other.spec.limits.transmission_angle
+    assert (interval.low, interval.high) == pytest.approx((math.radians(40.0), math.radians(140.0)))
+    assert other.spec.quantities["coupler"].bounds == pytest.approx((0.2, 0.9))
+    one_sided = optlink.load("crank-rocker", {"limits.transmission_angle": {"max": "135 deg"}})
+    assert one_sided.override({LIMIT: "130 deg"}).spec.limits.transmission_angle.low is None
+
+
+def run(*arguments: str):
+    return CliRunner().invoke(app, ["study", "sensitivity", *arguments])
+
+
+def test_the_command_writes_a_table_a_picture_and_json(tmp_path):
+    done = run("crank-rocker", "--check", "--json", "--out", str(tmp_path))
+    assert done.exit_code == 0
+    document = json.loads(done.stdout)
+    assert document["schema"] == "optlink/sensitivity/1"
+    assert document["largest_gap"] < 1e-5
+    assert document["parameters"][0]["key"] == LIMIT
+    assert document["parameters"][0]["objective_per_unit"] == pytest.approx(-1.4647e-4, rel=1e-3)
+    assert (tmp_path / "tornado.png").stat().st_size > 5000
+    with (tmp_path / "sensitivity.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[0]["coupler_mm_per_unit"]) == pytest.approx(-2.3856, abs=1e-3)
+
+
+def test_the_command_prints_what_matters():
+    done = run("crank-rocker")
+    assert done.exit_code == 0
+    for words in ("limits.transmission_angle.max", "-1.929 %", "rad^2 per deg", "the bound of rocker is reached"):
+        assert words in done.stdout
+
+
+def test_the_command_prints_output_sensitivities():
+    done = run("crank-rocker", "--output", "rocker", "--angles", "0, 120 deg")
+    assert done.exit_code == 0
+    assert "0.26866" in done.stdout  # 0.468903 rad per 100 mm, in deg per mm
+
+
+def test_bad_input_of_the_command():
+    done = run("crank-rocker", "--design", "coupler=412 mm", "--json")
+    assert done.exit_code == 2
+    assert json.loads(done.stdout)["status"] == "error"
+    assert run("shaper").exit_code == 2
+
+
+def test_output_sensitivities_are_written(tmp_path):
+    """The rocker's slope by the frame from the file against the difference of two linkages of a table that was written alike."""
+    given = ["--design", "coupler=412.87 mm", "--design", "rocker=232.25 mm"]
+
+    def table(frame: str) -> dict[str, float]:
+        out = tmp_path / frame
+        done = run(
+            *("crank-rocker", "--output", "rocker", "--angles", "60 deg", *given),
+            *("--set", f"mechanism.frame={frame} mm", "--out", str(out), "--json"),
+        )
+        assert json.loads(done.stdout) == json.loads((out / "result.json").read_text())
+        with (out / "sensitivity.csv").open(encoding="utf-8") as file:
+            [row] = csv.DictReader(file)
+        return {name: float(value) for name, value in row.items()}
+
+    below, here, above = (table(frame) for frame in ("499", "500", "501"))
+    assert here["crank_angle_deg"] == pytest.approx(60.0)
+    assert here["per_frame_SI"] == pytest.approx((above["rocker_rad"] - below["rocker_rad"]) / 0.002, rel=1e-4)
+    page = CliRunner().invoke(app, ["report", str(tmp_path / "500"), "-o", str(tmp_path / "a.html")])
+    assert page.exit_code == 2
+    assert "has no page" in page.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--output", "rocker", "--check"], "no optimum is searched for the slopes of an output"),
+        (["--angles", "0 deg"], "crank angles are those of an output"),
+        (["--output", "rocker", "--angles", "1e400 deg"], "finite numbers"),
+        (["--output", "rocker", "--angles", ""], "no crank angle is given"),
+        (["--backend", "both"], "a study searches with one back end"),
+        (["--starts", "0"], "out of range"),
+    ],
+)
+def test_what_would_do_nothing_is_refused_and_leaves_no_folder(tmp_path, arguments, words):
+    done = run("crank-rocker", *arguments, "--out", str(tmp_path / "new" / "folder"))
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,897 @@
+"""Sweeps: rows against single solves, the same bytes whatever happens on the way, and every kind of bad input."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import math
+import multiprocessing
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink import io
+from optlink.cli.app import app
+from optlink.errors import InputError, SolverError
+from optlink.report.views.sweep_pictures import picture
+from optlink.studies import runner, store
+from optlink.studies.fast_overrides import Direct
+from optlink.studies.grid import read_axis, read_grid
+from optlink.studies.sweep import CHANGED, sweep
+from optlink.validation import validate as prove
+
+ROOT = Path(__file__).parents[2]
+FRAME = "mechanism.frame=450..550 mm"
+LIMIT = "limits.transmission_angle.max"
+
+
+def problem(name: str = "crank-rocker", **overrides):
+    return optlink.load(name, overrides)
+
+
+# --- what is varied --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "values"),
+    [
+        ("a=450..550 mm:5", "mm", [450.0, 475.0, 500.0, 525.0, 550.0]),
+        ("a = 450 mm..550 mm : 3", "mm", [450.0, 500.0, 550.0]),
+        ('a="1..100 mm:3 log"', "mm", [1.0, 10.0, 100.0]),
+        ("a=-10..10 deg:3", "deg", [-10.0, 0.0, 10.0]),
+        ("a=0..1 mm step 0.25", "mm", [0.0, 0.25, 0.5, 0.75, 1.0]),
+        ("a=450 mm, 470 mm,520 mm", "mm", [450.0, 470.0, 520.0]),
+        ("a=120, 125, 130 deg", "deg", [120.0, 125.0, 130.0]),
+        ("a=1.1..1.5:3", "", [1.1, 1.3, 1.5]),
+        ("a=1e2..1.5e2 mm:2", "mm", [100.0, 150.0]),
+        ("a=64..128 rad/s:2", "rad/s", [64.0, 128.0]),
+        ("a=.5...75 mm:2", "mm", [0.5, 0.75]),
+    ],
+)
+def test_ranges_lists_and_ratios(text, unit, values):
+    axis = read_axis(text)
+    assert (axis.key, axis.unit) == ("a", unit)
+    assert axis.values == pytest.approx(values, abs=1e-12)
+    assert (axis.values[0], axis.values[-1]) == (values[0], values[-1])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("mechanism.frame", "expected KEY=VALUES"),
+        ("mechanism.frame=", "expected KEY=VALUES"),
+        ("mechanism.frame=450..550 mm", "number of points"),
+        ("mechanism.frame=550..450 mm:11", "empty"),
+        ("mechanism.frame=500..500 mm:11", "empty"),
+        ("mechanism.frame=450..550 mm:1", "1 points are no range"),
+        ("mechanism.frame=450..550 mm:0", "0 points are no range"),
+        ("mechanism.frame=450..550 mm:-3", "-3 points are no range"),
+        ("mechanism.frame=450..550 mm step 0", "step is zero"),
+        ("mechanism.frame=450..550 mm step -1", "step is zero or negative"),
+        ("mechanism.frame=0..550 mm:5 log", "above zero"),
+        ("mechanism.frame=45 cm..550 mm:5", "different units"),
+        ("mechanism.frame=450 mm, 450 mm", "listed twice"),
+        ("mechanism.frame=wide, narrow", "no list"),
+        ("mechanism.frame=450..550:5", "needs a unit"),
+        ("mechanism.frame=450..550 kg:5", "not a unit of length"),
+        ("mechanism.frame=-5..550 mm:5", "positive"),
+        ("mechanism.fram=450..550 mm:5", 'Did you mean "frame"'),
+        ("limits.transmision_angle.max=120..130 deg:5", "Did you mean"),
+        ("mechanism.frame=450..550 mm:1000000000000", "1,000,000,000,000 points are more than a sweep takes"),
+        ("requirement.span=0..90 deg:3", "span must not be zero"),
+        ("mechanism.frame=nan..550 mm:3", "finite numbers"),
+        ("mechanism.frame=450..inf mm:3", "finite numbers"),
+        ("mechanism.frame=450 mm, -Infinity mm", "finite numbers"),
+        ("mechanism.frame=450..550 mm:2.5", "number of points"),
+        ("mechanism.frame=450..550 mm step 200", "longer than the range"),
+        ("mechanism.frame=450:550 mm", "no list"),
+        ("mechanism.frame.max=450..550 mm:3", "frame is fixed at 500 mm, it has no bounds"),
+        ("mechanism=450..550 mm:3", "--vary mechanism"),
+    ],
+)
+def test_bad_axes_say_why(text, words):
+    with pytest.raises(InputError, match=words.replace("(", r"\(")):
+        read_grid(problem(), [text])
+
+
+def test_a_million_million_points_are_refused_with_their_size():
+    with pytest.raises(InputError) as error:
+        sweep(problem(), [f"{FRAME}:1000000", f"{LIMIT}=120..140 deg:1000000"])
+    text = str(error.value)
+    assert "1,000,000 x 1,000,000 = 1,000,000,000,000 points" in text
+    assert "days" in text
+    assert "GB" in text
+
+
+def test_nothing_and_twice_are_no_grids():
+    with pytest.raises(InputError, match="nothing is varied"):
+        read_grid(problem(), [])
+    with pytest.raises(InputError, match="varied twice"):
+        read_grid(problem(), [f"{FRAME}:3", "mechanism.frame=1 m, 2 m"])
+
+
+# --- rows ------------------------------------------------------------------------------------------------------------
+
+
+def test_rows_are_those_of_single_solves():
+    result = sweep(problem(), [f"{FRAME}:21", f"{LIMIT}=125..140 deg:11"], workers=1)
+    assert result.complete
+    table = result.columns
+    assert len(table["valid"]) == 231
+    assert result.searched < 10
+    for i in np.random.default_rng(3).choice(231, 12, replace=False):
+        angle = table[f"{LIMIT}_deg"][i]
+        overrides = {
+            "mechanism.frame": f"{float(table['mechanism.frame_mm'][i])!r} mm",
+            "limits.transmission_angle": ["45 deg", f"{float(angle)!r} deg"],
+        }
+        single = optlink.solve(optlink.load("crank-rocker", overrides))
+        assert table["objective_rad2"][i] == pytest.approx(single.objective, rel=1e-9)
+        for name in ("coupler", "rocker"):
+            assert table[f"{name}_mm"][i] == pytest.approx(1e3 * single.design[name], abs=1e-6)
+
+
+def test_the_last_axis_changes_fastest():
+    columns = sweep(problem(), [f"{LIMIT}=130, 135 deg", f"{FRAME}:3"], workers=1).columns
+    assert columns["mechanism.frame_mm"].tolist() == [450.0, 500.0, 550.0] * 2
+    assert columns[f"{LIMIT}_deg"].tolist() == [130.0] * 3 + [135.0] * 3
+
+
+def test_where_other_limits_begin_to_hold_is_marked():
+    """Freed, the coupler takes 412.865 mm: its bound holds it below, and not above."""
+    result = sweep(problem(), ["mechanism.coupler.max=405..420 mm:61"], workers=1)
+    table = result.columns
+    (mark,) = np.flatnonzero(table[CHANGED])
+    assert table["mechanism.coupler.max_mm"][mark - 1] < 412.865 < table["mechanism.coupler.max_mm"][mark]
+    (change,) = result.changes
+    assert "coupler" in change.before
+    assert "coupler" not in change.after
+    assert "largest transmission angle" in change.after
+    assert np.all(table["coupler_mm"][mark:] == pytest.approx(412.86542, abs=1e-5))
+    assert result.searched >= 2  # where it changes, following a neighbour does not do
+
+
+def test_points_without_a_design_are_rows_too():
+    result = sweep(problem(), [f"{LIMIT}=70..100 deg:4"], workers=1)
+    table = result.columns
+    assert not result.complete
+    assert set(table["status"]) >= {"infeasible"}
+    bad = table["status"] == "infeasible"
+    assert result.infeasible == np.count_nonzero(bad)
+    assert not np.any(table[CHANGED][bad])  # nothing holds a design that is not there
+    for point in np.flatnonzero(bad):  # limits alone, not what follows from them
+        told = {*table["failed"][point].split("; "), *table["active"][point].split("; ")} - {""}
+        angle = f"{float(table[f'{LIMIT}_deg'][point])!r} deg"
+        single = optlink.solve(problem(**{"limits.transmission_angle": ["45 deg", angle]}))
+        assert {item.name for item in single.conflict} & told
+    assert np.all(np.isnan(table["objective_rad2"][bad]))
+    assert not np.any(table["valid"][bad])
+
+
+def test_a_size_that_varies_by_decades_hides_no_design():
+    """The programme is scaled by its first frame, of 1 mm; a single solve of the last one finds a design."""
+    table = sweep(problem(), ["mechanism.frame=1..1000 mm:4 log"], workers=1).columns
+    assert table["status"][0] == "infeasible"
+    single = optlink.solve(problem(**{"mechanism.frame": "1000 mm"}))
+    assert single.valid
+    assert table["valid"][3]
+    assert table["objective_rad2"][3] == pytest.approx(single.objective, rel=1e-9)
+
+
+def test_what_no_programme_holds_as_a_number_is_built_for_each_point():
+    result = sweep(problem(), ["requirement.span=60..90 deg:3"], workers=1)
+    assert result.complete
+    single = optlink.solve(optlink.load("crank-rocker", {"requirement.span": "75 deg"}))
+    assert result.columns["objective_rad2"][1] == pytest.approx(single.objective, rel=1e-9)
+
+
+def test_a_row_that_the_validator_rejects_is_not_valid(monkeypatch):
+    """Every point goes through the validator, which knows nothing of the programme: here it asks for more."""
+    from optlink.studies import reoptimise_task
+
+    stricter = problem(**{"limits.transmission_angle": ["45 deg", "120 deg"]}).spec
+    monkeypatch.setattr(reoptimise_task, "validate", lambda spec, design, objective: prove(stricter, design, objective))
+    result = sweep(problem(), ["mechanism.frame=500 mm, 510 mm"], workers=1)
+    assert result.valid == 0
+    assert set(result.columns["status"]) == {"optimal"}
+    assert "largest transmission angle" in result.columns["failed"][0]
+    assert "frame" in result.columns["failed"][1]  # the sweep's own frame, not that of the file
+
+
+@pytest.mark.parametrize(
+    "vary",
+    [
+        [f"{FRAME}:3", f"{LIMIT}=130..135 deg:3"],
+        ["mechanism.coupler.max=405..420 mm:3", "mechanism.coupler.min=4..5 in:2"],
+        [f"{LIMIT}=130, 135 deg", "limits.transmission_angle.min=30..40 deg:3"],
+        ["limits.time_ratio.max=1.05, 1.2", "limits.swing_angle=40..45 deg:3"],
+        ["requirement.psi0=90, 95 deg", "requirement.from=20..30 deg:2", "mechanism.crank=3.9..4 in:2"],
+    ],
+)
+def test_models_made_directly_are_those_of_the_file(vary):
+    file = problem(**{"limits.time_ratio": {"max": 1.3}, "limits.swing_angle": "42 deg"})
+    if "psi0" in vary[0]:
+        file = file.override({"requirement.psi0": "90 deg", "requirement.from": "30 deg"})
+    grid = read_grid(file, vary)
+    template = file.override(grid.changes(0)).spec
+    template.quantities, template.law  # noqa: B018 - what is derived must not be taken along
+    direct = Direct(template, grid.axes)
+    assert direct.possible
+    for point in range(grid.count):
+        made, read = direct.model(grid.values(point)), file.override(grid.changes(point)).spec
+        assert {k: (q.value, q.bounds) for k, q in made.quantities.items()} == {
+            k: (q.value, q.bounds) for k, q in read.quantities.items()
+        }
+        for key in ("transmission_angle", "time_ratio", "swing_angle"):
+            one, other = getattr(made.limits, key), getattr(read.limits, key)
+            assert (one.low, one.high) == (other.low, other.high)
+        assert made.start_position({k: q.value for k, q in made.quantities.items()}) == read.start_position(
+            {k: q.value for k, q in read.quantities.items()}
+        )
+
+
+def test_analysis_without_optimisation():
+    file = problem("six-bar")
+    name = next(key for key in file.model.mechanism.quantities if key.endswith(".length"))
+    size = file.model.mechanism.quantities[name].value
+    key = f"mechanism.links.{name}"
+    result = sweep(file, [f"{key}={size!r}..{1.02 * size!r} m:5"], analyze=True, workers=1, points=90)
+    values = np.linspace(size, 1.02 * size, 5)
+    torque = optlink.analyze_batch(file, {name: values}, points=90)["input.torque_Nm"]
+    assert np.all(result.columns["input.torque_Nm.min"] <= torque.min(axis=1))
+    assert np.all(result.columns["input.torque_Nm.max"] >= torque.max(axis=1))
+    for i, value in enumerate(values):
+        exact = optlink.analyze(file, design={name: float(value)}).extremes["input.torque_Nm"]
+        assert result.columns["input.torque_Nm.max"][i] == pytest.approx(exact.largest, rel=1e-12)
+    np.testing.assert_allclose(result.columns["input.torque_Nm.rms"], np.sqrt((torque**2).mean(axis=1)), rtol=1e-12)
+
+
+def test_only_sizes_can_be_analysed():
+    with pytest.raises(InputError, match="only sizes"):
+        sweep(problem(), [f"{LIMIT}=120..130 deg:3"], analyze=True)
+    with pytest.raises(InputError, match="no such column"):
+        sweep(problem(), [f"{FRAME}:3"], analyze=True, columns=["torque"])
+
+
+@pytest.mark.parametrize("points", [0, 1, -5, 10_001])
+def test_crank_angles_of_an_analysis_are_not_any_number(points):
+    with pytest.raises(InputError, match=r"--points = .*out of range.*2 to 10,000"):
+        sweep(problem(), [f"{FRAME}:3"], analyze=True, points=points)
+
+
+@pytest.mark.parametrize(("backend", "words"), [("both", "searches with one back end"), ("ipop", 'Did you mean "ipopt"')])
+def test_a_back_end_that_no_study_has_is_refused(backend, words):
+    with pytest.raises(InputError, match=words):
+        sweep(problem(), [f"{FRAME}:3"], backend=backend)
+
+
+def test_what_cannot_be_swept_says_so():
+    with pytest.raises(InputError, match="nothing to solve"):
+        sweep(problem("shaper"), ["mechanism.links.crank.length=0.1..0.11 m:3"])
+    fixed = problem(**{"mechanism.coupler": "412 mm", "mechanism.rocker": "232 mm"})
+    with pytest.raises(InputError, match="nothing is free"):
+        sweep(fixed, [f"{FRAME}:3"])
+
+
+# --- the same bytes, whatever happens --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> bytes:
+    out = tmp_path_factory.mktemp("undisturbed")
+    sweep(problem(), [f"{FRAME}:700"], out, workers=1)
+    assert sorted(path.name for path in out.iterdir()) == ["study.json", "sweep.csv"]
+    return (out / "sweep.csv").read_bytes()
+
+
+def test_workers_and_order_do_not_matter(undisturbed, tmp_path, monkeypatch):
+    sweep(problem(), [f"{FRAME}:700"], tmp_path / "two", workers=2)
+    assert (tmp_path / "two" / "sweep.csv").read_bytes() == undisturbed
+    real = runner._local
+
+    def backwards(task, todo, workers):
+        return real(task, todo[::-1], workers)
+
+    monkeypatch.setattr(runner, "_local", backwards)
+    sweep(problem(), [f"{FRAME}:700"], tmp_path / "back", workers=1)
+    assert (tmp_path / "back" / "sweep.csv").read_bytes() == undisturbed
+
+
+def command(out: Path, *more: str) -> list[str]:
+    vary = ["--vary", f"{FRAME}:700", "--workers", "2"]
+    return [sys.executable, "-m", "optlink", "study", "sweep", "crank-rocker", *vary, "--out", str(out), *more]
+
+
+def test_killed_three_times_and_resumed(undisturbed, tmp_path):
+    """SIGKILL, each time a random while after the next chunk was written: nothing is lost, nothing is done twice."""
+    out, rng, kept = tmp_path / "run", random.Random(7), 0
+    for kill in range(3):
+        run = subprocess.Popen(command(out, *(["--resume"] if kill else [])), cwd=ROOT, stdout=subprocess.DEVNULL)
+        begin = time.monotonic()
+        while len(list(out.glob("chunks/*/0*.csv"))) <= kept and time.monotonic() - begin < 60.0:
+            assert run.poll() is None
+            time.sleep(0.01)
+        time.sleep(0.2 * rng.random())
+        run.send_signal(signal.SIGKILL)
+        run.wait()
+        now = len(list(out.glob("chunks/*/0*.csv")))
+        assert kept < now <= 7
+        kept = now
+    done = subprocess.run([*command(out, "--resume"), "--json"], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["points_done_now"] == 700 - 100 * kept
+    assert (out / "sweep.csv").read_bytes() == undisturbed
+    assert not (out / "chunks").exists()
+
+
+def test_a_finished_run_is_read_again(undisturbed, tmp_path):
+    sweep(problem(), [f"{FRAME}:700"], tmp_path, workers=1)
+    again = sweep(problem(), [f"{FRAME}:700"], tmp_path, resume=True)
+    assert again.done == 0
+    assert again.valid == 700
+    assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
+
+
+def test_a_finished_run_tells_the_same_again(tmp_path):
+    vary = ["mechanism.coupler.max=405..420 mm:61"]
+    first = sweep(problem(), vary, tmp_path, workers=1)
+    again = sweep(problem(), vary, tmp_path, resume=True)
+    assert len(first.changes) == 1
+    assert again.changes == first.changes
+    assert (again.valid, again.searched, again.changed, again.best) == (61, first.searched, 1, first.best)
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[:-40], lambda b: b + b"1,2\n", lambda b: b.replace(b",", b";", 1), lambda b: b""])
+def test_a_finished_table_that_was_changed_is_not_believed(tmp_path, damage):
+    sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
+    table = tmp_path / "sweep.csv"
+    table.write_bytes(damage(table.read_bytes()))
+    with pytest.raises(InputError, match=r"changed or cut short.*begin again"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda chunk: chunk[:-30],
+        lambda chunk: chunk.replace(b"0.00", b"0.01", 1),
+        lambda chunk: b"\xff\xfe" + chunk[2:],
+        lambda chunk: bytes(len(chunk)),
+        lambda chunk: b"",
+    ],
+)
+def test_a_chunk_that_is_damaged_is_done_again(tmp_path, monkeypatch, damage):
+    vary = ["mechanism.frame=450..550 mm:250"]
+    sweep(problem(), vary, tmp_path / "whole", workers=1)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(problem(), vary, tmp_path, workers=1, progress=interrupted_after(monkeypatch, 2))
+    first = sorted(tmp_path.glob("chunks/*/0*.csv"))[0]
+    first.write_bytes(damage(first.read_bytes()))
+    resumed = sweep(problem(), vary, tmp_path, resume=True, workers=1)
+    assert resumed.done == 150
+    assert (tmp_path / "sweep.csv").read_bytes() == (tmp_path / "whole" / "sweep.csv").read_bytes()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has neither this signal nor this limit")
+def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
+    out = tmp_path / "run"
+    run = subprocess.Popen(command(out), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    begin = time.monotonic()
+    while not list(out.glob("chunks/*/0*.csv")) and time.monotonic() - begin < 60.0:
+        time.sleep(0.01)
+    run.send_signal(signal.SIGINT)
+    _, told = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert f"go on with --resume --out {out}" in told
+    assert "Traceback" not in told
+    sweep(problem(), [f"{FRAME}:700"], out, resume=True, workers=1)
+    assert (out / "sweep.csv").read_bytes() == undisturbed
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
+from optlink.cli.app import main
+vary = ["--vary", "mechanism.frame=450..550 mm:700", "--workers", "1"]
+sys.argv = ["optlink", "study", "sweep", "crank-rocker", *vary, *sys.argv[2:]]
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has neither this signal nor this limit")
+@pytest.mark.parametrize(("bytes_left", "kept"), [(4_000, 0), (60_000, 7)])
+def test_no_room_for_a_chunk_or_for_the_table_costs_nothing_that_is_done(undisturbed, tmp_path, bytes_left, kept):
+    out = tmp_path / "run"
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(bytes_left), "--out", str(out)], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2, done.stderr
+    assert "File too large" in done.stderr
+    assert "Free some space" in done.stderr
+    assert len(list(out.glob("chunks/*/0*.csv"))) == kept
+    assert out.exists() == bool(kept)  # of a study of which nothing was done nothing stays
+    sweep(problem(), [f"{FRAME}:700"], out, resume=bool(kept), workers=1)
+    assert (out / "sweep.csv").read_bytes() == undisturbed
+
+
+def test_a_chunk_that_is_cut_short_is_done_again(undisturbed, tmp_path, monkeypatch):
+    stopped = interrupted_after(monkeypatch, 3)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(problem(), [f"{FRAME}:700"], tmp_path, workers=1, progress=stopped)
+    first = sorted(tmp_path.glob("chunks/*/0*.csv"))[0]
+    first.write_text(first.read_text()[:-30])
+    resumed = sweep(problem(), [f"{FRAME}:700"], tmp_path, resume=True, workers=1)
+    assert resumed.done == 500
+    assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
+
+
+def interrupted_after(monkeypatch, count: int):
+    """A progress that is interrupted (Ctrl-C) when so many chunks are written."""
+    calls = [0]
+
+    def progress(done: int, total: int) -> None:
+        calls[0] += 1
+        if calls[0] > count:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+def test_a_disk_that_is_full_costs_nothing_that_is_done(undisturbed, tmp_path, monkeypatch):
+    real, written = Path.write_text, []
+
+    def full(self, text, **kwargs):
+        if "chunks" in self.parts:
+            written.append(self)
+            if len(written) > 4:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return real(self, text, **kwargs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", full)
+        with pytest.raises(InputError, match=r"No space left on device.*Free some space"):
+            sweep(problem(), [f"{FRAME}:700"], tmp_path, workers=2)
+    assert len(list(tmp_path.glob("chunks/*/*.csv"))) == 4
+    assert not list(tmp_path.glob("chunks/*/.*"))
+    assert sweep(problem(), [f"{FRAME}:700"], tmp_path, resume=True, workers=2).done == 300
+    assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
+
+
+@pytest.mark.parametrize(
+    ("other", "vary", "words"),
+    [
+        ({"mechanism.crank": "101 mm"}, f"{FRAME}:3", "problem hash differs"),
+        ({}, f"{FRAME}:4", "axes differs"),
+        ({}, "mechanism.crank=100..101 mm:3", "axes differs"),
+    ],
+)
+def test_a_folder_of_another_study_is_refused_and_left_alone(tmp_path, other, vary, words):
+    sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    for resume in (False, True):
+        with pytest.raises(InputError, match=f"{words}.*nothing was overwritten"):
+            sweep(problem(**other), [vary], tmp_path, resume=resume)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_study_of_another_version_is_refused(tmp_path):
+    sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
+    about = tmp_path / store.ABOUT
+    about.write_text(about.read_text().replace(f'"optlink": "{optlink.__version__}"', '"optlink": "0.0.1"'))
+    with pytest.raises(InputError, match=r"optlink differs, there 0\.0\.1"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
+
+
+def test_the_same_study_is_not_begun_twice_without_a_word(tmp_path):
+    sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
+    with pytest.raises(InputError, match="--resume"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path)
+    with pytest.raises(InputError, match="no study to go on with"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path / "empty", resume=True)
+
+
+def test_a_table_that_is_no_study_is_not_overwritten(tmp_path):
+    (tmp_path / "sweep.csv").write_text("mine\n")
+    with pytest.raises(InputError, match="another study"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path)
+    assert (tmp_path / "sweep.csv").read_text() == "mine\n"
+
+
+# --- engines ---------------------------------------------------------------------------------------------------------
+
+
+class Square:
+    """A task for engines: squares, and ways to fail."""
+
+    def __init__(self, folder: Path, deadly: int = -1, always: bool = False, faulty: int = -1) -> None:
+        self.folder, self.deadly, self.always, self.faulty = folder, deadly, always, faulty
+
+    def state(self):
+        return {**vars(self), "folder": str(self.folder)}
+
+    @classmethod
+    def revived(cls, state):
+        return cls(**{**state, "folder": Path(state["folder"])})
+
+    def __call__(self, index: int) -> int:
+        with (self.folder / f"done-{index}").open("a") as file:
+            file.write("x")
+        if index == self.deadly and (self.always or (self.folder / f"done-{index}").read_text() == "x"):
+            os.kill(os.getpid(), signal.SIGKILL)
+        if index == self.faulty:
+            raise ZeroDivisionError("no inverse of zero")
+        time.sleep(0.02)
+        return index * index
+
+
+def test_a_worker_that_dies_costs_only_its_chunk(tmp_path):
+    found = {index: answer.value for index, answer in runner.run(Square(tmp_path, deadly=3), range(12), workers=2)}
+    assert found == {index: index * index for index in range(12)}
+    done = {index: len((tmp_path / f"done-{index}").read_text()) for index in range(12)}
+    assert done == {index: 2 if index == 3 else 1 for index in range(12)}
+
+
+def test_a_chunk_that_kills_every_worker_is_named(tmp_path):
+    with pytest.raises(SolverError, match=r"chunk 3 .* ended 3 processes"):
+        list(runner.run(Square(tmp_path, deadly=3, always=True), range(6), workers=2))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_breakdown_is_told_with_its_place(tmp_path, workers):
+    with pytest.raises(SolverError, match=r"(?s)chunk 2.*no inverse of zero"):
+        list(runner.run(Square(tmp_path, faulty=2), range(4), workers=workers))
+
+
+def test_no_process_outlives_a_run_that_is_given_up(tmp_path):
+    before = threading.active_count()
+    answers = runner.run(Square(tmp_path), range(1000), workers=2)
+    next(answers)
+    answers.close()
+    assert threading.active_count() == before
+    done = len(list(tmp_path.iterdir()))
+    time.sleep(0.3)
+    assert len(list(tmp_path.iterdir())) == done < 1000
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"engine": "dusk"}, 'Did you mean "dask"'),
+        ({"workers": 0}, "out of range"),
+        ({"workers": 5000}, "out of range"),
+        ({"scheduler": "tcp://127.0.0.1:8786"}, "Add --engine dask"),
+    ],
+)
+def test_bad_engines(options, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path / "new", **options)
+    assert not (tmp_path / "new").exists()  # so that the same folder serves once the option is mended
+
+
+def test_without_dask_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r'pip install "optlink\[dask\]"'):
+        sweep(problem(), [f"{FRAME}:3"], engine="dask")
+
+
+DASK = """
+import multiprocessing, sys, time
+from pathlib import Path
+import optlink
+from optlink.studies.sweep import sweep
+
+killed = []
+
+def kill_one(done, wanted):
+    if not killed and 0 < done < wanted:
+        worker = multiprocessing.active_children()[0]
+        worker.kill()
+        killed.append(worker.pid)
+        print("killed")
+
+if __name__ == "__main__":
+    vary, file = ["mechanism.frame=450..550 mm:700"], optlink.load("crank-rocker")
+    sweep(file, vary, Path(sys.argv[1], "dask"), engine="dask", workers=2)
+    sweep(file, vary, Path(sys.argv[1], "killed"), engine="dask", workers=2, progress=kill_one)
+    begin = time.monotonic()
+    try:
+        sweep(file, vary, engine="dask", scheduler="tcp://127.0.0.1:9")
+    except optlink.InputError as error:
+        print(error, time.monotonic() - begin < 20)
+"""
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_bytes_and_survives_a_killed_worker(undisturbed, tmp_path):
+    pytest.importorskip("distributed")
+    script = tmp_path / "cluster.py"
+    script.write_text(DASK)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, str(script), str(tmp_path)], check=False, capture_output=True, text=True, env=environment, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "dask" / "sweep.csv").read_bytes() == undisturbed
+    assert "killed" in done.stdout
+    assert (tmp_path / "killed" / "sweep.csv").read_bytes() == undisturbed
+    assert "no scheduler answers there within 10 s" in done.stdout
+    assert done.stdout.rstrip().endswith("True")
+
+
+SCHEDULER = """
+import sys
+from distributed import LocalCluster
+
+if __name__ == "__main__":
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1", dashboard_address=":0"
+    ) as cluster:
+        print(cluster.scheduler_address, flush=True)
+        sys.stdin.read()
+"""
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_dies_midway_costs_one_sentence_and_no_chunk(undisturbed, tmp_path):
+    pytest.importorskip("distributed")
+    script, out = tmp_path / "scheduler.py", tmp_path / "run"
+    script.write_text(SCHEDULER)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, str(script)], env=environment, **pipes) as scheduler:
+        try:
+            address = scheduler.stdout.readline().strip()
+            arguments = command(out, "--engine", "dask", "--scheduler", address)
+            with subprocess.Popen(arguments, cwd=ROOT, **pipes) as run:
+                while not list(out.glob("chunks/*/0*.csv")):
+                    assert run.poll() is None
+                    time.sleep(0.01)
+                scheduler.kill()
+                told = run.communicate(timeout=60)[1]
+        finally:
+            scheduler.kill()
+    assert run.returncode == 3
+    sentences = [line for line in told.splitlines() if line.strip()]
+    assert len(sentences) == 1, told
+    assert f"the Dask scheduler {address} stopped answering" in sentences[0]
+    kept = len(list(out.glob("chunks/*/0*.csv")))
+    assert 1 <= kept < 7
+    resumed = sweep(problem(), [f"{FRAME}:700"], out, resume=True, workers=1)
+    assert resumed.done == 700 - 100 * kept
+    assert (out / "sweep.csv").read_bytes() == undisturbed
+
+
+def listening(processes: set[int]) -> set[str]:
+    """Local addresses of the TCP sockets, of IPv4 and IPv6, on which some of these processes listen."""
+    sockets = set()
+    for process in processes:
+        for handle in Path(f"/proc/{process}/fd").iterdir():
+            with contextlib.suppress(FileNotFoundError):
+                sockets.add(os.readlink(handle))
+    rows = [line.split() for name in ("tcp", "tcp6") for line in Path("/proc/net", name).read_text().splitlines()[1:]]
+    return {row[1] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in sockets}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads the tables of Linux")
+def test_a_cluster_of_this_machine_listens_on_no_port(tmp_path):
+    pytest.importorskip("distributed")
+    own = {os.getpid()}
+    with socket.create_server(("127.0.0.1", 0)):
+        assert len(listening(own)) == 1  # such a port would be seen
+    seen = []
+
+    def look(done: int, wanted: int) -> None:
+        workers = {child.pid for child in multiprocessing.active_children()}
+        if 0 < done < wanted:
+            seen.append((len(workers), listening(own | workers)))
+
+    before = listening(own)
+    sweep(problem(), [f"{FRAME}:400"], tmp_path, engine="dask", workers=2, progress=look)
+    assert seen == [(2, before)] * 3
+    assert not multiprocessing.active_children()
+
+
+# --- cost ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_memory_is_flat():
+    """Resident memory after 200 and after 2000 points, in a process of its own."""
+    code = """
+import resource, optlink
+from optlink.studies.sweep import sweep
+file = optlink.load("crank-rocker")
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+sweep(file, ["mechanism.frame=450..550 mm:200"], workers=1)
+early = peak()
+sweep(file, ["mechanism.frame=450..550 mm:2000"], workers=1)
+print(peak() - early)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert float(done.stdout) < 4.0  # MB
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+def run(*arguments: str):
+    return CliRunner().invoke(app, ["study", "sweep", *arguments])
+
+
+def test_the_command_prints_and_writes(tmp_path):
+    done = run("crank-rocker", "--vary", f"{FRAME}:11", "--out", str(tmp_path), "--json")
+    assert done.exit_code == 0
+    document = json.loads(done.stdout)
+    assert document["schema"] == "optlink/sweep/1"
+    assert document["valid_points"] == 11
+    assert float(document["best"]["mechanism.frame_mm"]) == 550.0
+    assert {"result.json", "study.json", "sweep.csv", "sweep.png"} == {path.name for path in tmp_path.iterdir()}
+    text = run("crank-rocker", "--vary", f"{FRAME}:5", "--vary", f"{LIMIT}=130, 135 deg")
+    assert text.exit_code == 0
+    assert "every optimum proven" in text.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "panels", "legend"),
+    [
+        ("crank-rocker", [f"{FRAME}:5"], 2, ""),
+        ("crank-rocker", [f"{LIMIT}=60..100 deg:5"], 2, "no design"),
+        ("crank-rocker", ["mechanism.frame=550 mm, 450 mm, 500 mm", f"{LIMIT}=85..135 deg:4"], 1, "other limits begin to hold"),
+        (
+            "crank-rocker",
+            ["mechanism.crank=100..140 mm:3", "mechanism.frame=460 mm, 500 mm", f"{LIMIT}=85, 135 deg"],
+            3,
+            "no design",
+        ),
+        ("crank-rocker", ["mechanism.crank=100 mm", f"{FRAME}:5"], 2, ""),
+        ("slider-crank", ["mechanism.links.rod.length=50..300 mm:9 log"], 1, "no valid figures"),
+        ("slider-crank", ["mechanism.links.rod.length=150..300 mm:3 log", "mechanism.links.crank.length=0.05..0.1 m:3"], 3, ""),
+    ],
+)
+def test_pictures_over_one_two_and_three_parameters(name, arguments, panels, legend):
+    result = sweep(problem(name), arguments, analyze=name == "slider-crank", workers=1)
+    drawn = picture(result)
+    axes = [axes for axes in drawn.axes if axes.get_label() != "<colorbar>" and axes.axison]
+    assert len(axes) == panels
+    words = " ".join(text.get_text() for one in drawn.legends for text in one.get_texts())
+    assert legend in words
+    assert bool(words) == bool(legend)
+    for one in axes:
+        label = one.xaxis.get_label_text()
+        assert not label or label.endswith(("[mm]", "[deg]", "[m]"))
+    if len(axes) == 1 and name == "crank-rocker":  # rows in rising order, though they were asked for in another
+        low, high = axes[0].get_ylim()
+        assert (low, high) == pytest.approx((425.0, 575.0))
+        shown = axes[0].collections[0].get_array().reshape(3, 4)
+        table = result.columns["objective_rad2"].reshape(3, 4)
+        np.testing.assert_array_equal(np.ma.filled(shown, np.nan), table[[1, 2, 0]])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "nothing is varied"),
+        (["--vary", f"{FRAME}:3", "--resume"], "which run is to go on"),
+        (["--vary", f"{FRAME}:3", "--column", "input.torque_Nm"], "Add --analyze"),
+        (["--vary", f"{FRAME}:3", "--design", "coupler=412 mm", "--design", "rocker=232 mm"], "add --analyze"),
+        (["--vary", f"{FRAME}:3", "--engine", "slurm"], "unknown engine"),
+        (["--vary", "mechanism.fram=1..2 m:3"], 'Did you mean "frame"'),
+    ],
+)
+def test_bad_input_of_the_command(arguments, words):
+    done = run("crank-rocker", *arguments)
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_given_design_need_not_say_what_is_varied(tmp_path):
+    arguments = ["--analyze", "--vary", "mechanism.coupler=400..420 mm:2", "--column", "rocker.angle_rad"]
+    assert run("crank-rocker", *arguments, "--design", "rocker=232 mm", "--out", str(tmp_path)).exit_code == 0
+    rows = (tmp_path / "sweep.csv").read_text().splitlines()[1:]
+    for row, coupler in zip(rows, (400.0, 420.0), strict=True):  # crank and coupler in line: law of cosines
+        dead = math.pi - math.acos((232.0**2 + 500.0**2 - (coupler + 100.0) ** 2) / (2.0 * 232.0 * 500.0))
+        assert float(row.split(",")[1]) == pytest.approx(dead, abs=1e-4)
+    assert run("crank-rocker", *arguments).exit_code == 0
+    assert run("crank-rocker", *arguments, "--design", "coupler=400 mm").exit_code == 2  # the rocker is missing
+
+
+def test_some_points_not_valid_is_exit_code_1():
+    assert run("crank-rocker", "--vary", f"{LIMIT}=70, 135 deg").exit_code == 1
+
+
+def half_written(path: Path) -> None:
+    with io.whole(path) as temporary:
+        temporary.write_text("half")
+        raise ZeroDivisionError
+
+
+def test_storage_is_whole_or_not_there(tmp_path):
+    with pytest.raises(ZeroDivisionError):
+        half_written(tmp_path / "a.txt")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ("50..70 mm step 1e-320", "makes more points than a sweep takes"),  # their number is infinite
+        ("50..70 mm step 1e-9", "makes more points than a sweep takes"),
+        ("1e400 mm, 60 mm", "finite numbers"),
+        ("-1e308..1e308 mm:3", "wider than numbers can tell"),
+        ("1e-308..1e308 mm:3 log", "wider than numbers can tell"),
+    ],
+)
+def test_ends_and_steps_that_no_number_holds_are_refused(values, words):
+    with pytest.raises(InputError, match=words):
+        read_axis(f"mechanism.crank={values}")
+
+
+def test_crank_angles_without_an_analysis_are_refused():
+    done = run("crank-rocker", "--vary", f"{FRAME}:3", "--points", "90")
+    assert done.exit_code == 2
+    assert "--points" in done.stderr
+    assert "Add --analyze" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "other", [["study", "tolerance", "--tolerance", "coupler=0.1 mm", "--samples", "0"], ["study", "sensitivity"], ["solve"]]
+)
+def test_a_sweep_is_not_overwritten_by_another_result(tmp_path, other):
+    assert run("crank-rocker", "--vary", f"{FRAME}:2", "--out", str(tmp_path)).exit_code == 0
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    done = CliRunner().invoke(app, [*other, "crank-rocker", "--out", str(tmp_path)])
+    assert done.exit_code == 2
+    assert "the folder holds a sweep of crank-rocker" in done.stderr
+    assert "Choose another folder" in done.stderr
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    (tmp_path / store.ABOUT).write_text(json.dumps({"mode": "pareto", "problem": "shaper", "objectives": []}))
+    assert "a front of shaper" in CliRunner().invoke(app, [*other, "crank-rocker", "--out", str(tmp_path)]).stderr
+
+
+@pytest.mark.parametrize(
+    ("objectives", "words"),
+    [
+        ("error, coupler=1..2 mm", "the range leaves the bounds of coupler, 100 to 900 mm"),
+        ("error, coupler.min=0.4..1 m", "the range leaves the bounds of coupler, 100 to 900 mm"),
+        ("error, coupler=300..200 mm", "its ends are exchanged"),
+    ],
+)
+def test_fronts_stay_within_the_bounds_of_sizes(objectives, words):
+    done = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", objectives, "--points", "3"])
+    assert done.exit_code == 2
+    assert words in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [
+        ("transmission-optimal", "a swing and a good transmission are wanted here"),
+        ("motion-3-poses", "poses of a body are wanted here"),
+        ("path-ellipse10", "points of a path are wanted here"),
+    ],
+)
+def test_what_has_no_front_says_what_is_wanted_of_it(name, wanted):
+    done = CliRunner().invoke(app, ["study", "pareto", name, "--objectives", "error, coupler.max"])
+    assert done.exit_code == 2
+    assert wanted in done.stderr
+
+
+def test_one_point_is_told_as_one(tmp_path):
+    aims = "error, coupler=500..900 mm"  # at both the coupler of the best design is shorter: one point
+    done = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", aims, "--points", "2"])
+    assert done.exit_code == 0
+    assert "\n1 point of the front" in done.stdout
+    assert "\n2 points done" in done.stdout

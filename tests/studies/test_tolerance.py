@@ -1,0 +1,557 @@
+"""Tolerances, against a published table, the law of cosines, scipy's distributions and closed forms of least cost."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+import scipy.stats
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.errors import InputError
+from optlink.problem.tolerances import SHAPES, Deviation
+from optlink.studies.allocation import least_cost
+from optlink.studies.monte_carlo import monte_carlo
+from optlink.studies.nominal import drawing
+from optlink.studies.robust_design import robust
+from optlink.studies.sampling import drawn, read_costs, read_yield, wilson
+from optlink.studies.tolerance import analysed, tolerance
+from optlink.studies.tolerance_options import read_deviations
+
+DESIGN = {"coupler": 0.412865417, "rocker": 0.23224617}
+LENGTHS = {"crank": 0.1, **DESIGN, "frame": 0.5}
+FOUR = ["crank=0.05 mm", "coupler=0.1 mm", "rocker=0.08 mm", "frame=0.12 mm"]
+SIZES = {"crank": 5e-5, "coupler": 1e-4, "rocker": 8e-5, "frame": 1.2e-4}
+
+# d psi / d l [rad per crank length] of the crank-rocker optimum at crank angles [deg]: crank, coupler, rocker, frame
+TABLE = {
+    0: (-0.382699, -0.457120, 0.153498, 0.382699),
+    60: (-0.328158, -0.431796, 0.032414, 0.407123),
+    120: (0.140934, -0.481177, -0.214789, 0.468903),
+    240: (0.420297, -0.481177, -0.214789, 0.413031),
+}
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return optlink.load("crank-rocker")
+
+
+def rocker_angle(crank, coupler, rocker, frame, phi, lift=0.0):
+    """The law of cosines, in the triangle of the diagonal from B to D; D is lifted off the line of the frame."""
+    bx, by = frame - crank * np.cos(phi), lift - crank * np.sin(phi)
+    diagonal = np.hypot(bx, by)
+    inner = np.arccos((diagonal**2 + rocker**2 - coupler**2) / (2.0 * diagonal * rocker))
+    return math.pi + np.arctan2(by, bx) - inner
+
+
+def study(problem, texts, output="rocker", angles=(0.0, 60.0, 120.0, 240.0), limit=None, shape="normal"):
+    nominal = drawing(problem, output, None if angles is None else np.radians(angles), DESIGN)
+    return analysed(problem, nominal, read_deviations(problem, nominal, texts, shape), limit)
+
+
+# --- to first order ----------------------------------------------------------------------------------------------------
+
+
+def test_worst_case_and_rss_are_the_tables_sensitivities_combined(problem):
+    found = study(problem, FOUR)
+    rows = np.array(list(TABLE.values())) / 0.1 * np.array(list(SIZES.values()))  # rad
+    np.testing.assert_allclose(found.worst[1], np.sum(np.abs(rows), axis=1), rtol=1e-5)
+    np.testing.assert_allclose(found.worst[0], -np.sum(np.abs(rows), axis=1), rtol=1e-5)
+    np.testing.assert_allclose(found.rss, np.sqrt(np.sum(rows**2, axis=1)), rtol=1e-5)
+    np.testing.assert_allclose(found.sigma, found.rss / 3.0, rtol=1e-12)
+    shares = (rows**2 / np.sum(rows**2, axis=1)[:, None]).T
+    np.testing.assert_allclose(found.contributions, shares, rtol=3e-5)
+
+
+def test_the_error_over_the_span_answers_as_the_rocker_does(problem):
+    """Wanted minus actual: the law stays, so the error changes by what the rocker does not do."""
+    error = study(problem, FOUR, "error", None)
+    span = np.degrees(error.nominal.crank_angles)
+    assert span[-1] - span[0] == pytest.approx(90.0)
+    np.testing.assert_allclose(error.by, -study(problem, FOUR, "rocker", span).by, rtol=1e-12)
+    law = 2.0 / (3.0 * math.pi) * np.radians(span - span[0]) ** 2
+    psi = rocker_angle(*LENGTHS.values(), np.radians(span))
+    np.testing.assert_allclose(error.nominal.base, psi[0] + law - psi, atol=1e-9)
+
+
+def test_pivots_that_deviate(problem):
+    """D lifted by h turns the frame and lengthens it in second order; D to the right lengthens it."""
+    angles = np.radians([0.0, 60.0, 120.0, 240.0])
+    found = study(problem, ["D.x=0.1 mm", "D.y=0.1 mm", "A.x=0.1 mm", "A.y=0.1 mm"])
+    h = 1e-6
+
+    def psi(**by):
+        sizes = {**LENGTHS, "frame": LENGTHS["frame"] + by.get("x", 0.0)}
+        return rocker_angle(*sizes.values(), angles, by.get("y", 0.0))
+
+    for i, key in enumerate("xy"):
+        slope = (psi(**{key: h}) - psi(**{key: -h})) / (2.0 * h)
+        np.testing.assert_allclose(found.by[i], slope, rtol=1e-7)
+        np.testing.assert_allclose(found.by[2 + i], -slope, rtol=1e-7)  # the other pivot the other way: the crank stays
+
+
+def test_a_clearance_is_a_length_of_the_coupler(problem):
+    """A gap in any direction, at any pin, moves the rocker at most as the coupler longer by that gap does."""
+    pins = ("A", "B", "C", "D")
+    found = study(problem, [*(f"{pin}.clearance=0.05 mm" for pin in pins), "coupler=0.05 mm"])
+    np.testing.assert_allclose(found.by[:4], np.tile(found.by[4], (4, 1)))
+    assert {d.size for d in found.deviations} == {"coupler"}
+    gap, directions = 1e-6, np.linspace(0.0, 2.0 * math.pi, 721)
+    for at, degrees in enumerate((0.0, 60.0, 120.0, 240.0)):
+        phi = math.radians(degrees)
+        moved = []
+        for direction in directions:  # B carried off by the gap: another crank, at another angle
+            b = 0.1 * np.exp(1j * phi) + gap * np.exp(1j * direction)
+            moved.append(rocker_angle(abs(b), *list(LENGTHS.values())[1:], np.angle(b)))
+        change = np.abs(np.array(moved) - rocker_angle(*LENGTHS.values(), phi))
+        assert np.max(change) == pytest.approx(abs(found.by[4, at]) * gap, rel=1e-4)
+        assert np.sqrt(np.mean(change[:-1] ** 2)) == pytest.approx(np.max(change) / math.sqrt(2.0), rel=1e-3)
+
+
+# --- samples -----------------------------------------------------------------------------------------------------------
+
+KNOWN = {
+    "normal": scipy.stats.norm(scale=1.0 / 3.0),
+    "uniform": scipy.stats.uniform(-1.0, 2.0),
+    "triangular": scipy.stats.triang(0.5, -1.0, 2.0),
+    "contact": scipy.stats.arcsine(-1.0, 2.0),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_distributions_are_those_of_scipy(shape):
+    share = np.linspace(0.001, 0.999, 997)
+    deviation = Deviation("a", "a", "length", 2.0, shape)
+    np.testing.assert_allclose(deviation.at(share), 2.0 * KNOWN[shape].ppf(share), atol=1e-12)
+    assert deviation.sigma == pytest.approx(2.0 * KNOWN[shape].std(), rel=1e-12)
+    values = np.concatenate([batch[:, 0] for batch in drawn([deviation], 20_000, 3)])
+    assert len(values) == 20_000
+    assert scipy.stats.kstest(values / 2.0, KNOWN[shape].cdf).pvalue > 0.5
+    assert np.std(values) == pytest.approx(deviation.sigma, rel=2e-3)
+
+
+def test_samples_are_those_of_their_seed():
+    deviations = [Deviation("a", "a", "length", 1.0), Deviation("b", "b", "length", 1.0, "uniform")]
+    one, again, other = (np.concatenate(list(drawn(deviations, 9000, seed))) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, again)
+    assert np.max(np.abs(one - other)) > 0.1
+    assert abs(np.corrcoef(one.T)[0, 1]) < 0.01
+
+
+@pytest.mark.parametrize(("good", "count"), [(0, 10), (10, 10), (97, 100), (131000, 131072), (1, 2)])
+def test_the_interval_is_wilsons(good, count):
+    known = scipy.stats.binomtest(good, count).proportion_ci(method="wilson")
+    assert wilson(good, count) == pytest.approx((known.low, known.high), abs=1e-12)
+
+
+def test_every_sample_is_moved_exactly(problem):
+    found = study(problem, [*FOUR, "D.y=1 mm"])
+    random = np.random.default_rng(0)
+    by = random.normal(0.0, 1e-3, (50, 5))
+    names = [*LENGTHS, "D.y"]
+    change = found.nominal.change({name: by[:, i : i + 1] for i, name in enumerate(names)})
+    phi = found.nominal.crank_angles
+    sizes = [LENGTHS[name] + by[:, i : i + 1] for i, name in enumerate(LENGTHS)]
+    np.testing.assert_allclose(change, rocker_angle(*sizes, phi, by[:, 4:]) - rocker_angle(*LENGTHS.values(), phi), atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", ["normal", "uniform", "triangular"])
+def test_small_tolerances_scatter_as_the_linear_model_says(problem, shape):
+    small = ["crank=0.005 mm", "coupler=0.01 mm", "rocker=0.008 mm", "C.clearance=0.004 mm"]
+    found = study(problem, small, shape=shape)
+    carlo = monte_carlo(found, 1 << 14, 5)
+    assert np.all(np.abs(carlo.sigma - found.sigma) < 2.0 * carlo.sigma_error)
+    assert np.all(np.abs(carlo.mean) < 2.0 * found.sigma / math.sqrt(carlo.samples))
+    assert np.all(carlo.most <= found.worst[1] * (1.001 if shape != "normal" else 2.0))
+    kurtosis = 3.0  # nearly, of a sum; the standard error of a sigma is then sigma / sqrt(2 n)
+    np.testing.assert_allclose(carlo.sigma_error, carlo.sigma * math.sqrt((kurtosis - 1.0) / 4.0 / carlo.samples), rtol=0.25)
+
+
+def test_a_yield_at_one_angle_is_that_of_the_normal_distribution(problem):
+    found = study(problem, FOUR, angles=(60.0,))
+    limit = 2.0 * float(found.sigma[0])
+    carlo = monte_carlo(study(problem, FOUR, angles=(60.0,), limit=limit), 1 << 15, 0)
+    low, high = carlo.interval
+    assert low < scipy.stats.norm.cdf(2.0) - scipy.stats.norm.cdf(-2.0) < high
+    assert carlo.share == pytest.approx(carlo.linear_share, abs=3e-4)
+    assert carlo.below(0.9545) == pytest.approx(limit, rel=0.01)
+
+
+def test_a_yield_over_the_span_is_that_of_other_samples(problem):
+    """Numpy's own random numbers and the law of cosines."""
+    limit = math.radians(2.32)
+    carlo = monte_carlo(study(problem, FOUR, "error", None, limit), 1 << 15, 0)
+    nominal = drawing(problem, "error", None, DESIGN)
+    random = np.random.default_rng(1)
+    by = random.normal(0.0, np.array(list(SIZES.values())) / 3.0, (20_000, 4))
+    phi = nominal.crank_angles
+    psi0 = rocker_angle(*LENGTHS.values(), phi[0])
+    wanted = psi0 + 2.0 / (3.0 * math.pi) * (phi - phi[0]) ** 2
+    psi = rocker_angle(*[LENGTHS[name] + by[:, i : i + 1] for i, name in enumerate(LENGTHS)], phi)
+    good = np.max(np.abs(wanted - psi), axis=1) <= limit
+    known = wilson(int(np.sum(good)), len(good), 0.999)
+    assert known[0] < carlo.share < known[1]
+    assert 0.9 < carlo.share < 0.999
+
+
+def test_what_cannot_be_assembled_is_no_good(problem):
+    found = study(problem, ["frame=130 mm uniform"], angles=(180.0,), limit=10.0)
+    carlo = monte_carlo(found, 1 << 13, 0)
+    longest = 0.41286542 + 0.23224617 - 0.1 - 0.5  # of the frame, before the loop cannot close
+    assert carlo.stuck / carlo.samples == pytest.approx((0.13 - longest) / 0.26, abs=2e-3)
+    assert carlo.good == carlo.samples - carlo.stuck
+
+
+def test_memory_is_flat(problem):
+    found, peaks = study(problem, FOUR, "error", None), []
+    for samples in (1 << 13, 1 << 13, 1 << 16):  # the first one loads scipy
+        tracemalloc.start()
+        monte_carlo(found, samples, 0)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[2] < 1.2 * peaks[1] + 1e6
+
+
+def test_measured_deviations(problem, tmp_path, monkeypatch):
+    random = np.random.default_rng(3)
+    values = random.normal(0.05, 0.02, 500)
+    (tmp_path / "parts.csv").write_text("coupler_mm\n" + "\n".join(map(repr, values.tolist())) + "\n")
+    monkeypatch.chdir(tmp_path)
+    found = study(problem, ["coupler=parts.csv"], angles=(60.0,))
+    slope = -0.431796 / 0.1 * 1e-3
+    assert found.shift[0] == pytest.approx(slope * np.mean(values), rel=1e-5)
+    assert found.sigma[0] == pytest.approx(abs(slope) * np.std(values), rel=1e-5)
+    assert found.worst[0][0] == pytest.approx(slope * np.max(values), rel=1e-5)
+    carlo = monte_carlo(found, 1 << 14, 0)
+    assert carlo.mean[0] == pytest.approx(found.shift[0], rel=2e-3)
+    assert carlo.sigma[0] == pytest.approx(found.sigma[0], rel=2e-3)
+
+
+# --- other linkages ----------------------------------------------------------------------------------------------------
+
+
+def test_a_machine_with_a_slider():
+    """Slider-crank in line: s = r cos phi + sqrt(l^2 - r^2 sin^2 phi)."""
+    problem = optlink.load("slider-crank")
+    quantities = problem.model.mechanism.quantities
+    crank, rod = (next(name for name in quantities if name.startswith(start)) for start in ("crank", "rod"))
+    r, length = quantities[crank].value, quantities[rod].value
+    found = tolerance(problem, [f"{crank}=0.1 mm", f"{rod}=0.1 mm"], "E.x", limit="0.25 mm", samples=1 << 12)
+    phi = found.nominal.crank_angles
+    long = np.sqrt(length**2 - (r * np.sin(phi)) ** 2)
+    np.testing.assert_allclose(found.by[1], length / long, rtol=1e-9)
+    np.testing.assert_allclose(found.by[0], np.cos(phi) - r * np.sin(phi) ** 2 / long, rtol=1e-9, atol=1e-12)
+    assert found.carlo.share > 0.99
+    assert not np.any(found.nominal.base)
+
+
+def test_a_path_is_solved_first():
+    found = tolerance(optlink.load("path-arc5"), ["coupler=0.01 mm", "P.along=0.01 mm"], "P.x", samples=0)
+    np.testing.assert_allclose(np.degrees(found.nominal.crank_angles), [30.0, 45.0, 60.0, 75.0, 90.0])
+    np.testing.assert_allclose(1e3 * found.nominal.value, [3.0, 2.759, 2.372, 1.89, 1.355], atol=2e-3)
+    assert found.carlo is None
+    assert np.all(found.sigma > 0.0)
+
+
+def test_the_design_is_solved_first(problem):
+    found = tolerance(problem, ["coupler=0.1 mm"], "rocker", samples=0)
+    assert 1e3 * found.nominal.sizes["coupler"] == pytest.approx(412.86542, abs=1e-3)
+
+
+# --- allocation --------------------------------------------------------------------------------------------------------
+
+
+def test_least_cost_under_one_limit_is_lagranges():
+    """sum a t^2 = 1 and least sum c/t: t as (c/a)^(1/3)."""
+    a, c = np.array([1e6, 3e7, 2e5, 4e8]), np.array([1.0, 5.0, 0.2, 3.0])
+    t, gap = least_cost(a[None, :], c)
+    known = (c / a) ** (1.0 / 3.0)
+    np.testing.assert_allclose(t, known / math.sqrt(np.sum(a * known**2)), rtol=1e-5)
+    assert 0.0 <= gap + 1e-9 < 1e-7
+
+
+def test_least_cost_under_several_limits_is_that_of_a_search():
+    weights, costs = np.array([[1.0, 0.2], [0.1, 2.0], [0.6, 1.0]]), np.array([1.0, 2.0])
+    t, _ = least_cost(weights, costs)
+    first = np.linspace(0.05, 1.0, 200_001)
+    rooms = (1.0 - weights[:, :1] * first**2) / weights[:, 1:]
+    second = np.sqrt(np.maximum(np.min(rooms, axis=0), 1e-12))
+    assert np.sum(costs / t) == pytest.approx(np.min(costs[0] / first + costs[1] / second), rel=2e-6)
+    assert np.max(weights @ t**2) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.fixture(scope="module")
+def allocated(problem):
+    return tolerance(problem, FOUR, limit="2.32 deg", design=DESIGN, wanted=0.97, costs={"coupler": 3.0}, samples=1 << 15)
+
+
+def test_the_allocation_keeps_the_yield(problem, allocated):
+    """By other samples and the law of cosines; a little looser, and it would not."""
+    found = allocated.allocation
+    assert found.kept
+    assert found.gap < 1e-6
+    random = np.random.default_rng(2)
+    phi = allocated.nominal.crank_angles
+    wanted = rocker_angle(*LENGTHS.values(), phi[0]) + 2.0 / (3.0 * math.pi) * (phi - phi[0]) ** 2
+    unit = random.normal(0.0, 1.0 / 3.0, (40_000, 4))
+    for wider, low, high in ((1.0, 0.9655, 0.9745), (1.1, 0.90, 0.965), (0.9, 0.975, 1.0)):
+        by = wider * unit * found.tolerances
+        psi = rocker_angle(*[LENGTHS[name] + by[:, i : i + 1] for i, name in enumerate(LENGTHS)], phi)
+        assert low < np.mean(np.max(np.abs(wanted - psi), axis=1) <= math.radians(2.32)) < high
+
+
+def test_no_cheaper_tolerances_keep_the_yield(problem, allocated):
+    """Neighbours of the same cost yield no more, to first order."""
+    found = allocated.allocation
+    best = monte_carlo(study(problem, _texts(found.tolerances), "error", None, allocated.limit), 1 << 14, 9)
+    for i, j in itertools.permutations(range(4), 2):
+        t = found.tolerances.copy()
+        t[i] *= 1.3
+        t *= np.sum(found.costs / t) / found.cost
+        assert np.sum(found.costs / t) == pytest.approx(found.cost)
+        other = monte_carlo(study(problem, _texts(t), "error", None, allocated.limit), 1 << 14, 9)
+        assert other.share < best.share + 2e-3, (i, j)
+
+
+def _texts(sizes):
+    return [f"{name}={1e3 * size!r} mm" for name, size in zip(LENGTHS, sizes.tolist(), strict=True)]
+
+
+def test_what_has_no_effect_stays_as_it_is():
+    problem = optlink.load("six-bar")
+    found = tolerance(
+        problem, ["link2.length=0.1 mm", "link5.length=0.1 mm"], "link3", limit="0.02 deg", wanted=0.99, samples=512
+    )
+    assert found.allocation.free == ("link5.length",)
+    assert found.allocation.tolerances[1] == pytest.approx(1e-4)
+
+
+# --- robust designs ----------------------------------------------------------------------------------------------------
+
+WIDE = ["crank=0.5 mm", "coupler=1 mm", "rocker=0.8 mm", "frame=1.2 mm"]
+
+
+def with_scatter(coupler, rocker, sigmas):
+    """Largest of the size of the error plus its scatter [rad]: law of cosines, central differences."""
+    sizes = {"crank": 0.1, "coupler": coupler, "rocker": rocker, "frame": 0.5}
+    stretched = coupler + 0.1  # crank and coupler in line: the outer dead centre
+    phi0 = math.acos((stretched**2 + 0.25 - rocker**2) / (2.0 * 0.5 * stretched))
+    phi = phi0 + np.linspace(0.0, math.pi / 2.0, 31)
+    psi = rocker_angle(*sizes.values(), phi)
+    error = psi[0] + 2.0 / (3.0 * math.pi) * (phi - phi0) ** 2 - psi
+    slopes = []
+    for name in sizes:
+        up, down = ({**sizes, name: sizes[name] + h} for h in (1e-6, -1e-6))
+        slopes.append((rocker_angle(*up.values(), phi) - rocker_angle(*down.values(), phi)) / 2e-6)
+    moved = np.array(slopes) * np.array([[5e-4], [1e-3], [8e-4], [1.2e-3]])
+    if sigmas is None:
+        return np.max(np.abs(error) + np.sum(np.abs(moved), axis=0))
+    return np.max(np.abs(error) + sigmas * np.sqrt(np.sum((moved / 3.0) ** 2, axis=0)))
+
+
+@pytest.mark.parametrize("sigmas", [0.0, 3.0, None])
+def test_a_robust_design_is_the_best_of_a_search_along_its_limit(problem, sigmas):
+    """The largest transmission angle, 135 deg where crank and frame are in line, leaves one length free."""
+    found = robust(problem, WIDE, sigmas)
+    assert found.valid
+    assert found.value == pytest.approx(with_scatter(found.design["coupler"], found.design["rocker"], sigmas), rel=1e-6)
+    assert found.before == pytest.approx(with_scatter(found.nominal["coupler"], found.nominal["rocker"], sigmas), rel=1e-6)
+    best = math.inf
+    for coupler in np.linspace(0.40, 0.44, 801):
+        c = 2.0 * coupler * math.cos(math.radians(135.0))  # coupler^2 + rocker^2 - c rocker = 0.6^2
+        rocker = 0.5 * (c + math.sqrt(c * c - 4.0 * (coupler**2 - 0.36)))
+        best = min(best, with_scatter(coupler, rocker, sigmas))
+    assert found.value <= best
+    assert found.value == pytest.approx(best, rel=1e-3)
+
+
+def test_a_robust_design_yields_more_than_the_best_as_drawn(problem):
+    found = tolerance(problem, WIDE, limit="2.2 deg", samples=1 << 13, robust=3.0)
+    assert found.carlo.interval[0] > 0.99
+    assert found.unrobust.interval[1] < 0.5
+    minimax = robust(problem, WIDE, 0.0)
+    close = [tolerance(problem, WIDE, limit="1.8 deg", samples=1 << 14, design=d.free) for d in (found.robust, minimax)]
+    assert close[0].carlo.interval[0] > close[1].carlo.share
+
+
+@pytest.mark.parametrize(
+    ("name", "limit", "texts", "mode"),
+    [
+        ("crank-rocker", 1.8, WIDE, "left"),
+        ("function-sin", 0.3, ["crank=0.2 mm", "coupler=0.2 mm"], "left"),
+        pytest.param("function-log10", 0.05, ["crank=0.2 mm", "coupler=0.2 mm"], "right", marks=pytest.mark.slow),
+    ],
+)
+def test_the_safest_design_keeps_the_limit_with_most_standard_deviations(name, limit, texts, mode):
+    """More at its worst crank angle than the best as drawn, and than those that were made for fewer or more."""
+    problem = optlink.load(name)
+    best = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 10, robust="margin")
+    assert best.robust.valid
+    assert best.robust.result.problem.model.mechanism.assembly == mode
+    assert best.robust.value == pytest.approx(math.radians(limit), rel=1e-3)
+
+    def margin(design):
+        nominal = drawing(best.robust.result.problem, None, None, design)
+        found = analysed(problem, nominal, best.deviations, best.limit)
+        return np.min((found.limit - np.abs(nominal.base)) / found.sigma)
+
+    free = best.robust.free
+    assert margin(free) == pytest.approx(best.robust.sigmas, abs=2e-2)
+    others = [{name: best.robust.nominal[name] for name in free}]
+    others += [robust(problem, texts, share * best.robust.sigmas).free for share in (0.0, 2.0)]
+    for other in others:
+        assert margin(other) < margin(free)
+
+
+def test_the_safest_crank_rocker_yields_most(problem):
+    best = tolerance(problem, WIDE, limit="1.8 deg", samples=1 << 14, robust="margin")
+    assert best.unrobust.share < 0.01
+    minimax = tolerance(problem, WIDE, limit="1.8 deg", samples=1 << 14, robust=0.0)
+    assert best.carlo.interval[0] > minimax.carlo.share
+
+
+# --- the command -------------------------------------------------------------------------------------------------------
+
+GIVEN = ["--design", "coupler=412.865417 mm", "--design", "rocker=232.24617 mm"]
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["study", "tolerance", *arguments])
+
+
+def test_the_command_writes_everything(tmp_path):
+    tolerances = [word for text in FOUR for word in ("--tolerance", text)]
+    words = ["crank-rocker", *tolerances, *GIVEN, "--limit", "2.32 deg", "--samples", "4096", "--out", str(tmp_path)]
+    result = run(*words, "--allocate", "97 %", "--json")
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert document == json.loads((tmp_path / "result.json").read_text())
+    assert document["schema"] == "optlink/tolerance/1"
+    assert document["monte_carlo"]["yield"] > 0.9
+    low, high = document["monte_carlo"]["yield_interval_95_percent"]
+    assert low < document["monte_carlo"]["yield"] < high
+    assert set(document["allocation"]["tolerances_SI"]) == set(LENGTHS)
+    shares = [entry["contribution_where_it_scatters_most_percent"] for entry in document["tolerances"]]
+    assert sum(shares) == pytest.approx(100.0)
+    with (tmp_path / "tolerance.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 31
+    assert float(rows[0]["rss_deg"]) == pytest.approx(math.degrees(document["linear"]["rss"][0]))
+    for picture in ("contributions.png", "band.png", "histogram.png"):
+        assert (tmp_path / picture).stat().st_size > 5000
+    told = run(*words[:-2]).output
+    assert "Who is to blame" in told
+    assert "yield, within 2.32 deg" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["no tolerance is given"]),
+        (["--tolerance", "couplr=0.1 mm"], ["unknown size", 'Did you mean "coupler"']),
+        (["--tolerance", "coupler"], ["expected NAME=TOLERANCE"]),
+        (["--tolerance", "coupler=0.1"], ["needs a unit"]),
+        (["--tolerance", "coupler=0.1 kg"], ["not a unit of length"]),
+        (["--tolerance", "coupler=0 mm"], ["above zero"]),
+        (["--tolerance", "coupler=-1 mm"], ["above zero"]),
+        (["--tolerance", "coupler=0.1 mm unifrm"], ["unknown distribution", '"uniform"']),
+        (["--tolerance", "coupler=nowhere.csv"], ["no such file"]),
+        (["--tolerance", "coupler=1 m"], ["more than half of the size"]),
+        (["--tolerance", "coupler=1 mm", "--output", "rocker", "--angles", "0, 60"], ["--angles", "is not a unit"]),
+        (["--tolerance", "coupler=1 mm", "--output", "rocker", "--angles", "0..9"], ["--angles", "no range"]),
+        (["--tolerance", "frame=1 mm", "--tolerance", "D.x=1 mm"], ["given twice"]),
+        (["--tolerance", "C.clearence=0.1 mm"], ["unknown size", "C.clearance"]),
+        (["--tolerance", "coupler=1 mm", "--output", "roker"], ["unknown output", '"rocker"']),
+        (["--tolerance", "coupler=1 mm", "--limit", "1 mm"], ["not a unit of angle"]),
+        (["--tolerance", "coupler=1 mm", "--limit", "0 deg"], ["above zero"]),
+        (["--tolerance", "coupler=1 mm", "--angles", "0, 60 deg"], ["span of the law"]),
+        (["--tolerance", "coupler=1 mm", "--allocate", "99 %"], ["a yield needs a limit"]),
+        (["--tolerance", "coupler=1 mm", "--allocate", "120 %", "--limit", "1 deg"], ["no yield"]),
+        (["--tolerance", "coupler=1 mm", "--allocate", "99 %", "--limit", "1 deg"], ["breaks the limit as it is drawn"]),
+        (["--tolerance", "coupler=1 mm", "--cost", "coupler=2"], ["costs are those of an allocation"]),
+        (["--tolerance", "coupler=1 mm", "--samples", "1"], ["out of range"]),
+        (["--tolerance", "coupler=1 mm", "--samples", "1000000000000"], ["out of range", "100,000,000"]),
+        (["--tolerance", "coupler=1 mm", "--seed", "-1"], ["a seed is not negative"]),
+        (["--tolerance", "coupler=1 mm", "--robust", "3"], ["a robust design is searched"]),
+        (["--tolerance", "coupler=1 mm", "--robust", "margin"], ["a robust design is searched"]),
+        (["--tolerance", "coupler=1 mm", "--robust", "much"], ["no number of standard deviations"]),
+        (["--tolerance", "coupler=1 mm", "--distribution", "gauss"], ["unknown distribution"]),
+    ],
+)
+def test_bad_input_is_told(arguments, words):
+    result = run("crank-rocker", *arguments, *GIVEN)
+    assert result.exit_code == 2, result.output
+    assert "Traceback" not in result.output
+    for word in words:
+        assert word in " ".join(result.output.split())
+
+
+def test_a_limit_that_no_design_keeps_is_told(problem):
+    with pytest.raises(InputError, match=r"not even as drawn: the least largest error that was found is 1\.51"):
+        tolerance(problem, ["coupler=1 mm"], limit="1 deg", robust="margin")
+    with pytest.raises(InputError, match="a margin needs a limit"):
+        tolerance(problem, ["coupler=1 mm"], robust="margin")
+    with pytest.raises(InputError, match="motion laws of a four-bar only"):
+        tolerance(optlink.load("six-bar"), ["link2.length=1 mm"], robust=3.0)
+
+
+def test_angles_out_of_reach_are_told(problem):
+    with pytest.raises(InputError, match="cannot be assembled at 180 deg"):
+        drawing(problem, "rocker", np.radians([0.0, 180.0]), {"coupler": 0.25, "rocker": 0.24})
+
+
+def test_an_output_that_nothing_moves(tmp_path):
+    result = run(
+        "crank-rocker", "--tolerance", "A.x=0.1 mm", "--output", "crank", "--limit", "1 deg", *GIVEN, "--out", str(tmp_path)
+    )
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "result.json").read_text())
+    assert document["monte_carlo"]["yield"] == 1.0
+    assert max(document["monte_carlo"]["sigma"]) < 1e-12
+    assert max(document["linear"]["sigma"]) == 0.0
+
+
+def test_costs_and_yields_are_read():
+    assert read_yield("99.7 %") == pytest.approx(0.997)
+    assert read_yield("0.5") == 0.5
+    assert read_costs(["mechanism.coupler=2", "rocker = 0.5"]) == {"coupler": 2.0, "rocker": 0.5}
+    for text in ("coupler", "coupler=-1", "coupler=much"):
+        with pytest.raises(InputError, match="no cost coefficient"):
+            read_costs([text])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["crank-rocker", "--tolerance", "coupler=nan mm"], "a length must be finite"),
+        (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--robust", "-3"], "worst, margin or yield"),
+        (
+            ["slider-crank", "--tolerance", "rod.length=0.1 mm", "--robust", "3", "--limit", "1 mm"],
+            "motion laws of a four-bar only",
+        ),
+        (
+            ["slider-crank", "--tolerance", "rod.length=0.1 mm", "--robust", "yield", "--output", "rod"],
+            "motion laws of a four-bar",
+        ),
+        (
+            ["crank-rocker", "--tolerance", "coupler=0.1 mm", "--robust", "yield", "--limit", "3 deg", "--samples", "0"],
+            "a yield is counted by samples",
+        ),
+        (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--distribution", "contact"], "clearances alone"),
+        (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--distribution", "foo"], "Known: normal, uniform, triangular\n"),
+        (["crank-rocker"], "no tolerance is given"),
+    ],
+)
+def test_the_first_sentence_says_what_is_wrong_and_no_folder_is_left(tmp_path, arguments, words):
+    result = run(*arguments, "--out", str(tmp_path / "new" / "folder"))
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,590 @@
+"""Analysis over the cycle: columns, extremes, work, ranges, batches, and the command line that shows them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.dynamics.columns import Record
+from optlink.dynamics.work import Work, jumps
+from optlink.linkage import stroke as cycle
+from optlink.linkage.extrema import extremes, zeros
+from optlink.linkage.fourbar import four_bar, grashof
+from optlink.linkage.fourbar import reachable as four_bar_reachable
+from optlink.problem.function import DesignProblem
+from optlink.tasks.analyze import machine_of
+
+TURN = 2.0 * math.pi
+DESIGNED = {name for name in optlink.shipped() if isinstance(optlink.load(name).model, DesignProblem)}
+MACHINES = sorted(name for name in optlink.shipped() if name not in DESIGNED and not optlink.load(name).generated)
+
+
+@pytest.fixture(scope="module")
+def six_bar():
+    return optlink.analyze(optlink.load("six-bar"), points=72)
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, list(arguments))
+
+
+# --- columns --------------------------------------------------------------------------------------------------------------
+
+
+def test_columns_are_named_as_documented(six_bar):
+    wanted = ["crank_angle_deg", "time_s"]
+    for body in ("crank", "link2", "link3", "link5", "slider"):
+        wanted += [f"{body}.angle_rad", f"{body}.omega_rad_s", f"{body}.alpha_rad_s2"]
+    for point in "BCE":
+        wanted += [f"{point}.{part}{axis}{unit}" for part, unit in (("", "_m"), ("v", "_m_s"), ("a", "_m_s2")) for axis in "xy"]
+    wanted += ["slider.s_m", "slider.v_m_s", "slider.a_m_s2", "F.normal_N", "F.moment_Nm"]
+    wanted += [f"{pin}.f{axis}_N" for pin in ("A", "B", "D", "E", "C.link2", "C.link3", "C.link5") for axis in "xy"]
+    wanted += [f"input.torque{part}_Nm" for part in ("", "_inertia", "_gravity", "_load")]
+    wanted += ["input.power_W", "input.work_J", "frame.shaking_fx_N", "frame.shaking_fy_N", "frame.shaking_moment_Nm"]
+    assert set(wanted) <= set(six_bar.columns)
+    assert set(six_bar.columns) == set(six_bar.meanings)
+    assert all(len(column) == 73 and np.all(np.isfinite(column)) for column in six_bar.columns.values())
+
+
+def test_which_body_acts_on_which_is_told(six_bar):
+    told = six_bar.to_dict()["reactions"]
+    assert told["A"] == "frame on crank"
+    assert told["E"] == "slider on link5"
+    assert told["C.link2"] == "pin on link2"
+    assert told["F"].startswith("frame on slider")
+
+
+def test_rates_are_the_differences_of_what_they_are_rates_of(six_bar):
+    fine = optlink.analyze(optlink.load("six-bar"), points=3600)
+    time = fine["time_s"]
+    for value, rate in (("slider.s_m", "slider.v_m_s"), ("C.vx_m_s", "C.ax_m_s2"), ("link3.omega_rad_s", "link3.alpha_rad_s2"),
+                        ("link5.angle_rad", "link5.omega_rad_s"), ("input.work_J", "input.power_W")):  # fmt: skip
+        steps = (fine[value][2:] - fine[value][:-2]) / (time[2:] - time[:-2])
+        np.testing.assert_allclose(steps, fine[rate][1:-1], rtol=0.0, atol=2e-5 * np.max(np.abs(fine[rate])))
+
+
+def test_json_is_plain_and_complete(six_bar):
+    document = json.loads(json.dumps(six_bar.to_dict(), allow_nan=False))
+    assert document["schema"] == "optlink/analysis/1"
+    assert document["problem_hash"] == optlink.load("six-bar").hash
+    assert len(document["columns"]["time_s"]) == 73
+    assert document["groups"][0] == {"kind": "RRR", "joint": "C", "bodies": ["link2", "link3"]}
+
+
+# --- extremes, zeros, work ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_extremes_are_those_of_a_brute_sweep_and_no_less(name):
+    result = optlink.analyze(optlink.load(name), points=8)
+    angles = np.linspace(result.low, result.high, 20_001)
+    record = Record(result.machine.moving(angles, result.speed))
+    checked = 0
+    for column, extreme in result.extremes.items():
+        size = float(np.nanmax(np.abs(record[column]))) if column in record.columns else 0.0
+        if size < 1e-9:
+            continue  # rounding of what is zero
+        for sign, value, at in ((1.0, extreme.least, extreme.least_at), (-1.0, -extreme.largest, extreme.largest_at)):
+            values = sign * record[column]
+            jump = any(abs(math.remainder(at - jump, TURN)) < 1e-9 for jump in result.jumps)
+            assert value <= np.nanmin(values) + 1e-12 * size, column
+            assert np.nanmin(values) - value < (5e-3 if jump else 2e-4) * size, column  # beside a jump the sweep ends short
+            checked += 1
+    assert checked > 40
+
+
+def test_extremes_of_a_known_function_are_exact():
+    grid = np.linspace(0.0, TURN, 37)
+    at, value = extremes(lambda phi: np.array([np.sin(phi - 0.1234), np.exp(np.cos(2.0 * phi - 0.4)), 3.0 + 0.0 * phi]), grid)
+    np.testing.assert_allclose(at[0], [0.1234 + 1.5 * math.pi, 0.1234 + 0.5 * math.pi], rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(value[0], [-1.0, 1.0], rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(value[1], [math.exp(-1.0), math.exp(1.0)], rtol=1e-15)
+    np.testing.assert_allclose(value[2], [3.0, 3.0])
+
+
+def test_extremes_stay_on_their_side_of_a_jump():
+    """A saw: rises to 1 before the jump at 2, falls to -1 after it; neither value is mixed."""
+    grid = np.linspace(0.0, 4.0, 31)
+
+    def saw(phi):
+        return np.array([np.where(phi < 2.0, phi / 2.0, phi / 2.0 - 2.0)])
+
+    at, value = extremes(saw, np.unique([*grid, 2.0]), (2.0,))
+    assert value[0, 0] == pytest.approx(-1.0, abs=1e-12)
+    assert value[0, 1] == pytest.approx(1.0, abs=1e-8)
+    assert at[0, 0] == 2.0
+
+
+def test_extremes_of_what_has_no_value_are_nan():
+    at, value = extremes(lambda phi: np.array([np.nan * phi, np.where(phi > 1.0, np.nan, phi)]), np.linspace(0.0, 2.0, 11))
+    assert np.all(np.isnan(value[0]))
+    assert np.all(np.isnan(at[0]))
+    np.testing.assert_allclose(value[1], [0.0, 1.0], atol=1e-6)
+
+
+def test_zeros_are_exact_and_gaps_are_none():
+    found = zeros(
+        lambda phi: np.array([np.cos(phi), np.where(phi > 3.0, np.nan, phi - 2.0), 1.0 + phi * phi]), np.linspace(0, 6, 50)
+    )
+    np.testing.assert_allclose(found[0], [0.5 * math.pi, 1.5 * math.pi], rtol=0.0, atol=2e-15)
+    np.testing.assert_allclose(found[1], [2.0], atol=1e-15)
+    assert len(found[2]) == 0
+
+
+@pytest.mark.parametrize("speed", [3.0, -3.0])
+def test_work_is_the_change_of_energy_and_what_the_loads_took(speed):
+    """A constant force is conservative, so W = d(T + V) - F ds at every angle; opposing it takes F |ds|."""
+    problem = optlink.load("six-bar")
+    result = optlink.analyze(problem, points=50, speed=speed)
+    energy = result["energy.kinetic_J"] + result["energy.potential_J"] - 1000.0 * result["slider.s_m"]
+    np.testing.assert_allclose(result["input.work_J"], energy - energy[0], rtol=0.0, atol=1e-10 * np.ptp(energy))
+    opposing = optlink.analyze(problem.override({"loads.process.acts": "opposing", "loads.process.direction": None}), speed=speed)
+    assert math.copysign(1.0, speed) * opposing.work == pytest.approx(math.copysign(1.0, speed) * 747.808316959, rel=1e-11)
+    assert opposing.work > 0.0
+
+
+def test_work_sees_a_jump_that_is_left_out(monkeypatch):
+    machine = machine_of(optlink.load("shaper"))
+    exact = float(Work(machine, 0.0, 0.0, TURN, 1.0)(np.array([TURN]))[0])
+    assert exact == pytest.approx(5880.0 * 1.2 * 125.0 / 275.0, rel=1e-12)
+    monkeypatch.setattr("optlink.dynamics.work.jumps", lambda *_: np.empty(0))
+    assert abs(float(Work(machine, 0.0, 0.0, TURN, 1.0)(np.array([TURN]))[0]) / exact - 1.0) > 1e-9
+
+
+def test_jumps_are_the_dead_centres_of_the_shaper():
+    found = jumps(machine_of(optlink.load("shaper")), 0.0, TURN)
+    limit = math.asin(125.0 / 275.0)
+    np.testing.assert_allclose(found, [math.pi + limit, TURN - limit], rtol=0.0, atol=1e-14)
+
+
+# --- ranges, strokes ------------------------------------------------------------------------------------------------------
+
+
+@settings(derandomize=True, max_examples=150, deadline=None)
+@given(*(st.floats(0.05, 1.0) for _ in range(4)))
+def test_reachable_ranges_are_those_of_the_four_bar_theory(crank, coupler, rocker, frame):
+    sizes = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
+    theory = four_bar_reachable(crank, coupler, rocker, frame)
+    if "change-point" in grashof(crank, coupler, rocker, frame, 1e-3).inversion.value:
+        return  # there both modes meet
+    if any(high - low < 0.02 for low, high in theory) or (abs(sum(b - a for a, b in theory) - TURN) < 0.04 and len(theory) > 1):
+        return  # narrower than the grid
+    if theory and theory[0][1] - theory[0][0] > TURN - 0.02:
+        theory = [(0.0, TURN)] if theory[0][1] - theory[0][0] > TURN - 1e-9 else theory
+    found = cycle.reachable(four_bar(), sizes)
+    assert len(found.ranges) == len(theory) or (found.full and len(theory) == 1)
+    if not found.full:
+        starts = sorted(math.remainder(low, TURN) for low, _ in found.ranges)
+        wanted = sorted(math.remainder(low, TURN) for low, _ in theory)
+        assert all(abs(math.remainder(a - b, TURN)) < 1e-6 for a, b in zip(starts, wanted, strict=True))
+        assert sum(b - a for a, b in found.ranges) == pytest.approx(sum(b - a for a, b in theory), abs=2e-6)
+
+
+def offset_slider_crank(offset):
+    return optlink.read(
+        {
+            "title": "offset slider-crank",
+            "mechanism": {
+                "ground": {"A": ["0 m", "0 m"]},
+                "links": {
+                    "crank": {"joints": ["A", "B"], "length": "0.1 m"},
+                    "rod": {"joints": ["B", "C"], "length": "0.3 m"},
+                    "slider": {"joints": ["C"]},
+                },
+                "guides": {"F": {"slider": "slider", "through": "A", "offset": f"{offset} m"}},
+                "assembly": {"C": "forward"},
+            },
+        }
+    )
+
+
+@settings(derandomize=True, max_examples=25, deadline=None)
+@given(st.floats(-0.15, 0.15))
+def test_stroke_and_time_ratio_of_the_offset_slider_crank(offset):
+    """Limits at sqrt((l +- r)^2 - e^2); the strokes take pi +- (asin(e / (l - r)) - asin(e / (l + r)))."""
+    result = optlink.analyze(offset_slider_crank(offset), points=4)
+    travel = result.strokes["slider"]
+    far, near = (math.sqrt((0.3 + sign * 0.1) ** 2 - offset**2) for sign in (1.0, -1.0))
+    assert travel.low == pytest.approx(near, abs=1e-12)
+    assert travel.high == pytest.approx(far, abs=1e-12)
+    more = abs(math.asin(offset / 0.2) - math.asin(offset / 0.4))
+    assert travel.time_ratio == pytest.approx((math.pi + more) / (math.pi - more), rel=1e-9)
+
+
+def test_crank_that_cannot_turn_is_analysed_in_its_range():
+    """Rod 0.3 against offset 0.25: reachable where 0.1 sin(phi) >= 0.25 - 0.3, that is phi > asin(-0.5)."""
+    result = optlink.analyze(offset_slider_crank(0.25), points=40)
+    assert not result.full
+    np.testing.assert_allclose(np.degrees(result.ranges.ranges), [[330.0, 570.0]], rtol=0.0, atol=1e-7)
+    assert any("fails to close by" in note for note in result.notes)
+    assert np.all(np.isfinite(result["slider.v_m_s"]))
+    assert result.strokes["slider"].span > 0.0
+
+
+def test_start_that_cannot_be_reached_names_angle_group_gap_and_ranges():
+    with pytest.raises(optlink.InputError) as error:
+        optlink.analyze(offset_slider_crank(0.25).override({"drive.start": "270 deg"}))
+    (fault,) = error.value.faults
+    assert fault.key == "drive.start"
+    assert "270 deg" in fault.message
+    assert "RRP group rod-slider (joint C)" in fault.message
+    assert "by 50 mm" in fault.message
+    assert "330 ... 570 deg" in fault.remedy
+
+
+def test_loop_that_never_closes_says_so():
+    with pytest.raises(optlink.InputError, match="No crank angle can be reached"):
+        optlink.analyze(offset_slider_crank(0.5))
+
+
+def test_singular_positions_are_reported_not_divided_by():
+    """A parallelogram folds at 0 and 180 degrees: no finite reaction there."""
+    problem = optlink.read(
+        {
+            "title": "parallelogram",
+            "mechanism": {"type": "four-bar", "crank": "0.1 m", "coupler": "0.3 m", "rocker": "0.1 m", "frame": "0.3 m"},
+            "bodies": {"coupler": {"mass": "1 kg", "inertia": "uniform bar"}},
+            "gravity": "9.81 m/s^2",
+        }
+    )
+    result = optlink.analyze(problem, points=8)
+    assert not result.sound
+    assert 0.0 in np.round(np.degrees(result.singular) % 180.0, 6)
+    assert np.isnan(result["input.torque_Nm"][0])
+    assert np.isfinite(result["input.torque_Nm"][1])
+    assert any("singular position" in note for note in result.notes)
+    json.dumps(result.to_dict(), allow_nan=False)
+
+
+# --- batches --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_batch_is_the_loop(name):
+    problem = optlink.load(name)
+    lengths = [key for key, q in problem.model.quantities.items() if q.kind == "length"][:2]
+    rng = np.random.default_rng(5)
+    designs = {key: problem.model.quantities[key].value * (1.0 + 0.003 * rng.uniform(-1, 1, 37)) for key in lengths}
+    columns = ["input.torque_Nm", "input.torque_gravity_Nm", "frame.shaking_fx_N"]
+    columns += [name for name in Record(machine_of(problem).moving(np.array([1.0]))).columns if name.endswith((".fx_N", ".s_m"))]
+    found = optlink.analyze_batch(problem, designs, columns, points=500)
+    for k in (0, 20, 36):
+        alone = optlink.analyze(problem, 500, design={key: float(values[k]) for key, values in designs.items()})
+        for column in columns:
+            scale = np.max(np.abs(alone[column])) + 1e-9
+            np.testing.assert_allclose(found[column][k], alone[column][:-1], rtol=0.0, atol=1e-10 * scale, err_msg=column)
+
+
+def test_memory_of_a_batch_does_not_grow_beside_its_result():
+    problem, extra = optlink.load("six-bar"), []
+    for count in (200, 2000):
+        designs = {"link2.length": np.linspace(1.15, 1.25, count)}
+        tracemalloc.start()
+        found = optlink.analyze_batch(problem, designs)
+        extra.append(tracemalloc.get_traced_memory()[1] - found["input.torque_Nm"].nbytes)
+        tracemalloc.stop()
+    assert extra[1] < 1.2 * extra[0]
+
+
+def test_batch_has_no_value_where_a_design_cannot_be_assembled():
+    found = optlink.analyze_batch(optlink.load("six-bar"), {"link3.length": [0.8, 0.3]})["input.torque_Nm"]
+    assert np.all(np.isfinite(found[0]))
+    assert np.any(np.isnan(found[1]))
+    assert np.any(np.isfinite(found[1]))
+
+
+@pytest.mark.parametrize(
+    ("designs", "columns", "says"),
+    [
+        ({}, ("input.torque_Nm",), "no quantity"),
+        ({"link9.length": [1.0]}, ("input.torque_Nm",), "unknown quantity"),
+        ({"link2.length": [1.0], "link3.length": [1.0, 2.0]}, ("input.torque_Nm",), "one value per design"),
+        ({"link2.length": [-1.0]}, ("input.torque_Nm",), "not a size"),
+        ({"link2.length": [math.nan]}, ("input.torque_Nm",), "not a size"),
+        ({"link2.length": [1.2]}, ("input.torqe_Nm",), "no such column"),
+    ],
+)
+def test_bad_batches(designs, columns, says):
+    with pytest.raises(optlink.InputError, match=says):
+        optlink.analyze_batch(optlink.load("six-bar"), designs, columns)
+
+
+# --- command line ---------------------------------------------------------------------------------------------------------
+
+
+def test_analyze_writes_every_digit_of_the_table(tmp_path):
+    file = tmp_path / "deep" / "cycle.csv"
+    done = run("analyze", "six-bar", "--step", "15 deg", "--csv", str(file))
+    assert done.exit_code == 0
+    rows = list(csv.DictReader(file.read_text().splitlines()))
+    result = optlink.analyze(optlink.load("six-bar"), step=math.radians(15.0))
+    assert len(rows) == 25
+    for name, column in result.columns.items():
+        assert [float(row[name]) for row in rows] == list(column)
+    assert "least since the start" in done.stdout
+
+
+def test_analyze_json_is_one_document():
+    done = run("analyze", "shaper", "--speed", "64 rpm", "--points", "24", "--json")
+    document = json.loads(done.stdout)
+    assert done.exit_code == 0
+    assert document["speed_rad_s"] == pytest.approx(64.0 * math.pi / 30.0)
+    assert document["strokes"]["ram"]["span_m"] == pytest.approx(0.545454545454545, abs=1e-14)
+    assert len(document["columns"]["crank_angle_deg"]) == 25
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--speed", "64"), "needs a unit"),
+        (("--speed", "0 rpm"), "out of range"),
+        (("--speed", "64 mm"), "angular velocity"),
+        (("--step", "0 deg"), "out of range"),
+        (("--step", "nan deg"), "--step"),
+        (("--points", "0"), "out of range"),
+        (("--points", "many"), "not a whole number"),
+        (("--set", "mechanism.links.link2.lenght=1 m"), "length"),
+        (("--set", "mechanism.links.link3.length=3 m"), "fails to close"),
+        (("--set", "bodies.link2.mass=-3 kg"), "not negative"),
+        (("--csv", "."), "folder"),
+    ],
+)
+def test_analyze_answers_bad_input_with_a_sentence(arguments, says):
+    done = run("analyze", "six-bar", *arguments)
+    assert done.exit_code == 2
+    assert says in done.output
+    assert "Traceback" not in done.output
+
+
+def test_solving_what_states_no_requirement_says_what_to_do():
+    done = run("solve", "six-bar")
+    assert done.exit_code == 2
+    assert "optlink analyze" in done.output
+
+
+def test_simulate_from_the_command_line(tmp_path):
+    done = run("simulate", "six-bar", "--duration", "0.2 s", "--points", "20", "--csv", str(tmp_path / "course.csv"), "--json")
+    document = json.loads(done.stdout)
+    assert done.exit_code == 0
+    assert document["status"] == "finished"
+    assert document["figures"]["drift_m"] < 1e-9
+    assert len((tmp_path / "course.csv").read_text().splitlines()) == 22
+
+
+def test_simulate_under_a_torque_from_the_command_line():
+    done = run("simulate", "six-bar", "--torque", "600 N*m", "--duration", "0.1 s", "--flywheel", "5 kg*m^2", "--points", "5")
+    assert done.exit_code == 0
+    assert "Energy account" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [(("--duration", "-1 s"), "out of range"), (("--duration", "1"), "unit"), (("--torque", "5 N"), "torque"),
+     (("--flywheel", "5 kg"), "moment of inertia")],
+)  # fmt: skip
+def test_simulate_answers_bad_input_with_a_sentence(arguments, says):
+    done = run("simulate", "six-bar", *arguments)
+    assert done.exit_code == 2
+    assert says in done.output
+
+
+def test_analyze_exits_1_where_no_finite_reaction_exists(tmp_path):
+    file = tmp_path / "fold.toml"
+    file.write_text(
+        'title = "parallelogram"\n[mechanism]\ncrank = "0.1 m"\ncoupler = "0.3 m"\nrocker = "0.1 m"\nframe = "0.3 m"\n'
+        '[bodies]\ncoupler = { mass = "1 kg", inertia = "uniform bar" }\n[drive]\nspeed = "5 rad/s"\n'
+    )
+    done = run("analyze", str(file), "--points", "8")
+    assert done.exit_code == 1
+    assert "singular position" in " ".join(done.stdout.split())
+
+
+def test_design_problems_are_analysed_at_a_given_design():
+    done = run("analyze", "crank-rocker", "--design", "coupler=412.86542 mm", "--design", "rocker=232.24617 mm", "--json")
+    document = json.loads(done.stdout)
+    assert done.exit_code == 0
+    assert document["extremes"]["C.transmission_rad"]["max"] == pytest.approx(math.radians(135.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("speed", [1.0, -1.0])
+def test_slow_stroke_is_the_slow_one_in_either_sense(speed):
+    """It takes pi + 2 asin(125 / 275) of the turn, whichever way the crank turns."""
+    result = optlink.analyze(optlink.load("shaper"), points=3600, speed=speed)
+    share = 0.5 + math.asin(125.0 / 275.0) / math.pi
+    assert np.mean(result["cutting.fx_N"][:-1] != 0.0) == pytest.approx(share, abs=5e-4)
+    assert np.all(result["cutting.fx_N"] * result["ram.v_m_s"] <= 0.0)
+    assert result.work == pytest.approx(5880.0 * 1.2 * 125.0 / 275.0, rel=1e-11)
+
+
+def test_slider_that_stands_still_does_not_reverse_with_every_rounding():
+    """Crank and rod of one length: the slider rests on the crank's pivot for half a turn."""
+    raw = dict(offset_slider_crank(0.0).raw)
+    raw["mechanism"] = {
+        **raw["mechanism"],
+        "links": {**raw["mechanism"]["links"], "rod": {"joints": ["B", "C"], "length": "0.1 m"}},
+    }
+    raw["loads"] = {"drag": {"on": "slider", "force": "3 N", "acts": "opposing"}}
+    result = optlink.analyze(optlink.read(raw), points=36)
+    assert len(result.jumps) <= 4
+    machine = result.machine
+    stroke = cycle.travels(machine.mechanism, machine.sizes, result.low, result.high, True)[1]["F"]
+    assert len(stroke.dead_centres) <= 4
+    assert stroke.span == pytest.approx(0.2, abs=1e-9)
+    assert np.degrees(result.singular) == pytest.approx([90.0, 270.0])  # where it may go either way
+
+
+# --- what rough handling found ---------------------------------------------------------------------------------------------
+
+
+def test_friction_without_normal_force_jams_nothing():
+    """A slider-crank without gravity: the guide is not loaded at its dead centres."""
+    result = optlink.analyze(optlink.load("slider-crank").override({"mechanism.guides.F.friction": 0.1}), points=36)
+    assert result.sound
+    assert np.all(np.isfinite(result["input.work_J"]))
+    np.testing.assert_allclose(np.abs(result["F.friction_N"]), 0.1 * np.abs(result["F.normal_N"]), rtol=1e-9, atol=1e-9)
+    still = optlink.simulate(optlink.load("slider-crank").override({"mechanism.guides.F.friction": 0.1}), duration=0.2)
+    assert still.run.ending.value == "finished"
+
+
+def tangent_mechanism(height):
+    """A slot on the crank, a pin in it that slides on a rail: x = height cot(phi), nowhere at 0 and 180 degrees."""
+    return optlink.read(
+        {
+            "title": "tangent mechanism",
+            "mechanism": {
+                "ground": {"A": ["0 m", "0 m"]},
+                "links": {"crank": {"joints": ["A"]}, "block": {"joints": ["C"]}, "bar": {"joints": ["C"]}},
+                "guides": {
+                    "slot": {"slider": "block", "on": "crank"},
+                    "rail": {"slider": "bar", "on": "frame", "through": ["0 m", f"{height} m"]},
+                },
+            },
+            "drive": {"start": "50 deg"},
+            "bodies": {"bar": {"mass": "1 kg"}},
+        }
+    )
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.1234567])
+def test_lines_that_become_parallel_between_two_positions_end_the_range(turned):
+    problem = tangent_mechanism(0.2)
+    raw = dict(problem.raw)
+    raw["mechanism"] = {**raw["mechanism"], "guides": {**raw["mechanism"]["guides"]}}
+    raw["mechanism"]["guides"]["rail"] = {**raw["mechanism"]["guides"]["rail"], "direction": f"{turned} deg"}
+    result = optlink.analyze(optlink.read(raw), points=20)
+    assert not result.full
+    ends = np.degrees(result.ranges.ranges).ravel() % 180.0
+    assert all(min(abs(end - turned), abs(end - turned - 180.0)) < 1e-3 for end in ends)
+    if not turned:
+        np.testing.assert_allclose(result["C.x_m"], 0.2 / np.tan(np.radians(result["crank_angle_deg"])), rtol=1e-12)
+    assert optlink.simulate(optlink.read(raw), duration=4.0, rows=10).run.ending.value == "dead position"
+
+
+def test_singular_start_ends_instead_of_looking_for_a_first_step():
+    raw = {
+        "title": "parallelogram",
+        "mechanism": {"type": "four-bar", "crank": "0.1 m", "coupler": "0.3 m", "rocker": "0.1 m", "frame": "0.3 m"},
+        "bodies": {"coupler": {"mass": "1 kg", "inertia": "uniform bar"}},
+        "drive": {"torque": "1 N*m", "duration": "1 s"},
+    }
+    result = optlink.simulate(optlink.read(raw), rows=5)
+    assert result.run.ending.value == "singular position"
+    assert not result.finished
+
+
+def test_internal_force_pushes_on_the_body_that_carries_the_guide():
+    """Oil between piston and cylinder: on the pivot of the cylinder the whole force is felt; from outside it is not."""
+    raw = {
+        "title": "cylinder",
+        "mechanism": {
+            "ground": {"A": ["0 m", "0 m"], "D": ["0.22 m", "0 m"]},
+            "links": {
+                "crank": {"joints": ["A", "B"], "length": "0.06 m"},
+                "piston": {"joints": ["B"]},
+                "cylinder": {"joints": ["D"]},
+            },
+            "guides": {"G": {"slider": "piston", "on": "cylinder"}},
+            "assembly": {"G": "forward"},
+        },
+        "loads": {"oil": {"on": "piston", "force": "1000 N", "against": "cylinder"}},
+    }
+    inside = optlink.analyze(optlink.read(raw), points=12)
+    np.testing.assert_allclose(np.hypot(inside["D.fx_N"], inside["D.fy_N"]), 1000.0, rtol=1e-12)
+    np.testing.assert_allclose(inside["D.fx_N"], -inside["A.fx_N"], atol=1e-9)
+    slide, torque = inside["piston.v_m_s"], inside["input.torque_Nm"]
+    np.testing.assert_allclose(torque * inside.speed, -1000.0 * slide, atol=1e-9)
+    del raw["loads"]["oil"]["against"]
+    outside = optlink.analyze(optlink.read(raw), points=12)
+    np.testing.assert_allclose(np.hypot(outside["D.fx_N"], outside["D.fy_N"]), 0.0, atol=1e-9)
+
+
+def test_torsion_spring_across_the_branch_of_the_angle():
+    """The rocker swings about 180 degrees from +x; a spring that is free there stays linear across it."""
+    raw = {
+        "title": "four-bar that swings about -x",
+        "mechanism": {"type": "four-bar", "crank": "0.1 m", "coupler": "0.3 m", "rocker": "0.25 m", "frame": "0.3 m"},
+        "loads": {"spring": {"on": "rocker", "torsional_stiffness": "10 N*m/rad", "free_angle": "-60 deg"}},
+    }
+    result = optlink.analyze(optlink.read(raw), points=90)
+    rocker = np.unwrap(result["rocker.angle_rad"])
+    found = -result["spring.torque_Nm"] / 10.0
+    np.testing.assert_allclose(np.diff(found), np.diff(rocker), atol=1e-12)
+    assert abs(result.work) < 1e-9
+    np.testing.assert_allclose(np.remainder(found - rocker - math.radians(60.0) + 1.0, TURN), 1.0, atol=1e-9)
+
+
+def test_what_cannot_follow_or_does_not_move_is_refused():
+    fault = {"loads.spring": {"on": "crank", "torsional_stiffness": "1 N*m/rad"}}
+    with pytest.raises(optlink.InputError, match="turns fully against frame"):
+        optlink.load("slider-crank", fault)
+    with pytest.raises(optlink.InputError, match="does not turn"):
+        optlink.load("slider-crank", {"loads.brake": {"on": "slider", "torque": "1 N*m", "acts": "opposing"}})
+
+
+def test_table_is_written_into_a_pipe_and_through_a_link(tmp_path):
+    import os
+    import threading
+
+    from optlink.report.files import write_csv
+
+    pipe, link, real = tmp_path / "pipe", tmp_path / "link.csv", tmp_path / "real.csv"
+    os.mkfifo(pipe)
+    got: list[str] = []
+    reader = threading.Thread(target=lambda: got.append(pipe.read_text()))
+    reader.start()
+    write_csv(pipe, {"a": [1.0], "b": [math.nan]})
+    reader.join(10.0)
+    assert got == ["a,b\n1.0,\n"]
+    real.write_text("old")
+    link.symlink_to(real)
+    write_csv(link, {"a": [2.0]})
+    assert link.is_symlink()
+    assert real.read_text() == "a\n2.0\n"
+
+
+def test_internal_drag_opposes_the_relative_motion():
+    """A drag in x between crank and rocker of a double-crank takes energy from the two together, whichever is faster."""
+    raw = {
+        "title": "drag link with a drag between crank and rocker",
+        "mechanism": {"type": "four-bar", "crank": "0.25 m", "coupler": "0.28 m", "rocker": "0.3 m", "frame": "0.1 m"},
+        "loads": {
+            "drag": {"on": "crank", "at": "B", "force": "5 N", "direction": "0 deg", "acts": "opposing", "against": "rocker"}
+        },
+    }
+    result = optlink.analyze(optlink.read(raw), points=90)
+    at = np.stack([result["B.x_m"] - 0.1, result["B.y_m"]])  # of the rocker's pivot D
+    relative = result["B.vx_m_s"] + result["rocker.omega_rad_s"] * at[1]
+    power = result["drag.fx_N"] * relative
+    assert np.all(power <= 1e-12)
+    np.testing.assert_allclose(result["input.power_W"], -power, atol=1e-9)
+    assert np.any(result["drag.fx_N"] * result["B.vx_m_s"] > 1e-3)  # against the frame alone it would be another sign

@@ -1,0 +1,316 @@
+"""Compensation of clearance: inverse model by hand, PID by its equation, servo by its lag, resumed runs, tables."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.clearance.controller import PID, Controller, Gains
+from optlink.clearance.inverse_model import POINTS, Inverse, leverage, predicted
+from optlink.clearance.output import usual
+from optlink.clearance.reference_signal import Command, even
+from optlink.dynamics.inverse import reactions
+from optlink.errors import InputError
+from optlink.tasks import control_comparison, parallel_runs
+
+CRANK, ROD = 0.05, 0.12
+SPEED = 1200.0 * math.pi / 30.0
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return optlink.load("slider-crank-clearance")
+
+
+@pytest.fixture(scope="module")
+def parts(problem):
+    machine = problem.model.machine()
+    return machine, problem.model.gaps(machine), usual(machine)
+
+
+# --- PID ---------------------------------------------------------------------------------------------------------------
+
+
+def test_pid_follows_its_equation():
+    gains = Gains(0.5, 20.0, 3e-4)
+    pid, sample = PID(gains, 1e-3), 1e-3
+    errors = [0.1, 0.3, -0.2, 0.05]
+    total = 0.0
+    for before, error in zip([None, *errors[:-1]], errors, strict=True):
+        total += error * sample
+        slope = 0.0 if before is None else (error - before) / sample
+        assert pid(error) == pytest.approx(0.5 * error + 20.0 * total + 3e-4 * slope, rel=1e-13)
+
+
+def test_pid_keeps_its_limit_and_does_not_wind_up():
+    pid = PID(Gains(0.0, 100.0, 0.0, limit=0.2), 1e-2)
+    found = [pid(1.0) for _ in range(50)]
+    assert max(found) <= 0.2
+    wound = PID(Gains(0.0, 100.0, 0.0), 1e-2)
+    for _ in range(50):
+        wound(1.0)
+    assert wound.integral == pytest.approx(50.0)
+    assert pid.integral <= 0.2
+    assert pid(-0.1) < 0.2  # it leaves the limit with the first error of the other sign
+
+
+def test_controller_refers_the_error_to_the_crank_and_knows_the_branch_of_an_angle():
+    plain = Controller(PID(Gains(1.0), 1e-3), np.array([0.3, 0.4]), np.array([2.0, -5.0]))
+    assert plain(0, 0.1) == pytest.approx(0.4)
+    assert plain(3, 0.1) == pytest.approx(-1.5)
+    angular = Controller(PID(Gains(1.0), 1e-3), np.array([math.pi - 0.01]), np.ones(1), angular=True)
+    assert angular(0, -math.pi + 0.01) == pytest.approx(-0.02)
+
+
+# --- command and servo ----------------------------------------------------------------------------------------------------
+
+
+def test_speed_command_is_the_derivative_of_the_angle_command():
+    command = Command(0.3, -40.0, np.array([0.01, 0.02 - 0.01j, -0.005 + 0.003j]))
+    time, step = np.linspace(0.0, 0.3, 11), 1e-5
+    angle = [command.at(time + shift)[0] for shift in (-step, step)]
+    np.testing.assert_allclose((angle[1] - angle[0]) / (2.0 * step), command.at(time)[1], rtol=1e-8)
+    np.testing.assert_allclose(command.at(time)[0], 0.3 - 40.0 * time + command.correction(time), rtol=1e-13)
+    assert even(1.0, 2.0).at(3.0) == (7.0, 2.0)
+
+
+def test_servo_turns_the_crank_as_the_inverse_model_wants(problem):
+    """The command is ahead of the servo's lag: the crank itself follows the wanted correction."""
+    run = optlink.simulate_clearance(problem, 3, 180, control="inverse", twin=False)
+    machine = run.machine
+    inverse = Inverse(machine, run.gaps, run.output, 0.0, SPEED)
+    order = int(0.5 * 300.0 / 20.0)
+    wanted = Command(0.0, SPEED, inverse.solve(5e-3, order))
+    time = run["time_s"][-180:]
+    np.testing.assert_allclose(np.radians(run["crank_angle_deg"][-180:]), wanted.at(time)[0], atol=1e-6)
+    told = run["command.correction_rad"][-180:]
+    assert np.max(np.abs(told - wanted.correction(time))) > 1e-3  # and what it is told is another thing
+
+
+# --- inverse model --------------------------------------------------------------------------------------------------------
+
+
+def test_predicted_journal_is_pushed_as_the_ideal_reaction_pushes_it(parts):
+    """The contact force at the predicted place, normal and friction, has the direction of the ideal reaction."""
+    machine, gaps, _ = parts
+    angles = np.linspace(0.1, 6.2, 37)
+    place = predicted(machine, gaps, angles, SPEED)
+    moving = machine.moving(angles, SPEED)
+    force = np.stack(reactions(moving).pins["C"]["rod"])
+    size = np.hypot(*place.T)
+    x, y = place.T / size
+    slip = gaps[0].radius * (np.asarray(moving.state("rod").omega))
+    rub = -gaps[0].friction * np.tanh(slip / gaps[0].slip_speed)
+    push = np.stack([-x - rub * y, -y + rub * x])
+    push, force = (vector / np.hypot(*vector) for vector in (push, force))
+    np.testing.assert_allclose(push, force, atol=1e-12)
+    load = np.hypot(*np.stack(reactions(moving).pins["C"]["rod"]))
+    np.testing.assert_allclose(size - gaps[0].clearance, (load / gaps[0].stiffness) ** (2.0 / 3.0), rtol=1e-12)
+
+
+def test_loops_close_with_the_gap_vector(parts):
+    """The slider's place by hand: the rod ends at the slider plus the gap vector."""
+    machine, gaps, output = parts
+    inverse = Inverse(machine, gaps, output, 0.2, SPEED)
+    crank = inverse.angles + 0.01 * np.sin(3.0 * inverse.angles)
+    value, slope = inverse.close(crank)
+    ex, ey = inverse.gaps.T
+    height = ey - CRANK * np.sin(crank)
+    by_hand = CRANK * np.cos(crank) + np.sqrt(ROD**2 - height**2) - ex
+    np.testing.assert_allclose(value, by_hand, atol=1e-14)
+    step = 1e-6
+    ahead, behind = inverse.close(crank + step)[0], inverse.close(crank - step)[0]
+    np.testing.assert_allclose(slope, (ahead - behind) / (2.0 * step), atol=1e-9)
+
+
+def test_inverse_solution_is_the_best_of_its_harmonics(parts):
+    """No harmonic of the correction can be changed for the better, and more harmonics are better still."""
+    machine, gaps, output = parts
+    inverse = Inverse(machine, gaps, output, 0.0, SPEED)
+
+    def cost(harmonics, regularisation=3e-3):
+        turned = Command(0.0, SPEED, harmonics).correction(np.arange(POINTS) * 2.0 * np.pi / (POINTS * SPEED))
+        missing = inverse.close(inverse.angles + turned)[0] - inverse.wanted
+        return float(np.mean(missing**2 + (regularisation * turned) ** 2))
+
+    found = inverse.solve(3e-3, 4)
+    best = cost(found)
+    assert best < 0.5 * cost(np.zeros(1, dtype=complex))
+    for k in range(5):
+        for change in (1e-4, -1e-4, 1e-4j, -1e-4j):
+            other = found.copy()
+            other[k] += change
+            assert cost(other) >= best - 1e-18
+    assert cost(inverse.solve(3e-3, 8)) < best
+
+
+def test_leverage_stays_finite_at_the_dead_centres(parts):
+    machine, _, output = parts
+    found = leverage(machine, output, np.array([0.0, np.pi, 0.5 * np.pi]), 5e-3)
+    np.testing.assert_allclose(found[:2], 0.0, atol=1e-12)
+    slope = -CRANK  # of the slider over the crank angle at 90 deg
+    assert found[2] == pytest.approx(slope / (slope**2 + 5e-3**2), rel=1e-12)
+
+
+def test_inverse_command_follows_a_clockwise_crank(problem):
+    forward = optlink.simulate_clearance(problem, 8, 180, control="inverse", twin=False, tolerance=1e-8)
+    back = optlink.simulate_clearance(problem, 8, 180, speed=-SPEED, control="inverse", twin=False, tolerance=1e-8)
+    alone = optlink.simulate_clearance(problem, 8, 180, speed=-SPEED, twin=False, tolerance=1e-8)
+    for run in (forward, back):
+        assert run.figures["rms_m"] < 0.7 * alone.figures["rms_m"]
+
+
+# --- what it comes to -----------------------------------------------------------------------------------------------------
+
+
+def test_resumed_run_is_the_uninterrupted_one_to_the_last_digit(problem):
+    for control in ("none", "inverse+pid"):
+        whole = optlink.simulate_clearance(problem, 3, 100, control=control, tolerance=1e-8)
+        kept: list[dict] = []
+        optlink.simulate_clearance(problem, 2, 100, control=control, tolerance=1e-8, checkpoint=kept.append)
+        saved = json.loads(json.dumps(kept[-1]))
+        on = optlink.simulate_clearance(problem, 3, 100, control=control, tolerance=1e-8, resume=saved)
+        assert dict(on.figures) == dict(whole.figures)
+        assert on.prediction == whole.prediction
+        np.testing.assert_array_equal(on["slider.s_m"], whole["slider.s_m"][200:])
+        with pytest.raises(InputError, match="another run"):
+            optlink.simulate_clearance(problem, 3, 100, speed=100.0, control=control, tolerance=1e-8, resume=saved)
+
+
+def test_compare_puts_all_kinds_in_one_table(problem):
+    found = optlink.compare(problem, 2, 2, seed=3, points=100)
+    assert list(found.trials) == ["none", "inverse", "pid", "inverse+pid"]
+    assert found.finished
+    assert found.gain("none") == 0.0
+    np.testing.assert_array_equal(found.starts, control_comparison.starts_of(2, 3))
+    assert not np.array_equal(found.starts, control_comparison.starts_of(2, 4))
+    for trials in found.trials.values():
+        assert trials.rms.shape == (2,)
+        assert trials.mean == pytest.approx(np.mean(trials.rms))
+    assert np.all(found.trials["none"].correction == 0.0)
+    assert found.gain("inverse") > 0.25
+    document = found.to_dict()
+    assert document["schema"] == "optlink/compensation/1"
+    json.dumps(document, allow_nan=False)
+
+
+def test_tuning_never_ends_worse_than_it_says(problem):
+    found = optlink.tune(problem, "inverse", ("regularisation", "bandwidth"), evaluations=4, starts=1, revolutions=2)
+    assert found.cost == min(found.before, np.min(found.costs))
+    assert bool(found.best) == (np.min(found.costs) < found.before)
+    assert found.costs.shape == (4,)
+    again = optlink.simulate_clearance(
+        found.problem, 2, 200, control="inverse", start=float(control_comparison.starts_of(1, 0)[0]), tolerance=1e-8, twin=False
+    )
+    assert again.figures["rms_m"] == pytest.approx(found.cost, rel=1e-12)
+    with pytest.raises(InputError, match="no such parameter"):
+        optlink.tune(problem, names=("gain",))
+
+
+def test_shipped_gains_are_better_than_either_part_alone(problem):
+    """The PID on top of the inverse model takes away more than the inverse model."""
+    kinds = ("inverse", "inverse+pid")
+    found = optlink.compare(problem, 4, 1, seed=5, kinds=kinds, tolerance=1e-7)
+    assert found.trials["inverse+pid"].mean < 0.97 * found.trials["inverse"].mean
+
+
+SHORT = {"revolutions": 2, "points": 60, "tolerance": 1e-6}
+
+
+def rocker():
+    return optlink.load("crank-rocker-clearance", {"drive.speed": "400 rpm", "joints.C.friction": 0.2})
+
+
+def test_comparison_in_processes_is_the_same_to_the_bit():
+    alone, shared = (optlink.compare(rocker(), starts=2, seed=7, kinds=("none", "pid"), workers=n, **SHORT) for n in (None, 2))
+    for kind in ("none", "pid"):
+        for name in ("rms", "peak", "correction", "torque"):
+            np.testing.assert_array_equal(getattr(alone.trials[kind], name), getattr(shared.trials[kind], name))
+        np.testing.assert_array_equal(alone.examples[kind]["rocker.error_rad"], shared.examples[kind]["rocker.error_rad"])
+
+
+def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
+    kept: list[dict] = []
+    options = {"starts": 3, "seed": 2, "kinds": ("none", "inverse"), **SHORT}
+    whole = optlink.compare(rocker(), **options)
+
+    def stop(document: dict) -> None:
+        kept.append(json.loads(json.dumps(document, allow_nan=False)))
+        if document["complete"] == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        optlink.compare(rocker(), checkpoint=stop, **options)
+    assert (kept[-1]["complete"], kept[-1]["of"]) == (4, 6)
+    performed = []
+    perform = parallel_runs.perform
+    monkeypatch.setattr(parallel_runs, "perform", lambda job: performed.append((job.control, job.start)) or perform(job))
+    on = optlink.compare(rocker(), resume=kept[-1], **options)
+    assert len(performed) == 4  # the first start of each kind, for the pictures, and the two that were missing
+    for kind, trials in whole.trials.items():
+        np.testing.assert_array_equal(on.trials[kind].rms, trials.rms)
+    with pytest.raises(InputError, match="another command"):
+        optlink.compare(rocker(), resume=kept[-1], **{**options, "seed": 3})
+    with pytest.raises(InputError, match="damaged"):
+        optlink.compare(rocker(), resume={**kept[-1], "runs": [{"control": "none"}]}, **options)
+
+
+def test_tuning_resumes_and_stops_runs_that_cannot_win():
+    kept: list[dict] = []
+    options = {"evaluations": 5, "starts": 2, "seed": 4, **SHORT}
+    whole = optlink.tune(rocker(), "pid", ("proportional",), checkpoint=kept.append, **options)
+    middle = json.loads(json.dumps(kept[2], allow_nan=False))
+    on = optlink.tune(rocker(), "pid", ("proportional",), resume=middle, **options)
+    np.testing.assert_array_equal(on.costs, whole.costs)
+    assert dict(on.best) == dict(whole.best)
+    job = parallel_runs.job_of(rocker(), control="none", start=0.3, limit=1e-9, **SHORT)
+    assert parallel_runs.perform(job).hopeless
+    assert not parallel_runs.perform(replace(job, limit=1.0)).hopeless
+
+
+def test_interrupt_ends_a_comparison_at_once_and_keeps_what_is_complete(tmp_path):
+    """One sentence, exit code 130, no result that looks whole; the runs that are complete stay for --resume."""
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from optlink.cli.app import main; main()"
+    options = ["--control", "compare", "--starts", "200", "--revolutions", "2", "--points", "60", "--tolerance", "1e-6"]
+    command = [
+        sys.executable,
+        "-c",
+        code,
+        "simulate",
+        "crank-rocker-clearance",
+        *options,
+        "--workers",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not (tmp_path / "checkpoint.json").exists() and process.poll() is None:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "of 800 runs are complete and kept in" in err
+    assert not [*tmp_path.glob("*.png"), *tmp_path.glob("result*")]
+
+
+@pytest.mark.slow
+def test_control_makes_up_for_three_gaps():
+    """At 1200 rpm: the inverse model takes away a quarter at least, PID on top of it more, in the mean of five starts."""
+    kinds = ("none", "inverse", "inverse+pid")
+    found = optlink.compare(optlink.load("slider-crank-three-gaps"), 11, 5, kinds=kinds, tolerance=1e-6)
+    assert found.finished
+    assert found.trials["none"].mean == pytest.approx(1.307e-3, rel=0.02)
+    assert found.gain("inverse") > 0.25
+    assert found.trials["inverse+pid"].mean < found.trials["inverse"].mean

@@ -1,0 +1,234 @@
+"""Machines designed by their cycle: both back ends, the proof by inverse dynamics, what cannot be met, files and exit codes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import optlink
+from optlink.problem.cycle_terms import Limit
+from optlink.tasks.cycle import MachineDesign, check_machine, design_machine
+from optlink.validation.cycle import Cycle, validate_cycle
+from tests.tasks.test_fit import drag_link, torque
+
+SCALED = 500.0 / 545.454545454545
+
+
+@cache
+def shaper() -> MachineDesign:
+    return design_machine(optlink.load("shaper-design"), "both", starts=3)
+
+
+def given_shaper() -> optlink.Analysis:
+    """The shaper of the literature, its lengths scaled to a stroke of 500 mm, at 64 rpm."""
+    k = SCALED
+    sizes = {"crank": 0.125, "rocker": 0.6, "coupler": 0.15}
+    changes: dict[str, object] = {f"mechanism.links.{name}.length": f"{k * size} m" for name, size in sizes.items()}
+    changes |= {"mechanism.ground.A": ["0 m", f"{k * 0.275} m"], "mechanism.guides.F.through": ["0 m", f"{k * 0.575} m"]}
+    return optlink.analyze(optlink.load("shaper").override({**changes, "drive.speed": "64 rpm"}))
+
+
+def peak(analysis: optlink.Analysis, column: str) -> float:
+    return max(analysis.figures[f"{column}.max"], -analysis.figures[f"{column}.min"])
+
+
+def test_shaper_is_designed_by_both_back_ends_alike():
+    result = shaper()
+    assert result.valid
+    expected = result.task.expected
+    assert expected is not None
+    assert result.objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
+    one, other = result.backends["slsqp"], result.backends["ipopt"]
+    assert one.objective == pytest.approx(other.objective, rel=1e-8)
+    for name in result.values:
+        assert one.design[name] == pytest.approx(other.design[name], rel=1e-5)
+
+
+def test_shaper_beats_the_given_one_of_the_same_stroke():
+    given, found = given_shaper(), shaper().found
+    assert found is not None
+    assert given.figures["ram.stroke_m"] == pytest.approx(0.5, rel=1e-12)
+    assert found.figures["ram.stroke_m"] == pytest.approx(0.5, rel=1e-8)
+    assert found.figures["ram.time_ratio"] == pytest.approx(1.8, rel=1e-8)
+    assert peak(given, "input.torque_Nm") == pytest.approx(1015.358, rel=1e-6)
+    assert peak(found, "input.torque_Nm") <= 0.976 * peak(given, "input.torque_Nm")
+    assert found.figures["B.f_N.max"] <= 0.75 * given.figures["B.f_N.max"]
+    assert peak(found, "F.normal_N") <= 1500.0 * (1.0 + 1e-6) < peak(given, "F.normal_N")
+
+
+def test_start_of_the_file_is_the_given_shaper():
+    given, start = given_shaper(), shaper().given
+    assert start is not None
+    for name in ("input.torque_Nm.max", "F.normal_N.max", "B.f_N.max", "ram.time_ratio"):
+        assert start.figures[name] == pytest.approx(given.figures[name], rel=1e-8)
+
+
+@pytest.mark.slow
+def test_no_neighbour_that_meets_the_limits_is_better():
+    """By the ordinary analysis alone: random steps, mended until stroke and time ratio hold, never improve."""
+    result = shaper()
+    task = result.task
+    names = list(task.free)
+    at = np.array([result.values[name] for name in names])
+    low, high = np.array([task.quantities[name].bounds for name in names]).T
+
+    def measured(x: np.ndarray) -> np.ndarray:
+        cycle = Cycle(task, dict(zip(names, x, strict=True)))
+        equal = [cycle.figure(task.limits.named[name]) for name in ("stroke", "time_ratio")]
+        return np.array([*equal, cycle.figure(task.limits.named["guide"]), cycle.objective()])
+
+    here = measured(at)
+    slopes = np.array([(measured(at + h) - measured(at - h)) / 2e-6 for h in 1e-6 * np.eye(len(at))]).T[:2]
+    mend = np.linalg.pinv(slopes)
+    rng = np.random.default_rng(5)
+    tried = 0
+    for _ in range(24):
+        step = rng.normal(size=len(at))
+        step -= mend @ (slopes @ step)
+        x = at + np.where((at >= high - 1e-9) | (at <= low + 1e-9), 0.0, 1e-3 * step / np.linalg.norm(step))
+        for _ in range(3):
+            x = x - mend @ (measured(x)[:2] - here[:2])
+        there = measured(x)
+        if np.all((low - 1e-9 <= x) & (x <= high + 1e-9)):
+            tried += 1
+            missed = max(0.0, there[2] - 1500.0)  # at more than twice the price of the limit
+            assert there[3] + 1e-4 * missed >= here[3] * (1.0 - 1e-8), x - at
+    assert tried >= 5
+
+
+def test_validation_fails_on_planted_defects():
+    result = shaper()
+    good = result.values
+    assert validate_cycle(result.task, good, result.objective).valid
+    for change, words in (
+        ({"crank.length": good["crank.length"] * 1.001}, "stroke"),
+        ({"F.y": 0.46}, "within its bounds"),
+        ({"crank.length": 0.5}, "turns fully"),
+    ):
+        proof = validate_cycle(result.task, {**good, **change}, result.objective)
+        assert any(words in check.name for check in proof.checks if not check.passed), words
+    wrong = validate_cycle(result.task, good, result.objective * (1.0 + 1e-5))
+    assert [check.name for check in wrong.checks if not check.passed] == ["objective measured in motion"]
+
+
+def test_largest_values_between_the_positions_are_met():
+    """The level of the programme is the peak over the cycle to 1e-8, although it knows a few dozen positions only."""
+    result = shaper()
+    cycle = Cycle(result.task, result.values)
+    assert cycle.objective() == pytest.approx(result.objective, rel=2e-8)
+
+
+def test_limits_that_cannot_be_met_are_named_with_what_would_do():
+    file = optlink.load("shaper-design").override({"limits.guide.max": "200 N"})
+    result = design_machine(file, "slsqp", starts=1)
+    assert not result.valid
+    assert result.status is optlink.Status.INFEASIBLE
+    (item,) = result.conflict
+    assert (item.key, item.sense, item.bound, item.unit) == ("limits.guide", "<=", 200.0, "N")
+    assert 300.0 < item.relaxed < 900.0
+    enough = file.override({"limits.guide.max": f"{1.03 * item.relaxed} N"})
+    assert design_machine(enough, "slsqp", starts=1).valid
+
+
+def test_toggle_press_with_corners_in_its_load():
+    """The table of the force has corners: the crank angles at which they are met cut the strokes, so derivatives stay exact."""
+    result = design_machine(optlink.load("press-toggle"), "slsqp", starts=1)
+    assert result.valid
+    expected = result.task.expected
+    assert expected is not None
+    assert result.objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
+    assert result.given is not None
+    assert result.found is not None
+    given, found = (peak(analysis, "input.torque_Nm") for analysis in (result.given, result.found))
+    assert found <= 0.95 * given
+    assert result.found.figures["ram.s_m.max"] == pytest.approx(0.5989, rel=1e-8)
+    assert result.found.figures["F.normal_N.max"] <= 3500.0 * (1.0 + 1e-6)
+
+
+def test_epsilon_constraint_bounds_what_the_sum_gives_up():
+    """Least RMS torque alone, then least guide force with the RMS torque a little above it: a point of the trade-off."""
+    file = optlink.load("shaper-design").override({"limits.guide": None, "objective": {"quantity": "torque", "measure": "rms"}})
+    least = design_machine(file, "slsqp", starts=1)
+    assert least.valid
+    limit = {"quantity": "torque", "measure": "rms", "max": f"{1.01 * least.objective} N*m"}
+    other = file.override({"objective": {"quantity": "guide force", "of": "F"}, "limits.torque": limit})
+    traded = design_machine(other, "slsqp", starts=1)
+    assert traded.valid
+    guide = Limit(quantity="guide force", of="F", max="1 N")
+    assert traded.objective < 0.9 * Cycle(least.task, least.values).figure(guide)
+
+
+def test_what_shall_be_large_is_maximised():
+    changes = {"objective": {"quantity": "slide", "of": "G", "measure": "least", "sense": "maximise"}, "limits.guide": None}
+    result = design_machine(optlink.load("shaper-design").override(changes), "ipopt", starts=1)
+    assert result.valid
+    assert -result.objective > 1.2 * Cycle(result.task, {}).figure(result.task.goals[0])
+
+
+def test_given_sizes_are_checked():
+    file = optlink.load("shaper-design")
+    assert check_machine(file, shaper().values).valid
+    assert not check_machine(file, {}).valid  # the given shaper returns too fast
+
+
+def test_result_is_json_and_the_design_a_machine(tmp_path):
+    from optlink.report.views.cycle_pictures import write_all
+
+    files = write_all(shaper(), tmp_path)
+    assert {path.name for path in files} == {"result.json", "design.toml", "cycle.csv", "courses.png", "mechanisms.png"}
+    document = json.loads((tmp_path / "result.json").read_text())
+    assert document["schema"] == "optlink/machine-design/1"
+    assert document["valid"] is True
+    machine = optlink.load(tmp_path / "design.toml")
+    assert machine.model.free == ()
+    assert peak(optlink.analyze(machine), "input.torque_Nm") == pytest.approx(peak(shaper().found, "input.torque_Nm"), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--backend", "slsqp", "--starts", "1"], 0, '"valid": true'),
+        (["--starts", "0"], 2, "starts"),
+        (["--set", 'limits.guide.max="5 kg"'], 2, "limits.guide.max"),
+        (["--set", 'limits.time_ratio.of="rokcer"'], 2, "rocker"),
+        (["--set", 'limits.guide.max="200 N"', "--starts", "1", "--backend", "slsqp"], 1, "relax_together"),
+    ],
+)
+def test_command_line(arguments, code, words):
+    done = subprocess.run(
+        [sys.executable, "-m", "optlink", "solve", "shaper-design", "--json", *arguments],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == code, done.stderr[-2000:]
+    assert words in done.stdout
+    assert "Traceback" not in done.stderr
+
+
+def test_the_relaxation_of_an_infeasible_machine_is_that_of_its_whole_cycle():
+    """A slider-crank whose peak torque is limited too low for its stroke: the least torque is that of crank 35 mm and rod 200 mm.
+
+    By virtual work, also between the positions of the programme; the stroke that the torque allows, by bisection.
+    """
+    file = drag_link(**{"limits.torque": {"quantity": "torque", "measure": "peak", "max": "50 N*m"}})
+    file = file.override({"objective": {"quantity": "reaction", "of": "B", "measure": "peak"}})
+    result = design_machine(file, starts=1)
+    assert result.status is optlink.Status.INFEASIBLE
+    named = {item.key: item for item in result.conflict}
+    assert set(named) == {"limits.torque", "limits.stroke"}
+    assert not any(item.approximate for item in named.values())
+    least = torque(0.035, 0.2)
+    assert named["limits.torque"].relaxed == pytest.approx(least, rel=1e-3)
+    crank = brentq(lambda crank: torque(crank, 0.2) - 50.0, 0.02, 0.035)
+    assert named["limits.stroke"].relaxed == pytest.approx(2e3 * crank, rel=1e-3)
+    for share, feasible in ((1.003, True), (0.997, False)):
+        again = design_machine(file.override({"limits.torque.max": f"{share * named['limits.torque'].relaxed} N*m"}), starts=2)
+        assert again.valid is feasible

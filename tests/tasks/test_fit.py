@@ -1,0 +1,232 @@
+"""Every answer grades its error against the size of its task, and says why it is poor."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.problem.file import dump
+from optlink.report.html.page import verdict
+from optlink.report.report_model import Subject
+from optlink.report.views import cycle_tables, function_tables
+from optlink.tasks.cycle import design_machine
+from optlink.tasks.fit import Fit, TransmissionFit
+from optlink.tasks.path import generate, validate
+from tests.stated import document, four_bar_section, free
+
+SIZES = dict.fromkeys(("crank", "coupler", "rocker", "frame"), free(10.0, 300.0))
+SPOT = {"P": [free(-300.0, 300.0), free(-300.0, 300.0)]}
+STAR = 50.0 * np.array([[math.cos(2.4 * k), math.sin(2.4 * k)] for k in range(7)])
+TURNED = np.column_stack([[0.0, 60.0, 110.0, 90.0, 20.0], [0.0, 25.0, 70.0, 130.0, 110.0], np.radians([0, 80, 170, 260, 330])])
+
+
+@pytest.fixture(scope="module")
+def star() -> optlink.tasks.path_result.Generation:
+    """A zigzag that no four-bar draws, with the crank pivot where it is by default."""
+    section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
+    raw = document(section, STAR + 150.0, {"transmission_angle": ["40 deg", "140 deg"]})
+    return generate(optlink.read(raw), starts=60, designs=1)
+
+
+@pytest.mark.parametrize(("share", "grade"), [(0.0, "exact"), (1e-6, "good"), (0.01, "good"), (0.049, "fair"), (0.051, "poor")])
+def test_grades_are_shares_of_the_size(share: float, grade: str) -> None:
+    assert Fit(share * 0.4, 0.4, "m", "the size of the path").grade == grade
+
+
+def test_a_poor_path_is_called_poor(star) -> None:
+    best = star.best
+    assert star.valid
+    fit = best.fit
+    gaps = STAR[:, None] - STAR[None]
+    size = float(np.max(np.hypot(gaps[..., 0], gaps[..., 1])))
+    rms = math.sqrt(star.objective / len(STAR)) * 1e3
+    assert fit.share == pytest.approx(rms / size, rel=1e-9)
+    assert fit.grade == "poor"
+    assert star.to_dict()["fit"]["grade"] == "poor"
+    assert any("limits.crank" in each.remedy for each in fit.reasons)
+    assert any("A.x" in each.reason or "crank pivot is fixed" in each.reason for each in fit.reasons)
+    limited = [limit.key for limit in best.limits if limit.active and limit.multiplier]
+    named = [each.remedy.removeprefix("widen ") for each in fit.reasons if each.remedy.startswith("widen")]
+    assert set(named) <= set(limited)
+    assert bool(named) == bool([key for key in limited if not key.startswith("requirement.points")])
+    assert verdict(Subject(star.problem, star, None)).startswith("Valid, poor fit: rms error is")
+
+
+def test_points_that_the_curve_does_not_meet_in_order_are_named(star) -> None:
+    steps = np.degrees(np.abs(np.diff(star.best.crank_angles)))
+    named = [each.reason for each in star.best.fit.reasons if "order of the points" in each.reason]
+    assert bool(named) == bool(np.any(steps < 0.0115))
+    first = int(np.argmin(steps)) + 1
+    assert not named or f"{first} and {first + 1}" in named[0]
+    assert named
+
+
+def test_poses_that_turn_farther_than_the_coupler_name_it() -> None:
+    section = four_bar_section("left", **SIZES, points=SPOT)
+    found = generate(optlink.read(document(section, TURNED)), starts=60, designs=1)
+    best = found.best
+    assert best is not None
+    assert best.fit.grade == "poor"
+    reason = next(each for each in best.fit.reasons if "the poses turn through 330 deg" in each.reason)
+    assert "double-crank" in reason.remedy
+
+
+def test_a_curve_passed_at_other_crank_angles_names_the_timing() -> None:
+    """A planted linkage, its points given at crank angles a third of a turn late."""
+    sizes = {"crank": 30.0, "coupler": 80.0, "rocker": 70.0, "frame": 90.0}
+    angles = np.linspace(0.0, 4.0, 7)
+    section = four_bar_section("left", **{k: f"{v} mm" for k, v in sizes.items()}, points={"P": ["40 mm", "30 mm"]})
+    section |= {"pivot": ["0 mm", "0 mm"], "direction": "0 deg"}
+    raw = document(section, np.zeros((7, 2)) + np.arange(7)[:, None], crank=angles)
+    planted = validate(optlink.read(raw), {}).best.measured.generated * 1e3
+    late = validate(optlink.read(document(section, planted, crank=angles + 2.0)), {}).best
+    assert late.fit.grade == "poor"
+    assert any('requirement.timing = "free"' in each.remedy for each in late.fit.reasons)
+    there = validate(optlink.read(document(section, planted, crank=angles)), {}).best
+    assert there.fit.grade == "exact"
+    assert there.fit.reasons == ()
+
+
+def test_a_fixed_pivot_is_named_with_what_moving_it_would_gain() -> None:
+    sizes = {"crank": 30.0, "coupler": 80.0, "rocker": 70.0, "frame": 90.0}
+    angles = np.linspace(0.0, 4.0, 7)
+    section = four_bar_section("left", **{k: f"{v} mm" for k, v in sizes.items()}, points={"P": ["40 mm", "30 mm"]})
+    section = {k: v for k, v in section.items() if k not in ("pivot", "direction")}
+    raw = document(section, np.zeros((7, 2)) + np.arange(7)[:, None], crank=angles)
+    planted = validate(optlink.read(raw), {}).best.measured.generated * 1e3
+    away = validate(optlink.read(document(section, planted + np.array([25.0, -40.0]), crank=angles)), {}).best
+    (reason,) = [each for each in away.fit.reasons if "moved as a whole" in each.reason]
+    assert "the crank pivot is fixed at (0 mm, 0 mm)" in reason.reason
+    assert "mechanism.pivot" in reason.remedy
+
+
+def test_a_law_is_graded_by_its_output_range() -> None:
+    result = optlink.solve(optlink.load("crank-rocker"))
+    fit = result.fit
+    motion = optlink.load("crank-rocker").spec.law
+    assert fit.error == pytest.approx(math.sqrt(float(np.mean(result.error() ** 2))))
+    assert fit.size == pytest.approx(abs(float(np.ptp(motion.curve(motion.offsets, 0.0, 0.0)))))
+    assert result.to_dict()["fit"]["of"] == "the output range"
+
+
+def test_headline_and_json_tell_the_grade(tmp_path) -> None:
+    section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
+    file = tmp_path / "star.toml"
+    file.write_text(dump(optlink.read(document(section, STAR + 150.0))))
+    run = CliRunner().invoke(app, ["solve", str(file), "--starts", "60", "--designs", "1"])
+    assert run.exit_code == 0
+    assert "valid, poor fit: rms error is" in " ".join(run.stdout.split())
+    assert "Poor fit, likely reason:" in run.stdout
+    told = json.loads(CliRunner().invoke(app, ["solve", str(file), "--starts", "60", "--designs", "1", "--json"]).stdout)
+    assert told["fit"]["grade"] == "poor"
+    assert told["fit"]["share"] == pytest.approx(told["fit"]["error"] / told["fit"]["size"])
+
+
+def test_show_says_what_is_fixed_where_a_key_is_left_out() -> None:
+    shown = CliRunner().invoke(app, ["show", "path-arc5"]).stdout
+    line = next(line for line in shown.splitlines() if line.startswith("pivot"))
+    assert "fixed: 0 mm, 0 mm" in line
+    assert "fixed: 0 deg" in next(line for line in shown.splitlines() if line.startswith("direction"))
+    requirement = shown.partition("[requirement]")[2].partition("[limits]")[0]
+    assert "no limit" not in requirement
+
+
+@pytest.mark.parametrize(("least", "grade"), [(90.0, "good"), (45.0, "good"), (44.9, "fair"), (40.0, "fair"), (39.9, "poor")])
+def test_transmission_angles_are_graded_by_recommended_ones(least: float, grade: str) -> None:
+    right = 0.5 * math.pi
+    fit = TransmissionFit(right - math.radians(least), right, "rad", "a right angle")
+    assert fit.grade == grade
+    assert f"{least:.4g} deg" in fit.text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("swing", "ratio", "grade"), [(40.0, 1.05, "good"), (95.0, 1.15, "poor")])
+def test_a_linkage_of_the_best_transmission_is_graded(swing: float, ratio: float, grade: str) -> None:
+    """By its least transmission angle, of crank and frame in line; a poor one names the limits that hold it."""
+    changes = {"limits.swing_angle": f"{swing} deg", "limits.time_ratio": ratio, "mechanism.frame": "200 mm"}
+    result = generate(optlink.load("transmission-optimal", changes), starts=60, designs=1)
+    assert result.valid
+    s = result.best.values
+    angles = []
+    for reach in (s["frame"] - s["crank"], s["frame"] + s["crank"]):
+        cosine = (s["coupler"] ** 2 + s["rocker"] ** 2 - reach**2) / (2.0 * s["coupler"] * s["rocker"])
+        angles.append(math.degrees(math.acos(abs(cosine))))
+    told = result.to_dict()["fit"]
+    assert told["grade"] == grade
+    assert 90.0 - math.degrees(told["error"]) == pytest.approx(min(angles), abs=1e-6)
+    assert ("good" if min(angles) >= 45.0 else "fair" if min(angles) >= 40.0 else "poor") == grade
+    remedies = {each["remedy"] for each in told["reasons"]}
+    assert remedies >= ({"widen limits.swing_angle", "widen limits.time_ratio"} if grade == "poor" else set())
+    shown = verdict(Subject(result.problem, result, None))
+    assert shown.startswith("Valid, poor transmission" if grade == "poor" else "Valid: every check passed")
+
+
+def drag_link(**changes: object) -> optlink.ProblemFile:
+    """A slider-crank under a constant force, its crank and rod free."""
+    raw = {
+        "title": "Slider-crank under a constant force",
+        "mechanism": {
+            "type": "dyads",
+            "ground": {"A": ["0 mm", "0 mm"]},
+            "links": {
+                "crank": {"joints": ["A", "B"], "length": {"start": "50 mm", "bounds": ["20 mm", "60 mm"]}},
+                "rod": {"joints": ["B", "C"], "length": {"start": "130 mm", "bounds": ["100 mm", "200 mm"]}},
+                "ram": {"joints": ["C"]},
+            },
+            "guides": {"F": {"slider": "ram", "through": "A", "direction": "0 deg"}},
+            "assembly": {"C": "forward"},
+        },
+        "loads": {"press": {"on": "ram", "force": "2 kN", "acts": "opposing"}},
+        "objective": {"quantity": "torque", "measure": "peak"},
+        "limits": {"stroke": {"quantity": "stroke", "of": "ram", "min": "70 mm"}},
+    }
+    return optlink.read(raw).override(changes)
+
+
+def torque(crank: float, rod: float) -> float:
+    """Peak torque of that slider-crank by virtual work [N m]."""
+    phi = np.linspace(0.0, math.tau, 100_001)
+    rate = crank * np.sin(phi) * (1.0 + crank * np.cos(phi) / np.sqrt(rod**2 - (crank * np.sin(phi)) ** 2))
+    return 2000.0 * float(np.max(np.abs(rate)))
+
+
+@pytest.mark.parametrize(("least", "feasible"), [("70 mm", True), ("110 mm", False)])
+def test_an_objective_without_a_target_stands_beside_that_of_the_initial_design(least: str, feasible: bool) -> None:
+    result = design_machine(drag_link(**{"limits.stroke.min": least}), starts=1)
+    assert result.valid
+    assert result.fit is None
+    crank, rod = result.values["crank.length"], result.values["rod.length"]
+    initial = result.to_dict()["initial"]
+    assert initial == {"objective": pytest.approx(torque(0.05, 0.13), rel=1e-6), "feasible": feasible}
+    assert 2000.0 * crank < result.objective == pytest.approx(torque(crank, rod), rel=1e-6)
+    console = function_tables.console()
+    with console.capture() as text:
+        console.print(cycle_tables.machine_design(result))
+    shown = " ".join(text.get().split())
+    change = torque(crank, rod) / torque(0.05, 0.13) - 1.0
+    assert f"initial design {torque(0.05, 0.13):.5g} N*m ({change:+.1%})" in shown
+    assert ("which does not meet the limits" in shown) != feasible
+    assert f"({change:+.1%})" in verdict(Subject(result.problem, result, None))
+
+
+def test_a_machine_with_the_best_transmission_angle_is_graded() -> None:
+    """A slider-crank: the angle of its rod with the guide's normal, by the crank over the rod."""
+    goal = {"quantity": "transmission angle", "of": "C", "measure": "least", "sense": "maximise"}
+    changes = {
+        "objective": goal,
+        "mechanism.links.rod.length.bounds": ["60 mm", "64 mm"],
+        "mechanism.links.rod.length.start": "62 mm",
+    }
+    result = design_machine(drag_link(**changes, **{"limits.stroke.min": "100 mm"}), starts=1)
+    assert result.valid
+    angle = math.degrees(math.acos(result.values["crank.length"] / result.values["rod.length"]))
+    told = result.to_dict()["fit"]
+    assert 90.0 - math.degrees(told["error"]) == pytest.approx(angle, abs=1e-4)
+    assert told["grade"] == "poor"
+    assert "widen limits.stroke" in {each["remedy"] for each in told["reasons"]}

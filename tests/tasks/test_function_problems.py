@@ -1,0 +1,116 @@
+"""Random function problems: the default answer against a separate oracle, and more starts against fewer."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import optlink
+from tests.function_oracle import Function, largest, oracle
+
+KNOWN = Path(__file__).parents[1] / "data" / "function_optima.json"  # found by `oracle` with 40 starts, seed 0
+FUNCTIONS = {
+    "1/x": (lambda x: 1.0 / x, (1.0, 2.0)),
+    "x^2": (lambda x: x**2, (0.0, 1.0)),
+    "exp(x)": (np.exp, (0.0, 1.0)),
+    "tan(x)": (np.tan, (0.0, 0.7)),
+    "sqrt(x)": (np.sqrt, (1.0, 3.0)),
+    "sin(x)": (np.sin, (0.0, 1.5)),
+    "log(x)": (np.log, (1.0, 3.0)),
+    "x^1.5": (lambda x: x**1.5, (0.0, 1.0)),
+    "cosh(x)": (np.cosh, (0.0, 1.2)),
+}
+SIDES = {"left": (1,), "right": (-1,), "either": (1, -1)}
+PROBLEMS = 20
+
+
+@dataclass(frozen=True)
+class Case:
+    """A problem file, and the same for the oracle."""
+
+    raw: dict[str, object]
+    task: Function
+
+
+def case(number: int) -> Case:
+    """Function, ranges, limits and assembly modes at random."""
+    rng = np.random.default_rng(1000 + number)
+    text = list(FUNCTIONS)[rng.integers(len(FUNCTIONS))]
+    y, (low, high) = FUNCTIONS[text]
+    turned, swung = int(rng.integers(45, 120)), int(rng.choice([-1, 1]) * rng.integers(35, 100))
+    gamma, ratio = int(rng.integers(22, 42)), float(rng.choice([0.05, 0.1, 0.2]))
+    assembly = list(SIDES)[rng.integers(3)]
+    sizes = {name: {"bounds": ["1 mm", "5000 mm"]} for name in ("crank", "coupler", "rocker")}
+    raw = {
+        "title": f"{text}, {turned} deg to {swung} deg",
+        "mechanism": {"type": "four-bar", "frame": "100 mm", **sizes, "assembly": assembly},
+        "requirement": {
+            "kind": "function",
+            "law": {"function": text, "x": [low, high], "input": f"{turned} deg", "output": f"{swung} deg"},
+            "measure": "max",
+        },
+        "limits": {
+            "crank": "span",
+            "transmission_angle": [f"{gamma} deg", f"{180 - gamma} deg"],
+            "link_ratio": [ratio, 1.0 / ratio],
+        },
+    }
+    angles = math.radians(gamma), math.radians(180 - gamma)
+    task = Function(
+        lambda t: y(low + (high - low) * t),
+        math.radians(turned),
+        math.radians(swung),
+        angles,
+        (ratio, 1.0 / ratio),
+        SIDES[assembly],
+    )
+    return Case(raw, task)
+
+
+def known() -> list[float]:
+    """Largest errors [rad] that the oracle found."""
+    return [float(value) for value in json.loads(KNOWN.read_text(encoding="utf-8"))]
+
+
+def measured(result: optlink.Result, task: Function) -> tuple[float, float]:
+    """Largest error and missed limit of an answer, by the oracle's formulas."""
+    sizes = [math.log(result.design[name] / result.design["frame"]) for name in ("crank", "coupler", "rocker")]
+    x = np.array([*sizes, result.design["phi0"], result.design["psi0"]])
+    return largest(x, {"left": 1, "right": -1}[result.assembly], task)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(PROBLEMS))
+def test_the_default_answer_is_none_worse_than_the_oracle_and_never_claims_what_it_refutes(number: int) -> None:
+    made = case(number)
+    result = optlink.solve(optlink.read(made.raw))
+    error, missed = measured(result, made.task)
+    assert result.valid
+    assert missed <= 1e-6
+    assert error == pytest.approx(result.objective, rel=1e-5)
+    assert result.objective <= known()[number] * 1.001
+    assert result.evidence is not None
+    assert result.evidence.hits == result.counts[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(PROBLEMS))
+def test_more_starts_are_never_worse(number: int) -> None:
+    """The answer of N starts is the best of those of its first ones: valid stays valid, and no better one is lost."""
+    file = optlink.read({**case(number).raw})
+    found = [optlink.solve(file, starts=starts, seed=number) for starts in (1, 8, 14)]
+    for fewer, more in itertools.pairwise(found):
+        assert more.valid >= fewer.valid
+        assert more.objective <= fewer.objective or not fewer.valid
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [3, 12])
+def test_the_oracle_finds_its_recorded_optima_from_other_starts(number: int) -> None:
+    assert oracle(case(number).task, 25, 7) == pytest.approx(known()[number], rel=2e-3)

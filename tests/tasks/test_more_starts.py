@@ -1,0 +1,144 @@
+"""Starting points of laws and functions: prefixes of one sequence, one answer for all seeds, evidence, one headline figure."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.optimization.nlp import build
+from optlink.solvers import multistart
+from optlink.tasks.function_search import Search, Start, starts_of
+from tests.tasks.test_function_problems import case, measured
+
+
+def short(**changes: object) -> optlink.ProblemFile:
+    """A function that takes little time: one assembly mode."""
+    return optlink.read(case(11).raw).override(changes)
+
+
+@pytest.mark.parametrize("file", [optlink.load("crank-rocker"), short()], ids=["law", "function"])
+def test_starts_of_a_smaller_number_are_the_first_ones_of_a_larger_one(file: optlink.ProblemFile) -> None:
+    nlp = build(file.spec)
+    one, other = (starts_of(file.spec, nlp, 5, None) for _ in "ab")
+    few = [*one.first, *itertools.islice(one.rest(), 40)]
+    many = [*other.first, *itertools.islice(other.rest(), 200)]
+    for a, b in zip(few, many, strict=False):
+        np.testing.assert_array_equal(a.x, b.x)
+    assert not any(start.drawn for start in one.first)
+    assert len({tuple(start.x[:3]) for start in many}) > 190
+
+
+def test_convex_first_steps_and_the_given_start_are_searched_whatever_the_number() -> None:
+    file = short(**{"mechanism.crank": {"start": "77 mm", "bounds": ["1 mm", "5000 mm"]}})
+    points = starts_of(file.spec, build(file.spec), 0, None)
+    assert any(start.x[0] == pytest.approx(0.77) for start in points.first)
+    assert optlink.solve(file, starts=1).starts == len(points.first) > 1
+
+
+def test_a_valid_answer_is_not_lost_to_a_better_one_that_fails_validation() -> None:
+    """A start that leads to a lower objective beyond a limit of the validator comes last: the valid one before it stays."""
+    file = short()
+    nlp = build(file.spec)
+    points = starts_of(file.spec, nlp, 0, None)
+    one = Search(file.spec, nlp, "ipopt")
+    one.advance(points.first[0])
+    kept = one.result
+    judge = one.judge
+
+    def flattering(solution: multistart.Solution) -> object:
+        made = judge(solution)
+        bad = [check.__class__(check.name, False, check.value, check.limit, check.unit) for check in made.validation.checks]
+        return type(made)(
+            type(solution)(**{**vars(solution), "objective": 0.5 * solution.objective}),
+            made.design,
+            type(made.validation)(tuple(bad), made.validation.objective),
+        )
+
+    one.judge, one.optima = flattering, []  # type: ignore[method-assign,assignment]
+    one.advance(Start(points.first[0].x, drawn=True, close=True))
+    assert one.starts == 2
+    assert one.result is kept
+
+
+def test_seeds_agree_on_an_optimum_that_few_starts_reach() -> None:
+    """One random start in ten reaches the best value; another one is 2 % above it."""
+    results = [optlink.solve(optlink.read(case(2).raw), seed=seed) for seed in (3, 8)]
+    assert results[0].objective == pytest.approx(results[1].objective, rel=1e-8)
+    told = results[0].evidence
+    assert told is not None
+    assert 1 < told.hits < told.starts / 4
+    assert 0.0 < told.missed <= 0.025
+
+
+@pytest.mark.slow
+def test_ten_seeds_agree_where_the_first_steps_miss_the_best_optimum() -> None:
+    law = {"function": "1/x", "x": [1, 2], "input": "90 deg", "output": "90 deg"}
+    changes = {"requirement.law": law, "mechanism.assembly": "right"}
+    file = optlink.load("function-log10", changes)
+    found = [optlink.solve(file, seed=seed) for seed in range(10)]
+    assert all(result.valid for result in found)
+    assert {round(math.degrees(result.objective), 6) for result in found} == {0.326990}
+
+
+def test_an_answer_has_one_figure_everywhere() -> None:
+    """Design, distinct optima and validation tell the largest error over the range, not that at the design positions."""
+    file = short()
+    result = optlink.solve(file)
+    document = json.loads(json.dumps(result.to_dict()))
+    first = document["optima"][0]
+    assert first["objective"] == document["objective"]["value"] == result.objective
+    assert first["design"] == document["design"]
+    assert measured(result, case(11).task)[0] == pytest.approx(first["objective"], rel=1e-6)
+    nlp = build(file.spec)
+    coarse = multistart.solve_from(nlp, nlp.x_of({name: result.design[name] for name in file.spec.free}), multistart.CLOSE)
+    assert coarse.objective < result.objective * (1.0 - 1e-6)  # what the programme of the design positions alone has
+
+
+def test_every_answer_says_its_assembly_mode() -> None:
+    from optlink.report.views import function_tables
+
+    result = optlink.solve(short(**{"mechanism.assembly": "either"}), starts=1)
+    document = result.to_dict()
+    assert document["assembly"] == result.assembly in ("left", "right")
+    assert {optimum["assembly"] for optimum in document["optima"]} <= {"left", "right"}
+    console = function_tables.console()
+    with console.capture() as text:
+        console.print(function_tables.result(result))
+    assert f"joint C lies to the {result.assembly} of B -> D" in text.get()
+
+
+def test_a_given_design_is_checked_in_the_assembly_mode_that_fits_it() -> None:
+    either = short(**{"mechanism.assembly": "either"})
+    found = optlink.solve(either, starts=1)
+    checked = optlink.validate(either, {name: found.design[name] for name in either.spec.free})
+    assert checked.assembly == found.assembly
+    assert checked.objective == pytest.approx(found.objective, rel=1e-6)
+
+
+def test_the_machine_written_beside_a_result_moves_as_the_design_does(tmp_path: Path) -> None:
+    """Law and function: loaded by `analyze`, from the same crank angle, the rocker turns as the result says."""
+    from optlink.report.views import function_pictures
+
+    for file in (optlink.load("crank-rocker"), short(**{"mechanism.assembly": "either"})):
+        result = optlink.solve(file, starts=1)
+        function_pictures.PICTURES, pictures = {}, function_pictures.PICTURES
+        try:
+            function_pictures.write_all(result, tmp_path)
+        finally:
+            function_pictures.PICTURES = pictures
+        machine = optlink.load(tmp_path / "design.toml")
+        found = optlink.analyze(machine)
+        assert machine.raw["mechanism"].get("assembly", "left") == result.assembly
+        crank, rocker = found.columns["crank_angle_deg"], found.columns["rocker.angle_rad"]
+        at = np.degrees(result.design["phi0"] + 0.5 * file.spec.span)
+        k = int(np.argmin(np.abs(np.remainder(crank - at + 180.0, 360.0) - 180.0)))
+        offset = math.remainder(math.radians(crank[k]) - result.design["phi0"], 2.0 * math.pi)
+        wanted = file.spec.law.curve(np.array([offset]), result.design["phi0"], result.design["psi0"])[0]
+        generated = wanted - result.error([offset])[0]
+        assert math.remainder(rocker[k] - generated, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,142 @@
+"""What a search of starts for paths and poses says of itself: more starts are never worse, hits are counted after polishing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.solvers.evidence import percent
+from optlink.synthesis.batch_search import Exploration, Searcher
+from optlink.tasks.path import SMALL, generate, variants_of
+from optlink.tasks.path_search import Collection, Polisher, model
+from tests import synthesis_oracle as oracle
+from tests.stated import document, four_bar_section, free
+
+MM = 1e3
+
+
+def exact_task(seed: int, *, scrambled: bool = False) -> tuple[dict[str, Any], float]:
+    """Nine points of a random crank-rocker's curve, as the untimed task, and the size of the curve [mm]."""
+    rng = np.random.default_rng(seed)
+    linkage = oracle.random_crank_rocker(rng)
+    points = oracle.planted_path(linkage, np.sort(rng.uniform(0.0, 2.0 * math.pi, 9)))
+    rows = oracle.rows_of(oracle.complex_points(points))
+    if scrambled:
+        rows = np.concatenate([rows[4::-1], rows[5:]])
+    size = float(np.sqrt(np.mean(np.sum((rows - rows.mean(axis=0)) ** 2, axis=1))))
+    place, length = free(-100.0 * size, 100.0 * size), free(0.01 * size, 100.0 * size)
+    sizes = dict.fromkeys(("crank", "coupler", "rocker", "frame"), length)
+    section = four_bar_section("either", **sizes, points={"P": [place, place]}, pivot=[place, place])
+    return document(section, rows, {"link_ratio": [0.005, 200.0]}), size
+
+
+@pytest.mark.slow
+def test_ten_seeds_agree_on_nine_exact_points() -> None:
+    """Nine points of a four-bar's own curve: every seed finds a four-bar through all of them, and knows that none is better."""
+    raw, _ = exact_task(41)
+    task = optlink.read(raw)
+    for seed in range(10):
+        found = generate(task, seed=seed, designs=1)
+        assert found.designs[0].exact, seed
+        assert found.evidence.missed == 0.0
+
+
+@pytest.mark.slow
+def test_seeds_agree_far_from_an_exact_fit_and_say_that_the_search_is_incomplete() -> None:
+    """Nine points in an order that no four-bar follows: nearly all starts end out of order, and few reach the best value."""
+    raw, size = exact_task(7, scrambled=True)
+    task = optlink.read(raw)
+    found = [generate(task, seed=seed, designs=1) for seed in range(2)]
+    assert found[0].designs[0].error == pytest.approx(found[1].designs[0].error, rel=1e-3)
+    for each in found:
+        assert MM * each.designs[0].error > 1e-6 * size
+        assert each.evidence.missed > SMALL
+        notes = [note for note in each.notes if note.startswith("search incomplete: ")]
+        assert len(notes) == 1
+        assert f"use --starts {4 * each.starts}" in notes[0]
+
+
+@pytest.mark.slow
+def test_a_poor_fit_does_not_end_at_the_cost_of_candidates_out_of_order() -> None:
+    """A candidate whose cost is far above the best design's may still lead to a better one, and is polished then."""
+    raw, _ = exact_task(7, scrambled=True)
+    files = variants_of(optlink.read(raw))
+    collection = Collection(Polisher(files, "ipopt"), 1)
+    search = Searcher([model(file) for file in files], 0)
+    collection.add(search.advance())
+    assert collection.far
+    best = collection.designs[0].error
+    dear = [replace(candidate, cost=1e3) for candidate in search.advance().repaired[:2]]
+    before = len(collection._ends)
+    collection.add(Exploration(candidates=dear))
+    assert len(collection._ends) == before + 2
+    assert collection.designs[0].error <= best
+
+
+def random_points(seed: int) -> dict[str, Any]:
+    """Points or poses without an exact answer, limits on lengths and, every other time, on the transmission."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(6, 11))
+    turn = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
+    radius = 40.0 * np.exp(0.25 * rng.standard_normal(count))
+    rows = np.column_stack([radius * np.cos(turn), 0.6 * radius * np.sin(turn)])
+    if seed % 3 == 0:
+        rows = np.column_stack([rows, np.cumsum(rng.uniform(-0.3, 0.3, count))])
+    limits = {"link_ratio": [0.1, 10.0]} | ({"transmission_angle": ["30 deg", "150 deg"]} if seed % 2 else {})
+    length, place = free(5.0, 300.0), free(-300.0, 300.0)
+    sizes = dict.fromkeys(("crank", "coupler", "rocker", "frame"), length)
+    section = four_bar_section("left", **sizes, points={"P": [place, place]}, pivot=[place, place])
+    more = {"measure": "max"} if seed % 5 == 4 else {}
+    return document(section, rows, limits, closed=True, **more)
+
+
+def monotone(seed: int, numbers: tuple[int | None, ...]) -> None:
+    task = optlink.read(random_points(seed))
+    results = sorted((generate(task, starts=n, designs=1) for n in numbers), key=lambda found: found.starts)
+    best = math.inf
+    for found in results:
+        objective = found.objective if found.valid else math.inf
+        assert objective <= best * (1.0 + 1e-12), (seed, found.starts, objective, best)
+        best = objective
+
+
+def test_more_starts_never_give_a_worse_path() -> None:
+    monotone(1, (50, 100))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 4, 6, 8])
+def test_more_starts_never_give_a_worse_path_or_motion(seed: int) -> None:
+    """Nor is the default better than at least as many starts."""
+    monotone(seed, (50, 100, None, 600))
+
+
+def test_hits_are_counted_after_polishing_with_limits() -> None:
+    """An active transmission limit, and the largest distance: many starts reach the polished value, none the unpolished one."""
+    for measure in ("sum of squares", "max"):
+        raw = random_points(1)
+        raw["requirement"]["measure"] = measure
+        found = generate(optlink.read(raw), starts=180, designs=1)
+        assert found.valid
+        assert any(limit.active for limit in found.designs[0].limits)
+        assert found.hits >= 2, measure
+        assert found.evidence.starts >= found.hits
+
+
+def test_a_search_says_what_it_may_have_missed() -> None:
+    task = optlink.read(random_points(1))
+    short = generate(task, starts=1, designs=1)
+    assert short.evidence.missed > SMALL
+    assert any("chance that a better optimum was missed" in note for note in short.notes)
+    whole = generate(task, designs=1)
+    assert whole.evidence.missed < short.evidence.missed
+    assert whole.to_dict()["evidence"]["missed"] == whole.evidence.missed
+
+
+def test_a_small_chance_is_never_shown_as_none() -> None:
+    assert [percent(x) for x in (0.0, 1e-9, 0.12, 0.999999, 1.0)] == ["0 %", "below 0.1 %", "12 %", "over 99 %", "100 %"]

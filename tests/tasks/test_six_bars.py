@@ -1,0 +1,133 @@
+"""Six-bars for paths: limits hold between the positions of the programme, and none is worse than the best four-bar."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optlink.errors import Status
+from optlink.problem.file import read
+from optlink.problem.path import GenerationProblem
+from optlink.solvers.path_exchange import Peak, peaks
+from optlink.synthesis.batch import Batch
+from optlink.synthesis.batch_search import Candidate
+from optlink.synthesis.growth import contained, grown
+from optlink.tasks import path
+from optlink.tasks.path import PART_STARTS, generate, variants_of
+from optlink.tasks.path_result import Design
+from optlink.tasks.path_search import Polisher, compound
+from optlink.validation.check import Check
+from tests.random_six_bars import faults_of_six_bar, random_six_bar
+
+
+def test_peaks_are_found_between_positions_of_the_grid() -> None:
+    grid = np.linspace(0.0, 1.0, 41)
+    found = peaks(lambda at: np.array([np.sin(7.0 * at), -1.0 - at * (1.0 - at)]), grid)
+    assert [(peak.row, round(peak.at, 6)) for peak in found] == [(0, 0.224399), (0, 1.0)]
+    assert found[0].height == pytest.approx(1.0, abs=1e-12)
+    assert isinstance(found[0], Peak)
+
+
+@pytest.mark.parametrize("watt", [False, True])
+def test_a_six_bar_contains_the_curve_of_its_four_bar(watt: bool) -> None:
+    """Starts that grow from a four-bar repeat its curve exactly and keep all limits: a coincident joint, and a pantograph."""
+    task = random_six_bar(10 + (not watt), 12)
+    part = contained(task.file)
+    assert part is not None
+    assert (part.arms is not None) is watt
+    four_bars = generate(part.file, starts=60).designs
+    made = 0
+    for file, four_bar in itertools.product(variants_of(task.file), four_bars):
+        assert isinstance(file.model, GenerationProblem)
+        batch = Batch(file.model)
+        own = replace(part, file=four_bar.problem)
+        x, t = grown(own, batch, four_bar.values, four_bar.crank_angles, 5, np.random.default_rng(0))
+        r = batch.residuals(x, t)[0]
+        made += len(x)
+        whole = np.sum(r * r, axis=(1, 2)) * file.model.size**2
+        assert whole == pytest.approx(np.full(len(x), four_bar.objective), rel=1e-5)
+    assert made >= 3
+
+
+def judge(seed: int) -> tuple[float, float]:
+    """Errors [m^2] of the six-bar and of the best four-bar of a random path; the six-bar's designs are without fault."""
+    task = random_six_bar(seed, 12)
+    result = generate(task.file)
+    assert result.valid
+    for design in result.designs:
+        assert faults_of_six_bar(design, task) == []
+    part = contained(task.file)
+    assert part is not None
+    four_bar = generate(task.four_bar, starts=PART_STARTS)
+    return result.objective, four_bar.objective
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_random_six_bars_are_without_fault_and_no_worse_than_the_best_four_bar(seed: int) -> None:
+    six, four = judge(seed)
+    assert six <= four * (1.0 + 1e-9)
+
+
+def planted(monkeypatch: pytest.MonkeyPatch, worse: float) -> None:
+    """Let every local search of a six-bar stall at its start, or end at an optimum that is said to be worse than its start."""
+    polish = Polisher.polish
+
+    def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> Design:
+        if not compound(self.files[candidate.variant].model):  # type: ignore[arg-type]
+            return polish(self, candidate, near=near)
+        start = self.unpolished(candidate)
+        if worse > 1.0:
+            return replace(start, objective=worse * start.objective, status=Status.OPTIMAL)
+        limits = (*start.validation.checks, Check("optimality (KKT residual)", False, 1.0, "<= 1e-06", ""))
+        return replace(start, status=Status.STALLED, validation=replace(start.validation, checks=limits))
+
+    monkeypatch.setattr(Polisher, "polish", failing)
+    monkeypatch.setattr(path, "PART_STARTS", 60)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "worse"), [(12, 1.0), (13, 1e4)], ids=["Watt, stalled", "Stephenson, worse"])
+def test_a_six_bar_is_no_worse_than_its_four_bar_whatever_its_local_searches_do(
+    monkeypatch: pytest.MonkeyPatch, seed: int, worse: float
+) -> None:
+    planted(monkeypatch, worse)
+    task = random_six_bar(seed, 12)
+    part = contained(task.file)
+    assert part is not None
+    four_bar = generate(part.file, starts=60)
+    assert four_bar.valid
+    result = generate(task.file, starts=1)
+    assert result.valid
+    assert result.objective <= four_bar.objective * (1.0 + 1e-9)
+    assert faults_of_six_bar(result.designs[0], task) == []
+    document = result.to_dict()
+    assert document["status"] == "feasible"
+    assert not any(check["name"].startswith("optimality") for check in document["designs"][0]["validation"])
+
+
+@pytest.mark.slow
+def test_a_six_bar_that_cannot_repeat_the_four_bar_within_its_limits_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second dyad is too short to meet its joints, the four-bar is free: the answer has one sentence about it."""
+    planted(monkeypatch, 1.0)
+    raw = copy.deepcopy(random_six_bar(13, 12).file.raw)
+    raw["mechanism"]["links"]["other"]["length"] = "1 mm"
+    raw["mechanism"]["links"]["one"]["length"] = {"bounds": ["1 mm", "2 mm"]}
+    result = generate(read(raw), starts=1)
+    assert not result.valid
+    told = [note for note in result.notes if "repeats its coupler curve" in note]
+    assert len(told) == 1
+    assert "mm (rms)" in told[0]
+
+
+@pytest.mark.slow
+def test_a_linkage_without_coupler_curves_says_so() -> None:
+    """The point of a lever on the frame moves on a circle."""
+    raw = dict(random_six_bar(1).file.raw)
+    raw["requirement"] = raw["requirement"] | {"point": "G"}
+    result = generate(read(raw), starts=1)
+    assert any("cannot trace the coupler curves" in note for note in result.notes)
