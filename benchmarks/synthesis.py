@@ -84,7 +84,7 @@ def warm() -> None:
     """Import and compile what a search needs."""
     import optlink
 
-    optlink.generate(optlink.load("path-vline6"), seed=99)
+    optlink.solve(optlink.load("path-vline6"), seed=99)
 
 
 def median(values: Iterable[float]) -> float:
@@ -158,7 +158,7 @@ def evolution(name: str, seed: str) -> Figures:
     problem: Any = optlink.load(name)
     best = 1e6 * problem.model.expected.objective
     warm()
-    ours, seconds, wall = clocked(lambda: optlink.generate(problem, seed=int(seed)))
+    ours, seconds, wall = clocked(lambda: optlink.solve(problem, seed=int(seed)))
     figures: Figures = {"seconds": seconds, "wall": wall, "value": 1e6 * ours.objective, "best": best, "peers": []}
     try:
         from pymoo.algorithms.soo.nonconvex.de import DE
@@ -284,7 +284,7 @@ def ours(case: str, seed: str, count: str) -> Figures:
     else:
         file = path_file(points, LENGTHS, FAR, angles, case)
     warm()
-    found, seconds, wall = clocked(lambda: optlink.generate(optlink.read(file)))
+    found, seconds, wall = clocked(lambda: optlink.solve(optlink.read(file)))
     figures: Figures = {"seconds": seconds, "wall": wall, "error": math.inf, "designs": len(found.designs), "valid": found.valid}
     if found.valid:
         report = judged(found.best, points, angles, closed=case in TIMINGS)
@@ -353,7 +353,7 @@ def trips(timing: str, count: str, linkages: str) -> Figures:
         file = path_file(points, LENGTHS, FAR, asked, timing)
         if asked is None:
             file["requirement"]["closed"] = True
-        found, one, wall = clocked(lambda file=file: optlink.generate(optlink.read(file)))  # type: ignore[misc]
+        found, one, wall = clocked(lambda file=file: optlink.solve(optlink.read(file)))  # type: ignore[misc]
         seconds.append(one)
         walls.append(wall)
         error = math.inf
@@ -442,13 +442,12 @@ def case(name: str, seeds: str) -> Figures:
     import optlink
 
     problem: Any = optlink.load(name)
-    search = optlink.generate if problem.generated else optlink.solve
     expected = problem.model.expected
     warm()
     figures: Figures = {"values": [], "seconds": [], "wall": [], "valid": []}
     figures |= {"best": expected.objective, "tolerance": expected.objective_tolerance}
     for seed in range(int(seeds)):
-        found, seconds, wall = clocked(lambda seed=seed: search(problem, seed=seed))  # type: ignore[misc]
+        found, seconds, wall = clocked(lambda seed=seed: optlink.solve(problem, seed=seed))  # type: ignore[misc]
         figures["values"].append(found.objective)
         figures["seconds"].append(seconds)
         figures["wall"].append(wall)

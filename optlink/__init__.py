@@ -24,11 +24,10 @@ if TYPE_CHECKING:
     from optlink.tasks.batch import analyze_batch
     from optlink.tasks.clearance import LooseSimulation, simulate_clearance
     from optlink.tasks.control_comparison import Comparison, Tuning, compare, tune
-    from optlink.tasks.cycle import design_machine
     from optlink.tasks.cycle_result import MachineDesign
-    from optlink.tasks.function import Result, read_design, solve, validate
-    from optlink.tasks.path import generate
+    from optlink.tasks.function import Result, read_design
     from optlink.tasks.path_result import Design, Generation
+    from optlink.tasks.run import solve, validate
     from optlink.tasks.simulate import Simulation, simulate
 
 _HOME = {
@@ -47,7 +46,6 @@ _HOME = {
     "tune": "optlink.tasks.control_comparison",
     "Design": "optlink.tasks.path_result",
     "Generation": "optlink.tasks.path_result",
-    "generate": "optlink.tasks.path",
     "InputError": "optlink.errors",
     "OptlinkError": "optlink.errors",
     "SolverError": "optlink.errors",
@@ -57,14 +55,13 @@ _HOME = {
     "read": "optlink.problem.file",
     "shipped": "optlink.problem.file",
     "MachineDesign": "optlink.tasks.cycle_result",
-    "design_machine": "optlink.tasks.cycle",
     "four_bar": "optlink.linkage.fourbar",
     "grashof": "optlink.linkage.fourbar",
     "sweep": "optlink.linkage.motion",
     "Result": "optlink.tasks.function",
     "read_design": "optlink.tasks.function",
-    "solve": "optlink.tasks.function",
-    "validate": "optlink.tasks.function",
+    "solve": "optlink.tasks.run",
+    "validate": "optlink.tasks.run",
 }
 
 __all__ = [
@@ -88,9 +85,7 @@ __all__ = [
     "analyze_batch",
     "balance",
     "compare",
-    "design_machine",
     "four_bar",
-    "generate",
     "grashof",
     "load",
     "read",

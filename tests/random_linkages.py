@@ -15,7 +15,7 @@ import numpy as np
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS
-from optlink.tasks.path import generate
+from optlink.tasks.path import solve
 from optlink.tasks.path_result import Design
 from tests import synthesis_oracle as oracle
 from tests.stated import ANGLE, document, four_bar_section, free
@@ -119,7 +119,7 @@ class Recovery:
 
 def recover(trip: RoundTrip, designs: int = 3) -> Recovery:
     """Search for a linkage through the points, judge everything that comes back."""
-    found = generate(optlink.read(trip.raw), designs=designs)
+    found = solve(optlink.read(trip.raw), designs=designs)
     faults: list[str] = []
     miss = math.inf
     for rank, design in enumerate(found.designs):

@@ -28,9 +28,9 @@ from tests import synthesis_oracle as oracle
 NAMES = sorted(optlink.shipped())
 LONG = ("function-exp", "function-log10")  # ten seconds each; the sine stands for them in a plain run
 DESIGNS = [name for name in NAMES if isinstance(optlink.load(name).model, DesignProblem)]
-GENERATED = [name for name in NAMES if optlink.load(name).generated]
+GENERATED = [name for name in NAMES if optlink.load(name).task == "path"]
 POINTED = [name for name in GENERATED if name.startswith(("path-", "motion-"))]
-MACHINES = [name for name in NAMES if name not in (*DESIGNS, *GENERATED) and not optlink.load(name).machined]
+MACHINES = [name for name in NAMES if name not in (*DESIGNS, *GENERATED) and optlink.load(name).task != "cycle"]
 
 
 def test_problems_are_found():
@@ -83,7 +83,7 @@ def test_expected_design_is_reached(name):
 
 @cache
 def generated(name: str) -> optlink.Generation:
-    return optlink.generate(optlink.load(name))
+    return optlink.solve(optlink.load(name))
 
 
 @pytest.mark.parametrize("name", GENERATED)

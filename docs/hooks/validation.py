@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 import optlink
 from optlink.studies.motion_sensitivity import output_sensitivity
+from optlink.tasks.path import solve as solve_path
 
 ROOT = Path(__file__).resolve().parents[2]
 MARKER = "<!-- figures -->"
@@ -365,11 +366,11 @@ def balance() -> Iterator[Row]:
 def synthesis() -> Iterator[Row]:
     """What the shipped cases that take a moment find, beside the best known."""
     test = f"{PROBLEMS}::test_best_known_objective_is_reached_or_beaten"
-    arc = optlink.generate(optlink.load("path-arc5"))
+    arc = optlink.solve(optlink.load("path-arc5"))
     yield Row("`path-arc5`, sum of squares", "mm^2", 7.4158e-7, arc.objective * 1e6, 1e-11, test)
-    closed = optlink.generate(optlink.load("path-closed18"))
+    closed = optlink.solve(optlink.load("path-closed18"))
     yield Row("`path-closed18`, sum of squares", "mm^2", 0.0090288846, closed.objective * 1e6, 1e-8, test)
-    best = optlink.generate(optlink.load("transmission-optimal")).best
+    best = solve_path(optlink.load("transmission-optimal")).best
     assert best is not None
     for name, length in (("crank", 46.67), ("coupler", 116.16), ("rocker", 73.88)):
         yield Row(f"`transmission-optimal`, {name}", "mm", length, best.values[name] * 1e3, 5e-3, test)

@@ -19,7 +19,6 @@ from optlink.solvers import interrupts
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
 
-FEW = 8  # starts that are done before anybody looks at a bar
 
 printed = False  # whether the one JSON document is out
 _kept: list[contextlib.ExitStack] = []  # what the command at work keeps until its end
@@ -115,32 +114,34 @@ def working(what: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def counted(total: int) -> Iterator[Callable[[int], None] | None]:
-    """A bar with the starts done and the time left on standard error; None for a few starts."""
-    if total < FEW:
+def share(what: str) -> Iterator[Callable[[float], None] | None]:
+    """A bar with the share done and the time left on standard error; None where that is no terminal.
+
+    The bar appears with the first share below 1: work of a single step shows none.
+    """
+    if not sys.stderr.isatty():
         yield None
         return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    with contextlib.ExitStack() as stack:
+        shown: list[Callable[[float], None]] = []
 
-    from optlink.report.views import function_tables
+        def advance(done: float) -> None:
+            if not shown and done < 1.0:
+                shown.append(stack.enter_context(_bar(what)))
+            for update in shown:
+                update(done)
 
-    columns = (TextColumn("searching"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = function_tables.console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("starts", total=total)
-        yield lambda done: bar.update(task, completed=done)
+        yield advance
 
 
 @contextlib.contextmanager
-def share(what: str) -> Iterator[Callable[[float], None]]:
-    """A bar with the share done and the time left on standard error."""
+def _bar(what: str) -> Iterator[Callable[[float], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     from optlink.report.views import function_tables
 
     columns = (TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
-    console = function_tables.console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=function_tables.console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda done: bar.update(task, completed=done)
 

@@ -125,7 +125,7 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     sizes = {key: quantity.value for key, quantity in file.model.mechanism.quantities.items()}
     if design:
         sizes |= {key: value for key, value in read_design(file, design).items() if key in sizes}
-    elif file.model.free and not file.generated and not file.machined:
+    elif file.model.free and file.task != "path" and file.task != "cycle":
         sizes |= {key: value for key, value in solve(file).design.items() if key in sizes}
     found = output_sensitivity(file.model.linkage, sizes, crank, output)
     document = {

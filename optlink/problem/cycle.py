@@ -53,6 +53,11 @@ class CycleProblem(Problem):
     """Terms of the cycle that must stay within bounds, each under a name of your choice, and how far the mechanism keeps from
     positions where it locks."""
 
+    @property
+    def task(self) -> str:
+        """Kind of question: the best machine by quantities of its cycle."""
+        return "cycle"
+
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
         """The terms of the objective."""

@@ -58,19 +58,14 @@ class ProblemFile:
         raise InputError(Fault("the problem has no [requirement], so there is nothing to solve", remedy, self.file))
 
     @property
-    def generated(self) -> bool:
-        """Whether points or poses are wanted: a problem for `optlink.tasks.path`."""
-        return isinstance(self.model, GenerationProblem)
-
-    @property
-    def machined(self) -> bool:
-        """Whether a machine is to be designed by its cycle: a problem for `optlink.tasks.cycle`."""
-        return isinstance(self.model, CycleProblem)
+    def task(self) -> str:
+        """Kind of question: "function", "path", "cycle", "balance" or "analysis"; the name of its module in `optlink.tasks`."""
+        return self.model.task
 
     @property
     def kind(self) -> str:
         """The type of the linkage, and what is asked of it."""
-        asked = "cycle design" if self.machined else "analysis" if self.model.balance is None else "balancing"
+        asked = "cycle design" if self.task == "cycle" else "analysis" if self.model.balance is None else "balancing"
         if isinstance(self.model, DesignProblem | GenerationProblem):
             asked = f"{self.model.requirement.kind} design"
         return f"{self.model.mechanism.type}, {asked}"

@@ -95,6 +95,11 @@ class DesignProblem(Problem):
     expected: Expected | None = None
     """What a trusted source says that the answer is; checked by the tests for every shipped problem."""
 
+    @property
+    def task(self) -> str:
+        """Kind of question: the output follows a law or a function."""
+        return "function"
+
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Every quantity that can be fixed or free, by name: the four lengths, phi0 and psi0 where they are given."""

@@ -159,6 +159,11 @@ class GenerationProblem(Problem):
     limits: GenerationLimits = GenerationLimits()
     """What must hold beside the points."""
 
+    @property
+    def task(self) -> str:
+        """Kind of question: points, poses, an output or the transmission over a path."""
+        return "path"
+
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Every quantity that can be fixed or free, by name: those of the mechanism, and what the task adds."""

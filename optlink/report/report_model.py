@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING
 
 from optlink.errors import InputError
 from optlink.linkage.stroke import TURN
-from optlink.problem.cycle import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import settled
-from optlink.problem.function import DesignProblem
-from optlink.problem.path import GenerationProblem
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import Analysis, analyze
+from optlink.tasks.balance_result import Balance
 from optlink.tasks.cycle_result import MachineDesign
 from optlink.tasks.function import Result
 from optlink.tasks.path_result import Generation
+from optlink.tasks.run import solve, validate
 
 if TYPE_CHECKING:
     from optlink.studies.sensitivity import Sensitivities
@@ -74,21 +73,11 @@ def answered(
     InputError
         as `solve`, `validate` and `analyze` do.
     """
-    model = problem.model
-    if isinstance(model, GenerationProblem):
-        from optlink.tasks.path import generate
-        from optlink.tasks.path import validate as check
-
-        return generate(problem, backend, starts, seed) if given is None else check(problem, given)
-    if isinstance(model, CycleProblem):
-        from optlink.tasks.cycle import check_machine, design_machine
-
-        return design_machine(problem, backend, starts, seed) if given is None else check_machine(problem, given)
-    if isinstance(model, DesignProblem):
-        from optlink.tasks.function import solve, validate
-
-        return solve(problem, backend, starts, seed) if given is None else validate(problem, given)
-    return analyze(problem, design=given)
+    if problem.task in ("analysis", "balance"):
+        return analyze(problem, design=given)
+    found = solve(problem, backend, starts, seed) if given is None else validate(problem, given)
+    assert not isinstance(found, Balance)
+    return found
 
 
 def subject_of(

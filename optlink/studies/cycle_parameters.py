@@ -30,7 +30,7 @@ from optlink.studies.kkt_derivatives import Push, System
 from optlink.studies.parameters import Parameter, parameters
 from optlink.studies.toml_keys import raw_at, text
 from optlink.symbolic import Compiled
-from optlink.tasks.cycle import design_machine
+from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.cycle_result import task_of
 from optlink.units import KINDS, UnitProblem, factor
 
@@ -185,7 +185,7 @@ def searched_again(
     """
     assert isinstance(solution.nlp, CycleNLP)
     try:
-        found = design_machine(restarted(changed(problem, parameter, value), solution.design), CLOSE, starts=1).solution
+        found = solve_cycle(restarted(changed(problem, parameter, value), solution.design), CLOSE, starts=1).solution
     except InputError:
         return None
     if found is None or found.status is not Status.OPTIMAL:

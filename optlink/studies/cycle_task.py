@@ -33,7 +33,7 @@ from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import column
 from optlink.studies.reoptimise_task import SEARCHED, TAIL, active
 from optlink.studies.sweep_task import Sweeping, figure
-from optlink.tasks.cycle import design_machine
+from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.cycle_result import MachineDesign, task_of
 from optlink.tasks.result import optimality
 from optlink.units import KINDS, factor
@@ -100,14 +100,14 @@ class Designing(Sweeping):
         if self.programme is not None:
             bounds = {axis.key: value for axis, value in zip(self.grid.axes, self.grid.values(point), strict=True)}
             found = self.programme.design(task, bounds, sizes)
-        return design_machine(restarted(task, sizes), self.backend, starts=1) if found is None else found
+        return solve_cycle(restarted(task, sizes), self.backend, starts=1) if found is None else found
 
     def searched(self, task: ProblemFile) -> MachineDesign:
         """The machine of a problem for itself; where its peaks did not settle, searched once more from there."""
-        found = design_machine(task, self.backend)
+        found = solve_cycle(task, self.backend)
         if found.valid or found.status is not Status.OPTIMAL:
             return found
-        again = design_machine(restarted(task, found.values), self.backend, starts=1)
+        again = solve_cycle(restarted(task, found.values), self.backend, starts=1)
         return again if again.valid else found
 
     def _row(self, point: int, found: MachineDesign, how: str) -> list[str]:

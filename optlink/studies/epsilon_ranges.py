@@ -18,7 +18,7 @@ from optlink.studies.grid import Axis, Grid
 from optlink.studies.pareto_objectives import OPTION, Aim, bare, cycle_figures, law_figure, spanned, tightest, walked
 from optlink.studies.reoptimise_task import buildable
 from optlink.studies.toml_keys import Raw, text
-from optlink.tasks.cycle import design_machine
+from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.function import solve
 
 Once = Callable[[str, Callable[[], Mapping[str, Any]]], Mapping[str, Any]]
@@ -71,7 +71,7 @@ class Walks:
                 with self._blamed(aim):
                     found[k] = _stated(aim, self.count, partial(self._with, k))
         for k in self.held:
-            if k not in found and not self.problem.machined and not buildable(self.bare, (self.aims[k].key,)):
+            if k not in found and self.problem.task != "cycle" and not buildable(self.bare, (self.aims[k].key,)):
                 raise self._no_end(self.aims[k], "a function has many optima, its ends are not searched")
         return found
 
@@ -90,7 +90,7 @@ class Walks:
         """How many searches it takes to find the ranges that were not asked for."""
         if not self.open:
             return 0
-        if not self.problem.machined:
+        if self.problem.task != "cycle":
             return 1 + len(self.open) + (len(self.held) if len(self.held) > 1 else 0)
         return 1 + 2 * len(self.open) + bool(self.aims[self.first].key)
 
@@ -104,20 +104,20 @@ class Walks:
         """
         axes = dict(self.fixed)
         anchors: tuple[Mapping[str, float], ...] = ()
-        if self.open and self.problem.machined:
+        if self.open and self.problem.task == "cycle":
             found, anchors = self._machine_ends(once)
             axes |= found
         elif self.open:
             axes |= self._law_ends(once)
         grid = Grid(tuple(axes[k] for k in self.held))
-        if not self.problem.machined:
+        if self.problem.task != "cycle":
             return self.bare, grid, ()
         base = walked(self.problem, self.aims, {self.first: 1.0}, {k: axes[k].raw(0) for k in self.held})
         return restarted(base, anchors[0]) if anchors else base, grid, anchors
 
     def _with(self, number: int, value: Raw) -> ProblemFile:
         """The problem with a value of the limit that holds an objective."""
-        if self.problem.machined:
+        if self.problem.task == "cycle":
             return walked(self.problem, self.aims, {self.first: 1.0}, {number: value})
         return self.bare.override({self.aims[number].key: value})
 
@@ -187,9 +187,9 @@ class Walks:
         asked_for = [k for k in range(len(aims)) if k not in bounds]
 
         def searched(k: int, task: ProblemFile, near: Mapping[str, float] | None) -> dict[str, Any]:
-            found = design_machine(restarted(task, near), self.backend, starts=1) if near is not None else None
+            found = solve_cycle(restarted(task, near), self.backend, starts=1) if near is not None else None
             if found is None or found.status is not Status.OPTIMAL:
-                found = design_machine(task, self.backend)
+                found = solve_cycle(task, self.backend)
             measured = cycle_figures(problem, aims, found.values)
             if found.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):
                 raise self._no_end(aims[k], found.status.text)

@@ -133,9 +133,10 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
     """The problem with definite assembly modes, every quantity of the design [SI], and crank angles that it is about, if any."""
     model = problem.model
     if isinstance(model, GenerationProblem):
-        from optlink.tasks.path import generate, validate
+        from optlink.tasks.path import solve as solve_path
+        from optlink.tasks.path import validate as validate_path
 
-        made = generate(problem) if given is None and model.free else validate(problem, given or {})
+        made = solve_path(problem) if given is None and model.free else validate_path(problem, given or {})
         interrupts.check()
         best = made.best
         if best is None or (given is None and not made.valid):
@@ -145,10 +146,10 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
             dict(best.values),
             np.asarray(best.crank_angles) if model.requirement.kind != "transmission" else None,
         )
-    if problem.machined and given is None:
-        from optlink.tasks.cycle import design_machine
+    if problem.task == "cycle" and given is None:
+        from optlink.tasks.cycle import solve as solve_cycle
 
-        machine = design_machine(problem)
+        machine = solve_cycle(problem)
         interrupts.check()
         if not machine.valid:
             raise _nothing(problem)

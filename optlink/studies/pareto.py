@@ -259,7 +259,7 @@ def _most(shape: Sequence[int]) -> None:
 
 def _task(base: ProblemFile, grid: Grid, backend: str, anchors: Sequence[Mapping[str, float]]) -> Sweeping:
     stated = Sweeping.stated(base)
-    if base.machined:
+    if base.task == "cycle":
         known = tuple(tuple(sizes.items()) for sizes in anchors)
         return Designing(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend, anchors=known)
     task = Reoptimising(**stated, grid=grid, chunk=CHUNK, backend=backend)
@@ -333,7 +333,7 @@ def _given(
     problem: ProblemFile, base: ProblemFile, aims: tuple[Aim, ...], backend: str, once: _Once
 ) -> tuple[str, tuple[float, ...] | None]:
     """What the front is compared with: the given machine; of a law the optimum for the limits that the file states."""
-    if problem.machined:
+    if problem.task == "cycle":
         found = cycle_figures(problem, aims, {})
         return "given machine", found if np.all(np.isfinite(found)) else None
     words, held = "as the file asks", [aim for aim in aims if aim.key]

@@ -110,16 +110,16 @@ def read_aims(problem: ProblemFile, objectives: str) -> tuple[Aim, ...]:
     if not 2 <= len(parts) <= 3:
         what = "one objective has no trade-off" if len(parts) == 1 else f"{len(parts)} objectives are more than a front shows"
         raise InputError(Fault(what, f"Give two or three. {EXAMPLES}", problem.file, OPTION, objectives))
-    if problem.generated or not (problem.machined or isinstance(problem.model, DesignProblem)):
+    if problem.task == "path" or not (problem.task == "cycle" or isinstance(problem.model, DesignProblem)):
         raise _no_front(problem)
     if not problem.model.free:
         raise InputError(Fault("nothing is free, there is nothing to find", "Free a size", problem.file, "mechanism"))
-    reader = _of_machine if problem.machined else _of_law
+    reader = _of_machine if problem.task == "cycle" else _of_law
     aims = tuple(_ranged(problem, reader, part, k + 1) for k, part in enumerate(parts))
     for k, aim in enumerate(aims):
         if any(aim.name == other.name for other in aims[:k]):
             raise InputError(Fault("the same objective twice", "Give each once", problem.file, OPTION, aim.said))
-    if not problem.machined and all(aim.key for aim in aims):
+    if problem.task != "cycle" and all(aim.key for aim in aims):
         remedy = f'One of them is what is minimised: write "{ERROR}, {aims[0].said}"'
         raise InputError(Fault("limits alone are no trade-off", remedy, problem.file, OPTION, objectives))
     return aims

@@ -27,8 +27,8 @@ from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
 from optlink.studies.continuation import FOLLOWED, follow
 from optlink.studies.fast_overrides import Direct
 from optlink.studies.sweep_task import Sweeping, figure
-from optlink.tasks.function import solve
-from optlink.tasks.path import generate
+from optlink.tasks.balance_result import Balance
+from optlink.tasks.run import solve
 from optlink.units import KINDS, factor
 from optlink.validation import validate
 
@@ -207,14 +207,8 @@ class Programme:
 
 def _alone(task: ProblemFile, backend: str) -> _Optimum:
     """The optimum of a problem that is built and searched for itself."""
-    if task.generated:
-        best = generate(task, backend).best
-        if best is None:
-            return _Optimum({}, np.nan, Status.INFEASIBLE, False, (), (), SEARCHED)
-        failed = tuple(check.name for check in best.validation.checks if not check.passed)
-        held = () if best.solution is None else active(best.solution)
-        return _Optimum(best.values, best.objective, best.status, best.valid, failed, held, SEARCHED)
     result = solve(task, backend)
+    assert not isinstance(result, Balance)
     failed = tuple(check.name for check in result.validation.checks if not check.passed)
     failed = tuple(item.name for item in result.conflict) or failed
     held = () if result.solution is None else active(result.solution)

@@ -26,6 +26,8 @@ from optlink.studies.cycle_parameters import Givens, searched_again
 from optlink.studies.kkt_derivatives import End, System
 from optlink.studies.parameters import Parameter, parameters
 from optlink.studies.toml_keys import text
+from optlink.tasks.balance_result import Balance
+from optlink.tasks.run import solve
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/sensitivity/1"
@@ -159,7 +161,7 @@ def sensitivities(
     problem : ProblemFile
         With a requirement.
     backend, starts, seed
-        As in `optlink.solve` and `optlink.generate`.
+        As in `optlink.solve`.
     check : bool
         Whether every parameter that matters is also moved a little to both sides and the design searched again.
     progress : function of the share that is done, optional
@@ -169,19 +171,12 @@ def sensitivities(
     InputError
         when no optimum is found, whose sensitivity could be asked for; and as `optlink.solve` does.
     """
-    from optlink.tasks.function import solve
-    from optlink.tasks.path import generate
-
-    if problem.machined:
-        from optlink.tasks.cycle import design_machine
-
-        solution, file = design_machine(problem, backend, starts, seed).solution, problem
-    elif problem.generated:
-        best = generate(problem, backend, starts, seed).best
-        solution, file = (None, problem) if best is None else (best.solution, best.problem)
-    else:
-        result = solve(problem, backend, starts, seed)
-        solution, file = result.solution, result.problem
+    if problem.task == "balance":
+        remedy = "`optlink balance` lists the shadow prices of its limits"
+        raise InputError(Fault("a balancing problem has no sensitivities to parameters", remedy, problem.file, "balance"))
+    result = solve(problem, backend, starts, seed)
+    assert not isinstance(result, Balance)
+    solution, file = result.solution, result.definite
     interrupts.check()
     if solution is None or solution.status is not Status.OPTIMAL:
         how = "infeasible" if solution is None else solution.status.value
@@ -203,7 +198,7 @@ def of_solution(
     if isinstance(nlp, CycleNLP):
         solution = sharpened(nlp, solution)
     system = System(solution)
-    machine = Givens(problem, system) if problem.machined else None
+    machine = Givens(problem, system) if problem.task == "cycle" else None
     factors = {v.name: v.scale.slope(x) for v, x in _shown(nlp, solution.x)}
     notes, rows = _notes(system, solution), []
     for parameter in parameters(nlp) if machine is None else machine.parameters:
@@ -264,13 +259,13 @@ def _searched_again(problem: ProblemFile, solution: Solution, row: Sensitivity, 
     parameter = row.parameter
     size = abs(parameter.value) or 1.0
     room = min(parameter.value - row.below.value, row.above.value - parameter.value)
-    share, most = (MACHINE_STEP, MACHINE_ROOM) if problem.machined else (STEP, ROOM)
+    share, most = (MACHINE_STEP, MACHINE_ROOM) if problem.task == "cycle" else (STEP, ROOM)
     step = min(share * size, most * room)
     if step <= 1e-9 * size:
         return None
     found: list[tuple[float, dict[str, float]] | None] = []
     for value in (parameter.value - step, parameter.value + step):
-        if problem.machined:
+        if problem.task == "cycle":
             found.append(searched_again(problem, solution, parameter, value, step * _pace(solution.nlp, row)))
         elif isinstance(problem.model, DesignProblem) and parameter.stated:
             found.append(_rebuilt(problem, solution, parameter, value, backend))

@@ -40,7 +40,7 @@ TEXT = ("status", "failed", "active", "found", "reason")
 
 def objective_column(problem: ProblemFile) -> str:
     """Name of the objective's column, with its SI unit."""
-    if problem.generated:
+    if problem.task == "path":
         from optlink.problem.path import GenerationProblem
         from optlink.tasks.path_result import objective_unit
 
@@ -288,10 +288,10 @@ def _task(
     if design is not None:
         raise InputError(Fault("a given design is not optimised", "Leave --design out, or add --analyze", key="--design"))
     check_backend(backend)
-    if problem.machined:
+    if problem.task == "cycle":
         designing = Designing(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
         return _with_something_free(designing, problem)
-    if not problem.generated:
+    if problem.task != "path":
         problem.spec  # noqa: B018 - raises if there is nothing to solve
     task = Reoptimising(**stated, grid=grid, chunk=CHUNK, backend=backend)
     _with_something_free(task, problem)

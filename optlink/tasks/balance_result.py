@@ -246,6 +246,27 @@ class Balance:
         return found
 
     @property
+    def interrupted(self) -> bool:
+        """Whether the search ended early: never, as a convex programme has one."""
+        return False
+
+    @property
+    def starts(self) -> int:
+        """Number of searches."""
+        return 1
+
+    @property
+    def design(self) -> dict[str, float]:
+        """Masses and centres of the counterweights [kg, m] and stiffnesses of the springs [N/m], by name."""
+        found: dict[str, float] = {}
+        for one in self.added:
+            along, across = one.place
+            found |= {f"{one.body}.mass": one.mass, f"{one.body}.along": along, f"{one.body}.across": across}
+        for spring in self.springs:
+            found |= {f"{spring.asked.name}.stiffness": spring.stiffness, f"{spring.asked.name}.free_length": spring.free}
+        return found
+
+    @property
     def reduction(self) -> float:
         """Of the objective, as a share of its value before."""
         return 1.0 - self.objective / self.before if self.before > 0.0 else math.nan

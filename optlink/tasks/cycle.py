@@ -35,12 +35,12 @@ ALIKE = 1e-6  # relative, of the objectives of two designs of one continuum
 MOST_NODES, EXACT = 400, 1e-7  # positions per revolution, and the share to which an integral must be that of the fine sweep
 
 
-def design_machine(
+def solve(
     problem: ProblemFile,
     backend: str = "ipopt",
     starts: int | None = None,
     seed: int = 0,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> MachineDesign:
     """Find the sizes that make the objective least within the limits, and prove them.
 
@@ -55,7 +55,7 @@ def design_machine(
         and the best design of all is taken, so that more are never worse.
     seed : int
         Of the random sizes.
-    progress : function of the number of searches done, optional
+    progress : function of the share that is done, optional
 
     Raises
     ------
@@ -92,7 +92,7 @@ def design_machine(
         nonlocal done
         done += 1
         if progress:
-            progress(done)
+            progress(min(done / count, 1.0))
 
     result = searched(trace, firsts, names, advance, lambda: others(samples, firsts, count, fits))
     if not result.usable:
@@ -198,7 +198,7 @@ def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equ
     return tuple(Optimum(solution.design, solution.objective, max(hits, 1)) for solution, hits in kept)
 
 
-def check_machine(problem: ProblemFile, values: Mapping[str, float]) -> MachineDesign:
+def validate(problem: ProblemFile, values: Mapping[str, float]) -> MachineDesign:
     """Prove given sizes [SI], or show where they fail; those that are not named are those of the file."""
     task, begin = task_of(problem), time.perf_counter()
     own = {name: values.get(name, task.quantities[name].value) for name in task.free}

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
@@ -22,7 +22,7 @@ from optlink.tasks.analyze import Analysis, analyze, stroke_document
 from optlink.tasks.fit import Fit, transmission_fit
 from optlink.tasks.result import Optimum, heading, proof, proven
 from optlink.units import KINDS, factor
-from optlink.validation.check import Validation
+from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import Cycle, validate_cycle
 
 if TYPE_CHECKING:
@@ -66,6 +66,16 @@ class MachineDesign:
     together: tuple[Relaxation, ...] = ()
     notes: tuple[str, ...] = ()
     interrupted: bool = False  # the search ended before its last starting point
+
+    @property
+    def definite(self) -> ProblemFile:
+        """The problem with the assembly modes of the design."""
+        return self.problem
+
+    @property
+    def design(self) -> dict[str, float]:
+        """The free sizes [SI]."""
+        return self.values
 
     @property
     def task(self) -> CycleProblem:
@@ -160,6 +170,10 @@ class MachineDesign:
         size = 1.0 / factor(unit, kind) if kind else 1.0
         values = [math.nan if cycle is None else cycle.figure(term) * size for cycle in (given, found)]
         return Told(name, term.words, values[0], values[1], limit, unit)
+
+    def with_checks(self, checks: Sequence[Check]) -> Self:
+        """The result with further checks."""
+        return replace(self, validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
 
     def to_dict(self) -> dict[str, Any]:
         """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""

@@ -6,10 +6,10 @@ import functools
 import json
 import math
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -96,6 +96,11 @@ class Result:
         return evidence(self.counts) if self.counts else None
 
     @property
+    def definite(self) -> ProblemFile:
+        """The problem with the assembly mode of the design."""
+        return self.problem
+
+    @property
     def assembly(self) -> str:
         """Assembly mode of the design."""
         return self.problem.spec.mechanism.assembly
@@ -144,6 +149,10 @@ class Result:
         """Unit of the objective."""
         return MEASURES[self.problem.spec.requirement.measure].unit
 
+    def with_checks(self, checks: Sequence[Check]) -> Self:
+        """The result with further checks."""
+        return replace(self, validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
+
     def to_dict(self) -> dict[str, Any]:
         """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
         document = heading(SCHEMA, self) | {
@@ -184,7 +193,7 @@ def solve(
     backend: str = "ipopt",
     starts: int | None = None,
     seed: int = 0,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     *,
     track: bool = False,
     begin: Mapping[str, float] | None = None,
@@ -204,7 +213,7 @@ def solve(
         angles; left out: until the estimated chance of a missed better optimum is small (`optlink.tasks.function_search`).
     seed : int
         Of the Sobol points.
-    progress : function of the number of starts done, optional
+    progress : function of the share that is done, optional
     track : bool
         Keep the iterates of the first search.
     begin : mapping of free quantities [SI], optional
@@ -230,18 +239,11 @@ def solve(
     if not problem.spec.free:
         example = 'Free one: coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
         raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
-    done = 0
-
-    def advance() -> None:
-        nonlocal done
-        done += 1
-        if progress:
-            progress(done)
-
     if problem.spec.mechanism.assembly == EITHER:
         found: list[Result] = []
-        for variant in _variants(problem):
-            found.append(solve(variant, backend, starts, seed, lambda _: advance(), track=track, begin=begin))
+        variants = _variants(problem)
+        for k, variant in enumerate(variants):
+            found.append(solve(variant, backend, starts, seed, _part(progress, k, len(variants)), track=track, begin=begin))
             if found[-1].interrupted:
                 break
         return _merged(found)
@@ -257,8 +259,8 @@ def solve(
     reason = functools.cache(lambda: _explained(nlp, seed))
     searches = {name: Search(problem.spec, nlp, name, track=track) for name in names}
     count, interrupted = starts, False
-    for one in searches.values():
-        if one.run(points, count, lambda: reason()[0], advance):
+    for k, one in enumerate(searches.values()):
+        if one.run(points, count, lambda: reason()[0], _part(progress, k, len(searches))):
             count, interrupted = one.starts, True  # the other back end then searches from as many
     conflict: Conflict = ((), ())
     chosen = min(searches.values(), key=lambda one: one.result.rank)
@@ -295,6 +297,11 @@ def solve(
         together=conflict[1],
         first=points.step,
     )
+
+
+def _part(progress: Callable[[float], None] | None, k: int, count: int) -> Callable[[float], None] | None:
+    """Progress of the k-th of several searches."""
+    return None if progress is None else lambda share: progress((k + share) / count)
 
 
 Conflict = tuple[tuple[Relaxed, ...], tuple[Relaxed, ...]]

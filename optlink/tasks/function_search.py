@@ -29,6 +29,7 @@ from optlink.validation import Validation
 from optlink.validation import validate as prove
 
 Array = NDArray[np.float64]
+Progress = Callable[[float], None] | None
 
 ROUND, MOST = 24, 144  # random starts after which the evidence is judged again, and at most, where no number is given
 MISSED = 0.025  # estimated chance of a missed better optimum at which a search of its own accord ends
@@ -150,6 +151,11 @@ class Search:
             known.drawn += start.drawn
         self.starts += 1
 
+    def _advance(self, start: Start, progress: Progress, total: int) -> None:
+        self.advance(start)
+        if progress is not None:
+            progress(min(self.starts / total, 1.0))
+
     def judge(self, solution: Solution) -> Candidate:
         """A solution with its validation."""
         begin = time.perf_counter()
@@ -225,7 +231,7 @@ class Search:
         groups.sort(key=lambda group: (not group[2], group[0].objective))
         return [max(1, drawn) for _, drawn, _ in groups]
 
-    def run(self, starts: Starts, count: int | None, rescue: Callable[[], Array | None], progress: Callable[[], None]) -> bool:
+    def run(self, starts: Starts, count: int | None, rescue: Callable[[], Array | None], progress: Progress) -> bool:
         """Search from the first starts and random ones, `count` in all, or until the evidence is enough.
 
         `rescue` finds a feasible point where none of the first starts led to one, or None.
@@ -234,10 +240,11 @@ class Search:
         -------
         whether it was interrupted (Ctrl-C); what is complete by then is kept, if there is anything
         """
+        function = isinstance(self.problem.requirement.law, Function)
+        total = count or len(starts.first) + (MOST if function else 0)
         try:
             for start in starts.first:
-                self.advance(start)
-                progress()
+                self._advance(start, progress, total)
             x = None if self.usable else rescue()
             if x is not None:
                 self.advance(Start(x, drawn=False, close=False))
@@ -247,8 +254,7 @@ class Search:
                 drawn = next(rest, None)
                 if drawn is None:
                     break
-                self.advance(drawn)
-                progress()
+                self._advance(drawn, progress, total)
         except KeyboardInterrupt:
             if self.best is None:
                 raise

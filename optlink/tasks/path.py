@@ -45,7 +45,7 @@ def variants_of(problem: ProblemFile) -> list[ProblemFile]:
     return [problem.override(change) if change else problem for change in changes]
 
 
-def generate(
+def solve(
     problem: ProblemFile,
     backend: str = "ipopt",
     starts: int | None = None,
@@ -174,7 +174,7 @@ class _Search:
             if model(self.problem).requirement.kind == "path":
                 self.notes.append(NO_FOUR_BAR.format(model(self.problem).requirement.point))
             return
-        four_bars = generate(part.file, self.backend, PART_STARTS, self.seed).designs
+        four_bars = solve(part.file, self.backend, PART_STARTS, self.seed).designs
         for design in grow(part, four_bars, self.collection.polisher, self.seed):
             self.collection.insert(design)
         if four_bars and not self.collection.no_worse(four_bars[0]):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from optlink.tasks.analyze import stroke_document, turning
 from optlink.tasks.fit import Fit, path_fit, transmission_fit
 from optlink.tasks.result import Relaxed, heading, proven
 from optlink.units import KINDS, factor
-from optlink.validation.check import Validation
+from optlink.validation.check import Check, Validation
 from optlink.validation.path import Deviations, deviations, transmission_angles
 
 SCHEMA = "optlink/generation/1"
@@ -267,6 +267,26 @@ class Generation:
         return self.designs[0] if self.designs else self.nearest
 
     @property
+    def definite(self) -> ProblemFile:
+        """The problem with the assembly modes of the best design."""
+        return self.problem if self.best is None else self.best.problem
+
+    @property
+    def design(self) -> dict[str, float]:
+        """Quantities of the best design [m, rad]; empty if there is none."""
+        return {} if self.best is None else dict(self.best.values)
+
+    @property
+    def solution(self) -> Solution | None:
+        """What the solver found for the best design."""
+        return None if self.best is None else self.best.solution
+
+    @property
+    def validation(self) -> Validation:
+        """Checks of the best design."""
+        return Validation((), math.nan) if self.best is None else self.best.validation
+
+    @property
     def status(self) -> Status:
         """How the search ended."""
         return Status.INFEASIBLE if self.best is None else self.best.status
@@ -275,6 +295,13 @@ class Generation:
     def objective(self) -> float:
         """Objective of the best design [SI]; NaN if there is none."""
         return math.nan if self.best is None else self.best.objective
+
+    def with_checks(self, checks: Sequence[Check]) -> Self:
+        """The result with further checks of its designs, in order; designs that fail one are no longer valid."""
+        flagged = [replace(d, validation=replace(d.validation, checks=(*d.validation.checks, *checks))) for d in self.designs]
+        good = tuple(design for design in flagged if design.valid)
+        nearest = next((design for design in flagged if not design.valid), self.nearest)
+        return replace(self, designs=good, nearest=None if good else nearest)
 
     def to_dict(self) -> dict[str, Any]:
         """The result as a JSON document."""

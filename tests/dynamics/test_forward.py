@@ -20,7 +20,7 @@ from optlink.dynamics.inverse import reactions
 from optlink.tasks.analyze import machine_of
 
 TURN = 2.0 * math.pi
-MACHINES = sorted(name for name in optlink.shipped() if not optlink.load(name).generated)
+MACHINES = sorted(name for name in optlink.shipped() if optlink.load(name).task != "path")
 ANGLES = np.linspace(0.05, 0.05 + TURN, 37)
 
 

@@ -164,7 +164,7 @@ def result(name: str) -> Generation:
             missed = made(path_raw(PLACED + MISS, np.full(12, 0.5), closed=True), exact, ROUND)
             return outcome(nearest=missed)
         case "transmission":
-            return optlink.generate(optlink.load("transmission-optimal"), starts=50, designs=2)
+            return optlink.solve(optlink.load("transmission-optimal"), starts=50, designs=2)
         case "function":
             law = {"function": "sqrt(x)", "x": [0.1, 1], "input": "90 deg", "output": "40 mm"}
             raw = slider_raw({"kind": "function", "output": "G", "law": law, "points": 24}, point=False)

@@ -15,7 +15,7 @@ from optlink.errors import InputError
 from optlink.optimization.cycle_signals import Trace
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers.cycle_search import Samples, begins
-from optlink.tasks.cycle import check_machine, design_machine
+from optlink.tasks.cycle import solve, validate
 from optlink.tasks.cycle_result import MachineDesign, task_of
 
 PUMP = """
@@ -74,7 +74,7 @@ def problem(text: str, **changes: object) -> ProblemFile:
 
 @cache
 def pump(**changes: object) -> MachineDesign:
-    return design_machine(problem(PUMP, **changes), starts=2)
+    return solve(problem(PUMP, **changes), starts=2)
 
 
 # --- the slow stroke in a search -----------------------------------------------------------------------------------------
@@ -92,7 +92,7 @@ def rotations(result: MachineDesign) -> dict[str, float]:
 @pytest.mark.parametrize("stroke", ["forward", "backward"])
 def test_a_time_ratio_with_a_direction_makes_that_stroke_the_slow_one(stroke, speed):
     ratio = {"quantity": "time ratio", "of": "piston", "stroke": stroke, "exactly": 1.2}
-    result = design_machine(problem(PUMP, limits__ratio=ratio, drive__speed=speed), starts=1)
+    result = solve(problem(PUMP, limits__ratio=ratio, drive__speed=speed), starts=1)
     assert result.valid
     found = rotations(result)
     other = next(name for name in found if name != stroke)
@@ -105,7 +105,7 @@ def test_both_slow_strokes_are_searched_from_a_start_that_has_none():
     """The start is centred: the answer is the better of the two machines whose offset is kept to one side."""
     sides = [["-60 mm", "-1 mm"], ["1 mm", "60 mm"]]
     one, other = (
-        design_machine(problem(PUMP, mechanism__guides__G__offset={"start": f"{5 * k} mm", "bounds": side}), starts=1)
+        solve(problem(PUMP, mechanism__guides__G__offset={"start": f"{5 * k} mm", "bounds": side}), starts=1)
         for k, side in zip((-1, 1), sides, strict=True)
     )
     assert one.valid
@@ -119,7 +119,7 @@ def test_both_slow_strokes_are_searched_from_a_start_that_has_none():
 
 def test_a_load_of_the_slow_stroke_needs_one():
     """Where every machine is centred the validation says so, and the start is refused where nothing is free."""
-    result = check_machine(problem(PUMP), {"G.offset": 0.0})
+    result = validate(problem(PUMP), {"G.offset": 0.0})
     assert not result.valid
     assert any("no slow stroke" in check.name for check in result.validation.checks)
     fixed = {"mechanism__guides__G__offset": "0 mm", "mechanism__links__crank__length": "45 mm"}
@@ -133,7 +133,7 @@ def test_a_ratio_below_a_limit_is_that_of_the_slow_stroke_in_either_direction():
     low = {"quantity": "length", "of": "rod.length", "max": "150 mm"}
     offset = {"start": "20 mm", "bounds": ["-60 mm", "60 mm"]}
     changes = {"limits__ratio": ratio, "limits__rod": low, "mechanism__guides__G__offset": offset}
-    result = design_machine(problem(PUMP, **changes, loads__delivery__stroke="forward"), starts=2)
+    result = solve(problem(PUMP, **changes, loads__delivery__stroke="forward"), starts=2)
     assert result.valid
     found = rotations(result)
     assert max(found.values()) / min(found.values()) <= 1.03
@@ -177,11 +177,11 @@ def test_more_starting_points_are_never_worse(seed):
         drive__speed=f"{rng.choice([-1, 1]) * rng.uniform(30.0, 300.0)} rpm",
         limits__ratio__min=float(rng.uniform(1.0, 1.15)),
     )
-    found = [design_machine(file, starts=count, seed=seed) for count in (1, 3, 8)]
+    found = [solve(file, starts=count, seed=seed) for count in (1, 3, 8)]
     assert found[-1].valid
     for few, more in itertools.pairwise(found):
         assert (not more.valid, more.objective) <= (not few.valid, few.objective * (1.0 + 1e-9))
-    usual = design_machine(file, seed=seed)
+    usual = solve(file, seed=seed)
     assert usual.objective == found[-1].objective
 
 
@@ -190,7 +190,7 @@ def test_without_a_feasible_point_no_objective_is_searched(monkeypatch):
     from optlink.solvers import multistart
 
     monkeypatch.setattr(multistart, "solve_from", lambda *_, **__: pytest.fail("an objective was searched"))
-    result = design_machine(problem(PUMP, limits__stroke__exactly="300 mm"), starts=3)
+    result = solve(problem(PUMP, limits__stroke__exactly="300 mm"), starts=3)
     assert not result.valid
     assert [item.key for item in result.conflict] == ["limits.stroke"]
     assert 140.0 < result.conflict[0].relaxed < 300.0  # twice the longest crank, and a little more by the offset
@@ -204,7 +204,7 @@ def test_listed_optima_are_polished_and_none_is_below_the_answer():
     assert result.optima[0].objective == result.objective
     for optimum in result.optima:
         assert optimum.objective >= result.objective * (1.0 - 1e-9)
-        proof = check_machine(result.problem, optimum.design)
+        proof = validate(result.problem, optimum.design)
         assert proof.valid  # also the others meet every limit where it is measured
         assert proof.objective == pytest.approx(optimum.objective, rel=1e-7)
     free = np.array([list(optimum.design.values()) for optimum in result.optima])
@@ -214,18 +214,18 @@ def test_listed_optima_are_polished_and_none_is_below_the_answer():
 
 def test_a_scale_continuum_is_named_and_listed_once():
     """Angles do not change with the scale of a linkage: all lengths together may be larger or smaller."""
-    result = design_machine(problem(LINKS), starts=4)
+    result = solve(problem(LINKS), starts=4)
     assert result.valid
     assert any("scaled together" in note for note in result.notes)
     assert len(result.optima) == 1
     assert result.optima[0].count >= 2
-    fixed = design_machine(problem(LINKS, mechanism__links__coupler__length="150 mm"), starts=2)
+    fixed = solve(problem(LINKS, mechanism__links__coupler__length="150 mm"), starts=2)
     assert fixed.valid
     assert not any("scaled" in note or "continuum" in note for note in fixed.notes)
     assert fixed.objective == pytest.approx(result.objective, rel=1e-6)
     for factor in (0.97, 1.02):  # the independent route: the scaled machine measured
         scaled = {name: factor * value for name, value in result.values.items()}
-        cycle = check_machine(problem(LINKS), scaled)
+        cycle = validate(problem(LINKS), scaled)
         assert cycle.objective == pytest.approx(result.objective, rel=1e-9)
         assert math.isfinite(cycle.objective)
 

@@ -90,7 +90,7 @@ def test_smallest_circle_beyond_a_limit(seed):
 def test_slsqp_finds_nothing_better_beside_it(name):
     """SciPy's method on the same programme, from the design and from around it, with limits and free crank angles."""
     file = optlink.load(name, {"requirement.measure": "max"})
-    best = optlink.generate(file, starts=240, designs=1).best
+    best = optlink.solve(file, starts=240, designs=1).best
     nlp, own = best.solution.nlp, best.solution
     rng = np.random.default_rng(1)
     for spread in (0.0, 1e-3, 1e-3, 1e-2):
@@ -105,7 +105,7 @@ BEST = {"path-ellipse10": 7.88636153e-6, "path-arc5": 5.01620959e-7, "path-bean"
 @pytest.mark.parametrize("name", BEST)
 def test_largest_distance_is_no_more_than_the_best_known(name):
     """Values of IPOPT and SLSQP from the same candidates, which took them up to a hundred times as long."""
-    result = optlink.generate(optlink.load(name, {"requirement.measure": "max"}), designs=1)
+    result = optlink.solve(optlink.load(name, {"requirement.measure": "max"}), designs=1)
     assert result.valid
     assert result.backend == multistart.MINIMAX
     assert result.objective <= BEST[name]

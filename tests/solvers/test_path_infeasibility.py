@@ -12,9 +12,9 @@ import pytest
 import optlink
 from optlink.errors import Status
 from optlink.solvers.solution import LEAST_PRICE
-from optlink.tasks.function import solve
-from optlink.tasks.path import Generation, generate
+from optlink.tasks.path import Generation
 from optlink.tasks.result import optimality
+from optlink.tasks.run import solve
 
 SWING = 110.0
 MOVER: dict[str, Any] = {
@@ -33,7 +33,7 @@ MOVER: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def mover() -> Generation:
-    return generate(optlink.read(MOVER), starts=60)
+    return solve(optlink.read(MOVER), starts=60)
 
 
 def widest_swing() -> float:
@@ -65,7 +65,7 @@ def test_an_infeasible_transmission_problem_names_its_limits_and_their_amounts(m
 
 def test_a_crank_that_is_longer_than_all_cannot_be_the_shortest_link() -> None:
     mechanism = {**MOVER["mechanism"], "crank": "420 mm", "coupler": {"bounds": ["80 mm", "260 mm"]}}
-    found = generate(optlink.read({**MOVER, "mechanism": mechanism, "limits": {}}), starts=60)
+    found = solve(optlink.read({**MOVER, "mechanism": mechanism, "limits": {}}), starts=60)
     assert not found.valid
     assert found.conflict
     assert any("cannot be the shortest link" in note for note in found.notes)

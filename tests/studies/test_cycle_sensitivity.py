@@ -15,7 +15,7 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.report.stored.stored_result import read_subject
 from optlink.studies.sensitivity import sensitivities
-from optlink.tasks.cycle import design_machine
+from optlink.tasks.cycle import solve
 
 PUMP = {
     "title": "Pump on an inclined guide",
@@ -78,7 +78,7 @@ def shaper():
 )
 def test_derivatives_are_those_of_machines_that_are_searched_again(pump, key, value, unit):
     step = 2e-3 * value
-    low, high = (design_machine(optlink.read(PUMP).override({key: f"{value + way!r} {unit}"}), starts=1) for way in (-step, step))
+    low, high = (solve(optlink.read(PUMP).override({key: f"{value + way!r} {unit}"}), starts=1) for way in (-step, step))
     assert low.valid
     assert high.valid
     row = pump[key]
@@ -215,9 +215,7 @@ def test_only_figures_are_figures():
     row = sensitivities(problem, starts=1)["loads.gas.force.values"]
     assert (row.parameter.value, row.parameter.unit) == (100.0, "%")
     low, high = (
-        design_machine(
-            problem.override({"loads.gas.force.values": ["0 N", f"{-60 * share!r} N", f"{-20 * share!r} N"]}), starts=1
-        )
+        solve(problem.override({"loads.gas.force.values": ["0 N", f"{-60 * share!r} N", f"{-20 * share!r} N"]}), starts=1)
         for share in (0.98, 1.02)
     )
     assert row.objective == pytest.approx((high.objective - low.objective) / 4.0, rel=1e-4)

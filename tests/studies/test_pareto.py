@@ -367,7 +367,7 @@ def test_same_front_whatever_the_workers_and_after_an_interruption(tmp_path):
 def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
     words = f"rod.length, {LEAST}"
     whole = pareto(press, words, tmp_path / "whole", points=5, workers=1)
-    real, calls, seen = epsilon_ranges.design_machine, [0], []
+    real, calls, seen = epsilon_ranges.solve_cycle, [0], []
 
     def fails_third(*arguments, **options):
         calls[0] += 1
@@ -376,7 +376,7 @@ def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
         return real(*arguments, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(epsilon_ranges, "design_machine", fails_third)
+        patch.setattr(epsilon_ranges, "solve_cycle", fails_third)
         with pytest.raises(KeyboardInterrupt):
             pareto(press, words, tmp_path / "run", points=5, workers=1)
     kept = json.loads((tmp_path / "run" / ENDS).read_text(encoding="utf-8"))
@@ -388,7 +388,7 @@ def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
         return real(*arguments, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(epsilon_ranges, "design_machine", fails_never)
+        patch.setattr(epsilon_ranges, "solve_cycle", fails_never)
         late = pareto(press, words, tmp_path / "run", points=5, workers=1, resume=True, progress=lambda *at: seen.append(at))
         assert calls[0] == 5  # two of four searches were left
         again = pareto(press, words, tmp_path / "run", points=5, workers=1, resume=True)

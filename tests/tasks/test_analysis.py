@@ -26,7 +26,7 @@ from optlink.tasks.analyze import machine_of
 
 TURN = 2.0 * math.pi
 DESIGNED = {name for name in optlink.shipped() if isinstance(optlink.load(name).model, DesignProblem)}
-MACHINES = sorted(name for name in optlink.shipped() if name not in DESIGNED and not optlink.load(name).generated)
+MACHINES = sorted(name for name in optlink.shipped() if name not in DESIGNED and optlink.load(name).task != "path")
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 import optlink
 from optlink.problem.cycle_terms import Limit
-from optlink.tasks.cycle import MachineDesign, check_machine, design_machine
+from optlink.tasks.cycle import MachineDesign, solve, validate
 from optlink.validation.cycle import Cycle, validate_cycle
 from tests.tasks.test_fit import drag_link, torque
 
@@ -22,7 +22,7 @@ SCALED = 500.0 / 545.454545454545
 
 @cache
 def shaper() -> MachineDesign:
-    return design_machine(optlink.load("shaper-design"), "both", starts=3)
+    return solve(optlink.load("shaper-design"), "both", starts=3)
 
 
 def given_shaper() -> optlink.Analysis:
@@ -126,19 +126,19 @@ def test_largest_values_between_the_positions_are_met():
 
 def test_limits_that_cannot_be_met_are_named_with_what_would_do():
     file = optlink.load("shaper-design").override({"limits.guide.max": "200 N"})
-    result = design_machine(file, "slsqp", starts=1)
+    result = solve(file, "slsqp", starts=1)
     assert not result.valid
     assert result.status is optlink.Status.INFEASIBLE
     (item,) = result.conflict
     assert (item.key, item.sense, item.bound, item.unit) == ("limits.guide", "<=", 200.0, "N")
     assert 300.0 < item.relaxed < 900.0
     enough = file.override({"limits.guide.max": f"{1.03 * item.relaxed} N"})
-    assert design_machine(enough, "slsqp", starts=1).valid
+    assert solve(enough, "slsqp", starts=1).valid
 
 
 def test_toggle_press_with_corners_in_its_load():
     """The table of the force has corners: the crank angles at which they are met cut the strokes, so derivatives stay exact."""
-    result = design_machine(optlink.load("press-toggle"), "slsqp", starts=1)
+    result = solve(optlink.load("press-toggle"), "slsqp", starts=1)
     assert result.valid
     expected = result.task.expected
     assert expected is not None
@@ -154,11 +154,11 @@ def test_toggle_press_with_corners_in_its_load():
 def test_epsilon_constraint_bounds_what_the_sum_gives_up():
     """Least RMS torque alone, then least guide force with the RMS torque a little above it: a point of the trade-off."""
     file = optlink.load("shaper-design").override({"limits.guide": None, "objective": {"quantity": "torque", "measure": "rms"}})
-    least = design_machine(file, "slsqp", starts=1)
+    least = solve(file, "slsqp", starts=1)
     assert least.valid
     limit = {"quantity": "torque", "measure": "rms", "max": f"{1.01 * least.objective} N*m"}
     other = file.override({"objective": {"quantity": "guide force", "of": "F"}, "limits.torque": limit})
-    traded = design_machine(other, "slsqp", starts=1)
+    traded = solve(other, "slsqp", starts=1)
     assert traded.valid
     guide = Limit(quantity="guide force", of="F", max="1 N")
     assert traded.objective < 0.9 * Cycle(least.task, least.values).figure(guide)
@@ -166,15 +166,15 @@ def test_epsilon_constraint_bounds_what_the_sum_gives_up():
 
 def test_what_shall_be_large_is_maximised():
     changes = {"objective": {"quantity": "slide", "of": "G", "measure": "least", "sense": "maximise"}, "limits.guide": None}
-    result = design_machine(optlink.load("shaper-design").override(changes), "ipopt", starts=1)
+    result = solve(optlink.load("shaper-design").override(changes), "ipopt", starts=1)
     assert result.valid
     assert -result.objective > 1.2 * Cycle(result.task, {}).figure(result.task.goals[0])
 
 
 def test_given_sizes_are_checked():
     file = optlink.load("shaper-design")
-    assert check_machine(file, shaper().values).valid
-    assert not check_machine(file, {}).valid  # the given shaper returns too fast
+    assert validate(file, shaper().values).valid
+    assert not validate(file, {}).valid  # the given shaper returns too fast
 
 
 def test_result_is_json_and_the_design_a_machine(tmp_path):
@@ -220,7 +220,7 @@ def test_the_relaxation_of_an_infeasible_machine_is_that_of_its_whole_cycle():
     """
     file = drag_link(**{"limits.torque": {"quantity": "torque", "measure": "peak", "max": "50 N*m"}})
     file = file.override({"objective": {"quantity": "reaction", "of": "B", "measure": "peak"}})
-    result = design_machine(file, starts=1)
+    result = solve(file, starts=1)
     assert result.status is optlink.Status.INFEASIBLE
     named = {item.key: item for item in result.conflict}
     assert set(named) == {"limits.torque", "limits.stroke"}
@@ -230,5 +230,5 @@ def test_the_relaxation_of_an_infeasible_machine_is_that_of_its_whole_cycle():
     crank = brentq(lambda crank: torque(crank, 0.2) - 50.0, 0.02, 0.035)
     assert named["limits.stroke"].relaxed == pytest.approx(2e3 * crank, rel=1e-3)
     for share, feasible in ((1.003, True), (0.997, False)):
-        again = design_machine(file.override({"limits.torque.max": f"{share * named['limits.torque'].relaxed} N*m"}), starts=2)
+        again = solve(file.override({"limits.torque.max": f"{share * named['limits.torque'].relaxed} N*m"}), starts=2)
         assert again.valid is feasible

@@ -14,7 +14,7 @@ from optlink.errors import InputError, Status
 from optlink.optimization.cycle_signals import Trace
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers.cycle_search import Begin, searched
-from optlink.tasks.cycle import design_machine
+from optlink.tasks.cycle import solve
 from optlink.tasks.cycle_result import task_of
 from optlink.validation.cycle import BALANCE, Cycle, validate_cycle
 
@@ -192,7 +192,7 @@ OBJECTIVES = {
 @pytest.mark.parametrize("case", OBJECTIVES)
 def test_every_objective_is_solved_and_both_back_ends_agree(case):
     name, changes = OBJECTIVES[case]
-    result = design_machine(machine(name, **changes), "both", starts=2)
+    result = solve(machine(name, **changes), "both", starts=2)
     assert result.valid, [check for check in result.validation.checks if not check.passed]
     one, other = result.backends.values()
     assert one.objective == pytest.approx(other.objective, rel=1e-7)
@@ -215,7 +215,7 @@ def crank_of(stroke: float, rod: float, offset: float) -> float:
 def test_press_against_a_simplex_search_over_its_free_sizes():
     """Offset and rod are searched by Nelder and Mead, the crank follows from the stroke; the cycle is measured as a machine's."""
     file = machine("press", objective=term("guide force", of="F"), limits__guide=None)
-    found = design_machine(file, "slsqp", starts=2)
+    found = solve(file, "slsqp", starts=2)
     task = found.task
 
     def measured(x: np.ndarray) -> float:
@@ -260,7 +260,7 @@ def test_positions_beside_a_peak_hold_nothing(name):
 
 
 def test_a_stroke_that_no_crank_makes_is_named():
-    result = design_machine(machine("press", limits__stroke={**term("stroke", of="ram"), "exactly": "400 mm"}), starts=2)
+    result = solve(machine("press", limits__stroke={**term("stroke", of="ram"), "exactly": "400 mm"}), starts=2)
     assert result.status is Status.INFEASIBLE
     assert [item.key for item in result.conflict] == ["limits.stroke"]
     assert 0.0 < result.conflict[0].relaxed < 400.0
@@ -272,7 +272,7 @@ def test_two_limits_that_conflict_are_both_named():
         "limits__short": term("length", of="rod.length", max="180 mm"),
         "limits__guide": term("guide force", of="F", max="600 N"),
     }
-    result = design_machine(machine("press", **changes), starts=2)
+    result = solve(machine("press", **changes), starts=2)
     assert result.status is Status.INFEASIBLE
     assert {"limits.guide", "limits.short"} <= {item.key for item in result.conflict}
 
@@ -286,7 +286,7 @@ def idle() -> ProblemFile:
 
 
 def test_a_machine_without_loads_raises_no_alarm():
-    result = design_machine(idle(), "slsqp", starts=1)
+    result = solve(idle(), "slsqp", starts=1)
     assert result.valid, [check for check in result.validation.checks if not check.passed]
     assert Cycle(result.task, result.values).imbalance() < 0.1 * BALANCE
 
@@ -341,13 +341,13 @@ REFUSED = {
 def test_odd_input_is_refused_with_its_key(case):
     changes, key, words = REFUSED[case]
     with pytest.raises(InputError) as caught:
-        design_machine(machine("press", **changes), starts=1)
+        solve(machine("press", **changes), starts=1)
     assert any(key in str(fault.key) and words in str(fault) for fault in caught.value.faults), caught.value
 
 
 def test_sizes_that_never_let_the_crank_turn_are_no_traceback():
     changes = {"mechanism__links__crank__length": {"bounds": ["480 mm", "490 mm"]}, "mechanism__links__rod__length": "300 mm"}
-    result = design_machine(machine("press", **changes, limits__stroke=None), starts=2)
+    result = solve(machine("press", **changes, limits__stroke=None), starts=2)
     assert result.status is Status.INFEASIBLE
     assert any("turn fully" in note for note in result.notes)
 
@@ -361,6 +361,6 @@ def test_a_start_that_cannot_turn_is_left_for_one_that_can():
         "mechanism__links__crank__length": crank,
         "mechanism__guides__F__through": offset,
     }
-    result = design_machine(machine("press", **changes), starts=4)
+    result = solve(machine("press", **changes), starts=4)
     assert result.valid
-    assert result.objective == pytest.approx(design_machine(machine("press"), starts=2).objective, rel=1e-7)
+    assert result.objective == pytest.approx(solve(machine("press"), starts=2).objective, rel=1e-7)

@@ -15,9 +15,9 @@ from optlink.problem.file import dump
 from optlink.report.html.page import verdict
 from optlink.report.report_model import Subject
 from optlink.report.views import cycle_tables, function_tables
-from optlink.tasks.cycle import design_machine
+from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.fit import Fit, TransmissionFit
-from optlink.tasks.path import generate, validate
+from optlink.tasks.path import solve, validate
 from tests.stated import document, four_bar_section, free
 
 SIZES = dict.fromkeys(("crank", "coupler", "rocker", "frame"), free(10.0, 300.0))
@@ -31,7 +31,7 @@ def star() -> optlink.tasks.path_result.Generation:
     """A zigzag that no four-bar draws, with the crank pivot where it is by default."""
     section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
     raw = document(section, STAR + 150.0, {"transmission_angle": ["40 deg", "140 deg"]})
-    return generate(optlink.read(raw), starts=60, designs=1)
+    return solve(optlink.read(raw), starts=60, designs=1)
 
 
 @pytest.mark.parametrize(("share", "grade"), [(0.0, "exact"), (1e-6, "good"), (0.01, "good"), (0.049, "fair"), (0.051, "poor")])
@@ -69,7 +69,7 @@ def test_points_that_the_curve_does_not_meet_in_order_are_named(star) -> None:
 
 def test_poses_that_turn_farther_than_the_coupler_name_it() -> None:
     section = four_bar_section("left", **SIZES, points=SPOT)
-    found = generate(optlink.read(document(section, TURNED)), starts=60, designs=1)
+    found = solve(optlink.read(document(section, TURNED)), starts=60, designs=1)
     best = found.best
     assert best is not None
     assert best.fit.grade == "poor"
@@ -150,7 +150,7 @@ def test_transmission_angles_are_graded_by_recommended_ones(least: float, grade:
 def test_a_linkage_of_the_best_transmission_is_graded(swing: float, ratio: float, grade: str) -> None:
     """By its least transmission angle, of crank and frame in line; a poor one names the limits that hold it."""
     changes = {"limits.swing_angle": f"{swing} deg", "limits.time_ratio": ratio, "mechanism.frame": "200 mm"}
-    result = generate(optlink.load("transmission-optimal", changes), starts=60, designs=1)
+    result = solve(optlink.load("transmission-optimal", changes), starts=60, designs=1)
     assert result.valid
     s = result.best.values
     angles = []
@@ -198,7 +198,7 @@ def torque(crank: float, rod: float) -> float:
 
 @pytest.mark.parametrize(("least", "feasible"), [("70 mm", True), ("110 mm", False)])
 def test_an_objective_without_a_target_stands_beside_that_of_the_initial_design(least: str, feasible: bool) -> None:
-    result = design_machine(drag_link(**{"limits.stroke.min": least}), starts=1)
+    result = solve_cycle(drag_link(**{"limits.stroke.min": least}), starts=1)
     assert result.valid
     assert result.fit is None
     crank, rod = result.values["crank.length"], result.values["rod.length"]
@@ -223,7 +223,7 @@ def test_a_machine_with_the_best_transmission_angle_is_graded() -> None:
         "mechanism.links.rod.length.bounds": ["60 mm", "64 mm"],
         "mechanism.links.rod.length.start": "62 mm",
     }
-    result = design_machine(drag_link(**changes, **{"limits.stroke.min": "100 mm"}), starts=1)
+    result = solve_cycle(drag_link(**changes, **{"limits.stroke.min": "100 mm"}), starts=1)
     assert result.valid
     angle = math.degrees(math.acos(result.values["crank.length"] / result.values["rod.length"]))
     told = result.to_dict()["fit"]

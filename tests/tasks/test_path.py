@@ -16,7 +16,7 @@ import optlink
 from optlink.linkage.fourbar import LENGTHS
 from optlink.report.views.path_pictures import write_all
 from optlink.solvers.multistart import solve_from
-from optlink.tasks.path import generate
+from optlink.tasks.path import solve
 from tests import synthesis_oracle as oracle
 from tests.random_linkages import judged
 from tests.stated import SLIDER_CRANK, document, four_bar_section, free
@@ -54,7 +54,7 @@ CASES = {
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if "untimed" in n else n for n in CASES])
 def test_best_known_value_is_reached(name):
     raw, best = CASES[name]
-    result = generate(optlink.read(raw))
+    result = solve(optlink.read(raw))
     assert result.valid
     assert result.objective * 1e6 <= best * (1.0 + 1e-6)
     for design in result.designs:
@@ -76,7 +76,7 @@ def test_round_trip(count, timed, size):
         angles = np.degrees(crank - crank[0]) if timed else None
         extra = {"timing": "from start"} if timed else {"closed": True}
         bounds = {"lengths": (0.1 * size, 5000.0 * size), "far": 5000.0 * size}
-        result = generate(optlink.read(path(points, angles, **bounds, **extra)))
+        result = solve(optlink.read(path(points, angles, **bounds, **extra)))
         assert result.valid
         best = result.best
         spread = np.ptp(points, axis=0).max() * 1e-3
@@ -114,7 +114,7 @@ def test_best_transmission_of_a_crank_rocker():
     mechanism = {"type": "four-bar", "frame": "120 mm", "crank": length, "coupler": length, "rocker": length}
     limits = {"swing_angle": "80 deg", "time_ratio": 10.0 / 9.0}
     raw = {"title": "t", "mechanism": mechanism, "requirement": {"kind": "transmission"}, "limits": limits}
-    best = generate(optlink.read(raw)).best
+    best = solve(optlink.read(raw)).best
     assert best.valid
     found = [best.values[name] * 1e3 for name in ("crank", "coupler", "rocker")]
     np.testing.assert_allclose(found, [46.67, 116.16, 73.88], atol=0.005)
@@ -123,7 +123,7 @@ def test_best_transmission_of_a_crank_rocker():
 
 def test_same_seed_same_answer_and_files(tmp_path):
     raw, _ = CASES["closed18"]
-    one, two = (generate(optlink.read(raw), seed=3) for _ in range(2))
+    one, two = (solve(optlink.read(raw), seed=3) for _ in range(2))
     assert one.best.values == two.best.values
     written = write_all(one, tmp_path)
     assert {"result.json", "points.csv", "design.toml", "path.png"} <= {path.name for path in written}
@@ -174,7 +174,7 @@ def test_an_unknown_key_is_answered_with_those_that_belong_there(base, section):
 
 def test_points_out_of_reach_are_a_nearest_miss():
     raw = path(VLINE, lengths=(1.0, 3.0), far=5.0)
-    result = generate(optlink.read(raw), starts=200)
+    result = solve(optlink.read(raw), starts=200)
     assert result.best is None or result.best.objective > 1e-6
 
 
@@ -182,7 +182,7 @@ def test_points_out_of_reach_are_a_nearest_miss():
 def test_the_price_of_an_active_limit_is_what_solving_again_finds(measure):
     """The frame of the ellipse is at its bound of 80 mm: central differences of 0.2 % against the multiplier."""
 
-    own = generate(optlink.load("path-ellipse10", {"requirement.measure": measure}), designs=1, starts=240).best
+    own = solve(optlink.load("path-ellipse10", {"requirement.measure": measure}), designs=1, starts=240).best
     price = next(limit.multiplier for limit in own.limits if limit.key == "mechanism.frame" and limit.active)
     programme = own.solution.nlp
     at = [variable.name for variable in programme.variables].index("frame")
@@ -203,7 +203,7 @@ def test_the_price_of_an_active_limit_is_what_solving_again_finds(measure):
 def test_a_given_design_is_proven_at_crank_angles_found_by_another_route(name):
     """Dynamic programming on the given sizes finds the crank angles again that the search found with them."""
     task = optlink.load(name)
-    found = generate(task, starts=480, designs=1).best
+    found = solve(task, starts=480, designs=1).best
     again = optlink.tasks.path.validate(task, found.values)
     assert again.valid
     assert again.best.assembly == found.assembly
@@ -214,7 +214,7 @@ def test_a_given_design_is_proven_at_crank_angles_found_by_another_route(name):
 
 def test_a_given_design_that_fails_says_where():
     task = optlink.load("path-ellipse10")
-    found = generate(task, starts=240, designs=1).best
+    found = solve(task, starts=240, designs=1).best
     wrong = optlink.tasks.path.validate(task, {**found.values, "rocker": 0.09, "crank": 0.03})
     assert not wrong.valid
     failed = {check.name for check in wrong.best.validation.checks if not check.passed}
@@ -228,7 +228,7 @@ EXAMPLES = re.findall(r"```toml design\n(.*?)```", PAGE, re.DOTALL)
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda text: tomllib.loads(text)["title"])
 def test_every_example_of_the_reference_page_is_solved(example):
     task = optlink.read(tomllib.loads(example))
-    result = generate(task, designs=1) if task.generated else optlink.solve(task)
+    result = solve(task, designs=1) if task.task == "path" else optlink.solve(task)
     assert result.valid
 
 

@@ -12,7 +12,7 @@ import pytest
 import optlink
 from optlink.solvers.evidence import percent
 from optlink.synthesis.batch_search import Exploration, Searcher
-from optlink.tasks.path import SMALL, generate, variants_of
+from optlink.tasks.path import SMALL, solve, variants_of
 from optlink.tasks.path_search import Collection, Polisher, model
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, free
@@ -41,7 +41,7 @@ def test_ten_seeds_agree_on_nine_exact_points() -> None:
     raw, _ = exact_task(41)
     task = optlink.read(raw)
     for seed in range(10):
-        found = generate(task, seed=seed, designs=1)
+        found = solve(task, seed=seed, designs=1)
         assert found.designs[0].exact, seed
         assert found.evidence.missed == 0.0
 
@@ -51,7 +51,7 @@ def test_seeds_agree_far_from_an_exact_fit_and_say_that_the_search_is_incomplete
     """Nine points in an order that no four-bar follows: nearly all starts end out of order, and few reach the best value."""
     raw, size = exact_task(7, scrambled=True)
     task = optlink.read(raw)
-    found = [generate(task, seed=seed, designs=1) for seed in range(2)]
+    found = [solve(task, seed=seed, designs=1) for seed in range(2)]
     assert found[0].designs[0].error == pytest.approx(found[1].designs[0].error, rel=1e-3)
     for each in found:
         assert MM * each.designs[0].error > 1e-6 * size
@@ -97,7 +97,7 @@ def random_points(seed: int) -> dict[str, Any]:
 
 def monotone(seed: int, numbers: tuple[int | None, ...]) -> None:
     task = optlink.read(random_points(seed))
-    results = sorted((generate(task, starts=n, designs=1) for n in numbers), key=lambda found: found.starts)
+    results = sorted((solve(task, starts=n, designs=1) for n in numbers), key=lambda found: found.starts)
     best = math.inf
     for found in results:
         objective = found.objective if found.valid else math.inf
@@ -121,7 +121,7 @@ def test_hits_are_counted_after_polishing_with_limits() -> None:
     for measure in ("sum of squares", "max"):
         raw = random_points(1)
         raw["requirement"]["measure"] = measure
-        found = generate(optlink.read(raw), starts=180, designs=1)
+        found = solve(optlink.read(raw), starts=180, designs=1)
         assert found.valid
         assert any(limit.active for limit in found.designs[0].limits)
         assert found.hits >= 2, measure
@@ -130,10 +130,10 @@ def test_hits_are_counted_after_polishing_with_limits() -> None:
 
 def test_a_search_says_what_it_may_have_missed() -> None:
     task = optlink.read(random_points(1))
-    short = generate(task, starts=1, designs=1)
+    short = solve(task, starts=1, designs=1)
     assert short.evidence.missed > SMALL
     assert any("chance that a better optimum was missed" in note for note in short.notes)
-    whole = generate(task, designs=1)
+    whole = solve(task, designs=1)
     assert whole.evidence.missed < short.evidence.missed
     assert whole.to_dict()["evidence"]["missed"] == whole.evidence.missed
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.tasks.path import generate
+from optlink.tasks.path import solve
 from optlink.tasks.path_result import Design
 from tests.random_linkages import (
     RandomTask,
@@ -31,7 +31,7 @@ STARTS = 240  # of the batch: enough for answers, not for the best of them
 def judged(seed: int) -> int:
     """Solve a random problem; the number of designs that are called valid, none of which has a fault."""
     task = random_task(seed)
-    found = generate(optlink.read(task.raw), starts=STARTS)
+    found = solve(optlink.read(task.raw), starts=STARTS)
     for rank, design in enumerate(found.designs):
         assert design.valid
         assert not (faults := faults_of(design, task)), (seed, rank, faults)
@@ -58,7 +58,7 @@ def judged_law(seed: int, *, slides: bool) -> bool:
     task = random_law_task(seed, slides=slides)
     file = optlink.read(task.raw)
     if slides:
-        found = generate(file, starts=STARTS, designs=2)
+        found = solve(file, starts=STARTS, designs=2)
         faults = [faults_of_slider(design, task) for design in found.designs]
         assert not any(faults), (seed, faults)
         return found.valid
@@ -95,7 +95,7 @@ def answer() -> tuple[Design, RandomTask]:
     raw = {**trip.raw, "limits": limits}
     raw["requirement"] |= {"measure": "rms"}
     task = RandomTask(raw, trip.points, trip.crank, "given", np.ones(9), closed=False)
-    design = generate(optlink.read(raw), designs=1).designs[0]
+    design = solve(optlink.read(raw), designs=1).designs[0]
     assert faults_of(design, task) == []
     return design, task
 
@@ -141,7 +141,7 @@ def test_the_judge_sees_a_missed_limit(answer: tuple[Design, RandomTask], limits
 def test_least_transmission_angle_lies_between_sampled_positions() -> None:
     """A range of crank angles that passes, off every grid, the position where coupler and rocker all but stretch."""
     trip = round_trip(1000, 5, "given")
-    design = generate(optlink.read(trip.raw), designs=1).designs[0]
+    design = solve(optlink.read(trip.raw), designs=1).designs[0]
     values = {**design.values, "frame": 0.1, "crank": 0.05, "coupler": 0.06, "rocker": 0.09}
     values["crank"] = values["coupler"] + values["rocker"] - values["frame"] - 1e-9  # crank + frame: all but coupler + rocker
     raw = {**design.problem.raw, "limits": {"crank": "span"}}

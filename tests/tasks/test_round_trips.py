@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.tasks.path import generate
+from optlink.tasks.path import solve
 from tests import synthesis_oracle as oracle
 from tests.random_linkages import RECOVERED, TIMINGS, VARIANTS, defects, four_bar_of, recover, round_trip
 
@@ -77,7 +77,7 @@ def test_a_curve_of_no_four_bar_is_not_recovered(timing: str) -> None:
 def test_the_other_assembly_is_seen() -> None:
     """Of a design that was found, the mirrored assembly and the reversed order are defects."""
     trip = round_trip(1000, 9, "given")
-    design = generate(optlink.read(trip.raw), designs=1).designs[0]
+    design = solve(optlink.read(trip.raw), designs=1).designs[0]
     linkage = four_bar_of(design)
     assert defects(oracle.judge_path(linkage, trip.points, design.crank_angles), turning=True) == []
     flipped = {**linkage, "mode": -linkage["mode"]}

@@ -17,7 +17,7 @@ from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate
 from optlink.synthesis.growth import contained, grown
 from optlink.tasks import path
-from optlink.tasks.path import PART_STARTS, generate, variants_of
+from optlink.tasks.path import PART_STARTS, solve, variants_of
 from optlink.tasks.path_result import Design
 from optlink.tasks.path_search import Polisher, compound
 from optlink.validation.check import Check
@@ -39,7 +39,7 @@ def test_a_six_bar_contains_the_curve_of_its_four_bar(watt: bool) -> None:
     part = contained(task.file)
     assert part is not None
     assert (part.arms is not None) is watt
-    four_bars = generate(part.file, starts=60).designs
+    four_bars = solve(part.file, starts=60).designs
     made = 0
     for file, four_bar in itertools.product(variants_of(task.file), four_bars):
         assert isinstance(file.model, GenerationProblem)
@@ -56,13 +56,13 @@ def test_a_six_bar_contains_the_curve_of_its_four_bar(watt: bool) -> None:
 def judge(seed: int) -> tuple[float, float]:
     """Errors [m^2] of the six-bar and of the best four-bar of a random path; the six-bar's designs are without fault."""
     task = random_six_bar(seed, 12)
-    result = generate(task.file)
+    result = solve(task.file)
     assert result.valid
     for design in result.designs:
         assert faults_of_six_bar(design, task) == []
     part = contained(task.file)
     assert part is not None
-    four_bar = generate(task.four_bar, starts=PART_STARTS)
+    four_bar = solve(task.four_bar, starts=PART_STARTS)
     return result.objective, four_bar.objective
 
 
@@ -99,9 +99,9 @@ def test_a_six_bar_is_no_worse_than_its_four_bar_whatever_its_local_searches_do(
     task = random_six_bar(seed, 12)
     part = contained(task.file)
     assert part is not None
-    four_bar = generate(part.file, starts=60)
+    four_bar = solve(part.file, starts=60)
     assert four_bar.valid
-    result = generate(task.file, starts=1)
+    result = solve(task.file, starts=1)
     assert result.valid
     assert result.objective <= four_bar.objective * (1.0 + 1e-9)
     assert faults_of_six_bar(result.designs[0], task) == []
@@ -117,7 +117,7 @@ def test_a_six_bar_that_cannot_repeat_the_four_bar_within_its_limits_says_so(mon
     raw = copy.deepcopy(random_six_bar(13, 12).file.raw)
     raw["mechanism"]["links"]["other"]["length"] = "1 mm"
     raw["mechanism"]["links"]["one"]["length"] = {"bounds": ["1 mm", "2 mm"]}
-    result = generate(read(raw), starts=1)
+    result = solve(read(raw), starts=1)
     assert not result.valid
     told = [note for note in result.notes if "repeats its coupler curve" in note]
     assert len(told) == 1
@@ -129,5 +129,5 @@ def test_a_linkage_without_coupler_curves_says_so() -> None:
     """The point of a lever on the frame moves on a circle."""
     raw = dict(random_six_bar(1).file.raw)
     raw["requirement"] = raw["requirement"] | {"point": "G"}
-    result = generate(read(raw), starts=1)
+    result = solve(read(raw), starts=1)
     assert any("cannot trace the coupler curves" in note for note in result.notes)

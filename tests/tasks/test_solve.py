@@ -254,7 +254,7 @@ def test_unusable_start_is_repaired(crank_rocker):
 def test_many_starts_are_clustered(crank_rocker):
     seen = []
     result = optlink.solve(crank_rocker, "slsqp", starts=12, seed=3, progress=seen.append)
-    assert seen == list(range(1, 13))
+    assert seen == pytest.approx(np.arange(1, 13) / 12)
     assert len(result.optima) == 1
     assert result.optima[0].count == 12
     again = optlink.solve(crank_rocker, "slsqp", starts=12, seed=3)

@@ -12,8 +12,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.linkage.fourbar import LENGTHS, time_ratio
 from optlink.problem.file import ProblemFile
-from optlink.tasks.function import solve, validate
-from optlink.tasks.path import generate
+from optlink.tasks.run import solve, validate
 
 OTHER = {"forward": "backward", "backward": "forward"}
 
@@ -127,7 +126,7 @@ def test_the_best_transmission_has_the_ratio_of_the_stroke_that_is_named(assembl
     }
     limits = {"swing_angle": "65 deg", "time_ratio": {"exactly": 1.1, "stroke": stroke}}
     raw = {"title": "wiper", "mechanism": mechanism, "requirement": {"kind": "transmission"}, "limits": limits}
-    best = generate(optlink.read(raw), starts=60).best
+    best = solve(optlink.read(raw), starts=60).best
     assert best is not None
     assert best.valid
     found = measured(dict(best.values), assembly, 1.0)
@@ -166,7 +165,7 @@ def test_a_path_has_the_ratio_of_the_stroke_that_is_named(sense, side):
     errors = {}
     for stroke in (own, other):
         file = optlink.read({**raw, "limits": {"time_ratio": {"min": 1.01, "stroke": stroke}}})
-        best = generate(file, starts=200).best
+        best = solve(file, starts=200).best
         assert best is not None
         assert best.valid
         found = measured(dict(best.values), str(mechanism["assembly"]), sense)

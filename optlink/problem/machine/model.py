@@ -93,6 +93,11 @@ class Problem(Section):
     expected: Expected | None = None
     """What a trusted source says that the answer is; checked by the tests for every shipped problem."""
 
+    @property
+    def task(self) -> str:
+        """Kind of question that the file asks: "function", "path", "cycle", "balance" or "analysis"."""
+        return "analysis" if self.balance is None else "balance"
+
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Every quantity that can be fixed or free, by name."""

@@ -40,9 +40,9 @@ def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution 
     from optlink.optimization.cycle_nlp import CycleNLP
     from optlink.studies.cycle_parameters import CLOSE
     from optlink.studies.cycle_task import restarted
-    from optlink.tasks.cycle import design_machine
+    from optlink.tasks.cycle import solve as solve_cycle
 
-    found = design_machine(restarted(file, values), CLOSE, starts=1).solution
+    found = solve_cycle(restarted(file, values), CLOSE, starts=1).solution
     if found is None or found.status is not Status.OPTIMAL:
         return None
     assert isinstance(found.nlp, CycleNLP)

@@ -27,7 +27,7 @@ from optlink.studies.sensitivity import SCHEMA as SENSITIVITY
 from optlink.studies.sensitivity import Resolved
 from optlink.tasks.analyze import SCHEMA as ANALYSIS
 from optlink.tasks.analyze import Analysis, analyze
-from optlink.tasks.cycle import check_machine
+from optlink.tasks.cycle import validate as validate_cycle
 from optlink.tasks.cycle_result import SCHEMA as MACHINE
 from optlink.tasks.cycle_result import MachineDesign
 from optlink.tasks.function import SCHEMA as RESULT
@@ -102,14 +102,14 @@ def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Sub
     if missing := [name for name in file.model.free if name not in values]:
         raise record.fault(f"design.{missing[0]}", "this is missing")
     outcome: Outcome
-    if file.machined:
+    if file.task == "cycle":
         known = {name: values[name] for name in file.model.free}
-        outcome = _solved(replace(check_machine(file, known), status=Status.OPTIMAL))
+        outcome = _solved(replace(validate_cycle(file, known), status=Status.OPTIMAL))
         problem, solution = file, outcome.solution if isinstance(outcome, MachineDesign) else None
-    elif file.generated:
-        from optlink.tasks.path import validate as check
+    elif file.task == "path":
+        from optlink.tasks.path import validate as validate_path
 
-        outcome = _solved(_optimum(check(file, values)))
+        outcome = _solved(_optimum(validate_path(file, values)))
         best = outcome.best if isinstance(outcome, Generation) else None
         problem, solution = (file, None) if best is None else (best.problem, best.solution)
     else:
@@ -157,7 +157,7 @@ def _outcome(schema: str, document: Mapping[str, Any], path: Path, file: Problem
     if schema == GENERATION:
         return _generation(document, file)
     given = read_design(file, [str(path)])
-    made = check_machine(file, given) if schema == MACHINE else validate(file, given)
+    made = validate_cycle(file, given) if schema == MACHINE else validate(file, given)
     known = {check.name for check in made.validation.checks}
     recorded = [check for check in _checks(document) if check.name not in known]
     proof = replace(made.validation, checks=(*made.validation.checks, *recorded))

@@ -1,0 +1,83 @@
+"""One `solve` and one `validate` for every kind of design problem."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+import optlink
+from optlink.errors import InputError
+from tests.cli.test_cli import run
+
+QUESTIONS = {name: optlink.load(name) for name in optlink.shipped()}
+SOLVED = {name: problem for name, problem in QUESTIONS.items() if problem.task != "analysis"}
+LONG = {"function-exp", "function-log10", "path-stephenson-dwell", "path-watt-leg", "press-toggle", "crank-rocker-robust"}
+
+
+def test_every_kind_of_question_is_shipped() -> None:
+    assert {problem.task for problem in QUESTIONS.values()} == {"function", "path", "cycle", "balance", "analysis"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SOLVED)
+def test_every_shipped_design_problem_is_solved(name: str) -> None:
+    result = optlink.solve(SOLVED[name])
+    assert result.valid
+    assert result.design
+    assert math.isfinite(result.objective)
+    assert result.to_dict()["problem"] == name
+    assert result.problem.hash == SOLVED[name].hash or result.problem.task == "function"  # of one assembly mode
+
+
+@pytest.mark.parametrize("name", sorted(set(QUESTIONS) - set(SOLVED)))
+def test_a_machine_without_a_requirement_names_the_commands_that_fit(name: str) -> None:
+    with pytest.raises(InputError, match=r"nothing to solve.*optlink analyze"):
+        optlink.solve(QUESTIONS[name])
+
+
+def test_a_solved_design_validates() -> None:
+    for name in ("crank-rocker", "path-arc5", "shaper-design"):
+        result = optlink.solve(SOLVED[name])
+        assert optlink.validate(SOLVED[name], result.design).valid
+        other = optlink.validate(SOLVED[name], {key: value * 1.05 for key, value in result.design.items()})
+        assert not other.valid or other.objective > 1.01 * result.objective
+
+
+def test_balancing_is_solved_and_has_no_starting_points() -> None:
+    result = optlink.solve(SOLVED["balance-four-bar"])
+    assert result.valid
+    assert result.objective == optlink.balance(SOLVED["balance-four-bar"]).objective
+    assert {name.partition(".")[0] for name in result.design} <= set(SOLVED["balance-four-bar"].model.linkage.bodies)
+    with pytest.raises(InputError, match="convex programme"):
+        optlink.solve(SOLVED["balance-four-bar"], starts=3)
+    with pytest.raises(InputError, match="optlink balance"):
+        optlink.validate(SOLVED["balance-four-bar"], {})
+
+
+@pytest.mark.parametrize("name", ["crank-rocker", "balance-four-bar", "shaper-design"])
+def test_several_designs_are_those_of_paths(name: str) -> None:
+    with pytest.raises(InputError, match="several designs"):
+        optlink.solve(SOLVED[name], designs=2)
+
+
+def test_progress_is_a_share_that_rises_to_one() -> None:
+    for name, options in {
+        "crank-rocker": {"starts": 4, "backend": "both"},
+        "path-arc5": {"starts": 60},
+        "shaper-design": {"starts": 2},
+    }.items():
+        seen: list[float] = []
+        optlink.solve(SOLVED[name], progress=seen.append, **options)
+        assert seen == sorted(seen), name
+        assert 0.0 < seen[0] <= seen[-1] == pytest.approx(1.0), name
+
+
+def test_the_command_solves_a_balancing_problem(tmp_path) -> None:
+    done = run("solve", "balance-four-bar", "--json", "--out", str(tmp_path / "out"))
+    assert done.exit_code == 0
+    document = json.loads(done.stdout)
+    assert document["valid"]
+    assert document["schema"].startswith("optlink/balance/")
+    assert (tmp_path / "out" / "result.json").exists()
