@@ -171,14 +171,11 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     raw = _typed(raw)
     task = raw.get("requirement")
     dyads = _dyads(raw)
-    output = dyads and isinstance(task, dict) and isinstance(task.get("law"), dict) and "function" in task["law"]
+    output = dyads and isinstance(task, dict)
     kinds = ("function", *GENERATED)
     if isinstance(task, dict) and task.get("kind", "function") not in kinds:
         raise InputError(Fault("unknown kind", nearest(str(task["kind"]), kinds), file, "requirement.kind", task["kind"]))
     generation = isinstance(task, dict) and (task.get("kind") in GENERATED or output)
-    if "requirement" in raw and not generation and dyads:
-        remedy = 'Use type = "four-bar", or leave the section out and `optlink analyze` it'
-        raise InputError(Fault("a motion law is designed for a four-bar only", remedy, file, "requirement"))
     model: type[Problem] = DesignProblem if "requirement" in raw or "limits" in raw else Problem
     if generation:
         model = GenerationProblem

@@ -28,12 +28,14 @@ from optlink.problem.quantity import (
     Angle,
     Coordinate,
     CoordinateInterval,
+    FixedAngle,
     FixedLength,
     Quantity,
     Unusable,
     nearest,
 )
-from optlink.problem.targets.function import Function, read_function
+from optlink.problem.targets.function import Function
+from optlink.problem.targets.law import Law, Source, Table, read_output_law
 from optlink.problem.targets.points import Wanted, closed, read_points
 
 Array = NDArray[np.float64]
@@ -42,7 +44,8 @@ START, MARK, ZERO = "start", "mark", "zero"
 """Names of the quantities that a task adds to those of the mechanism."""
 
 KINDS = ("path", "motion", "function", "transmission")
-POSITIONS = 60  # of a function, where the file does not say how many
+POSITIONS = 60  # of an expression or a function, where the file does not say how many
+FINE = 721  # positions at which the travel of a law is measured
 GRID = 36  # crank angles at which the transmission of a mechanism that is no four-bar is followed
 
 STEP = 1e-4  # rad, least crank rotation from a point to the next
@@ -68,11 +71,16 @@ class Task(Section):
     points: Any = None
     """Points or poses: a list, a CSV file, a drawing or expressions; of a function the number of positions (60)."""
     law: Any = None
-    """The function y(x) that the output follows while x runs evenly with the crank."""
+    """What the output follows: a function y(x), x running evenly with the crank; an expression in phi, phi0, psi0, of a slide
+    `{ slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }`; or a table of phi and psi, or phi and s, or its CSV file."""
+    span: FixedAngle | None = None
+    """Crank rotation over which an expression holds, negative clockwise; a table or a function brings its own."""
     output: str | None = None
-    """Of a function: the guide whose slide is meant, or the body that turns."""
+    """Of a law or function: the guide whose slide is meant, or the body that turns."""
     zero: Coordinate | None = None
-    """Of a function: the slide at the least y, fixed or free; left out: free."""
+    """Of a slide: its value at the start of a law (s0), or at the least y of a function, fixed or free; left out: free."""
+    psi0: Angle | None = None
+    """Of a turning body: its angle at the start of a law, or at the least y of a function, fixed or free; left out: free."""
     timing: Annotated[Literal["free", "from start", "given"] | None, BeforeValidator(_read_crank)] = None
     """Crank angles at the points: those given, those given but for a common start, or any in order; left out: as the points
     have it."""
@@ -104,17 +112,8 @@ class Task(Section):
 
     @field_validator("law", mode="before")
     @classmethod
-    def _law(cls, raw: object) -> Function | None:
-        if raw is None or isinstance(raw, Function):
-            return raw
-        if not isinstance(raw, dict):
-            raise Unusable("the output of this mechanism follows a function y(x)", f"Write {SLIDES}")
-        try:
-            return read_function(raw, "coordinate")
-        except Unusable as error:
-            if error.key != "output":
-                raise
-        return read_function(raw, "angle")
+    def _law(cls, raw: object, info: ValidationInfo) -> Source | None:
+        return None if raw is None else read_output_law(raw, (info.context or {}).get("folder", Path()))
 
 
 SLIDES = 'law = { function = "sqrt(x)", x = [0.1, 1], input = "90 deg", output = "40 mm" }'
@@ -169,21 +168,65 @@ class GenerationProblem(Problem):
         """Every quantity that can be fixed or free, by name: those of the mechanism, and what the task adds."""
         found, task = dict(self.mechanism.quantities), self.requirement
         anywhere = Quantity(0.0, "angle", "deg", -math.pi, math.pi)
-        if self.timing == "from start":
+        if task.kind == "function" and isinstance(task.law, Table) and not task.law.from_start:
+            found[START] = Quantity(task.law.phi[0], "angle", "deg")
+        elif self.timing == "from start":
             found[START] = task.start or anywhere
         if task.kind == "motion":
             found[MARK] = task.mark or anywhere
-        if task.kind == "function" and self.slides:
-            far = 10.0 * max([abs(task.law.output), *(q.value for q in found.values() if q.kind == "length")])
+        if task.kind == "function" and self.based and self.slides:
+            far = 10.0 * max([self.travel, *(q.value for q in found.values() if q.kind == "length")])
             found[ZERO] = task.zero or Quantity(0.0, "coordinate", "mm", -far, far)
-        elif task.kind == "function":
-            found[ZERO] = anywhere
+        elif task.kind == "function" and self.based:
+            found[ZERO] = task.psi0 or anywhere
         return found
 
     @property
+    def based(self) -> bool:
+        """Whether the law starts from the output at the start (psi0, s0), not from the frame."""
+        source = self.requirement.law
+        return source.from_start if isinstance(source, Table) else "psi0" in source.names
+
+    @cached_property
+    def law(self) -> Law:
+        """The law of the output at its design positions."""
+        source, count = self.requirement.law, self.requirement.points
+        if isinstance(source, Table) and count is None:
+            return Law(source, np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0]))
+        first = source.phi[0] if isinstance(source, Table) and source.from_start else 0.0
+        return Law(source, first + (self.rotation_of_law - first) * np.linspace(0.0, 1.0, (count or POSITIONS) + 1))
+
+    @property
+    def rotation_of_law(self) -> float:
+        """Crank rotation [rad] over which the law holds, negative clockwise."""
+        source = self.requirement.law
+        if isinstance(source, Table):
+            return source.span
+        if isinstance(source, Function):
+            return source.input
+        assert self.requirement.span is not None
+        return self.requirement.span.value
+
+    @cached_property
+    def travel(self) -> float:
+        """How far the output shall move [rad or m], with the crank starting at its first angle."""
+        begin = self.requirement.start.value if self.requirement.start is not None else 0.0
+        offsets = np.linspace(self.law.offsets[0], self.law.offsets[-1], FINE)
+        return float(np.ptp(self.law.curve(offsets, begin, 0.0)))
+
+    def prescribed(self, values: Mapping[str, Value], offset: Value, tabulated: Value) -> Value:
+        """Output [rad or m] that the law prescribes at a crank rotation [rad] from the start; elementwise."""
+        return self.law.wanted(offset, tabulated, values[START], values.get(ZERO, 0.0))
+
+    def prescribed_outputs(self, values: Mapping[str, float]) -> Array:
+        """Output [rad or m] that the law prescribes at every position, (positions,)."""
+        law = self.law
+        return np.asarray(self.prescribed(values, law.offsets, law.tabulated) + 0.0 * law.offsets, dtype=float)
+
+    @property
     def slides(self) -> bool:
-        """Whether the output of a function is a slider, not the angle of a body."""
-        return isinstance(self.requirement.law, Function) and self.requirement.law.kind == "coordinate"
+        """Whether the output of a law is a slider, not the angle of a body."""
+        return getattr(self.requirement.law, "kind", "angle") == "coordinate"
 
     @property
     def measure(self) -> str:
@@ -248,8 +291,8 @@ class GenerationProblem(Problem):
         """What is wanted, as arrays."""
         wanted, task = self.wanted, self.requirement
         if task.kind == "function":
-            offsets = task.law.input * np.linspace(0.0, 1.0, (task.points or POSITIONS) + 1)
-            return _plain(np.asarray(task.law.rise(offsets), dtype=float)[:, None], offsets)
+            law = self.law
+            return _plain(np.column_stack([law.offsets, law.tabulated]), law.offsets)
         if task.kind == "transmission":
             exact = isinstance(self.mechanism, FourBarSection)
             offsets = np.array([0.0, math.pi]) if exact else np.linspace(0.0, TURN, GRID, endpoint=False)
@@ -261,8 +304,8 @@ class GenerationProblem(Problem):
         count = len(columns)
         roots = np.ones(count) if wanted.weights is None else np.sqrt(np.array(wanted.weights))
         tolerances = np.full(count, np.inf) if wanted.tolerances is None else np.array(wanted.tolerances)
-        offsets = None if self.timing == "free" or wanted.crank is None else np.array(wanted.crank)
-        return Data(columns, roots, offsets, tolerances)
+        prescribed = None if self.timing == "free" or wanted.crank is None else np.array(wanted.crank)
+        return Data(columns, roots, prescribed, tolerances)
 
     @property
     def pointed(self) -> bool:
@@ -286,7 +329,7 @@ class GenerationProblem(Problem):
             if size > 0.0:
                 return size
         if self.slides:
-            return float(abs(self.requirement.law.output))
+            return self.travel
         quantities = [q for q in self.mechanism.quantities.values() if q.kind == "length"]
         fixed = [q.value for q in quantities if not q.free]
         return max(fixed or [q.value for q in quantities])
@@ -315,8 +358,8 @@ class GenerationProblem(Problem):
         if kind == "function":
             if self.slides:
                 guide = next(guide for guide in self.linkage.guides if guide.name == self.requirement.output)
-                return [pose.slide(guide) - values[ZERO] - wanted[0]]
-            return [angle_from(unit(values[ZERO] + wanted[0]), pose.direction(str(self.requirement.output)))]
+                return [pose.slide(guide) - self.prescribed(values, *wanted)]
+            return [angle_from(unit(self.prescribed(values, *wanted)), pose.direction(str(self.requirement.output)))]
         x, y = pose.point(self.requirement.point)
         found = [x - wanted[0], y - wanted[1]]
         if kind == "motion":

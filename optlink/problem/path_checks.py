@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.limits import check_ranges
 from optlink.problem.mechanism import FourBarSection, check_one_mode
-from optlink.problem.path import SLIDES, GenerationProblem
+from optlink.problem.path import FINE, SLIDES, TURN, GenerationProblem
 from optlink.problem.quantity import Unusable, nearest
+from optlink.problem.targets.function import Function
+from optlink.problem.targets.law import SLIDE, Table
 
 MAX_SHIFT = 1e6  # sizes of the curve that it may lie away from the origin
 
 BELONGS = {
     "law": ("function",),
+    "span": ("function",),
     "output": ("function",),
     "zero": ("function",),
+    "psi0": ("function",),
     "mark": ("motion",),
     "angle_length": ("motion",),
     "start": ("path", "motion", "function"),
@@ -65,7 +73,8 @@ def foreign(section: str, kind: str, *, four_bar: bool) -> set[str]:
 def _check_output(problem: GenerationProblem, mechanism: Mechanism) -> None:
     task = problem.requirement
     if task.law is None:
-        raise Unusable("the function is missing", f"Write {SLIDES}", "requirement.law")
+        remedy = f'Write law = "psi0 + 0.5*(phi - phi0)", {SLIDE} or {SLIDES}'
+        raise Unusable("the law of the output is missing", remedy, "requirement.law")
     guides, bodies = [guide.name for guide in mechanism.guides], [link.body for link in mechanism.links[1:]]
     known = guides if problem.slides else bodies
     what = "guide" if problem.slides else "body that turns"
@@ -73,7 +82,54 @@ def _check_output(problem: GenerationProblem, mechanism: Mechanism) -> None:
         remedy = f"Write output = one of: {', '.join(known)}" if task.output is None else nearest(task.output, known)
         raise Unusable(f"the output is the name of a {what}", remedy, "requirement.output", task.output)
     if task.zero is not None and not problem.slides:
-        raise Unusable("only a slider has it", "Leave it out", "requirement.zero", str(task.zero))
+        raise Unusable("only a slider has it", "Write psi0 for the angle of a body", "requirement.zero", str(task.zero))
+    if task.psi0 is not None and problem.slides:
+        raise Unusable("only a body that turns has it", "Write zero for a slide", "requirement.psi0", str(task.psi0))
+    for key in ("zero", "psi0"):
+        if getattr(task, key) is not None and not problem.based:
+            remedy = f"Leave it out, or add {'s0' if key == 'zero' else 'psi0'} to the law"
+            raise Unusable("the law does not depend on it", remedy, f"requirement.{key}", str(getattr(task, key)))
+    _check_span(problem)
+    _check_values(problem)
+
+
+def _check_span(problem: GenerationProblem) -> None:
+    """The span of a law: stated for an expression, that of a table or a function otherwise."""
+    task = problem.requirement
+    if isinstance(task.law, Function) and task.span is not None:
+        raise Unusable("a function brings its own span, the input", "Leave span out", "requirement.span", str(task.span))
+    if isinstance(task.law, Table):
+        if task.span is not None and abs(task.span.value - task.law.span) > 1e-9:
+            message = f"the span differs from that of the table, {math.degrees(task.law.span):.6g} deg"
+            remedy = "Leave span out: a table brings its own"
+            raise Unusable(message, remedy, "requirement.span", str(task.span))
+        if not task.law.from_start and task.start is not None:
+            message = "a table measured from the frame brings its own start"
+            raise Unusable(message, "Leave start out", "requirement.start", str(task.start))
+    elif not isinstance(task.law, Function) and task.span is None:
+        raise Unusable("an expression as the law needs it", 'Add span = "90 deg"', "requirement.span")
+    if not 1e-6 <= abs(problem.rotation_of_law) <= TURN * (1.0 + 1e-9):
+        raise Unusable(
+            "the span must not be zero, nor exceed one revolution",
+            'Give one such as "90 deg" (negative: clockwise)',
+            "requirement.span",
+            f"{math.degrees(problem.rotation_of_law):.6g} deg",
+        )
+
+
+def _check_values(problem: GenerationProblem) -> None:
+    """Follow an expression over the span: it must have a finite value everywhere, and move the output."""
+    task = problem.requirement
+    if isinstance(task.law, Table):
+        return
+    starts = [0.3, 0.9, 1.7] if task.start is None else [task.start.value, *task.start.bounds]
+    offsets = problem.rotation_of_law * np.linspace(0.0, 1.0, FINE)
+    found = [task.law.hazards({"phi": begin + offsets, "phi0": begin, "psi0": 0.0}) for begin in starts]
+    if all(found):
+        remedy = "Change the law, the span or the start"
+        raise Unusable(f"the law {found[0]} on the span", remedy, "requirement.law", task.law.text)
+    if not problem.travel > 1e-9:
+        raise Unusable("the law does not move the output", "Change the law", "requirement.law", task.law.text)
 
 
 def _check_points(problem: GenerationProblem, mechanism: Mechanism) -> None:

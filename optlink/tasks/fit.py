@@ -165,7 +165,7 @@ def path_fit(
             found[0] = Fit(_rms(distances), _diameter(places), "m", "the distance of the poses")
             found.append(Fit(_rms(measured.turned), _rotation(task), "rad", "the rotation of the poses"))
     else:
-        found = [Fit(_rms(distances), float(np.ptp(wanted[:, 0])), task.unit, "the output range")]
+        found = [Fit(_rms(distances), float(np.ptp(task.prescribed_outputs(values))), task.unit, "the output range")]
     found = [fit for fit in found if fit.size > 0.0]
     if not found:
         return None

@@ -62,7 +62,8 @@ def deviations(problem: GenerationProblem, design: Mapping[str, float], crank_an
     elif kind == "function":
         output = str(problem.requirement.output)
         travel = np.asarray(motion.slide(output).value if problem.slides else motion.body_angle(output).value, dtype=float)
-        error = travel - design[ZERO] - wanted[:, 0]
+        begin, base = float(crank_angles[0]) - problem.law.offsets[0], float(design.get(ZERO, 0.0))
+        error = travel - problem.law.curve(problem.law.offsets, begin, base)
         error = error if problem.slides else np.remainder(error + math.pi, TURN) - math.pi
         generated, distances, square = travel[:, None], np.abs(error), error**2
     else:

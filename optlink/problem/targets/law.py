@@ -1,4 +1,4 @@
-"""The law that the rocker shall follow: an expression in phi, phi0, psi0, or a table of points."""
+"""Motion laws: the output over the crank angle as an expression in phi, phi0, psi0 (of a slide s0), or as a table."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,19 +23,23 @@ from optlink.units import factor
 
 Array = NDArray[np.float64]
 NAMES = ("phi", "phi0", "psi0")
+SLIDE_NAMES = ("phi", "phi0", "s0")
+SLIDE = 'law = { slide = "s0 + 40*(1 - cos(phi - phi0))", unit = "mm" }'
 MAX_ROWS = 10_000
 
 
 @dataclass(frozen=True)
 class Table:
-    """Points (phi, psi) [rad] of a law, phi strictly monotone.
+    """Points (phi, psi) of a law, phi [rad] strictly monotone, psi the output [rad, or m of a slide].
 
-    `from_start`: both angles are counted from the start position (phi - phi0, psi - psi0); else from the frame.
+    `from_start`: both are counted from the start position (phi - phi0, psi - psi0); else from the frame. `kind` is that of the
+    output: "angle" or "coordinate".
     """
 
     phi: tuple[float, ...]
     psi: tuple[float, ...]
     from_start: bool
+    kind: str = "angle"
 
     def __post_init__(self) -> None:
         if len(self.phi) != len(self.psi):
@@ -63,7 +67,7 @@ class Table:
         return self.phi[-1] if self.from_start else self.phi[-1] - self.phi[0]
 
     def at(self, offsets: Array) -> Array:
-        """Wanted angle [rad] at crank rotations [rad] from the start: monotone cubics between the rows."""
+        """Prescribed output at crank rotations [rad] from the start: monotone cubics between the rows."""
         rows = np.asarray(self.phi) - (0.0 if self.from_start else self.phi[0])
         psi = np.asarray(self.psi)
         if len(offsets) == len(rows) and np.array_equal(offsets, rows):
@@ -75,28 +79,62 @@ class Table:
 
 
 @dataclass(frozen=True)
+class SlideExpression:
+    """A slide [m] as an expression in phi, phi0 [rad] and s0, whose value and s0 are counted in a unit of `size` metres."""
+
+    expression: Expression
+    size: float
+    unit: str
+    kind: str = field(default="coordinate", repr=False)
+
+    @property
+    def text(self) -> str:
+        """As people write it."""
+        return f"{self.expression.text} [{self.unit}]"
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names that it uses, s0 as psi0: the output at the start."""
+        return frozenset("psi0" if name == "s0" else name for name in self.expression.names)
+
+    def _named(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        return {"phi": values["phi"], "phi0": values["phi0"], "s0": values["psi0"] / self.size}
+
+    def __call__(self, values: Mapping[str, Value]) -> Value:
+        """Prescribed slide [m] for phi, phi0 [rad] and psi0, the slide at the start [m]."""
+        return self.expression(self._named(values)) * self.size
+
+    def hazards(self, values: Mapping[str, Value]) -> str | None:
+        """Say what goes wrong along arrays of values, or None; see `Expression.hazards`."""
+        return self.expression.hazards(self._named(values))
+
+
+Source = Expression | SlideExpression | Function | Table
+
+
+@dataclass(frozen=True, eq=False)
 class Law:
-    """What the rocker angle shall be at each design position.
+    """What the output shall be at each design position.
 
     `offsets` (rows,) [rad]: crank rotation of each position from the start.
     """
 
-    source: Expression | Function | Table
+    source: Source
     offsets: Array
 
     @cached_property
     def tabulated(self) -> Array:
-        """Angle [rad] that the table wants at each design position, before psi0 is added; zeros for an expression."""
+        """Output that the table prescribes at each design position, before psi0 is added; zeros for an expression."""
         return self.source.at(self.offsets) if isinstance(self.source, Table) else np.zeros(len(self.offsets))
 
     def wanted(self, offset: Value, tabulated: Value, phi0: Value, psi0: Value) -> Value:
-        """Wanted rocker angle [rad] at crank rotations `offset` from the start; elementwise."""
-        if isinstance(self.source, Expression | Function):
+        """Prescribed output [rad or m] at crank rotations `offset` from the start; elementwise."""
+        if not isinstance(self.source, Table):
             return self.source({"phi": phi0 + offset, "phi0": phi0, "psi0": psi0})
         return tabulated + psi0 if self.source.from_start else tabulated
 
     def curve(self, offsets: Array, phi0: float, psi0: float) -> Array:
-        """Wanted rocker angle [rad] at any crank rotations [rad] from the start, for one design."""
+        """Prescribed output [rad or m] at any crank rotations [rad] from the start, for one design."""
         tabulated = self.source.at(offsets) if isinstance(self.source, Table) else 0.0
         return np.asarray(self.wanted(offsets, tabulated, phi0, psi0) + 0.0 * offsets, dtype=float)
 
@@ -127,8 +165,57 @@ def read_law(raw: object, folder: Path) -> Expression | Function | Table:
     )
 
 
-def _read_table(raw: Mapping[str, Any], folder: Path) -> Table:
-    known = ("phi", "psi", "csv", "measured_from")
+def read_output_law(raw: object, folder: Path) -> Source:
+    """Read the law of any output: as `read_law`, and of a slide { slide = "s0 + 40*(1 - cos(phi))", unit = "mm" } or a table
+    of phi and s.
+
+    Raises
+    ------
+    Unusable
+        naming the key below `law` that is to blame.
+    """
+    if isinstance(raw, SlideExpression):
+        return raw
+    if not isinstance(raw, dict) or not ({"slide", "s", "function"} & raw.keys() or _has_slide(raw, folder)):
+        return read_law(raw, folder)
+    if "function" in raw:
+        try:
+            return read_function(raw, "coordinate")
+        except Unusable as error:
+            if error.key != "output":
+                raise
+        return read_function(raw, "angle")
+    if "slide" in raw:
+        return _read_slide(raw)
+    return _read_table(raw, folder, "s")
+
+
+def _has_slide(raw: Mapping[str, Any], folder: Path) -> bool:
+    """Whether the CSV file of a table has a column of a slide."""
+    if "csv" not in raw:
+        return False
+    header = csv_text(raw, folder)[1].partition("\n")[0].split(",")
+    return bool({cell.strip() for cell in header} & {f"s_{ending}" for ending in _UNITS["coordinate"]})
+
+
+def _read_slide(raw: Mapping[str, Any]) -> SlideExpression:
+    for key in raw:
+        if key not in ("slide", "unit"):
+            raise Unusable("unknown key", nearest(str(key), ("slide", "unit")), str(key))
+    if not isinstance(raw["slide"], str):
+        raise Unusable("the law of a slide is text", f"Write {SLIDE}", "slide", raw["slide"])
+    units = ("mm", "m", "cm", "in")
+    if raw.get("unit") not in units:
+        raise Unusable("the unit of the slide is missing or unknown", f"Write {SLIDE}", "unit", raw.get("unit"))
+    try:
+        return SlideExpression(parse(raw["slide"], SLIDE_NAMES), factor(raw["unit"], "coordinate"), raw["unit"])
+    except LawError as error:
+        raise Unusable(error.message, error.remedy, "slide", raw["slide"]) from None
+
+
+def _read_table(raw: Mapping[str, Any], folder: Path, output: str = "psi") -> Table:
+    known = ("phi", output, "csv", "measured_from")
+    kind = "angle" if output == "psi" else "coordinate"
     for key in raw:
         if key not in known:
             raise Unusable("unknown key", nearest(str(key), known), str(key))
@@ -136,21 +223,22 @@ def _read_table(raw: Mapping[str, Any], folder: Path) -> Table:
     if origin not in ("start", "frame"):
         raise Unusable("unknown origin of the angles", 'Write "start" or "frame"', "measured_from", origin)
     if "csv" not in raw:
-        phi, psi = (_read_angles(raw.get(name), name) for name in ("phi", "psi"))
-    elif "phi" in raw or "psi" in raw:
-        raise Unusable("the table is given twice", "Give csv, or phi and psi, not both", "csv", raw["csv"])
+        phi, psi = _read_cells(raw.get("phi"), "phi", "angle"), _read_cells(raw.get(output), output, kind)
+    elif "phi" in raw or output in raw:
+        raise Unusable("the table is given twice", f"Give csv, or phi and {output}, not both", "csv", raw["csv"])
     else:
-        phi, psi = read_columns(raw, folder, {"phi": "angle", "psi": "angle"})
-    return Table(tuple(phi), tuple(psi), origin == "start")
+        phi, psi = read_columns(raw, folder, {"phi": "angle", output: kind})
+    return Table(tuple(phi), tuple(psi), origin == "start", kind)
 
 
-def _read_angles(column: object, name: str) -> list[float]:
+def _read_cells(column: object, name: str, kind: str) -> list[float]:
     if not isinstance(column, list) or not column:
-        example = f'Write {name} = ["0 deg", "15 deg", ...]'
-        raise Unusable("the table of a law needs a list of angles here", example, name, column)
+        example = f'Write {name} = ["0 deg", "15 deg", ...]' if kind == "angle" else f'Write {name} = ["0 mm", "12 mm", ...]'
+        what = "angles" if kind == "angle" else "lengths"
+        raise Unusable(f"the table of a law needs a list of {what} here", example, name, column)
     if len(column) > MAX_ROWS:
         raise Unusable(f"the table has {len(column):,} rows, more than {MAX_ROWS:,}", "Thin them out", name)
-    return [read_scalar(cell, "angle", f"{name}[{row}]")[0] for row, cell in enumerate(column)]
+    return [read_scalar(cell, kind, f"{name}[{row}]")[0] for row, cell in enumerate(column)]
 
 
 def read_columns(raw: Mapping[str, Any], folder: Path, kinds: Mapping[str, str]) -> list[list[float]]:

@@ -298,7 +298,10 @@ def holding(model: GenerationProblem) -> dict[str, str]:
         found["angle_length"] = f"{1e3 * model.radian:.6g} mm"
     else:
         found["angle_length"] = "none"
-    added = {key: str(model.quantities[key]) for key in (START, MARK, ZERO) if key in model.quantities}
+    added = {key: str(model.quantities[key]) for key in (START, MARK) if key in model.quantities}
+    found["psi0"] = "none"
+    if ZERO in model.quantities:
+        added["zero" if model.slides else "psi0"] = str(model.quantities[ZERO])
     return found | added
 
 
@@ -340,7 +343,8 @@ def _plain(name: str, value: object) -> str:
     if text is not None:
         return str(text)
     phi, psi = getattr(value, "phi", ()), getattr(value, "psi", ())
-    rows = (f"{np.degrees(a):g} -> {np.degrees(b):g} deg" for a, b in zip(phi, psi, strict=True))
+    size, unit = (1e3, "mm") if getattr(value, "kind", "angle") == "coordinate" else (math.degrees(1.0), "deg")
+    rows = (f"{np.degrees(a):g} deg -> {size * b:g} {unit}" for a, b in zip(phi, psi, strict=True))
     return "table: " + ", ".join(list(rows)[:8]) + (f", ... ({len(phi)} rows)" if len(phi) > 8 else "")
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.linkage.dyad_types import RRR
-from optlink.problem.path import TURN, ZERO, GenerationProblem
+from optlink.problem.path import TURN, GenerationProblem
 from optlink.report.animation import film, there_and_back
 from optlink.report.labels import settle
 from optlink.report.style import BODIES, LIMIT, WANTED, degrees, figure, scale, styled
@@ -47,7 +47,7 @@ def output(track: Track) -> Output:
     assert isinstance(fine, GenerationProblem)
     angles = fine.crank_angles(values, None)
     travel = deviations(fine, values, angles).generated[:, 0]
-    wanted = fine.data.columns[:, 0] + values[ZERO]
+    wanted = fine.prescribed_outputs(values)
     unit = track.sketch.scale if task.slides else scale(0.0, "deg")
     if not task.slides:
         travel = travel - TURN * np.round((travel - wanted) / TURN)

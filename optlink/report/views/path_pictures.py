@@ -18,7 +18,7 @@ from PIL import Image
 
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.motion import Motion
-from optlink.problem.path import TURN, ZERO
+from optlink.problem.path import TURN
 from optlink.report.animation import film, there_and_back
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict, write_csv, write_design, write_json
@@ -72,7 +72,7 @@ def columns(design: Design) -> dict[str, Array]:
         angles = {f"{joint}.transmission_rad": measured.generated[:, k] for k, joint in enumerate(joints)}
         return {**found, "crank_angle_rad": design.crank_angles, **angles}
     if task.requirement.kind == "function":
-        wanted = data.columns[:, 0] + design.values[ZERO]
+        wanted = task.prescribed_outputs(design.values)
         found |= {f"wanted_{task.unit}": wanted, f"generated_{task.unit}": measured.generated[:, 0]}
         return {**found, f"distance_{task.unit}": measured.distances, "crank_angle_rad": design.crank_angles}
     for name, places in (("wanted", data.columns), ("generated", measured.generated)):

@@ -1,0 +1,172 @@
+"""Motion laws of any linkage of dyads, as expressions and as tables, judged by closed forms of slider-crank and four-bar."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.errors import InputError
+from optlink.tasks.path import solve
+
+SPAN, POINTS = 0.5 * math.pi, 30
+QUARTER = [f"{3.0 * k!r} deg" for k in range(POINTS + 1)]
+ADVANCE = [f"{-40.0 * k / POINTS!r} mm" for k in range(POINTS + 1)]
+SIX_BAR = {"slide": "s0 + 300*(phi - phi0)/pi", "unit": "mm"}
+
+
+def slider_crank(**requirement: object) -> optlink.ProblemFile:
+    changes = {f"requirement.{key}": value for key, value in requirement.items()}
+    return optlink.load("law-slider-crank").override(changes)
+
+
+def slides(design: Mapping[str, float], angles: np.ndarray) -> np.ndarray:
+    """Slide [m] of the pin of a slider-crank along +x, by Pythagoras."""
+    height = design["G.offset"] - design["crank.length"] * np.sin(angles)
+    return design["crank.length"] * np.cos(angles) + np.sqrt(design["rod.length"] ** 2 - height**2)
+
+
+@pytest.mark.parametrize("backend", ["ipopt", "slsqp"])
+@pytest.mark.parametrize("law", ["expression", "table", "csv"])
+def test_slider_crank_follows_a_law(law: str, backend: str, tmp_path) -> None:
+    """The objective is the closed form's, whatever way the law is stated, and both back ends agree."""
+    file = slider_crank()
+    if law == "table":
+        file = slider_crank(law={"phi": QUARTER, "s": ADVANCE}, span=None, points=None)
+    if law == "csv":
+        rows = "".join(f"{3.0 * k!r},{-40.0 * k / POINTS!r}\n" for k in range(POINTS + 1))
+        (tmp_path / "law.csv").write_text(f"phi_deg,s_mm\n{rows}")
+        requirement = {"kind": "function", "output": "G", "law": {"csv": "law.csv"}}
+        file = optlink.read({**slider_crank().raw, "requirement": requirement}, folder=tmp_path)
+    result = solve(file, backend)
+    assert result.valid
+    design, best = result.design, result.best
+    offsets = np.linspace(0.0, SPAN, POINTS + 1)
+    error = slides(design, design["start"] + offsets) - (design["zero"] - 0.04 * offsets / SPAN)
+    assert result.objective == pytest.approx(float(np.sum(error**2)), rel=1e-9)
+    assert result.objective == pytest.approx(optlink.load("law-slider-crank").model.expected.objective, rel=1e-6)
+    np.testing.assert_allclose(best.measured.distances, np.abs(error), atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["ipopt", "slsqp"])
+def test_six_bar_follows_a_law(backend: str) -> None:
+    """An expression at the rows of the table is the same problem."""
+    table = optlink.load("law-six-bar")
+    expression = table.override({"requirement.law": SIX_BAR, "requirement.span": "180 deg", "requirement.points": 12})
+    found = [solve(file, backend, designs=1) for file in (table, expression)]
+    assert all(result.valid for result in found)
+    assert found[0].objective == pytest.approx(table.model.expected.objective, rel=1e-6)
+    assert found[1].objective == pytest.approx(found[0].objective, rel=1e-7)
+
+
+LINKS = {
+    "type": "dyads",
+    "ground": {"A": ["0 mm", "0 mm"], "D": ["100 mm", "0 mm"]},
+    "links": {
+        "crank": {"joints": ["A", "B"], "length": {"start": "30 mm", "bounds": ["10 mm", "200 mm"]}},
+        "coupler": {"joints": ["B", "C"], "length": {"start": "80 mm", "bounds": ["10 mm", "300 mm"]}},
+        "rocker": {"joints": ["D", "C"], "length": {"start": "70 mm", "bounds": ["10 mm", "300 mm"]}},
+    },
+    "assembly": {"C": "left of B-D"},
+}
+FOUR_BAR = {
+    "type": "four-bar",
+    "frame": "100 mm",
+    **{name: LINKS["links"][name]["length"] for name in ("crank", "coupler", "rocker")},
+}
+LIMITS = {"transmission_angle": ["30 deg", "150 deg"]}
+SWINGS = "psi0 + 0.5*sin(phi - phi0)"
+
+
+def test_rocker_of_dyads_follows_a_law_as_that_of_a_four_bar() -> None:
+    """The same law for a linkage stated in lengths, by another programme and another search."""
+    anywhere = {"start": "40 deg", "bounds": ["-180 deg", "180 deg"]}
+    task = {"law": SWINGS, "span": "120 deg", "points": 24}
+    dyads = optlink.read({"title": "t", "mechanism": LINKS, "requirement": {**task, "output": "rocker"}, "limits": LIMITS})
+    stated = {**task, "from": anywhere, "psi0": {**anywhere, "start": "80 deg"}}
+    four_bar = optlink.read({"title": "t", "mechanism": FOUR_BAR, "requirement": stated, "limits": LIMITS})
+    one, other = solve(dyads), optlink.solve(four_bar, starts=60)
+    assert one.valid
+    assert other.valid
+    assert one.objective == pytest.approx(other.objective, rel=1e-6)
+    sizes = {name: one.design[f"{name}.length"] for name in ("crank", "coupler", "rocker")}
+    again = optlink.validate(four_bar, {**sizes, "phi0": one.design["start"], "psi0": one.design["zero"]})
+    assert again.valid
+    assert again.objective == pytest.approx(one.objective, rel=1e-9)
+
+
+def test_law_counted_from_the_frame_has_no_output_at_the_start() -> None:
+    """Without s0 the slide itself is prescribed; a law of phi alone depends on where the crank starts."""
+    design = {"crank.length": 0.025, "rod.length": 0.090, "G.offset": 0.010}
+    law = {"slide": "25*cos(phi) + sqrt(90^2 - (10 - 25*sin(phi))^2)", "unit": "mm"}
+    file = slider_crank(law=law, start="20 deg")
+    assert "zero" not in file.model.quantities
+    result = solve(file)
+    assert result.valid
+    assert result.best.exact
+    for name, value in design.items():
+        assert result.design[name] == pytest.approx(value, rel=1e-6)
+    free = solve(slider_crank(law=law))  # the start is found, too
+    assert free.best.exact
+
+
+def test_table_counted_from_the_frame_brings_its_own_start() -> None:
+    angles = np.radians(np.linspace(20.0, 110.0, 13))
+    made = slides({"crank.length": 0.025, "rod.length": 0.090, "G.offset": 0.010}, angles)
+    rows = {"phi": [f"{a!r} rad" for a in angles.tolist()], "s": [f"{s!r} m" for s in made.tolist()], "measured_from": "frame"}
+    file = slider_crank(law=rows, span=None, points=None)
+    assert set(file.model.free) == {"crank.length", "rod.length", "G.offset"}
+    result = solve(file)
+    assert result.best.exact
+    assert result.design["rod.length"] == pytest.approx(0.090, rel=1e-6)
+
+
+def test_negative_span_turns_the_crank_clockwise() -> None:
+    back = solve(slider_crank(law={"slide": "s0 + 40*(phi - phi0)/(pi/2)", "unit": "mm"}, span="-90 deg"))
+    assert back.valid
+    assert back.best.crank_angles[-1] < back.best.crank_angles[0]
+    mirrored = optlink.load("law-slider-crank").model.expected.objective  # reflected in the x axis, offsets being symmetric
+    assert back.objective == pytest.approx(mirrored, rel=1e-6)
+
+
+FAULTS = {
+    "no unit": ({"law": {"slide": "s0 + phi"}}, "requirement.law.unit", "unit of the slide"),
+    "not a length": ({"law": {"slide": "s0 + phi", "unit": "deg"}}, "requirement.law.unit", "unit of the slide"),
+    "a name of angles": ({"law": {"slide": "psi0 + phi", "unit": "mm"}}, "requirement.law.slide", '"psi0" is unknown'),
+    "not text": ({"law": {"slide": 3, "unit": "mm"}}, "requirement.law.slide", "is text"),
+    "a key too many": ({"law": {"slide": "s0", "unit": "mm", "span": 1}}, "requirement.law.span", "unknown key"),
+    "constant": ({"law": {"slide": "s0 + 3", "unit": "mm"}}, "requirement.law", "does not move"),
+    "a pole": ({"law": {"slide": "s0 + 1/(phi - phi0)", "unit": "mm"}}, "requirement.law", "divides by zero"),
+    "no span": ({"span": None}, "requirement.span", "needs it"),
+    "more than a revolution": ({"span": "400 deg"}, "requirement.span", "one revolution"),
+    "angle of a guide": ({"law": "psi0 + phi"}, "requirement.output", "body that turns"),
+    "slide of a body": ({"output": "rod"}, "requirement.output", "name of a guide"),
+    "psi0 of a slide": ({"psi0": "3 deg"}, "requirement.psi0", "only a body that turns"),
+    "zero that is not used": ({"law": {"slide": "40*phi", "unit": "mm"}, "zero": "3 mm"}, "requirement.zero", "does not depend"),
+    "rows that fall and rise": (
+        {"law": {"phi": ["0 deg", "20 deg", "10 deg"], "s": ["0 mm", "1 mm", "2 mm"]}, "span": None, "points": None},
+        "requirement.law.phi",
+        "must rise",
+    ),
+    "a span beside a table": ({"law": {"phi": QUARTER, "s": ADVANCE}, "span": "80 deg"}, "requirement.span", "differs from that"),
+    "lengths for angles": (
+        {"law": {"phi": ["0 mm", "3 mm"], "s": ["0 mm", "1 mm"]}, "span": None},
+        "requirement.law.phi[0]",
+        "angle",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_law_that_cannot_be_used_is_named(name: str) -> None:
+    changes, key, words = FAULTS[name]
+    with pytest.raises(InputError) as caught:
+        slider_crank(**changes)
+    fault = caught.value.faults[0]
+    assert fault.key == key
+    assert words in str(fault)
+    assert fault.remedy
