@@ -197,3 +197,19 @@ def head(schema: str, problem: Any, status: str, seed: int | None = None) -> dic
         "seed": seed,
         "status": status,
     }
+
+
+class Summary:
+    """A result whose `repr` is one line: its problem, status, validity and objective, whatever it holds."""
+
+    def __repr__(self) -> str:
+        status = getattr(self, "status", "")
+        words = [str(getattr(status, "value", status))]
+        if isinstance(valid := getattr(self, "valid", getattr(self, "sound", None)), bool):
+            words.append("valid" if valid else "not valid")
+        if isinstance(objective := getattr(self, "objective", None), float):
+            words.append(f"objective {objective:.6g}")
+        problem = getattr(self, "problem", None)
+        name = f" {problem.name!r}" if problem is not None else ""
+        told = ", ".join(filter(None, words))
+        return f"<{type(self).__name__}{name}{f': {told}' if told else ''}>"

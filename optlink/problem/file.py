@@ -30,7 +30,7 @@ GENERATED = ("path", "motion", "transmission")
 SIDES = ("min", "max")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ProblemFile:
     """A problem with where it came from.
 
@@ -42,6 +42,9 @@ class ProblemFile:
     folder: Path
     raw: Mapping[str, Any]
     model: Problem
+
+    def __repr__(self) -> str:
+        return f"<ProblemFile {self.name!r}: {self.kind}>"
 
     @property
     def spec(self) -> DesignProblem:

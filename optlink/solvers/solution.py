@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.io import Summary
 
 if TYPE_CHECKING:
     from optlink.optimization.constraints import Scale
@@ -77,8 +78,8 @@ class Stationarity:
     kkt: float
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Summary):
     """A point of the programme with its proof. `x` scaled, `design` and `objective` in SI.
 
     `price` converts multipliers (of bounds, then rows) from the scaled objective to that of `objective`.

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, Status
-from optlink.io import finite, head
+from optlink.io import Summary, finite, head
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
@@ -55,8 +55,8 @@ class Point:
     mark: str
 
 
-@dataclass(frozen=True)
-class Pareto:
+@dataclass(frozen=True, repr=False)
+class Pareto(Summary):
     """A front, from the best of the first objective on.
 
     `ends`: number of the best point of every objective; `knee`: its number and its distance from the chord of the ends, if it has

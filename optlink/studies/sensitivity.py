@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, Status
-from optlink.io import finite, head
+from optlink.io import Summary, finite, head
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
@@ -74,8 +74,8 @@ class Sensitivity:
         return self.objective != 0.0 or any(self.design.values())
 
 
-@dataclass(frozen=True)
-class Sensitivities:
+@dataclass(frozen=True, repr=False)
+class Sensitivities(Summary):
     """All of an optimum: `rows` by the size of their effect, largest first; `units` of the free quantities."""
 
     problem: ProblemFile

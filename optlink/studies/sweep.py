@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, Status
-from optlink.io import finite, head
+from optlink.io import Summary, finite, head
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MANY, Analysing, quantity_of
@@ -73,8 +73,8 @@ class _Summary:
     changes: list[Change] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class Sweep:
+@dataclass(frozen=True, repr=False)
+class Sweep(Summary):
     """A finished sweep. Its table is a file; nothing of it is held in memory until it is asked for.
 
     `valid`, `searched`, `changed`: how many points have a proven optimum (or a sound analysis), needed more than steps from a

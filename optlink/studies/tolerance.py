@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError
-from optlink.io import finite, head
+from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
@@ -35,8 +35,8 @@ WORST, MARGIN = "worst", "margin"
 SAMPLES, MAX_SAMPLES = 1 << 17, 100_000_000
 
 
-@dataclass(frozen=True)
-class Tolerance:
+@dataclass(frozen=True, repr=False)
+class Tolerance(Summary):
     """Tolerances of a design and what they do; `by` (deviations, angles): change of what is judged per deviation [SI]."""
 
     problem: ProblemFile

@@ -20,7 +20,7 @@ from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import Acting, acting_loads, travels_by_use, use_of, working_stroke
 from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
-from optlink.io import finite, head
+from optlink.io import Summary, finite, head
 from optlink.linkage.alignment import Aligned, listed
 from optlink.linkage.extrema import extremes, zeros
 from optlink.linkage.stroke import TURN, Ranges, Travel, failure, reachable, stopping, travels, within_cycle
@@ -50,8 +50,8 @@ class Extreme(NamedTuple):
     largest_at: float
 
 
-@dataclass(frozen=True)
-class Analysis:
+@dataclass(frozen=True, repr=False)
+class Analysis(Summary):
     """A machine over its cycle.
 
     `columns` by name (unit at the end), each an array over the sampled crank angles; `meanings` of them; `extremes` refined to

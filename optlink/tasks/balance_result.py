@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from optlink.dynamics.counterweights import Counterweight, FreeSpring, Measure, amounts, quantities
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.machine import Machine
-from optlink.io import finite, head
+from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
 
 Array = NDArray[np.float64]
@@ -167,8 +167,8 @@ class Trade:
         return bool(np.all(np.diff(one) >= -AGREES * self.before[0]) and np.all(np.diff(other) <= AGREES * self.before[1]))
 
 
-@dataclass(frozen=True)
-class Balance:
+@dataclass(frozen=True, repr=False)
+class Balance(Summary):
     """A balanced machine, or the limits that stand against it.
 
     `status`: "optimal", "relaxed" (discs come near the proven bound, not to it), "infeasible" or "stalled". `objective` and

@@ -27,7 +27,7 @@ from optlink.clearance.statistics import Account, Prediction, Twin, table
 from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
-from optlink.io import finite, head
+from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Unusable, nearest
 from optlink.tasks.analyze import check_regular, machine_of, motion_range, with_flywheel
@@ -46,8 +46,8 @@ COARSER = 30.0
 """Ratio of the tolerances of a run and of its twin, which shows how long the motion can be predicted."""
 
 
-@dataclass(frozen=True)
-class LooseSimulation:
+@dataclass(frozen=True, repr=False)
+class LooseSimulation(Summary):
     """A machine with clearance in time.
 
     `columns` by name over the rows of the last revolutions (all, up to `KEPT`), `meanings` of them; `turns`: figures of each

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import Fault, InputError
-from optlink.io import finite, head
+from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
 from optlink.tasks.analyze import machine_of
 from optlink.tasks.clearance import LooseSimulation, checked_output
@@ -50,8 +50,8 @@ class Trials:
         return float(np.std(self.rms, ddof=1)) if len(self.rms) > 1 else 0.0
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Summary):
     """What control makes of clearance: `trials` by kind of control, from crank angles `starts` (starts,) [rad].
 
     `examples`: the simulations from the first start, for pictures.
@@ -244,8 +244,8 @@ RANGES: dict[str, tuple[float, float]] = {
 """Where parameters are sought, in their logarithm; regularisation per size of the machine, bandwidth per that of the servo."""
 
 
-@dataclass(frozen=True)
-class Tuning:
+@dataclass(frozen=True, repr=False)
+class Tuning(Summary):
     """A search for the parameters of a controller: `tried` values by name (evaluations,), their costs and scatters [m, rad].
 
     `problem`: the one with the `best` values, which are empty where its own were better. A cost is the mean root mean square of

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
-from optlink.io import finite
+from optlink.io import Summary, finite
 from optlink.problem.cycle import CycleProblem
 from optlink.problem.cycle_terms import Term
 from optlink.problem.file import ProblemFile
@@ -43,8 +43,8 @@ class Told:
     unit: str
 
 
-@dataclass(frozen=True, eq=False)
-class MachineDesign:
+@dataclass(frozen=True, eq=False, repr=False)
+class MachineDesign(Summary):
     """A machine with its proof, or why there is none.
 
     `values`: free sizes [SI]; `objective`: what is minimised [SI], negative where a term shall be large.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.errors import Fault, InputError, Status
-from optlink.io import finite
+from optlink.io import Summary, finite
 from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.objectives import MEASURES
@@ -51,8 +51,8 @@ def people(name: str, value: float) -> tuple[float, str]:
     return value * factor, unit
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, repr=False)
+class Result(Summary):
     """A design with its proof, or why there is none."""
 
     problem: ProblemFile

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import InputError, Status
-from optlink.io import finite
+from optlink.io import Summary, finite
 from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.extrema import extremes
@@ -37,8 +37,8 @@ LEVEL = 1e-9  # of the size: root of a sum of squares below which a design passe
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Design:
+@dataclass(frozen=True, eq=False, repr=False)
+class Design(Summary):
     """One design with its proof.
 
     `problem` has definite assembly modes; `values` are all quantities [m, rad], `crank_angles` (points,) [rad] those at which
@@ -234,8 +234,8 @@ def _figures(design: Design) -> dict[str, Any]:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class Generation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Generation(Summary):
     """What a search for points or poses brought: designs, best first, each proven; or the nearest miss and why it fails."""
 
     problem: ProblemFile

@@ -14,7 +14,7 @@ from optlink.dynamics.columns import Record
 from optlink.dynamics.forward import Ending, Run, reduced_inertia, run
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
-from optlink.io import finite, head
+from optlink.io import Summary, finite, head
 from optlink.linkage.continuation import follow
 from optlink.problem.file import ProblemFile
 from optlink.tasks.analyze import machine_of, motion_range, with_flywheel
@@ -25,8 +25,8 @@ MAX_ROWS = 1_000_000
 TURN = 2.0 * math.pi
 
 
-@dataclass(frozen=True)
-class Simulation:
+@dataclass(frozen=True, repr=False)
+class Simulation(Summary):
     """A machine in time: `run` as integrated, `columns` by name over the times asked for, and what they mean."""
 
     problem: ProblemFile

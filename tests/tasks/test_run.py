@@ -81,3 +81,13 @@ def test_the_command_solves_a_balancing_problem(tmp_path) -> None:
     assert document["valid"]
     assert document["schema"].startswith("optlink/balance/")
     assert (tmp_path / "out" / "result.json").exists()
+
+
+def test_results_are_told_in_one_line() -> None:
+    """Whatever a result holds, a prompt shows its problem, status and objective."""
+    made = [optlink.solve(SOLVED[name]) for name in ("crank-rocker", "path-arc5", "shaper-design", "balance-four-bar")]
+    made += [optlink.analyze(QUESTIONS["shaper"]), QUESTIONS["shaper"], made[0].solution, made[1].best]
+    for result in made:
+        assert len(repr(result)) < 120
+        assert "\n" not in repr(result)
+    assert repr(made[0]) == "<Result 'crank-rocker': optimal, valid, objective 0.00759237>"
