@@ -1,1 +1,1 @@
-"""Optimal balancing as a cone programme with a dual certificate."""
+"""Optimal balancing as a second-order cone programme with a dual certificate."""

@@ -1,4 +1,4 @@
-"""The optimum of a balancing programme, what its limits cost, where limits conflict, and the trade-off between two measures."""
+"""Optimal balancing: optimum, shadow prices of the limits, conflicting limits, trade-off between two measures."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ NEAR = 1e-6
 
 @dataclass(frozen=True)
 class Optimum:
-    """An optimum: scaled parameters, scaled value, the proven lower bound, what limits cost; `exact`: by least squares."""
+    """An optimum: scaled parameters, scaled value, certificate with a lower bound, shadow prices.
+
+    `exact` is true for a solution by linear least squares.
+    """
 
     x: Array
     value: float
@@ -47,22 +50,39 @@ class Optimum:
 
     @property
     def lower(self) -> float:
-        """What no choice can be below."""
+        """Proven lower bound of the objective, scaled."""
         return self.certificate.lower
 
     @property
     def gap(self) -> float:
-        """Value less lower bound, scaled."""
+        """Value minus lower bound, scaled."""
         return self.value - self.lower
 
 
 def evaluate(programme: Programme, goal: Goal, x: Array) -> float:
-    """The weighted sum of measures, each over its value in the given machine."""
+    """Return the weighted sum of measures, each divided by its value in the original machine.
+
+    Parameters
+    ----------
+    programme : Programme
+    goal : sequence of (Measure, float)
+        Measures and their weights.
+    x : array (n,)
+        Scaled parameters.
+    """
     return sum(weight * programme.evaluate(measure, x) for measure, weight in goal)
 
 
 def optimum(programme: Programme, goal: Goal) -> Optimum:
-    """The global optimum of a weighted sum of measures; of several such the one with the least added mass (and stiffness).
+    """Return the global optimum of a weighted sum of measures.
+
+    Of several optima, the one with the least added mass (and stiffness) is returned.
+
+    Parameters
+    ----------
+    programme : Programme
+    goal : sequence of (Measure, float)
+        Measures and their weights.
 
     Raises
     ------
@@ -83,7 +103,7 @@ def optimum(programme: Programme, goal: Goal) -> Optimum:
         exact = _least_squares(programme, goal[0][0], value)
         if exact is not None:
             least = goal[0][1] * programme.evaluate(goal[0][0], exact)
-            # no parameters at all, within limits or not, are below the residual of least squares
+            # the residual of least squares is a lower bound for all parameters, within limits or not
             proof = Certificate("optimal", least, least, 0.0, found.iterations)
             return Optimum(exact, least, proof, _prices(programme, duals, exact), True)
     x = _without_crumbs(programme, goal, _Lightest(programme, [measure for measure, _ in goal]).like(x))
@@ -91,7 +111,7 @@ def optimum(programme: Programme, goal: Goal) -> Optimum:
 
 
 def _without_crumbs(programme: Programme, goal: Goal, x: Array) -> Array:
-    """The same without counterweights that are so small that nothing is worse without them."""
+    """Remove tiny counterweights whose removal worsens neither the objective nor the constraint violation."""
     value, excess = evaluate(programme, goal, x), programme.excess(x)
     for k in range(len(programme.counterweights)):
         if 0.0 < x[4 * k] < CRUMB:
@@ -103,7 +123,7 @@ def _without_crumbs(programme: Programme, goal: Goal, x: Array) -> Array:
 
 
 def _prices(programme: Programme, duals: Sequence[float], x: Array) -> tuple[Price, ...]:
-    """What every limit costs, from the dual values at the optimum; per SI unit of the limit, scaled objective."""
+    """Return the shadow price of every limit from its dual variable: scaled objective per SI unit of the limit."""
     programme.put(x)
     found = []
     for bound, dual in zip(programme.bounds, duals, strict=False):
@@ -115,14 +135,14 @@ def _prices(programme: Programme, duals: Sequence[float], x: Array) -> tuple[Pri
 
 
 def _span(rows: Array) -> tuple[Array, Array]:
-    """Orthonormal directions that matter to the rows (n, r), and those that do not (n, n - r)."""
+    """Return orthonormal bases of the row space (n, r) and of the null space (n, n - r)."""
     _, sizes, directions = np.linalg.svd(rows, full_matrices=True)
     rank = int(np.sum(sizes > NEGLIGIBLE * max(float(np.max(sizes, initial=0.0)), 1e-300)))
     return directions[:rank].T, directions[rank:].T
 
 
 def _least_squares(programme: Programme, measure: Measure, value: float) -> Array | None:
-    """The least-squares optimum of a root mean square if all limits let it be reached: to all digits, with the least mass."""
+    """Return the least-squares optimum of a root mean square with the least mass; None if the limits do not allow it."""
     rows, offset = programme.rows(measure)
     matters, _ = _span(rows)
     x = -matters @ np.linalg.lstsq(rows @ matters, offset, rcond=None)[0]
@@ -134,7 +154,7 @@ def _least_squares(programme: Programme, measure: Measure, value: float) -> Arra
 class _Lightest:
     """Parameters with the least mass (and stiffness) among all that are as good in some measures, within all limits.
 
-    As good: with the very same effect on them; or, where that is lighter, with values at most `LIKE` larger.
+    "As good" means equal effect on the measures or, if that is lighter, values that are at most `LIKE` larger.
     """
 
     def __init__(self, programme: Programme, measures: Sequence[Measure]) -> None:
@@ -152,7 +172,7 @@ class _Lightest:
         self.near = cp.Problem(cp.Minimize(programme.size), [*every, *alike])
 
     def same(self, x: Array) -> Array | None:
-        """The lightest with the effects of `x`; None where the limits allow none."""
+        """Return the lightest parameters with the same effects as `x`; None if the limits allow none."""
         if not self.idle.shape[1]:
             return x if self.programme.holds(x, self.limits) else None
         self.given.value = x
@@ -163,7 +183,7 @@ class _Lightest:
         return lighter
 
     def like(self, x: Array) -> Array:
-        """The lightest that is as good as `x`; `x` itself where none is lighter."""
+        """Return the lightest parameters that are as good as `x`; `x` itself if none are lighter."""
         same = self.same(x)
         best = x if same is None else same
         values = np.array([self.programme.evaluate(measure, x) for measure in self.measures])
@@ -186,9 +206,19 @@ class _Lightest:
 
 
 def made(programme: Programme, goal: Goal, x: Array, rounds: int = 60) -> Array:
-    """Discs near the optimum of their relaxation, made better step by step: each time their moments of inertia are linearised.
+    """Return feasible discs near the optimum of their relaxation, by successive linearisation of the moments of inertia.
 
-    Returns the best parameters found that discs have; those of the relaxation themselves where discs reach it.
+    The step is limited by a trust region. If discs reach the value of the relaxation, that point is returned directly.
+
+    Parameters
+    ----------
+    programme : Programme
+    goal : sequence of (Measure, float)
+        Measures and their weights.
+    x : array (n,)
+        Scaled parameters of the optimum of the relaxation.
+    rounds : int
+        Greatest number of iterations.
     """
     best = programme.realised(x)
     if not programme.relaxed or _merit(programme, goal, best) <= _merit(programme, goal, x) + GAP:
@@ -218,16 +248,16 @@ def made(programme: Programme, goal: Goal, x: Array, rounds: int = 60) -> Array:
 
 
 def _merit(programme: Programme, goal: Goal, x: Array) -> float:
-    """The objective, and a hundred times by how much limits are missed."""
+    """Return the objective plus a hundred times the constraint violation."""
     return evaluate(programme, goal, x) + 100.0 * programme.excess(x)
 
 
-# --- limits that cannot hold ------------------------------------------------------------------------------------------------
+# --- conflicting limits -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Conflict:
-    """A limit that cannot hold with the others; what it would have to be [SI], `together` with others, or `alone`."""
+    """A limit that conflicts with others: the value that makes it feasible [SI], relaxed `together` with others or `alone`."""
 
     bound: Bound
     together: float
@@ -235,7 +265,7 @@ class Conflict:
 
 
 def conflict(programme: Programme) -> tuple[Conflict, ...]:
-    """The limits that cannot hold together: what they would have to be, together and each alone."""
+    """Return the conflicting limits and their least feasible values, relaxed together and each alone."""
     cp, bounds = programme.cp, programme.bounds
     slack = cp.Variable(len(bounds), nonneg=True)
     sizes = [abs(bound.bound) / bound.scale or 1.0 for bound in bounds]
@@ -260,7 +290,7 @@ def conflict(programme: Programme) -> tuple[Conflict, ...]:
 class Point:
     """A point of the trade-off: scaled parameters, both measures and the duality gap (scaled).
 
-    `rate`: how much the first falls per rise of the second, from the dual values.
+    `rate`: decrease of the first measure per increase of the second, from the dual variables.
     """
 
     x: Array
@@ -272,7 +302,10 @@ class Point:
 
 @dataclass(frozen=True)
 class Curve:
-    """The trade-off between two measures, from the least first to the least second; times of the first and a further one [s]."""
+    """The trade-off between two measures, from the least first to the least second measure.
+
+    The solution times [s] of the first point and of a further point (median) are recorded.
+    """
 
     points: tuple[Point, ...]
     first_seconds: float
@@ -280,19 +313,34 @@ class Curve:
 
 
 def curve(programme: Programme, first: Measure, second: Measure, count: int) -> Curve:
-    """Points where neither of two measures can be made smaller without the other becoming larger, evenly along the curve.
+    """Return Pareto-optimal points of two measures, evenly spaced along the front.
 
-    The ends are the optima of each, with the other as small as that allows. Between them, from points evenly spaced on the chord
-    both are lowered together as far as can be: one programme with the point of the chord as its parameter.
+    The ends are the optima of each measure, with the other as small as that allows. For the points between, evenly spaced points
+    of the chord are the reference points of a Pascoletti-Serafini scalarisation: one programme with the reference point as
+    parameter.
 
-    Source: A. Pascoletti, P. Serafini, Scalarizing vector optimization problems, J. Optim. Theory Appl. 42 (1984) 499-524.
+    Parameters
+    ----------
+    programme : Programme
+    first, second : Measure
+    count : int
+        Number of points, including both ends.
+
+    Raises
+    ------
+    SolverError
+        when the solver finds no optimum for a point of the front.
+
+    References
+    ----------
+    A. Pascoletti, P. Serafini, Scalarizing vector optimization problems, J. Optim. Theory Appl. 42 (1984) 499-524.
     """
     cp = programme.cp
     ends = [_end(programme, first, second), _end(programme, second, first)]
     (a0, b0), (a1, b1) = ((programme.evaluate(first, end.x), programme.evaluate(second, end.x)) for end in ends)
     start = Point(ends[0].x, a0, b0, a0 - ends[0].lower, math.nan)
     stop = Point(ends[1].x, a1, b1, b1 - ends[1].lower, math.nan)
-    if a1 - a0 <= 10.0 * NEAR or b0 - b1 <= 10.0 * NEAR:  # no conflict: both are least at once
+    if a1 - a0 <= 10.0 * NEAR or b0 - b1 <= 10.0 * NEAR:  # no conflict: one point minimises both
         return Curve((start,), math.nan, math.nan)
     at, depth = cp.Parameter(2), cp.Variable()
     rows = [
@@ -314,14 +362,14 @@ def curve(programme: Programme, first: Measure, second: Measure, count: int) -> 
         values = programme.evaluate(first, x), programme.evaluate(second, x)
         x = lightest.like(x)
         pair = programme.evaluate(first, x), programme.evaluate(second, x)
-        worse = max(pair[0] - values[0], pair[1] - values[1], 0.0)  # for the sake of less mass
+        worse = max(pair[0] - values[0], pair[1] - values[1], 0.0)  # increase accepted for less mass
         gap, rate = found.gap * max(a1 - a0, b0 - b1) + worse, other / one if one > 0.0 else math.inf
         inner.append(Point(x, *pair, gap, rate))
     return Curve((start, *inner, stop), seconds[0], float(np.median(seconds[1:])) if len(seconds) > 1 else math.nan)
 
 
 def _end(programme: Programme, first: Measure, second: Measure) -> Optimum:
-    """The least of one measure, then of the other."""
+    """Return the optimum of the first measure and, at that value, of the second one."""
     best = optimum(programme, [(first, 1.0)])
     if best.certificate.status != "optimal":
         return best

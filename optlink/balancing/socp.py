@@ -1,6 +1,6 @@
-"""Balancing as a second-order cone programme (cvxpy), with a certificate that is computed here from the dual point.
+"""Balancing as a second-order cone programme (cvxpy), with a certificate computed from the dual solution.
 
-Everything inside is scaled: a measure by its value in the given machine, parameters by a mass and a length of the machine.
+All quantities are scaled: a measure by its value in the original machine, parameters by a typical mass and length of the machine.
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ REFINED = {"iterative_refinement_reltol": 1e-14, "iterative_refinement_abstol": 
 
 @dataclass
 class Certificate:
-    """What proves an optimum: value of the programme, the lower bound from its dual point, and how well both points fit.
+    """Certificate of an optimum: primal value, lower bound from the dual point, and feasibility of the primal point.
 
-    `lower` already pays for the dual point's residual. `outside`: by how much the primal point violates its cones and rows.
+    `lower` is already reduced by the residual of the dual point. `outside`: largest violation of cones and rows by the primal
+    point.
     """
 
     status: str
@@ -55,18 +56,18 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """Value less lower bound."""
+        """Value minus lower bound."""
         return self.value - self.lower
 
     @property
     def proven(self) -> bool:
-        """Whether value and bound meet, and the point fits."""
+        """Whether the duality gap and the violation of the primal point are within `GAP`."""
         return self.gap <= GAP * max(1.0, abs(self.value)) and self.outside <= GAP
 
 
 @dataclass(frozen=True)
 class Bound:
-    """A limit that may be relaxed: `expression` (scaled) times `scale` is at most (sense +1) or at least (-1) `bound` [SI]."""
+    """A limit that can be relaxed: `expression` (scaled) times `scale` is at most (sense +1) or at least (-1) `bound` [SI]."""
 
     name: str
     kind: str
@@ -78,7 +79,10 @@ class Bound:
 
 @dataclass(frozen=True)
 class Place:
-    """A limit of where a counterweight may be: `inside` <= mass * bound / length, both squared where it is one of gyration."""
+    """A limit on the position of a counterweight: `inside` <= mass * bound / length.
+
+    For a limit on the radius of gyration, `inside` and the right side are squared.
+    """
 
     name: str
     bound: float
@@ -90,21 +94,21 @@ class Place:
 
     @property
     def reached(self) -> float:
-        """How far out it is [m]; zero without a mass."""
+        """Distance reached [m]; zero without a mass."""
         mass = float(self.mass.value)
         share = max(float(self.inside.value), 0.0) / mass if mass > NOTHING else 0.0
         return (math.sqrt(share) if self.squared else share) * self.length
 
     @property
     def rate(self) -> float:
-        """How the right side of the constraint grows per metre of the bound."""
+        """Derivative of the right side of the constraint with respect to the bound [1/m]."""
         rate = float(self.mass.value) / self.length
         return 2.0 * rate * self.bound / self.length if self.squared else rate
 
 
 @dataclass(frozen=True)
 class Price:
-    """What a limit costs: its bound [SI], the value reached, and by how much the objective falls per SI unit of relaxation."""
+    """Shadow price of a limit: its bound [SI], the value reached, and the decrease of the objective per SI unit of relaxation."""
 
     name: str
     kind: str
@@ -116,7 +120,7 @@ class Price:
 
 @dataclass(frozen=True)
 class Limits:
-    """What must hold beside the counterweights' own limits: measures at most so much, mass of all together [kg]."""
+    """Limits beside those of single counterweights: upper bounds of measures [SI] and of the total mass [kg]."""
 
     measures: tuple[tuple[Measure, float], ...] = ()
     total: float = math.inf
@@ -128,10 +132,15 @@ class Programme:
     Parameters
     ----------
     effects : Effects
-    counterweights, springs : what is free; in the order of `effects`
+    counterweights : sequence of Counterweight
+        In the order of `effects`.
+    springs : sequence of FreeSpring
+        In the order of `effects`, after the counterweights.
     limits : Limits
-    before : measure -> its value in the given machine [SI]
-    mass, length : typical of the machine [kg, m]
+    mass : float [kg]
+        Typical mass of the machine.
+    length : float [m]
+        Typical length of the machine.
     """
 
     def __init__(
@@ -153,7 +162,7 @@ class Programme:
         self.hard: list[Place] = []
         self.roots: list[tuple[Any, int]] = []  # variables that stand for square roots of parameters
         self.cones: list[Any] = []
-        self.relaxed: list[Any] = []  # what stands for the moments of inertia that discs would have
+        self.relaxed: list[Any] = []  # relaxations of the moments of inertia of discs
         self.bounds: list[Bound] = []
         for k, weight in enumerate(counterweights):
             self._counterweight(weight, self.x[4 * k : 4 * k + 4], self.scales[4 * k : 4 * k + 4])
@@ -174,7 +183,7 @@ class Programme:
         return np.array([size, size * reach, size * reach, size * reach * reach])
 
     def _stiffness(self, spring: FreeSpring) -> Array:
-        """A stiffness that makes a torque like the given one, unless a bound says more."""
+        """Return the scales of a spring: the upper bound of its stiffness, else a stiffness typical of the driving torque."""
         high = spring.stiffness[1]
         if not 0.0 < high < math.inf:
             torque = Measure("driving torque")
@@ -183,23 +192,23 @@ class Programme:
 
     @cached_property
     def mass_scale(self) -> float:
-        """In what the mass of all is counted [kg]."""
+        """Unit of the total mass [kg]."""
         return float(np.max(self.scales[0 : 4 * len(self.counterweights) : 4]))
 
     @property
     def total(self) -> Any:
-        """Mass of all counterweights, in `mass_scale`."""
+        """Mass of all counterweights, in units of `mass_scale`."""
         share = np.zeros(self.effects.count)
         share[0 : 4 * len(self.counterweights) : 4] = self.scales[0 : 4 * len(self.counterweights) : 4] / self.mass_scale
         return share @ self.x
 
-    # --- what can be made ------------------------------------------------------------------------------------------------
+    # --- feasible counterweights and springs -----------------------------------------------------------------------------
 
     def _counterweight(self, weight: Counterweight, x: Any, scale: Array) -> None:
-        """The cones of a counterweight: with mass m, first moments p about the start of the body, moment of inertia J.
+        """Add the cones of a counterweight: with mass m, first moments p about the start of the body, moment of inertia J.
 
-        J >= |p|^2 / m is what any mass distribution keeps to; a disc adds its own m^2 / (2 pi rho t) or m r^2 / 2. For a disc
-        equality would be due: that is relaxed, above by what is largest within its limits, and made good afterwards.
+        J >= |p|^2 / m holds for every mass distribution; a disc adds its own m^2 / (2 pi rho t) or m r^2 / 2. A disc needs
+        equality, which is relaxed to an inequality with an upper bound from its limits and restored afterwards.
         """
         cp, unit, length = self.cp, float(scale[0]), float(scale[1] / scale[0])
         m, p, inertia = x[0], x[1:3], x[3]
@@ -257,7 +266,7 @@ class Programme:
         self.hard.append(Place(name, bound, constraint, inside, mass, length, squared))
 
     def _spring(self, spring: FreeSpring, x: Any, scale: Array) -> None:
-        """k within its bounds, k * free length between those of the free length, the force within +-F at every position."""
+        """Add the limits of a spring: stiffness k, k * free length, and the force at every position."""
         k, p = x[0], x[1]
         low, high = spring.stiffness
         self.cones.append(k >= 0.0)
@@ -275,7 +284,7 @@ class Programme:
 
     @property
     def size(self) -> Any:
-        """Mass and stiffness that are added, each in its scale."""
+        """Added mass plus added stiffness, each in its scale."""
         begin = 4 * len(self.counterweights)
         mass = self.total if self.counterweights else 0.0
         return mass + self.cp.sum(self.x[begin::2]) if self.springs else mass
@@ -287,7 +296,7 @@ class Programme:
         return {}
 
     def _rows(self, measure: Measure) -> tuple[float, Array, Array]:
-        """Value before, and the scaled rows (positions, parts, n) or (k, n) and offsets of a measure."""
+        """Return the original value of a measure, its scaled rows (positions, parts, n) or (k, n), and its offsets."""
         if measure not in self._known:
             affine = self.effects.affine(measure)
             before = measure.value(affine.offset)
@@ -300,15 +309,15 @@ class Programme:
         return self._known[measure]
 
     def before(self, measure: Measure) -> float:
-        """Value in the given machine [SI]."""
+        """Return the value of a measure in the original machine [SI]."""
         return self._rows(measure)[0]
 
     def rows(self, measure: Measure) -> tuple[Array, Array]:
-        """Scaled rows and offset of a measure: of a root mean square (k, n) and (k,), else (positions, parts, n)."""
+        """Return scaled rows and offset of a measure: (k, n) and (k,) for a root mean square, else (positions, parts, n)."""
         return self._rows(measure)[1:]
 
     def expression(self, measure: Measure) -> Any:
-        """A measure over its value in the given machine, as a convex expression."""
+        """Return a measure divided by its value in the original machine, as a convex expression."""
         cp = self.cp
         _, rows, offset = self._rows(measure)
         if measure.of == "rms":
@@ -318,7 +327,14 @@ class Programme:
         return cp.max(cp.norm(amounts, axis=1)) if parts > 1 else cp.max(cp.abs(amounts))
 
     def evaluate(self, measure: Measure, x: Array) -> float:
-        """A measure over its value in the given machine, of scaled parameters."""
+        """Return a measure divided by its value in the original machine.
+
+        Parameters
+        ----------
+        measure : Measure
+        x : array (n,)
+            Scaled parameters.
+        """
         _, rows, offset = self._rows(measure)
         amounts = rows @ x + offset
         return float(np.linalg.norm(amounts)) if measure.of == "rms" else measure.value(amounts)
@@ -326,11 +342,11 @@ class Programme:
     # --- solving ---------------------------------------------------------------------------------------------------------------
 
     def held(self, skip: Bound | None = None) -> list[Any]:
-        """All constraints but one, those that may be relaxed last."""
+        """Return all constraints except one, those that can be relaxed last."""
         return [*self.cones, *self.relaxed, *(self.row(bound) for bound in self.bounds if bound is not skip)]
 
     def realised(self, x: Array) -> Array:
-        """Scaled parameters of what can be made: discs with the moments of inertia that their masses and places give them."""
+        """Return scaled parameters that can be built: discs have the moments of inertia of their masses and positions."""
         found = x.copy()
         for k, weight in enumerate(self.counterweights):
             place = slice(4 * k, 4 * k + 4)
@@ -347,27 +363,47 @@ class Programme:
         return found
 
     def put(self, x: Array) -> None:
-        """Give the expressions these parameters."""
+        """Assign scaled parameters to the variables of the expressions."""
         filled = x.copy()
         for k in range(len(self.counterweights)):
-            if x[4 * k] <= NOTHING:  # nothing at all has no place
+            if x[4 * k] <= NOTHING:  # without a mass the position is undefined
                 filled[4 * k : 4 * k + 4] = 1e-200, 0.0, 0.0, max(float(x[4 * k + 3]), 0.0)
         self.x.value = filled
         for root, place in self.roots:
             root.value = math.sqrt(max(float(filled[place]), 0.0))
 
     def excess(self, x: Array) -> float:
-        """By how much given parameters miss limits and cones, moments of inertia of discs left out."""
+        """Return the largest violation of limits and cones, without the relaxed moments of inertia of discs."""
         self.put(x)
         return max((float(np.max(row.violation())) for row in [*self.cones, *map(self.row, self.bounds)]), default=0.0)
 
     def holds(self, x: Array, rows: Sequence[Any]) -> bool:
-        """Whether given parameters meet the cones and some limits."""
+        """Return whether parameters satisfy the cones and some constraints.
+
+        Parameters
+        ----------
+        x : array (n,)
+            Scaled parameters.
+        rows : sequence of cvxpy constraints
+            Checked beside the cones.
+        """
         self.put(x)
         return all(float(np.max(row.violation())) <= FITS for row in [*self.cones, *rows])
 
     def tangent(self, x: Array, k: int) -> tuple[Array, float]:
-        """Slope (n,) and level of the moment of inertia of disc k at given parameters, scaled."""
+        """Linearise the moment of inertia of a disc: J is about slope . x + level, scaled.
+
+        Parameters
+        ----------
+        x : array (n,)
+            Scaled parameters at which to linearise.
+        k : int
+            Index of the counterweight.
+
+        Returns
+        -------
+        Slope (n,) and level
+        """
         weight, place = self.counterweights[k], 4 * k
         unit, length = float(self.scales[place]), float(self.scales[place + 1] / self.scales[place])
         m, p = float(x[place]), x[place + 1 : place + 3]
@@ -382,12 +418,26 @@ class Programme:
 
     @staticmethod
     def row(bound: Bound, slack: Any = 0.0) -> Any:
-        """The constraint of a bound; `slack` in its scale."""
+        """Return the cvxpy constraint of a bound.
+
+        Parameters
+        ----------
+        bound : Bound
+        slack : float or cvxpy expression
+            Relaxation, in units of the bound's scale.
+        """
         return bound.sense * bound.expression <= bound.sense * bound.bound / bound.scale + slack
 
 
 def solved(cp: Any, problem: Any) -> Certificate:
-    """Solve a programme as tightly as the solver can, and certify what it found."""
+    """Solve a cone programme to the tightest tolerance that the solver reaches, and certify the solution.
+
+    Parameters
+    ----------
+    cp : module
+        cvxpy.
+    problem : cvxpy.Problem
+    """
     best = Certificate("not solved")
     for options in TOLERANCES:
         settings = {**options, **REFINED}
@@ -411,7 +461,10 @@ def solved(cp: Any, problem: Any) -> Certificate:
 
 
 def _certified(data: Mapping[str, Any], raw: Any) -> Certificate:
-    """Certificate of the cone programme: minimise c x subject to b - A x in K; dual: maximise -b z, A' z + c = 0, z in K*."""
+    """Compute the certificate of the cone programme.
+
+    Primal: minimise c x subject to b - A x in K; dual: maximise -b z subject to A' z + c = 0, z in K*.
+    """
     c, a, b = (data[key] for key in ("c", "A", "b"))
     x, z = np.array(raw.x), np.array(raw.z)
     dims = data["dims"]
@@ -421,7 +474,7 @@ def _certified(data: Mapping[str, Any], raw: Any) -> Certificate:
 
 
 def _outside(s: Array, dims: Any, *, dual: bool) -> float:
-    """By how much a point misses its cone: equations, positive numbers, second-order cones; all but the first are self-dual."""
+    """Return the violation of a cone: equations, nonnegative numbers, second-order cones; all but the first are self-dual."""
     worst = 0.0 if dual or not dims.zero else float(np.max(np.abs(s[: dims.zero])))
     place = dims.zero + dims.nonneg
     worst = max(worst, -float(np.min(s[dims.zero : place], initial=0.0)))
@@ -435,5 +488,5 @@ def _outside(s: Array, dims: Any, *, dual: bool) -> float:
 
 
 def version() -> str:
-    """The solver and its version."""
+    """Return the names and versions of the solver and of cvxpy."""
     return f"Clarabel {metadata.version('clarabel')}, cvxpy {metadata.version('cvxpy')}"
