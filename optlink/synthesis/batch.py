@@ -1,4 +1,4 @@
-"""A generation problem as least squares for many designs at once: residuals, limits and their exact derivatives as arrays."""
+"""Evaluate a path or motion synthesis problem for many designs at once: least-squares residuals, limits and exact derivatives."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from optlink.symbolic import Tape, tracing
 
 Array = NDArray[np.float64]
 
-GRID = 24  # crank angles at which a mechanism that is no four-bar is asked whether it closes
-INSIDE = 1e-3  # aim this far inside the crank condition: on it the linkage can no longer be told from a change-point linkage
+GRID = 24  # crank angles at which the closure of mechanisms other than four-bars is evaluated
+INSIDE = 1e-3  # margin inside the crank condition: on its boundary lies a change-point linkage
 STRUCTURAL = {"limits.crank", *MARGIN_KEYS}
-WEIGHT = 10.0  # of a limit that is missed, against the residuals; the programme that polishes knows limits exactly
+WEIGHT = 10.0  # of a limit violation relative to the residuals; the NLP that refines the designs has exact limits
 
 
 class Batch:
     """Residuals of many designs of one problem with definite assembly modes.
 
-    `x` (designs, n) are the scaled free quantities, `t` (designs, points) the crank angles of the points. Where the timing is
-    given the crank angles follow from x, and `own` is False.
+    `x` (designs, n) are the scaled design variables, `t` (designs, points) the crank angles [rad] of the points. With prescribed
+    timing the crank angles follow from x, and `own` is False.
     """
 
     def __init__(self, problem: GenerationProblem) -> None:
@@ -50,9 +50,10 @@ class Batch:
         self._trace()
 
     def thinned(self, most: int) -> tuple[Batch, Array]:
-        """The same with `most` of the points, spread over all, and the matrix that makes all crank angles from theirs.
+        """Return the batch with at most `most` points, and the matrix (points, all points) that interpolates all crank angles.
 
-        Crank angles between them follow the distances of the points.
+        The retained points are spread evenly over the list; crank angles between them are interpolated by the distances of the
+        points.
         """
         data, count = self.data, len(self.data.columns)
         if count <= most:
@@ -94,13 +95,21 @@ class Batch:
         self.angles = np.linspace(0.0, TURN, GRID, endpoint=False)
 
     def values(self, x: Array) -> dict[str, Array]:
-        """Quantities [SI] of designs, each (designs, 1)."""
+        """Return the quantities [SI] of designs, each an array (designs, 1)."""
         known = {name: np.full((len(x), 1), quantity.value) for name, quantity in self.problem.quantities.items()}
         real = self.origin + x * self.scale
         return known | {name: real[:, i : i + 1] for i, name in enumerate(self.names)}
 
     def crank_angles(self, x: Array, t: Array) -> Array:
-        """Crank angles of the points (designs, points): t itself where they are free."""
+        """Return the crank angles of the points (designs, points) [rad]: `t` itself where the timing is free.
+
+        Parameters
+        ----------
+        x : array (designs, n)
+            Scaled design variables.
+        t : array (designs, points) [rad]
+            Free crank angles of the points; ignored with prescribed timing.
+        """
         if self.own:
             return t
         start = self.problem.quantities[START].value if START in self.problem.quantities else 0.0
@@ -109,7 +118,17 @@ class Batch:
         return np.asarray(begin + self.data.offsets, dtype=float)
 
     def residuals(self, x: Array, t: Array) -> tuple[Array, Array, Array]:
-        """Residuals (designs, points, k) as shares of the size, their slopes by x (..., k, n) and by own crank angle (..., k)."""
+        """Return residuals (designs, points, k) and their derivatives by x (..., k, n) and by the crank angle (..., k).
+
+        Residuals are relative to the size of the curve.
+
+        Parameters
+        ----------
+        x : array (designs, n)
+            Scaled design variables.
+        t : array (designs, points) [rad]
+            Crank angles of the points.
+        """
         n, k = x.shape[1], self.width
         columns = [*(x[:, i : i + 1] for i in range(n)), t, *self.data.columns.T, self.data.roots]
         out = self._residual(*columns)
@@ -122,7 +141,15 @@ class Batch:
         return r, by_x, by_t
 
     def misses(self, x: Array, t: Array) -> tuple[Array, Array]:
-        """By how much limits are missed, weighted (designs, rows), and its slopes (designs, rows, n); zero where they hold."""
+        """Return weighted limit violations (designs, rows), zero where satisfied, and their derivatives (designs, rows, n).
+
+        Parameters
+        ----------
+        x : array (designs, n)
+            Scaled design variables.
+        t : array (designs, points) [rad]
+            Crank angles of the points.
+        """
         n = x.shape[1]
         parts = []
         if self._limits is not None:

@@ -1,4 +1,4 @@
-"""Many starts in one batch: sampled, screened by least squares, advanced together, told apart; round after round."""
+"""Batched multistart for path and motion synthesis: sample, screen by least squares, descend and remove duplicates, in rounds."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from optlink.synthesis.variable_projection import Similarity
 
 Array = NDArray[np.float64]
 
-FIRST_ROUND, PER_ROUND = 60, 240  # starts of a round, all assembly modes together: rounds double up to the second
-POOL = 6  # candidates per start; the better half of the starts are the best of them, the others any
+FIRST_ROUND, PER_ROUND = 60, 240  # starting points per round over all assembly modes: doubled from the first to the second number
+POOL = 6  # samples per starting point; half of the starting points are the best samples, the others random ones
 STEPS = 60
 DISTINCT = 1e-3  # least difference, in scaled units, of two designs
-PERFECT = 1e-20  # cost, as the square of a share of the size, of a design that passes all points
-MISSED = 1e-3  # weighted squares of missed limits up to which the polishing programme is worth its time
-FEW = 18  # points that a first descent looks at; the second looks at all
-NEAR, STRAGGLERS = 1e-17, 0.1  # cost at which the first descent leaves the rest to the second; share that it leaves behind
-FINISHED = 60  # best of a round that are followed to the last digits
-VALLEY, FINISH = 200, 200  # steps along narrow valleys with the linear part at its best, then steps in everything at once
-AFTER = 5  # steps of all others once one of them passes all points
+PERFECT = 1e-20  # cost (square of a fraction of the curve size) of a design that passes all points
+MISSED = 1e-3  # weighted squares of limit violations up to which the NLP refines a design
+FEW = 18  # points in the first descent; the second uses all
+NEAR, STRAGGLERS = 1e-17, 0.1  # cost at which the first descent stops; share of designs that it leaves unconverged
+FINISHED = 60  # best designs of a round that are refined to full precision
+VALLEY, FINISH = 200, 200  # steps with variable projection, then full steps
+AFTER = 5  # remaining steps of all designs once one of them passes all points
 KEPT = 200  # distinct candidates, best first
-REPAIRED = 12  # best of a round that break the order or a limit: put in order, they may still lead to an answer
+REPAIRED = 12  # best designs of a round that violate the order or a limit: reordered, they may still converge to a solution
 
 
 @dataclass(eq=False)
 class Candidate:
-    """A distinct design of the batch: scaled x, crank angles of the points [rad], cost, its variant and the crank's direction.
+    """A distinct design: scaled x, crank angles of the points [rad], cost, assembly variant, crank direction (+1, -1).
 
-    `count` starts ended there.
+    `count` starting points converged to it.
     """
 
     variant: int
@@ -47,9 +47,9 @@ class Candidate:
 
 @dataclass
 class Exploration:
-    """Distinct candidates, best first, and the starts and rounds made.
+    """Distinct candidates, best first, and the number of starting points and rounds.
 
-    `repaired` are those of the last round that ended out of order or beyond a limit and were put in order.
+    `repaired` are the designs of the last round that violated the order of the points or a limit and were reordered.
     """
 
     candidates: list[Candidate] = field(default_factory=list)
@@ -59,10 +59,10 @@ class Exploration:
 
 
 class Searcher:
-    """The search of one problem; `variants` are its combinations of assembly modes.
+    """Multistart search of one problem; `variants` are its combinations of assembly modes.
 
-    A round draws the same random numbers however many rounds follow: the starts of a short search are a prefix of those of a
-    longer one with the same seed.
+    A round draws the same random numbers however many rounds follow: the starting points of a short search are a prefix of those
+    of a longer one with the same seed.
     """
 
     def __init__(self, variants: list[GenerationProblem], seed: int) -> None:
@@ -74,7 +74,7 @@ class Searcher:
         self.found = Exploration()
 
     def advance(self) -> Exploration:
-        """Make one round of starts, and return all that was found so far."""
+        """Run one round of starting points, and return all candidates so far."""
         found = self.found
         share = -(-min(PER_ROUND, FIRST_ROUND << min(found.rounds, 8)) // len(self.batches))
         found.repaired = []
@@ -114,10 +114,10 @@ class Searcher:
         return self._finish(variant, batch, ends)
 
     def _finish(self, variant: int, batch: Batch, ends: Ends) -> Ends:
-        """Follow the best of a round to the last digits.
+        """Refine the best designs of a round to full precision.
 
-        Near-circular curves leave valleys that are curved and narrow; with what is linear put to its best at every step (the
-        fit) they are short, and the last digits come from a step in everything at once.
+        Near-circular curves have curved and narrow valleys. Variable projection (the fit) shortens them; full Levenberg-Marquardt
+        steps give the last digits.
         """
         proper = ordered(batch, ends)[0] & (ends.missed <= MISSED)
         order = np.argsort(np.where(proper, ends.cost, np.inf))[: max(1, FINISHED // len(self.batches))]
@@ -133,7 +133,7 @@ class Searcher:
         return descend(batch, ends.x[order], ends.t[order], FINISH if fit.applies else VALLEY, slow=1e-9, after=AFTER)
 
     def _repair(self, variant: int, batch: Batch, ends: Ends) -> None:
-        """Put the best of those that are out of order, or beyond a limit, in order: the nearest crank angles that are."""
+        """Reorder the crank angles of the best designs that violate the order of the points or a limit."""
         proper, way = ordered(batch, ends)
         wrong = np.isfinite(ends.cost) & ~(proper & (ends.missed <= MISSED))
         for i in np.argsort(np.where(wrong, ends.cost, np.inf))[: min(REPAIRED, int(wrong.sum()))]:
@@ -166,7 +166,14 @@ class Searcher:
 
 
 def ordered(batch: Batch, ends: Ends) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:
-    """Whether the points are met in order within one revolution, and which way the crank turns."""
+    """Return whether the points are passed in order within one revolution, and the direction of the crank, both (designs,).
+
+    Parameters
+    ----------
+    batch : Batch
+    ends : Ends
+        Designs and their crank angles.
+    """
     angles = batch.crank_angles(ends.x, ends.t)
     steps = np.diff(angles, axis=1)
     whole = angles[:, -1] - angles[:, 0]
@@ -179,7 +186,16 @@ def ordered(batch: Batch, ends: Ends) -> tuple[NDArray[np.bool_], NDArray[np.int
 
 
 def in_order(problem: GenerationProblem, t: Array) -> Array:
-    """The crank angles nearest to t (points,) that pass the points in order within one revolution, the better way round."""
+    """Return the crank angles (points,) [rad] nearest to `t` that pass the points in order within one revolution.
+
+    Where the problem leaves the direction of the crank free, the direction with the smaller change is used.
+
+    Parameters
+    ----------
+    problem : GenerationProblem
+    t : array (points,) [rad]
+        Crank angles of the points.
+    """
     from scipy.optimize import isotonic_regression
 
     least = 2.0 * STEP * np.arange(len(t))

@@ -1,9 +1,12 @@
-"""First steps of function generation: four-bars and slider-cranks that follow a function, by fits and convex programmes.
+"""First designs for function synthesis: four-bars and slider-cranks from Freudenstein fits and convex programmes.
 
-Every pair of start positions gets the linkage that fits a loop equation which is linear in three constants (`loops`,
-`first_fits`); the best are bettered to the least output error of their start position, with a proof (`first_optima`).
+Every pair of start positions gets the linkage that fits a loop equation linear in three constants (`loop_equations`,
+`freudenstein_fit`); the best fits are refined to the least output error of their start position, with an optimality proof
+(`freudenstein_convex`).
 
-Source: F. Freudenstein, Approximate synthesis of four-bar linkages, Trans. ASME 77 (1955) 853-861.
+References
+----------
+F. Freudenstein, Approximate synthesis of four-bar linkages, Trans. ASME 77 (1955) 853-861.
 """
 
 from __future__ import annotations
@@ -22,23 +25,23 @@ from optlink.synthesis.loop_equations import EXACT, linear, rocker_chain, slider
 Array = NDArray[np.float64]
 
 MEASURES = ("sum of squares", "rms", "max")
-UNLIMITED = (1e-3, 1e3)  # a link a thousand times as long as the frame is no link
-APART = 3.0  # grid steps between two start positions that count as different
-SPARE = 2  # so many times `count` start positions are zoomed in on, as some meet
+UNLIMITED = (1e-3, 1e3)  # ratios beyond a thousand are not practical
+APART = 3.0  # least distance of two distinct start positions, in grid steps
+SPARE = 2  # `SPARE * count` start positions are refined, as some coincide afterwards
 ANYWHERE = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
 class Step:
-    """What every first step has.
+    """Common fields of all first designs.
 
-    `side`: assembly mode. `residual`: of the loop equation at the wanted positions [-, or square of the unit of s]. `error`: of
-    the output [rad, or unit of s], by the closed form. Both are the largest, or (for both other measures) the root mean square.
-    `bound`: what no linkage of this start position, mode and range of ratios can undercut, in the unit of `error`: for "max" the
-    output error itself; else that of its linearised model about this linkage. Recomputed from the multipliers; zero where nothing
-    is proven, as where `keep` or the coupler's ratio, which are not convex, hold the linkage back.
-    `proven`: whether `error` is within a share `CLOSE` of `bound`, or no error at all.
-    `status`: what the solver said; "closed form" where none was needed, "no answer" where it broke down.
+    `side`: assembly mode. `residual`: of the loop equation at the target positions [-, or square of the unit of s]. `error`: of
+    the output [rad, or unit of s], in closed form. Both are the largest value, or (for both other measures) the root mean square.
+    `bound`: lower bound of the error for this start position, assembly mode and range of ratios, in the unit of `error`: for
+    "max" of the output error itself, otherwise of its linearised model about this linkage. Recomputed from the multipliers; zero
+    without a proof, for example where `keep` or the coupler ratio, which are not convex, restrict the linkage. `proven`: whether
+    `error` is within a share `CLOSE` of `bound`, or zero. `status`: solver status; "closed form" where no solver was needed, "no
+    answer" where it failed.
     """
 
     side: int
@@ -50,13 +53,13 @@ class Step:
 
     @property
     def gap(self) -> float:
-        """How far below `error` the convex programme's optimum could still lie, in its unit."""
+        """Difference of `error` and its lower bound, in its unit."""
         return self.error - self.bound
 
 
 @dataclass(frozen=True)
 class FirstStep(Step):
-    """A four-bar, its lengths over the frame, and where it starts [rad]."""
+    """A four-bar with lengths relative to the frame and start angles [rad]."""
 
     crank: float
     coupler: float
@@ -67,7 +70,7 @@ class FirstStep(Step):
 
 @dataclass(frozen=True)
 class FirstStepSlider(Step):
-    """An offset slider-crank, its lengths in the unit of s; phi0 [rad] from the guide's direction, s0 from the crank pivot."""
+    """An offset slider-crank with lengths in the unit of s; phi0 [rad] from the guide direction, s0 from the crank pivot."""
 
     crank: float
     coupler: float
@@ -77,7 +80,7 @@ class FirstStepSlider(Step):
 
 
 def _search(task: Task, x0: Array, y0: Array, count: int) -> list[tuple[Cells, dict[str, Any]]]:
-    """The best linkages that lie apart, each a cell without dimension and the fields of its `Step`; least error first."""
+    """Return the best distinct linkages, each as a dimensionless cell and the fields of its `Step`, by increasing error."""
     cells = scan(task, x0, y0)
     steps = max(step_of(x0), EXACT), max(step_of(y0), EXACT * task.unit)
     cells = zoom(task, cells[apart(task, cells, (APART * steps[0], APART * steps[1]), SPARE * count)], (x0, y0))
@@ -102,7 +105,7 @@ def _search(task: Task, x0: Array, y0: Array, count: int) -> list[tuple[Cells, d
 def _read(
     x: ArrayLike, y: ArrayLike, what: str, measure: str, ratios: tuple[float, float] | None, count: int
 ) -> tuple[Array, Array]:
-    """The wanted rotations and outputs, checked."""
+    """Check and return the target rotations and outputs."""
     one, other = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if one.ndim != 1 or one.shape != other.shape:
         raise ValueError(f"phi and {what} are two lists of the same length, not of shapes {one.shape} and {other.shape}")
@@ -133,7 +136,7 @@ def _range(grid: Array) -> tuple[float, float]:
 
 
 def _wrapped(angle: float) -> float:
-    """The same direction in (-pi, pi]."""
+    """Wrap an angle to (-pi, pi]."""
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
@@ -149,35 +152,36 @@ def first_steps(
     shift: bool = True,
     keep: Keep | None = None,
 ) -> list[FirstStep]:
-    """Four-bars whose rocker turns by psi while the crank turns by phi, as nearly as they can: starts for a design programme.
+    """Return four-bars whose rocker turns by psi while the crank turns by phi, as closely as possible: starting points of an NLP.
 
     Parameters
     ----------
-    phi, psi : (n,) [rad]
-        Wanted rotations of crank and rocker, counted from their starts; n >= 3.
-    phi0, psi0 : float or (p,), (q,) [rad]
-        Starts to be scanned; several make a grid, between whose points the search goes on.
+    phi, psi : array (n,) [rad]
+        Target rotations of crank and rocker from their starts; n >= 3.
+    phi0, psi0 : float or array (p,), (q,) [rad]
+        Start angles to scan; several values form a grid, which is refined around its best points.
     measure : "max", "rms" or "sum of squares"
-        Of the output error.
-    ratios : (low, high), optional [-]
-        Limits of crank, coupler and rocker over the frame; left out: `UNLIMITED`.
+        Measure of the output error.
+    ratios : (low, high) [-], optional
+        Limits of crank, coupler and rocker over the frame. Default: `UNLIMITED`.
     count : int
-        So many linkages at most, their starts at least `APART` grid steps apart or on different modes.
+        Largest number of linkages; their starts are at least `APART` grid steps apart or have different assembly modes.
     shift : bool
-        True: a fit with a negative crank or rocker is one that starts half a turn further; grids over half a turn then cover all
-        starts. False: starts are meant as they are given, none leaves the range of its grid.
+        True: a fit with a negative crank or rocker is replaced by the linkage that starts half a turn further; grids over half a
+        turn then cover all starts. False: start angles stay within the range of their grid.
     keep : function (crank, coupler, rocker, phi0, psi0, side), all (m,), to (m,) of bool, optional
-        Which linkages are wanted, lengths over the frame. A limit that the best design lies upon should be a little wider here
-        (28 deg for a transmission angle of 30 deg): the fit at the nearest start may just miss it.
+        Selects the admissible linkages, lengths over the frame. Relax a limit slightly that may be active at the optimum (28 deg
+        for a transmission angle of 30 deg): the fit at the nearest start may just violate it.
 
     Returns
     -------
-    list of FirstStep, least error first; empty where no start gives a linkage that stays on its mode over the whole range
+    list of FirstStep
+        By increasing error; empty if no start gives a linkage that keeps its assembly mode over the whole range.
 
     Raises
     ------
     ValueError
-        when there are fewer than three positions, psi is constant, something is not finite, or an option is out of range.
+        For fewer than three positions, a constant psi, a non-finite value, or an option out of range.
     """
     x, y = _read(phi, psi, "psi", measure, ratios, count)
     grids = _grid(phi0, "phi0"), _grid(psi0, "psi0")
@@ -197,9 +201,21 @@ def fitted(
     shift: bool = True,
     keep: Keep | None = None,
 ) -> list[FirstStep]:
-    """The fit at each pair of start angles (phi0, psi0), (m,) each, that gives a linkage; in their order, nothing proven.
+    """Return the fit at each pair of start angles that gives an admissible linkage, in the order of the pairs and without bounds.
 
-    Parameters and errors as of `first_steps`.
+    Parameters
+    ----------
+    phi, psi : array (n,) [rad]
+        Target rotations of crank and rocker from their starts; n >= 3.
+    phi0, psi0 : array (m,) [rad]
+        Pairs of start angles.
+    measure, ratios, shift, keep
+        As in `first_steps`.
+
+    Raises
+    ------
+    ValueError
+        As in `first_steps`.
     """
     x, y = _read(phi, psi, "psi", measure, ratios, 1)
     task = Task(rocker_chain(ratios or UNLIMITED), x, y, measure == "max", 1.0, shift, keep, ANYWHERE, ANYWHERE)
@@ -229,29 +245,35 @@ def first_steps_slider(
     shift: bool = True,
     keep: Keep | None = None,
 ) -> list[FirstStepSlider]:
-    """Slider-cranks whose slider moves by s while the crank turns by phi, as nearly as they can.
+    """Return slider-cranks whose slider moves by s while the crank turns by phi, as closely as possible.
 
     Parameters
     ----------
-    phi, s : (n,) [rad], [any unit of length]
-        Wanted rotation of the crank and displacement of the slider along the guide, counted from their starts; n >= 3.
-    phi0, s0 : float or (p,), (q,) [rad], [unit of s]
-        Starts to be scanned: crank angle from the guide's direction, place of the slider from the crank pivot along the guide. No
-        start leaves the range of s0.
-    ratios : (low, high), optional [-]
-        Limits of crank and coupler over the stroke (largest less least s); the offset's size has the upper one.
-    keep : function (crank, coupler, offset, phi0, s0, side), all (m,), to (m,) of bool, optional
-    measure, count, shift
+    phi, s : array (n,) [rad], [any unit of length]
+        Target rotation of the crank and displacement of the slider along the guide from their starts; n >= 3.
+    phi0, s0 : float or array (p,), (q,) [rad], [unit of s]
+        Starts to scan: crank angle from the guide direction, slider position from the crank pivot along the guide. No start
+        leaves the range of s0.
+    measure : "max", "rms" or "sum of squares"
         As in `first_steps`.
+    ratios : (low, high) [-], optional
+        Limits of crank and coupler over the stroke (largest minus least s); the absolute offset has the upper limit only.
+    count : int
+        As in `first_steps`.
+    shift : bool
+        As in `first_steps`.
+    keep : function (crank, coupler, offset, phi0, s0, side), all (m,), to (m,) of bool, optional
+        Selects the admissible linkages, lengths over the stroke.
 
     Returns
     -------
-    list of FirstStepSlider, least error first; empty where no start gives a linkage that stays on its mode over the whole range
+    list of FirstStepSlider
+        By increasing error; empty if no start gives a linkage that keeps its assembly mode over the whole range.
 
     Raises
     ------
     ValueError
-        as `first_steps`.
+        As in `first_steps`.
     """
     x, y = _read(phi, s, "s", measure, ratios, count)
     grids = _grid(phi0, "phi0"), _grid(s0, "s0")

@@ -1,15 +1,17 @@
-"""A first step at its start position: the best error of its kind by convex programmes, with the bound that proves it.
+"""Minimise the output error at a fixed start position by convex programmes, with a lower bound that proves optimality.
 
-With the start position given, the linkages that follow the wanted outputs y_i on the assembly mode `side` with no error above t
+With the start position fixed, the linkages that follow the target outputs y_i on the assembly mode `side` with no error above t
 are those with
 
     side * F(x_i, y_i - t) >= 0 >= side * F(x_i, y_i + t)    for all i,
 
-linear in the constants of F (`optlink.synthesis.loop_equations`) for every t: the smallest largest output error is the solution
-of a quasi-convex programme. A few linear programmes find it and the multipliers of the last one prove it. (Left out of that
-proof: linkages which come so near a dead position that their other mode lies within the same error.)
+linear in the constants of F (`optlink.synthesis.loop_equations`) for every t: the minimax output error is the solution of a
+quasi-convex programme. A few linear programmes solve it and the multipliers of the last one prove it. (The proof excludes
+linkages so near a dead position that their other assembly mode lies within the same error.)
 
-Source: the search for t as in the differential correction of E. W. Cheney and H. L. Loeb, Numerische Mathematik 3 (1961) 72-75.
+References
+----------
+E. W. Cheney and H. L. Loeb, Numerische Mathematik 3 (1961) 72-75: differential correction, as used in the search for t.
 """
 
 from __future__ import annotations
@@ -28,14 +30,14 @@ from optlink.synthesis.loop_equations import EXACT, linear
 
 Array = NDArray[np.float64]
 
-CLOSE = 1e-4  # share of the output error up to which the largest one is proven to be the smallest
+CLOSE = 1e-4  # relative gap of the output error at which it counts as proven optimal
 STEPS = 12  # convex programmes per start position
-SHARES = 0.5 ** np.arange(6.0)  # of a step that are tried: the error is quasi-convex, so a part of a good step is good
+SHARES = 0.5 ** np.arange(6.0)  # trial fractions of a step: the error is quasi-convex, so a fraction of a descent step descends
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Step y (3,) and multipliers of the rows and of the limits, as the solver gave them."""
+    """Step y (3,) and multipliers of the rows and of the limits, as returned by the solver."""
 
     step: Array
     rows: Array
@@ -62,11 +64,23 @@ class Programme:
         self.problem = self.cvxpy.Problem(self.cvxpy.Minimize(goal), self.held)
 
     def __call__(self, matrix: Array, vector: Array, limit_matrix: Array, limit_vector: Array) -> Answer | None:
-        """Solve; None where the solver has no answer. What it claims of its answer is for the caller to check."""
+        """Solve the programme; return None on failure. The caller must verify the optimality of the answer.
+
+        Parameters
+        ----------
+        matrix : array (rows, 3)
+            M.
+        vector : array (rows,)
+            m.
+        limit_matrix : array (limits, 3)
+            L.
+        limit_vector : array (limits,)
+            h.
+        """
         self.matrix.value, self.vector.value = matrix, vector
         self.limit_matrix.value, self.limit_vector.value = limit_matrix, limit_vector
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an inaccurate answer is found out by its own numbers
+            warnings.simplefilter("ignore")  # the caller detects inaccurate answers
             try:
                 self.problem.solve(solver=self.cvxpy.CLARABEL)
             except self.cvxpy.error.SolverError:
@@ -80,13 +94,13 @@ class Programme:
 
 
 class Refinement:
-    """Betters linkages at their start positions; its programme is compiled when it is first needed."""
+    """Refine linkages at their start positions; the convex programme is compiled on first use."""
 
     def __init__(self, task: Task) -> None:
         self.task = task
 
     def __call__(self, cell: Cells) -> tuple[Cells, float, str]:
-        """The linkage of the least error, a lower bound of that error as `Step` tells, and the solver's status."""
+        """Return the linkage of least error, a lower bound of that error (see `Step`) and the solver status."""
         return (self._smallest_largest if self.task.largest else self._least_squares)(self._least(cell))
 
     @cached_property
@@ -96,7 +110,7 @@ class Refinement:
         return Programme(task.x.size * (1 + task.largest), task.chain.limits[1].size, task.largest)
 
     def _moved(self, cell: Cells, change: Array) -> Cells:
-        """The cell after the largest of some shares of a change (3,) of its constants that betters it; itself where none does."""
+        """Apply the largest improving fraction of a change (3,) of the constants; return the same cell if none improves it."""
         task = self.task
         same = np.ones(len(SHARES))
         others = judge(task, cell.x0 * same, cell.y0 * same, cell.k + SHARES[:, None] * change)
@@ -104,7 +118,7 @@ class Refinement:
         return others[better[0]] if better.size else cell
 
     def _least(self, cell: Cells) -> Cells:
-        """The weighted fit again, by orthogonal factors: all digits of the constants."""
+        """Repeat the weighted fit by orthogonal factorisation, for full precision of the constants."""
         task = self.task
         x, y = cell.x0 + task.x, cell.y0 + task.y
         a, w = linear(task.chain, x, y)
@@ -113,11 +127,11 @@ class Refinement:
         return self._moved(cell, np.asarray(change, dtype=float))
 
     def _smallest_largest(self, cell: Cells) -> tuple[Cells, float, str]:
-        """The smallest largest output error: the linkage, a proven lower bound of the error, and the solver's status.
+        """Minimise the largest output error; return the linkage, a proven lower bound of the error and the solver status.
 
-        Is there a linkage whose error is below (1 - CLOSE) times the one at hand? The linear programme (least excess over that
-        band, each position in units of its own slope) either finds one, and the search goes on from its error, or its
-        multipliers prove that there is none.
+        Each linear programme (least excess over the band of (1 - CLOSE) times the current error, each position scaled by its own
+        slope) either finds a linkage within the band, which becomes the next iterate, or its multipliers prove that there is
+        none.
         """
         task = self.task
         chain, x, y = task.chain, cell.x0 + task.x, cell.y0 + task.y
@@ -147,9 +161,9 @@ class Refinement:
         return cell, 0.0, status
 
     def _least_squares(self, cell: Cells) -> tuple[Cells, float, str]:
-        """The least root mean square of the output error: the linkage, a bound for its linearised model, the solver's status.
+        """Minimise the rms output error; return the linkage, a bound for its linearised model and the solver status.
 
-        Gauss-Newton; each step is a convex quadratic programme, solved in closed form where no ratio limits it.
+        Gauss-Newton; each step is a convex quadratic programme, in closed form where no ratio limit is active.
         """
         task = self.task
         chain, x, y = task.chain, cell.x0 + task.x, cell.y0 + task.y
@@ -178,15 +192,28 @@ class Refinement:
             better = self._moved(cell, straight @ step)
             if better is cell or bound >= (1.0 - CLOSE) * cell.error:
                 break
-            cell, bound = better, 0.0  # that bound was one of the model about the linkage before
+            cell, bound = better, 0.0  # the bound belonged to the model about the previous linkage
         return cell, bound, status
 
 
 def proven(matrix: Array, vector: Array, rows: Array, room: Array, box: tuple[Array, Array], *multipliers: Array) -> float:
-    """Lower bound of max(matrix @ d + vector) over rows @ d <= room, box[0] <= d <= box[1], by weak duality.
+    """Return a lower bound of max(matrix @ d + vector) subject to rows @ d <= room and box[0] <= d <= box[1], by weak duality.
 
-    Any multipliers that are not negative give one; the solver's are moved to where the constants balance, in proportion to
-    themselves.
+    Any non-negative multipliers give a bound; those of the solver are first shifted, in proportion to themselves, to satisfy
+    stationarity.
+
+    Parameters
+    ----------
+    matrix : array (m, 3)
+    vector : array (m,)
+    rows : array (r, 3)
+        Coefficients of the limits.
+    room : array (r,)
+        Slack of the limits.
+    box : tuple of arrays (3,), (3,)
+        Lower and upper bounds of d.
+    *multipliers : array
+        Solver multipliers of the m rows and the r limits, in this order.
     """
     both = np.concatenate([matrix, rows])
     p = np.maximum(np.concatenate(multipliers), 0.0)

@@ -1,4 +1,4 @@
-"""A linkage for every start position of a function: weighted least squares on the loop equation, all positions at once."""
+"""Fit a linkage at every start position of a function by weighted least squares on the loop equation, vectorised."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ Keep = Callable[[Array, Array, Array, Array, Array, Array], Any]
 """Which linkages are wanted, elementwise: (crank, coupler, rocker, phi0, psi0, side), or (crank, coupler, offset, phi0, s0,
 side), all (m,), to (m,) bool."""
 
-BLOCK = 1 << 17  # numbers in one array of the scan: they should stay in the cache
-FITS = 2  # weighted fits per start position; a third changes nothing that could be measured
-FLATTEST = 0.05  # of the largest slope: a position near a dead one must not outweigh all others
+BLOCK = 1 << 17  # numbers in one array of the scan, so that it fits in the cache
+FITS = 2  # fits per start position, unweighted then weighted; a third has no measurable effect
+FLATTEST = 0.05  # of the largest slope: limits the weight of positions near a dead position
 SINGULAR = 1e-12  # squared sine between the columns of a fit below which its constants are not determined
-ZOOMS = 6  # finer and finer grids around a start position, each of half the width
+ZOOMS = 6  # successive grids around a start position, each of half the width
 FINE = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is wanted: rotations `x` and outputs `y` (n,) from the start, and how the error is measured."""
+    """Target rotations `x` and outputs `y` (n,) from the start, the error measure and the admissible linkages."""
 
     chain: Chain
     x: Array
@@ -40,13 +40,13 @@ class Task:
     range_y: tuple[float, float]
 
     def figure(self, errors: Array) -> Array:
-        """Largest, or root mean square, over the last axis."""
+        """Return the largest absolute value, or the root mean square, over the last axis."""
         return np.asarray(np.max(np.abs(errors), axis=-1) if self.largest else np.sqrt(np.mean(errors * errors, axis=-1)))
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Fitted linkages, one per start position (m,), positive lengths; `error` infinite where they will not do."""
+    """Fitted linkages, one per start position (m,), with positive lengths; `error` is infinite for inadmissible ones."""
 
     x0: Array
     y0: Array
@@ -65,7 +65,7 @@ def _together(cells: list[Cells]) -> Cells:
 
 
 def _weighted(task: Task, u: Array, v: Array, w: Array, q: Array) -> Array:
-    """Constants (m, 3) within the limits of the least sum of q (K1 u + K2 v + K3 - w)^2; NaN where they are not determined."""
+    """Minimise the sum of q (K1 u + K2 v + K3 - w)^2 within the limits; return the constants (m, 3), NaN where undetermined."""
     total = np.sum(q, axis=-1)
     mu, mv, mw = (np.einsum("mn,mn->m", q, a) / total for a in (u, v, w))
     du, dv, dw = u - mu[:, None], v - mv[:, None], w - mw[:, None]
@@ -85,7 +85,7 @@ def _weighted(task: Task, u: Array, v: Array, w: Array, q: Array) -> Array:
 
 
 def _on_edges(normal: Array, right: Array, corners: Array) -> Array:
-    """Least point (m, 2) of k' N k - 2 k' r on the edges of polygons: N (m, 2, 2), r (m, 2), corners (m, e, 2) in turn."""
+    """Minimise k' N k - 2 k' r on the edges of polygons: points (m, 2); N (m, 2, 2), r (m, 2), corners (m, e, 2) in order."""
     along = np.roll(corners, -1, axis=1) - corners
     steep = np.einsum("mei,mij,mej->me", along, normal, along)
     fall = np.einsum("mei,mei->me", along, right[:, None] - np.einsum("mij,mej->mei", normal, corners))
@@ -95,7 +95,14 @@ def _on_edges(normal: Array, right: Array, corners: Array) -> Array:
 
 
 def fit(task: Task, x0: Array, y0: Array) -> Cells:
-    """Fit a linkage to every start position (m,): weighted least squares, the weights those of the output error."""
+    """Fit a linkage at every start position by weighted least squares that approximates the output error.
+
+    Parameters
+    ----------
+    task : Task
+    x0, y0 : array (m,)
+        Start positions of input [rad] and output [rad, or unit of the stroke].
+    """
     chain = task.chain
     x, y = x0[:, None] + task.x, y0[:, None] + task.y
     u, v, w = chain.terms(x, y)
@@ -109,7 +116,16 @@ def fit(task: Task, x0: Array, y0: Array) -> Cells:
 
 
 def judge(task: Task, x0: Array, y0: Array, k: Array) -> Cells:
-    """Mode, output error and margin of linkages (m,); an infinite error where one does not meet what is asked."""
+    """Compute assembly mode, output error and transmission margin of linkages; inadmissible ones get an infinite error.
+
+    Parameters
+    ----------
+    task : Task
+    x0, y0 : array (m,)
+        Start positions of input [rad] and output [rad, or unit of the stroke].
+    k : array (m, 3)
+        Constants of the loop equation.
+    """
     chain = task.chain
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         good = np.all(np.isfinite(k), axis=-1)
@@ -131,7 +147,16 @@ def judge(task: Task, x0: Array, y0: Array, k: Array) -> Cells:
 
 
 def scan(task: Task, x0: Array, y0: Array) -> Cells:
-    """Every pair of start positions of x0 (p,) and y0 (q,) that gives a linkage."""
+    """Return the admissible fits of all pairs of start positions.
+
+    Parameters
+    ----------
+    task : Task
+    x0 : array (p,) [rad]
+        Start positions of the input.
+    y0 : array (q,) [rad, or unit of the stroke]
+        Start positions of the output.
+    """
     first, second = (a.ravel() for a in np.meshgrid(x0, y0, indexing="ij"))
     blocks = min(first.size, math.ceil(first.size * task.x.size / BLOCK))
     found = []
@@ -142,14 +167,22 @@ def scan(task: Task, x0: Array, y0: Array) -> Cells:
 
 
 def step_of(grid: Array) -> float:
-    """Largest distance of neighbours; zero where there is one value."""
+    """Return the largest distance of neighbouring grid values; zero for a single value."""
     return float(np.max(np.diff(np.sort(grid)), initial=0.0))
 
 
 def apart(task: Task, cells: Cells, room: tuple[float, float], count: int) -> list[int]:
-    """The best whose start positions lie further apart than `room`, or whose modes differ; `count` of them at most.
+    """Return the indices of at most `count` best cells that differ by more than `room` in start position, or in assembly mode.
 
-    Least error first; among exact ones the best transmission first.
+    Ordered by increasing error; cells of negligible error by decreasing transmission margin.
+
+    Parameters
+    ----------
+    task : Task
+    cells : Cells
+    room : tuple of two floats [rad, and rad or unit of the stroke]
+        Distances in x0 and y0 within which two cells of one mode are the same.
+    count : int
     """
     chosen: list[int] = []
     for i in np.lexsort((-cells.margin, np.maximum(cells.error, EXACT * task.unit))):
@@ -165,7 +198,15 @@ def apart(task: Task, cells: Cells, room: tuple[float, float], count: int) -> li
 
 
 def zoom(task: Task, cells: Cells, grids: tuple[Array, Array]) -> Cells:
-    """Better start positions around those of the grid, by ever finer grids of their own."""
+    """Refine the start positions of cells on successively finer local grids.
+
+    Parameters
+    ----------
+    task : Task
+    cells : Cells
+    grids : tuple of arrays (p,), (q,)
+        Grids of x0 and y0 from which the cells come; their steps are the first search radii.
+    """
     reach = [step_of(grid) for grid in grids]
     if len(cells.error) == 0 or not any(reach):
         return cells

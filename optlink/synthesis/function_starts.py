@@ -1,4 +1,4 @@
-"""Where the search for a function begins: convex first steps (`optlink.synthesis.freudenstein`) as starts of the programme."""
+"""Starting points of function synthesis: Freudenstein fits and convex first designs (`optlink.synthesis.freudenstein`)."""
 
 from __future__ import annotations
 
@@ -18,29 +18,42 @@ from optlink.synthesis.freudenstein import FirstStep, first_steps, fitted
 
 Array = NDArray[np.float64]
 
-COUNT = 5  # first steps that are followed
-BLOCK, BLOCKS = 1024, 8  # random start angles that are fitted at once, and how often
+COUNT = 5  # first designs used as starting points
+BLOCK, BLOCKS = 1024, 8  # random start angles per block, and number of blocks
 GRID = 36  # start angles of crank and rocker that are scanned, each over half a turn
-WIDER = 2.0 * math.pi / 180.0  # transmission angles a little beyond the limit: the nearest start may just miss it
+WIDER = 2.0 * math.pi / 180.0  # relaxation of the transmission-angle limits: the nearest start may just violate them
 
 
 def applies(problem: DesignProblem) -> bool:
-    """Whether a function is wanted of crank, coupler and rocker that are free: then the first step is convex."""
+    """Return whether the target is a function and crank, coupler and rocker are design variables, so that first designs exist."""
     lengths = all(problem.quantities[name].free for name in LENGTHS[:3])
     return isinstance(problem.requirement.law, Function) and lengths
 
 
 def steps(problem: DesignProblem, count: int = COUNT) -> list[FirstStep]:
-    """The best first steps with the problem's assembly mode, least error first."""
+    """Return the best first designs with the assembly mode of the problem, by increasing error.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    count : int
+        Largest number of designs.
+    """
     free, ranges = _ranges(problem)
     phi0, psi0 = (_grid(low, high, free) for low, high in ranges)
     return first_steps(*_rotations(problem), phi0, psi0, **_options(problem, free), count=count)
 
 
 def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
-    """Fitted linkages at random start angles (Sobol points scrambled by the seed), as quantities of the problem.
+    """Yield fitted linkages at random start angles (scrambled Sobol points) as quantities of the problem.
 
-    Only those that have the problem's assembly mode all along; at most `BLOCK` times `BLOCKS` points are tried.
+    Only linkages that keep the assembly mode of the problem are yielded; at most `BLOCK` times `BLOCKS` points are tried.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    seed : int
+        Seed of the scrambling.
     """
     from scipy.stats import qmc
 
@@ -57,7 +70,7 @@ def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
 
 
 def _rotations(problem: DesignProblem) -> tuple[Array, Array]:
-    """Rotations of crank and rocker [rad] from their starts."""
+    """Return the rotations of crank and rocker [rad] from their starts."""
     law = problem.requirement.law
     assert isinstance(law, Function)
     offsets = problem.law.offsets
@@ -65,13 +78,13 @@ def _rotations(problem: DesignProblem) -> tuple[Array, Array]:
 
 
 def _ranges(problem: DesignProblem) -> tuple[bool, list[tuple[float, float]]]:
-    """Whether both start angles are free over half a turn at least, and their bounds [rad]."""
+    """Return whether both start angles are free over at least half a turn, and their bounds [rad]."""
     starts = [problem.quantities[name] for name in ("phi0", "psi0")]
     return all(start.free and start.bounds[1] - start.bounds[0] >= math.pi for start in starts), [s.bounds for s in starts]
 
 
 def _options(problem: DesignProblem, free: bool) -> dict[str, Any]:
-    """Options of `first_steps`."""
+    """Return the options of `first_steps`."""
     ratio = problem.limits.link_ratio
     ratios = None if ratio is None else (ratio.low or 1e-3, ratio.high or 1e3)
     keep = _keep(problem, problem.law.offsets)
@@ -79,7 +92,14 @@ def _options(problem: DesignProblem, free: bool) -> dict[str, Any]:
 
 
 def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:
-    """A first step as quantities of the problem."""
+    """Convert a first design to quantities [m, rad] of the problem.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    step : FirstStep
+        Lengths relative to the frame.
+    """
     frame = problem.quantities["frame"].value
     lengths = {name: getattr(step, name) * frame for name in LENGTHS[:3]}
     angles = {name: _into(problem.quantities[name], getattr(step, name)) for name in ("phi0", "psi0")}
@@ -95,14 +115,14 @@ def _grid(low: float, high: float, whole: bool) -> Array:
 
 
 def _into(start: Quantity, angle: float) -> float:
-    """An angle, turned by whole revolutions into the bounds of its quantity if that is possible: as near to zero as can be."""
+    """Shift an angle by whole revolutions into the bounds of its quantity if possible, as near to zero as possible."""
     low, high = start.bounds
     turned = [angle + FULL_TURN * k for k in range(-2, 3)]
     return min(turned, key=lambda a: (not low <= a <= high, abs(a)))
 
 
 def _keep(problem: DesignProblem, offsets: Array) -> Callable[..., Any]:
-    """Which linkages have the problem's assembly mode and nearly meet its limits of the transmission angle over the range."""
+    """Return a filter for linkages with the assembly mode of the problem that nearly satisfy its transmission-angle limits."""
     interval = problem.limits.transmission_angle
     low = 0.0 if interval is None or interval.low is None else interval.low - WIDER
     high = math.pi if interval is None or interval.high is None else interval.high + WIDER

@@ -1,8 +1,9 @@
-"""A linkage that contains a simpler one: its crank and one dyad, the four-bar, may lead its point along a coupler curve.
+"""Starting points of a six-bar from designs of the four-bar that it contains.
 
-The point of a Stephenson III six-bar traces the curve of its four-bar where it lies in the joint with the coupler. That of a
-Watt I six-bar does where the second dyad and the two bodies that carry it form a parallelogram: a pantograph enlarges the coupler
-curve about the rocker's pivot. So a design of the four-bar is a design of the six-bar, whose remaining sizes are random.
+In a Stephenson III six-bar the traced point follows the coupler curve of its four-bar if it lies in the joint with the coupler.
+In a Watt I six-bar it does so if the second dyad and the two bodies that carry it form a parallelogram: a pantograph then
+enlarges the coupler curve about the pivot of the rocker. A design of the four-bar thus gives a design of the six-bar, whose
+remaining dimensions are random.
 
 References
 ----------
@@ -36,13 +37,13 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Values = dict[str, Array]
 
-SAMPLES = 6000  # random choices of what is left over, per design of the four-bar and combination of assembly modes
-ALONG, FINE = 73, 1441  # crank angles at which limits are compared first, and then of those designs that may be returned
-MEASURED = 10  # such designs, as a multiple of those returned
-SAME = 1e-6  # of the size of the curve: difference of the two curves by rounding
-ENLARGED = (math.log(0.4), math.log(2.5))  # logarithms of the ratio by which a pantograph enlarges the curve
-NEARBY = {"length": (math.log(0.5), math.log(10.0)), "coordinate": (0.0, math.log(8.0))}  # of remaining sizes, logarithms
-AROUND = 0.15  # rad: how far a parallelogram's sides are turned from those of the four-bar
+SAMPLES = 6000  # random choices of the remaining dimensions, per four-bar design and combination of assembly modes
+ALONG, FINE = 73, 1441  # crank angles of the first evaluation of the limits, and of that of the preselected designs
+MEASURED = 10  # preselected designs, as a multiple of those returned
+SAME = 1e-6  # of the size of the curve: rounding difference of the two curves
+ENLARGED = (math.log(0.4), math.log(2.5))  # logarithms of the pantograph ratio
+NEARBY = {"length": (math.log(0.5), math.log(10.0)), "coordinate": (0.0, math.log(8.0))}  # log ranges of other dimensions
+AROUND = 0.15  # rad: standard deviation of the rotation of the parallelogram sides from those of the four-bar
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Contained:
     """A four-bar within a linkage.
 
     `file` is the problem of the four-bar alone, with the same limits. `coincident` are points (body, point, joint) that must lie
-    in a joint of their body, from the traced point on; of a pantograph `arms` are the links from coupler and rocker.
+    in a joint of their body, from the traced point on; for a pantograph `arms` are the links attached to coupler and rocker.
     """
 
     file: ProblemFile
@@ -60,7 +61,7 @@ class Contained:
 
 
 def contained(problem: ProblemFile) -> Contained | None:
-    """The four-bar whose coupler curves the point of a linkage can trace; None where there is none.
+    """Return the four-bar whose coupler curves the point of a linkage can trace, or None.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ def contained(problem: ProblemFile) -> Contained | None:
 def _chain(
     mechanism: Mechanism, body: str, point: str, loop: Loop, seen: tuple[str, ...] = ()
 ) -> tuple[tuple[str, str, str], ...] | None:
-    """Points that must lie in a joint of their body for the point of a body to be one of the coupler; None where it cannot be."""
+    """Return the points that must coincide with joints so that the point becomes a coupler point; None where impossible."""
     if body == loop.coupler.body:
         return () if (body, point) in mechanism.marks and point not in (loop.joint, loop.pin) else None
     if body in (loop.crank.body, loop.rocker.body):
@@ -105,12 +106,12 @@ def _chain(
 
 
 def _pantograph(task: GenerationProblem, loop: Loop) -> tuple[Link, Link] | None:
-    """The links from coupler and rocker to their common joint, if they can be the parallelogram of a pantograph."""
+    """Return the links from coupler and rocker to their common joint if they can be the parallelogram of a pantograph."""
     mechanism = task.linkage
     quantities = task.quantities
     lengths = [str(link.length) for link in (loop.crank, loop.coupler, loop.rocker)]
     if not loop.plain or not all(quantities[name].free for name in (*lengths, *loop.ground)):
-        return None  # a four-bar whose size is fixed cannot be that of an enlarged curve
+        return None  # a four-bar of fixed size cannot be scaled
     for group in mechanism.groups:
         if not isinstance(group, RRR) or group is loop.group:
             continue
@@ -123,14 +124,14 @@ def _pantograph(task: GenerationProblem, loop: Loop) -> tuple[Link, Link] | None
 
 
 def _reach(task: GenerationProblem, leg: Link) -> float:
-    """Largest distance [m] of the point from the pin of its link that bounds and the coupler's length allow."""
+    """Return the largest distance [m] of the point from the pin of its link that its bounds and the coupler length allow."""
     mark = task.linkage.marks[leg.body, task.requirement.point]
     own = [max(map(abs, task.quantities[str(name)].bounds)) for name in (mark.along, mark.across)]
     return min(math.hypot(*own) + 2.0 * task.size, 1e3 * task.size)
 
 
 def _part(problem: ProblemFile, loop: Loop, point: str, reach: float | None) -> ProblemFile:
-    """The problem of the four-bar alone; `reach` bounds the coordinates [m] of a point that the coupler does not have yet."""
+    """Return the problem of the four-bar alone; `reach` bounds the coordinates [m] of a point that is new on the coupler."""
     kept = {loop.pin, loop.joint, loop.crank.start, loop.ground_pin, point}
     raw: dict[str, Any] = copy.deepcopy(
         {
@@ -158,27 +159,31 @@ def _part(problem: ProblemFile, loop: Loop, point: str, reach: float | None) -> 
 def grown(
     part: Contained, batch: Batch, values: Mapping[str, float], t: Array, count: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Designs of the linkage whose point repeats the curve of a design of its four-bar, within all bounds and limits.
+    """Return designs of the linkage whose point repeats the curve of a four-bar design, within all bounds and limits.
 
     Parameters
     ----------
     part : Contained
-        Its file with the definite assembly mode of the four-bar's design.
+        Its file has the definite assembly mode of the four-bar design.
     batch : Batch
-        Of the linkage with definite assembly modes.
-    values : mapping
-        Every quantity [m, rad] of the four-bar.
-    t : (points,) float
-        Crank angles [rad] of the four-bar at the points.
+        Linkage with definite assembly modes.
+    values : mapping of str to float [m, rad]
+        All quantities of the four-bar.
+    t : array (points,) [rad]
+        Crank angles of the four-bar at the points.
     count : int
-        Most designs that are returned; those that keep farthest from their limits come first.
+        Largest number of designs; designs with the largest slack of their limits come first.
+    rng : numpy.random.Generator
 
     Returns
     -------
-    x, t : arrays (designs, n) scaled, (designs, points) [rad]
+    x : array (designs, n)
+        Scaled design variables.
+    t : array (designs, points) [rad]
+        Crank angles of the points.
     """
     x = random_starts.designs(batch, SAMPLES, rng)
-    for i, name in enumerate(batch.names):  # of the size of the curve, whatever their bounds
+    for i, name in enumerate(batch.names):  # relative to the size of the curve, independent of the bounds
         kind, near = batch.problem.quantities[name].kind, slice(SAMPLES // 4, SAMPLES)
         if kind in NEARBY:
             size = np.exp(rng.uniform(*NEARBY[kind], SAMPLES))
@@ -215,14 +220,14 @@ def grown(
 
 
 def _farthest(x: Array, angles: Array, slack: Array, count: int) -> tuple[Array, Array]:
-    """The designs that keep farthest from their limits, those that miss one left out."""
+    """Return the feasible designs with the largest slack."""
     order = np.argsort(-slack, kind="stable")[:count]
-    order = order[slack[order] > -SAME]  # the limits of the four-bar itself may be active
+    order = order[slack[order] > -SAME]  # limits of the four-bar itself may be active
     return x[order], angles[order]
 
 
 def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batch, x: Array, angles: Array) -> Array:
-    """Largest distance (designs,) of the traced points from those of the four-bar, as a share of the size of the curve."""
+    """Return the largest distance (designs,) of the traced points from those of the four-bar, relative to the curve size."""
     small, task = part.model, batch.problem
     assert isinstance(small, GenerationProblem)
     with np.errstate(all="ignore"):
@@ -233,7 +238,7 @@ def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batc
 
 
 def _slack(batch: Batch, x: Array, angles: Array, along: int) -> Array:
-    """Least slack (designs,) of the limits in the rows' own units at so many crank angles; negative where one is missed."""
+    """Return the least slack (designs,) of the limits at `along` crank angles, in the units of the rows; negative if violated."""
     task, values, at = batch.problem, batch.values(x), batch.crank_angles(x, angles)
     begin, whole = required_motion(task, at.T[..., None])
     found = [-np.max(excesses(task, values, begin + whole * np.linspace(0.0, 1.0, along)), axis=(0, 2))]
@@ -244,7 +249,7 @@ def _slack(batch: Batch, x: Array, angles: Array, along: int) -> Array:
 
 
 def _local(mechanism: Mechanism, sizes: Mapping[str, Any], body: str, point: str) -> Complex:
-    """Coordinates of a point on a body (designs, 1) [m]."""
+    """Return the body coordinates (designs, 1) [m] of a point."""
     link = mechanism.bodies[body]
     zero: Complex = np.zeros((SAMPLES, 1), dtype=complex)
     if point == link.start:
@@ -259,10 +264,11 @@ def _local(mechanism: Mechanism, sizes: Mapping[str, Any], body: str, point: str
 def _enlarge(
     loop: Loop, arms: tuple[Link, Link], traced: complex, batch: Batch, sizes: Values, rng: np.random.Generator
 ) -> Array:
-    """Write a four-bar as the drive of a pantograph that enlarges its curve back; return by how much (designs, 1) it is turned.
+    """Make the four-bar the driver of a pantograph that restores its curve; return the rotation (designs, 1) [rad].
 
-    With O the rocker's pivot and J its joint with the coupler, F = O + s (J - O) on the rocker and E on the coupler, the
-    parallelogram J-E-G-F leads P = F + v u along O + s (Q - O), where u is the coupler's direction and Q = J + v u / s its point.
+    With O the rocker pivot and J its joint with the coupler, F = O + s (J - O) on the rocker and E on the coupler, the
+    parallelogram J-E-G-F leads P = F + v u along O + s (Q - O), where u is the coupler direction and Q = J + v u / s its point.
+    `sizes` is changed in place.
     """
     mechanism, point = batch.problem.linkage, batch.problem.requirement.point
     arm, leg = arms

@@ -1,4 +1,4 @@
-"""The four-bar within a linkage of dyads: its crank and a group of two links between the crank and the frame."""
+"""Find the four-bar within a linkage of dyads: its crank and a group of two links between the crank and the frame."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Loop:
 
     @property
     def plain(self) -> bool:
-        """Whether its joints are the ends of its links, whose lengths are then those of the four-bar."""
+        """Whether its joints are the ends of its links, so that the link lengths are those of the four-bar."""
         ends = [{self.crank.start, self.pin}, {self.pin, self.joint}, {self.ground_pin, self.joint}]
         links = (self.crank, self.coupler, self.rocker)
         return all(
@@ -42,7 +42,7 @@ class Loop:
 
 
 def loops(mechanism: Mechanism) -> Iterator[Loop]:
-    """The four-bars of a linkage, in the order of its groups."""
+    """Yield the four-bars of a linkage, in the order of its groups."""
     crank, owners = mechanism.crank, mechanism.owners
     for group in mechanism.groups:
         if not isinstance(group, RRR):

@@ -1,7 +1,10 @@
-"""Levenberg-Marquardt on many designs at once; each point may have an unknown of its own (its crank angle), eliminated exactly.
+"""Levenberg-Marquardt for many designs at once; the crank angle of each point is an unknown that is eliminated exactly.
 
-Source: D. W. Marquardt, An algorithm for least-squares estimation of nonlinear parameters, J. SIAM 11 (1963); the crank angles
-leave by the Schur complement of their diagonal block, as in bundle adjustment.
+The crank angles are eliminated by the Schur complement of their diagonal block, as in bundle adjustment.
+
+References
+----------
+D. W. Marquardt, An algorithm for least-squares estimation of nonlinear parameters, J. SIAM 11 (1963).
 """
 
 from __future__ import annotations
@@ -20,14 +23,14 @@ Fit = Callable[[Array, Array], tuple[Array, Array]]
 FIRST_DAMPING = 1e-2
 LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e9
 SLOW = 1e-5  # relative decrease of the cost below which a step counts as slow
-PATIENCE = 4  # slow steps in a row that end a design's search
+PATIENCE = 4  # consecutive slow steps that terminate a design
 LONGEST_TURN = 0.5  # rad per step of a crank angle
-ZERO = 1e-28  # cost, as the square of a share of the size, at which nothing is left
+ZERO = 1e-28  # cost (square of a fraction of the curve size) that counts as zero
 
 
 @dataclass(frozen=True)
 class Ends:
-    """Where designs ended: x (designs, n), crank angles (designs, points), sum of squares and of missed limits (designs,)."""
+    """Final designs: x (designs, n), crank angles (designs, points), total cost and weighted limit violations (designs,)."""
 
     x: Array
     t: Array
@@ -35,13 +38,13 @@ class Ends:
     missed: Array
 
     def take(self, keep: NDArray[np.intp]) -> Ends:
-        """Only some of them."""
+        """Return a selection of the designs."""
         return Ends(self.x[keep], self.t[keep], self.cost[keep], self.missed[keep])
 
 
 @dataclass
 class _State:
-    """The designs that are still on their way."""
+    """Designs that have not terminated."""
 
     index: NDArray[np.intp]
     x: Array
@@ -56,7 +59,7 @@ class _State:
     slow: Array
 
     def take(self, keep: NDArray[np.bool_]) -> _State:
-        """Only some of them."""
+        """Return a selection of the designs."""
         return _State(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
@@ -65,7 +68,7 @@ def _look(batch: Batch, x: Array, t: Array) -> tuple[Array, Array, Array, Array,
     r, by_x, by_t = batch.residuals(x, angles)
     h, by_h = batch.misses(x, angles)
     cost = np.einsum("bpk,bpk->b", r, r) + np.einsum("bm,bm->b", h, h)
-    smooth = np.isfinite(cost) & np.isfinite(by_x.sum(axis=(1, 2, 3)) + by_t.sum(axis=(1, 2)))  # no slope where modes meet
+    smooth = np.isfinite(cost) & np.isfinite(by_x.sum(axis=(1, 2, 3)) + by_t.sum(axis=(1, 2)))  # none where modes meet
     return r, by_x, by_t, h, by_h, np.where(smooth, cost, np.inf)
 
 
@@ -82,29 +85,34 @@ def descend(
     left: float = 0.0,
     after: int | None = None,
 ) -> Ends:
-    """Minimise the sum of squares of residuals and missed limits, for every design on its own.
+    """Minimise the sum of squares of residuals and limit violations for every design separately.
 
     Parameters
     ----------
-    x, t : arrays (designs, n), (designs, points)
-        Starts; those without a finite cost are given back as they are, with an infinite one.
+    batch : Batch
+    x : array (designs, n)
+        Scaled starting points; those without a finite cost are returned unchanged, with an infinite cost.
+    t : array (designs, points) [rad]
+        Crank angles of the starting points.
     steps : int
         Largest number of steps.
-    fit : function, optional
-        Puts what is linear (the variables `linear`) to its best at every step; a fit outside the bounds is not taken.
+    fit : function (x, crank angles) to (x, crank angles), optional
+        Sets the linear variables to their optimum at every step (variable projection); fits outside the bounds are rejected.
+    linear : list of int, optional
+        Indices of the linear variables.
     slow : float
         Relative decrease of the cost below which a step counts as slow.
     zero : float
-        Cost at which nothing is left.
+        Cost at which a design counts as exact.
     left : float
-        Share of the designs that is stopped where it is when all others have ended: a step costs much the same for few.
+        Share of the designs that may remain unconverged: all stop once no more than this share remains.
     after : int, optional
-        Steps that are left to all others once a design has reached `zero`.
+        Steps that remain for all designs once one has reached `zero`.
     """
     n = x.shape[1]
     weight = np.ones(n)
     if fit is not None and linear:
-        weight[linear] = 1e-6  # their own step is undone by the fit: damping them would only hold the others back
+        weight[linear] = 1e-6  # the fit overrides their step: damping them would only slow the other variables
     end_x, end_t = x.copy(), t.copy()
     end_cost, end_missed = np.full(len(x), np.inf), np.full(len(x), np.inf)
     with np.errstate(all="ignore"):
@@ -127,13 +135,13 @@ def descend(
             state = state.take(~done)
         if not len(state.index):
             break
-        with np.errstate(all="ignore"):  # a step to where nothing is defined is not taken
+        with np.errstate(all="ignore"):  # a step to an undefined position is rejected
             _advance(batch, state, weight, fit, slow)
     return Ends(end_x, end_t, end_cost, end_missed)
 
 
 def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: float) -> None:
-    """One step of every design, taken where it lowers the cost."""
+    """Make one step for every design; accept it where it lowers the cost."""
     size, n = state.x.shape
     jacobian = state.by_x.reshape(size, -1, n)
     normal = np.matmul(jacobian.transpose(0, 2, 1), jacobian) + np.matmul(state.by_h.transpose(0, 2, 1), state.by_h)

@@ -6,10 +6,12 @@ at (s, e): guide along +x, offset e to the left of A):
     F = K1 cos psi - K2 cos phi + K3 - cos(phi - psi)    K1 = 1/a, K2 = 1/c, K3 = (a^2 - b^2 + c^2 + 1) / (2 a c)
     F = K1 s cos phi + K2 sin phi + K3 - s^2             K1 = 2 a, K2 = 2 a e, K3 = b^2 - a^2 - e^2
 
-F = 0 says that B-C is as long as the coupler. On the assembly mode `side` (+1: C left of B -> D, or forward of B), side * F falls
-through zero as the output rises.
+F = 0 states that the distance B-C equals the coupler length. On the assembly mode `side` (+1: C left of B -> D, or forward of B),
+side * F falls through zero as the output rises.
 
-Source: F. Freudenstein, Approximate synthesis of four-bar linkages, Trans. ASME 77 (1955) 853-861.
+References
+----------
+F. Freudenstein, Approximate synthesis of four-bar linkages, Trans. ASME 77 (1955) 853-861.
 """
 
 from __future__ import annotations
@@ -23,11 +25,11 @@ from optlink.linkage.vector2d import root
 
 Array = NDArray[np.float64]
 
-EXACT = 1e-9  # output error, in radians or strokes, that is none
+EXACT = 1e-9  # negligible output error [rad, or strokes]
 
 
 def _cosine_range(low: Array, high: Array) -> tuple[Array, Array]:
-    """Least and largest cosine over low ... high [rad]."""
+    """Return the least and largest cosine over low ... high [rad]."""
     turn = 2.0 * np.pi
     ends = np.cos(low), np.cos(high)
     top = np.where(np.ceil(low / turn) * turn <= high, 1.0, np.maximum(*ends))
@@ -36,52 +38,100 @@ def _cosine_range(low: Array, high: Array) -> tuple[Array, Array]:
 
 
 def _parts(k: Array) -> tuple[Array, Array, Array]:
-    """K1, K2, K3 of constants (..., 3), ready to meet positions (..., n)."""
+    """Return K1, K2, K3 of constants (..., 3), shaped to broadcast with positions (..., n)."""
     return k[..., 0, None], k[..., 1, None], k[..., 2, None]
 
 
 class Chain(Protocol):
-    """F = K1 u + K2 v + K3 - w for input x and output y, both (..., n); constants k (..., 3)."""
+    """F = K1 u + K2 v + K3 - w for input x [rad] and output y [rad, or unit of length], both (..., n); constants k (..., 3)."""
 
     limits: tuple[Array, Array]  # rows (r, 3) and bounds (r,): rows @ k <= bounds, exactly
-    corners: Array  # (4, 2) of the region of K1, K2 which they leave, in turn
-    box: tuple[Array, Array]  # least and largest k (3,) of any linkage that meets them
+    corners: Array  # (4, 2) of the admissible region of K1, K2, in order
+    box: tuple[Array, Array]  # least and largest k (3,) of any linkage within the limits
 
     def terms(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """u, v, w."""
+        """Return the terms u, v, w of F.
+
+        Parameters
+        ----------
+        x, y : array (..., n)
+            Input and output.
+        """
         ...
 
     def slope(self, x: Array, y: Array, k: Array) -> Array:
-        """dF/dy."""
+        """Return dF/dy.
+
+        Parameters
+        ----------
+        x, y : array (..., n)
+            Input and output.
+        k : array (..., 3)
+            Constants.
+        """
         ...
 
     def follow(self, x: Array, k: Array, side: Array) -> Array:
-        """Output y of the linkage; NaN where it cannot be assembled."""
+        """Return the output y (..., n) of the linkage; NaN where it cannot be assembled.
+
+        Parameters
+        ----------
+        x : array (..., n)
+            Input.
+        k : array (..., 3)
+            Constants.
+        side : array (...)
+            Assembly mode, +1 or -1.
+        """
         ...
 
     def difference(self, y: Array, wanted: Array) -> Array:
-        """Output error."""
+        """Return the output error, angles wrapped to [-pi, pi).
+
+        Parameters
+        ----------
+        y : array (..., n)
+            Actual output.
+        wanted : array (..., n)
+            Target output.
+        """
         ...
 
     def upright(self, x0: Array, y0: Array, k: Array) -> tuple[Array, Array, Array]:
-        """The same linkages with positive lengths: x0, y0, k."""
+        """Return x0, y0, k of the equivalent linkages with positive lengths.
+
+        Parameters
+        ----------
+        x0, y0 : array (...)
+            Start positions of input and output.
+        k : array (..., 3)
+            Constants.
+        """
         ...
 
     def sizes(self, k: Array) -> tuple[Array, Array, Array]:
-        """Crank, coupler and the third size, of positive lengths."""
+        """Return crank, coupler and the third dimension (rocker or offset) of linkages with positive lengths."""
         ...
 
     def fits(self, sizes: tuple[Array, Array, Array]) -> Array:
-        """Whether the ratios are met."""
+        """Return whether the dimensions satisfy the limits of the ratios."""
         ...
 
     def margin(self, sizes: tuple[Array, Array, Array], low: Array, high: Array) -> Array:
-        """Least squared sine of the transmission angle over inputs low ... high; not positive where a dead position is met."""
+        """Return the least squared sine of the transmission angle over low ... high; not positive if a dead position is reached.
+
+        Parameters
+        ----------
+        sizes : tuple of three arrays (m,)
+            As returned by `sizes`.
+        low, high : array (m,) [rad]
+            Range of the input.
+        """
         ...
 
 
 def _opposite(angle: Array, where: NDArray[np.bool_]) -> Array:
-    """Angles turned by half a turn, towards zero, where wanted."""
+    """Turn angles by half a turn towards zero where `where` is True."""
     return np.where(where, angle - np.copysign(np.pi, angle), angle)
 
 
@@ -175,16 +225,30 @@ class _SliderCrank:
 
 
 def rocker_chain(ratios: tuple[float, float]) -> Chain:
-    """The equation of a four-bar with the frame 1, crank, coupler and rocker within `ratios`; output: angle of the rocker."""
+    """Return the loop equation of a four-bar with frame 1 and crank, coupler and rocker within `ratios`; output: rocker angle."""
     return _FourBar(ratios)
 
 
 def slider_chain(ratios: tuple[float, float], stroke: float) -> Chain:
-    """The equation of an offset slider-crank, crank and coupler within `ratios` of the stroke; output: place of the slider."""
+    """Return the loop equation of an offset slider-crank; output: slider position.
+
+    Parameters
+    ----------
+    ratios : (low, high) [-]
+        Limits of crank and coupler over the stroke; the absolute offset has the upper one.
+    stroke : float [unit of length]
+    """
     return _SliderCrank(ratios, stroke)
 
 
 def linear(chain: Chain, x: Array, y: Array) -> tuple[Array, Array]:
-    """F as A @ k - w: A (n, 3), w (n,)."""
+    """Return F in the form A @ k - w: A (n, 3) and w (n,).
+
+    Parameters
+    ----------
+    chain : Chain
+    x, y : array (n,)
+        Input and output.
+    """
     u, v, w = chain.terms(x, y)
     return np.stack([u, v, np.ones_like(w)], axis=-1), w

@@ -1,4 +1,4 @@
-"""Where a search begins: random proportions that can turn, random timing along the points, everything else by least squares."""
+"""Random starting points of path synthesis: proportions that can turn and timing along the points."""
 
 from __future__ import annotations
 
@@ -15,11 +15,18 @@ from optlink.synthesis.inner_four_bar import loops
 
 Array = NDArray[np.float64]
 
-SPREAD = 0.35  # of the logarithm of a size around the one that the file gives
+SPREAD = 0.35  # relative standard deviation of a dimension about its value in the file
 
 
 def designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
-    """Random free quantities (count, n), scaled and within their bounds."""
+    """Return random design variables (count, n), scaled and within their bounds.
+
+    Parameters
+    ----------
+    batch : Batch
+    count : int
+    rng : numpy.random.Generator
+    """
     problem = batch.problem
     n = len(batch.names)
     x = np.empty((count, n))
@@ -49,7 +56,7 @@ def designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
 
 
 def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
-    """Give half of the designs (count, n) a four-bar whose crank can turn, where all sizes of the first one are free."""
+    """Give half of the designs (count, n) a four-bar whose crank can turn, if all dimensions of the first one are free."""
     loop = next(loops(batch.problem.linkage), None)
     if loop is None or not loop.plain or not batch.turns:
         return
@@ -67,10 +74,16 @@ def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
 
 
 def proportions(batch: Batch, count: int, rng: np.random.Generator) -> Array:
-    """Random crank, coupler, rocker and frame (count, 4), frame of 1.
+    """Return random lengths of crank, coupler, rocker and frame (count, 4), relative to the frame.
 
     The lengths of all crank-rockers are crank a, coupler a + v + w, rocker a + u + w, frame a + u + v with a, u, v, w > 0:
-    each of Grashof's sums has one of these numbers, twice, as its slack. In a double-crank crank and frame change places.
+    each of Grashof's sums has one of these numbers, twice, as its slack. In a double-crank crank and frame are interchanged.
+
+    Parameters
+    ----------
+    batch : Batch
+    count : int
+    rng : numpy.random.Generator
     """
     crank = batch.problem.limits.crank
     if crank == "span":
@@ -86,7 +99,16 @@ def proportions(batch: Batch, count: int, rng: np.random.Generator) -> Array:
 
 
 def timing(batch: Batch, count: int, rng: np.random.Generator) -> Array:
-    """Random crank angles (count, points) in order, steps loosely following the distances of the points."""
+    """Return random crank angles (count, points) [rad] in order, with steps that loosely follow the distances of the points.
+
+    Zeros with prescribed timing.
+
+    Parameters
+    ----------
+    batch : Batch
+    count : int
+    rng : numpy.random.Generator
+    """
     problem, points = batch.problem, batch.data.columns[:, :2]
     number = len(points)
     if not batch.own:
@@ -109,13 +131,23 @@ def timing(batch: Batch, count: int, rng: np.random.Generator) -> Array:
 
 
 def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> Array:
-    """Crank angles (count, points) of four-bars that need not turn fully, moved and shortened to where they can be assembled."""
+    """Shift and shorten crank angles of four-bars without full rotation to the range where they can be assembled.
+
+    Parameters
+    ----------
+    batch : Batch
+    x : array (count, n)
+        Scaled design variables.
+    t : array (count, points) [rad]
+        Crank angles of the points.
+    rng : numpy.random.Generator
+    """
     if batch.turns or not batch.four_bar or not batch.own:
         return t
     values = batch.values(x)
     crank, coupler, rocker, frame = (values[name][:, 0] for name in LENGTHS)
     square, twice = crank**2 + frame**2, 2.0 * crank * frame
-    near = np.arccos(np.clip((square - (coupler - rocker) ** 2) / twice, -1.0, 1.0))  # closer to the frame B is too near to D
+    near = np.arccos(np.clip((square - (coupler - rocker) ** 2) / twice, -1.0, 1.0))  # at smaller angles B is too near to D
     far = np.arccos(np.clip((square - (coupler + rocker) ** 2) / twice, -1.0, 1.0))  # beyond B is too far from D
     mirrored = rng.random(len(x)) < 0.5
     low = np.where(near <= 0.0, -far, np.where(far >= math.pi, near, np.where(mirrored, -far, near)))
@@ -131,7 +163,16 @@ def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> 
 
 
 def assembled(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
-    """Which designs close at all their points, and over the whole revolution if the crank shall turn."""
+    """Return which designs (count,) can be assembled at all points, and over the whole revolution if the crank must turn.
+
+    Parameters
+    ----------
+    batch : Batch
+    x : array (count, n)
+        Scaled design variables.
+    t : array (count, points) [rad]
+        Crank angles of the points.
+    """
     mechanism, values = batch.problem.linkage, batch.values(x)
     angles = batch.crank_angles(x, t)
     with np.errstate(all="ignore"):

@@ -1,10 +1,12 @@
-"""What enters linearly is not searched: place, size and direction of a linkage and its coupler point, by linear least squares.
+"""Variable projection: position, size and direction of a linkage and its coupler point by linear least squares.
 
 As complex numbers the points of a body are P = a + w S + b u, with S the path of one of its joints and u its direction, both
-known once the proportions and the crank angles are; a, w and b follow from linear least squares. What is left to search are
-the proportions (three numbers for a four-bar) and the crank angles (variable projection).
+known from the proportions and the crank angles; a, w and b follow from linear least squares. The remaining nonlinear unknowns
+are the proportions (three numbers for a four-bar) and the crank angles.
 
-Source: G. H. Golub and V. Pereyra, The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
+References
+----------
+G. H. Golub and V. Pereyra, The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
 separate, SIAM J. Numer. Anal. 10 (1973).
 """
 
@@ -29,7 +31,7 @@ Complex = NDArray[np.complex128]
 
 
 class Similarity:
-    """The best place, direction and size of every design of a batch, and its best coupler point where that is free."""
+    """Optimal position, direction and size of every design of a batch, and its optimal coupler point where that is free."""
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
@@ -64,13 +66,13 @@ class Similarity:
             self._trace()
 
     def of(self, batch: Batch) -> Similarity:
-        """The same for a batch with fewer points."""
+        """Return the same projection for a batch with fewer points."""
         other = copy.copy(self)
         other.batch = batch
         return other
 
     def _on_frame(self, name: str) -> bool:
-        """Whether an angle turns with the frame: its direction, or that of a guide on it."""
+        """Return whether an angle turns with the frame: the direction of the frame, or of a guide on it."""
         mechanism = self.batch.problem.linkage
         if name == "direction":
             return True
@@ -95,7 +97,15 @@ class Similarity:
         self._pivot = [batch.names.index(f"{mechanism.crank.start}.{axis}") for axis in "xy"]
 
     def fit(self, x: Array, t: Array) -> tuple[Array, Array]:
-        """The designs with what is linear at its best, and their crank angles; a design without a fit is returned as it was."""
+        """Return designs with optimal linear variables, and their crank angles; designs without a finite fit stay unchanged.
+
+        Parameters
+        ----------
+        x : array (designs, n)
+            Scaled design variables.
+        t : array (designs, points) [rad]
+            Crank angles of the points.
+        """
         batch = self.batch
         n = x.shape[1]
         arm_x, arm_y, axis_x, axis_y = self._tape(*(x[:, i : i + 1] for i in range(n)), t)
