@@ -1,1 +1,4 @@
-"""Kinematics of planar linkages: elementwise formulas on floats, arrays, symbols and jets. Imports numpy alone."""
+"""Kinematics of planar linkages.
+
+The formulas are elementwise and accept floats, arrays, casadi symbols and jets; the package imports numpy alone.
+"""

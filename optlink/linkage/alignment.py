@@ -1,6 +1,6 @@
-"""Positions of a mechanism in which a joint comes into alignment, or near it: change points and sharp peaks, between rows too.
+"""Alignment of the groups of a mechanism: singular positions (change points) and positions close to them.
 
-Where the alignment of a group touches zero its assembly modes meet: the position is singular, and the mechanism may leave it in
+Where the alignment of a group is zero its assembly modes meet: the position is singular, and the mechanism may leave it in
 either mode.
 """
 
@@ -32,7 +32,7 @@ _ASIDE = 1e-3  # [rad]: so far on either side of a least alignment the alignment
 
 
 class Aligned(NamedTuple):
-    """A position in which a group comes closest to alignment: crank angle [rad] and angle from alignment [rad] there."""
+    """Position in which a group comes closest to alignment: crank angle [rad] and angle from alignment [rad]."""
 
     crank_angle: float
     group: Group
@@ -40,12 +40,12 @@ class Aligned(NamedTuple):
 
     @property
     def singular(self) -> bool:
-        """Whether the assembly modes meet there."""
+        """Whether the assembly modes meet at this position."""
         return self.angle <= SINGULAR_ALIGNMENT * (1.0 + 1e-9)
 
     @property
     def followed(self) -> bool:
-        """Whether the group is led through, so that its motion is determined."""
+        """Whether the group is continued smoothly through the position, so that its motion is determined."""
         return self.group.course is not None
 
     def __str__(self) -> str:
@@ -53,12 +53,12 @@ class Aligned(NamedTuple):
 
 
 def listed(positions: Iterable[Aligned]) -> str:
-    """Crank angles with their groups, for a sentence."""
+    """Return the crank angles and groups of positions as one comma-separated text."""
     return ", ".join(str(position) for position in positions)
 
 
 def squared_sines(pose: Pose) -> Array:
-    """Alignment of every group (groups, n); NaN behind one that fails to close."""
+    """Return the alignment [-] of every group, array (groups, n); NaN for the groups that follow one that cannot be assembled."""
     shape = np.shape(_value(pose.directions[pose.mechanism.crank.body][0]))
     with np.errstate(all="ignore"):
         found = [np.broadcast_to(_value(group.alignment(pose)), shape) for group in pose.mechanism.groups]
@@ -66,7 +66,7 @@ def squared_sines(pose: Pose) -> Array:
 
 
 def slack(pose: Pose) -> Array:
-    """Least alignment of all groups (n,) above what counts as closed: negative (never NaN) where one fails to close."""
+    """Return the least alignment of all groups above its limit [-], array (n,); negative, never NaN, if one fails to close."""
     least = np.full(np.shape(_value(pose.directions[pose.mechanism.crank.body][0])), np.inf)
     for group, sines in zip(pose.mechanism.groups, squared_sines(pose), strict=True):
         above = sines - group.least if group.least > 0.0 else sines + TOUCHING  # parallel lines meet nowhere
@@ -77,14 +77,14 @@ def slack(pose: Pose) -> Array:
 def least_alignments(
     mechanism: Mechanism, sizes: Mapping[str, Value], low: float = 0.0, high: float | None = None
 ) -> list[Aligned]:
-    """Positions in which a group comes within `NEAR_ALIGNMENT` of alignment, each at the least angle from it.
+    """Return the positions in which a group comes within `NEAR_ALIGNMENT` of alignment, each at the least angle from it.
 
     Parameters
     ----------
     mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
     low, high : float [rad]
-        Range of the crank angle; one cycle of the motion from 0 on if left out.
+        Range of the crank angle. Default: one cycle of the motion, from 0.
 
     Returns
     -------
@@ -128,18 +128,18 @@ def least_alignments(
 
 
 def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:
-    """Designs (designs,) that may have a singular position, by the alignment of their groups at sampled crank angles.
+    """Return which designs (designs,) may have a singular position, from the alignment of their groups at sampled crank angles.
 
     Parameters
     ----------
     pose : Pose
-        Of designs (designs, 1) at these crank angles, moving at 1 rad/s.
+        Pose of the designs (designs, 1) at these crank angles, at a crank speed of 1 rad/s.
     crank_angle : array (angles,) [rad]
         Evenly spaced over a revolution, the last one step before the first.
 
     Notes
     -----
-    Between two positions an alignment that has a minimum lies above the point where its two tangents meet, where it is convex.
+    Between two samples, where the alignment has a minimum and is convex, it lies above the intersection of its two tangents.
     """
     step, count = crank_angle[1] - crank_angle[0], len(crank_angle)
     shape = np.broadcast_shapes(*(np.shape(_value(margin)) for margin in pose.margins.values()), (1, count))

@@ -1,6 +1,8 @@
-"""From bodies and joints to a chain of dyads: who can be placed after whom, and what cannot.
+"""Decomposition of a mechanism into Assur groups: from bodies and joints to an ordered chain of dyads.
 
-Source: L. V. Assur's classification (1914) - a mechanism is a driving crank plus groups of zero mobility, added one by one.
+References
+----------
+L. V. Assur (1914): classification of mechanisms; a mechanism is a driving crank plus groups of zero mobility, added one by one.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ EITHER = "either"
 
 
 class StructureError(ValueError):
-    """Bodies that do not make a mechanism of dyads: `message`, `remedy`, and the `key` below the mechanism that is to blame."""
+    """Error for bodies that do not form a chain of dyads: `message`, `remedy`, and the faulty `key` below the mechanism."""
 
     def __init__(self, message: str, remedy: str, key: str = "", value: object = None) -> None:
         super().__init__(f"{message}. {remedy}")
@@ -39,27 +41,36 @@ def assemble(
     driver: str,
     modes: Mapping[str, str],
 ) -> Mechanism:
-    """Find the order in which the bodies can be placed, two at a time.
+    """Decompose a mechanism into dyads, in an order in which the bodies can be placed two at a time.
 
     Parameters
     ----------
-    ground : mapping of point name to (x, y) [m] or parameter names
-    links, points, guides : every moving body, its further points, the prismatic joints
-    driver : name of the body that is driven; its start is its pivot on the frame
+    name : str
+        Name of the mechanism.
+    ground : mapping of point name to Ground
+        Points of the frame: coordinates (x, y) [m] or parameter names, or an `Arm`.
+    links : sequence of Link
+        Every moving body.
+    points : sequence of BodyPoint
+        Further points fixed on the bodies.
+    guides : sequence of Guide
+        The prismatic joints.
+    driver : str
+        Name of the driven body; its start is its pivot on the frame.
     modes : mapping of joint name to assembly mode
-        Of RRR groups "left of B-D" or "right of B-D", of RRP and RPR groups "forward" or "backward" along the guide; with
-        ", continue" behind it the group is led smoothly through its singular positions.
+        RRR groups: "left of B-D" or "right of B-D"; RRP and RPR groups: "forward" or "backward" along the guide. With
+        ", continue" appended the group is continued smoothly through its singular positions.
 
     Raises
     ------
     StructureError
-        when the bodies are no such chain, with the names of those that are left.
+        The bodies do not form such a chain; the message names the bodies that are left.
     """
     return _Assembly(ground, links, points, guides, driver, modes).mechanism(name)
 
 
 def modes_of(group: Group) -> tuple[str, ...]:
-    """The assembly modes of a group, as a problem file words them."""
+    """Return the assembly modes of a group, in the notation of the problem file."""
     if isinstance(group, RRR):
         p, q = group.pins
         return f"left of {p}-{q}", f"right of {p}-{q}"
@@ -67,7 +78,7 @@ def modes_of(group: Group) -> tuple[str, ...]:
 
 
 def _split(words: str) -> tuple[str, bool]:
-    """An assembly mode and whether it is followed through change points; no mode counts as left, or forward."""
+    """Return an assembly mode and whether it is continued through change points; a missing mode counts as left, or forward."""
     mode, _, last = words.rpartition(",")
     return (mode.strip() or EITHER, True) if last.strip() == CONTINUE else (words, False)
 
@@ -78,7 +89,7 @@ def _list(names: Iterable[str]) -> str:
 
 
 class _Assembly:
-    """The bodies placed so far, and the groups found."""
+    """State of the decomposition: the bodies placed and the groups identified so far."""
 
     def __init__(
         self,
@@ -105,10 +116,10 @@ class _Assembly:
         self.groups: list[Group] = []
         self.used: set[str] = set()
 
-    # --- what the bodies hang on ---------------------------------------------------------------------------------
+    # --- joints of the bodies ------------------------------------------------------------------------------------
 
     def pins(self, body: str) -> list[str]:
-        """Points of a body that another body has too."""
+        """Points of a body that another body shares."""
         return self._pins.get(body, [])
 
     @cached_property
@@ -120,7 +131,7 @@ class _Assembly:
         return found
 
     def rails(self, body: str) -> list[Guide]:
-        """Guides that a body slides in, or carries."""
+        """Guides in which a body slides, or which it carries."""
         return self._rails.get(body, [])
 
     @cached_property
@@ -132,18 +143,18 @@ class _Assembly:
         return found
 
     def neighbours(self, body: str) -> list[str]:
-        """Bodies that share a joint with a body and are not placed yet, in the order of the file."""
+        """Bodies, not yet placed, that share a joint with a body, in the order of the file."""
         near = {other for point in self.pins(body) for other in self.members[point]}
         near |= {guide.other(body) for guide in self.rails(body)}
         return sorted(near - self.placed - {body}, key=self.rank.__getitem__)
 
     def known(self, body: str) -> list[str | Guide]:
-        """Joints of a body with what is placed already."""
+        """Joints of a body with bodies that are already placed."""
         pins = [point for point in self.pins(body) if self.placed.intersection(self.members[point])]
         return [*pins, *(guide for guide in self.rails(body) if guide.other(body) in self.placed)]
 
     def shared(self, first: str, second: str) -> list[str | Guide]:
-        """Joints between two bodies that are not placed yet."""
+        """Joints between two bodies that are not yet placed."""
         pins = [p for p in self.pins(first) if second in self.members[p] and not self.placed.intersection(self.members[p])]
         return [*pins, *(guide for guide in self.rails(first) if guide.other(first) == second)]
 
@@ -168,7 +179,7 @@ class _Assembly:
         return Mechanism(name, self.ground, self.links[self.driver], tuple(self.groups), self.points, self.guides)
 
     def next_group(self, reached: list[str]) -> Group | None:
-        """The first dyad, in the order of the file, among bodies that hang on what is placed."""
+        """Return the first dyad, in the order of the file, among bodies joined to placed ones."""
         for first in reached:
             for second in self.neighbours(first):
                 if self.rank[first] < self.rank[second] and (found := self.group(first, second)):
@@ -205,7 +216,7 @@ class _Assembly:
             )
 
     def group(self, first: str, second: str) -> Group | None:
-        """The dyad that two bodies make, if they hang on what is placed by one joint each and on one another by one."""
+        """Return the dyad of two bodies, if each has one joint with the placed bodies and they share one inner joint."""
         outer, inner = [self.known(body) for body in (first, second)], self.shared(first, second)
         if len(outer[0]) != 1 or len(outer[1]) != 1 or len(inner) != 1:
             return None
@@ -232,14 +243,14 @@ class _Assembly:
             return RPP(one, two, joint, a, b)
         elif isinstance(a, Guide) and isinstance(b, str):
             return RPP(two, one, joint, b, a)
-        return None  # three prismatic joints place nothing
+        return None  # three prismatic joints determine no position
 
     def follows(self, joint: str) -> bool:
-        """Whether a group is to be led through its singular positions."""
+        """Whether a group is continued through its singular positions."""
         return _split(self.modes[joint])[1]
 
     def side(self, joint: str, p: str, q: str) -> int:
-        """Assembly mode of an RRR group."""
+        """Return the assembly mode of an RRR group."""
         options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
         words = self.mode(joint, options)
         if words == EITHER:
@@ -250,7 +261,7 @@ class _Assembly:
         return (1 if match[1] == "left" else -1) * (1 if match[2] == p else -1)
 
     def way(self, joint: str, guide: Guide) -> int:
-        """Assembly mode of a group with one slider."""
+        """Return the assembly mode of a group with one slider."""
         options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
         words = self.mode(joint, options).strip()
         if words == EITHER:
@@ -270,22 +281,22 @@ class _Assembly:
         return _split(self.modes[joint])[0]
 
     def one_body(self, first: str, second: str, both: list[str]) -> StructureError:
-        """Two bodies that cannot move against one another."""
+        """Return the error for two bodies that cannot move relative to each other."""
         return StructureError(
             f"{first} and {second} share the joints {_list(both)}, which makes them one body",
             "Give the points to one body, or take one joint away",
             f"links.{second}",
         )
 
-    # --- what is no chain of dyads -----------------------------------------------------------------------------------
+    # --- structures that are not a chain of dyads -------------------------------------------------------------------------------
 
     def mobility(self) -> int:
-        """Degrees of freedom by Gruebler's count."""
+        """Return the degrees of freedom by Gruebler's formula."""
         joints = sum(len(bodies) - 1 for bodies in self.members.values()) + len(self.guides)
         return 3 * len(self.links) - 2 * joints
 
     def refusal(self, left: list[str]) -> StructureError:
-        """Say why no further group can be found."""
+        """Return the error that explains why no further group can be formed."""
         for body in left:
             known = [joint if isinstance(joint, str) else joint.name for joint in self.known(body)]
             if len(known) > 1:

@@ -1,17 +1,17 @@
-"""The cognates of a four-bar: the two other four-bars whose coupler points trace the very same curve (Roberts-Chebyshev).
+"""Cognates of a four-bar: the two other four-bars whose coupler points trace the same curve (Roberts-Chebyshev theorem).
 
 Conventions: crank pivot A = (x, y), rocker pivot D = A + frame in the direction `direction`; crank A-B, coupler B-C, rocker D-C;
 coupler point P = B + `along` in the direction B -> C + `across` to the left of it. Link angles count counter-clockwise from the
 linkage's own A -> D. Assembly mode +1: C to the left of B -> D.
 
-Theory. Let a, b, c, d be the vectors A-B, B-C, D-C, A-D as complex numbers, a + b = d + c, and z = (P - B) / b, which stays as it
-is. Three parallelograms (A-B-P, D-C-P and the one they leave over) give a third fixed pivot E = A + z d and two more loops,
+Theory. Let a, b, c, d be the vectors A-B, B-C, D-C, A-D as complex numbers, a + b = d + c, and let z = (P - B) / b, which is
+constant. Three parallelograms (A-B-P, D-C-P and the remaining one) give a third fixed pivot E = A + z d and two more loops,
 
     at A and E:   z b + z a = z d + z c                        scaled by |z| = B-P / B-C
     at D and E:   (1-z) a - (1-z) c = (1-z) d - (1-z) b        scaled by |1-z| = C-P / B-C   (written from E to D)
 
-The links at A and D turn as the coupler, those at E as the rocker (first loop) and as the crank (second loop). Since the lengths
-are those of the original in another order, all three have the same sign of Grashof's slack:
+The links at A and D rotate with the coupler, those at E with the rocker (first loop) and with the crank (second loop). Since the
+lengths are those of the original in another order, all three have the same sign of the Grashof slack:
 
     original            at A and E                      at D and E, driven at E
     crank-rocker        double-rocker (Grashof)         crank-rocker
@@ -20,9 +20,11 @@ are those of the original in another order, all three have the same sign of Gras
     rocker-crank        crank-rocker, driven at E       double-rocker (Grashof)
     triple-rocker       triple-rocker                   triple-rocker
 
-The one at D and E, driven at E, has the crank angle of the original, at every moment, and the other assembly mode.
+The cognate at D and E, driven at E, always has the crank angle of the original and the opposite assembly mode.
 
-Source: S. Roberts, On three-bar motion in plane space, Proc. London Math. Soc. s1-7 (1875) 14-23; P. L. Chebyshev, 1878; text:
+References
+----------
+S. Roberts, On three-bar motion in plane space, Proc. London Math. Soc. s1-7 (1875) 14-23; P. L. Chebyshev, 1878; text:
 K. H. Hunt, Kinematic Geometry of Mechanisms; R. L. Norton, Design of Machinery, chapter 3, cognates. The same link rotations in
 another order, and timed cognates: S. N. Sherman, J. D. Hauenstein, C. W. Wampler, J. Mechanisms Robotics 13(3) (2021) 031009.
 """
@@ -53,7 +55,7 @@ SAMPLES = 64
 
 @dataclass(frozen=True)
 class CouplerPose:
-    """Where a four-bar is: unit vectors of its links against its own A -> D [-], joints and coupler point in the plane [m].
+    """Pose of a four-bar: unit vectors of its links relative to its own A -> D [-], joints and coupler point in the plane [m].
 
     `margin` [-] is (height / distance)^2 of C above B-D: negative where it cannot be assembled (C and P are NaN there).
     """
@@ -67,7 +69,7 @@ class CouplerPose:
     margin: Value
 
     def link(self, name: str) -> Vector:
-        """Unit vector of crank (A -> B), coupler (B -> C) or rocker (D -> C) against A -> D [-]."""
+        """Unit vector of crank (A -> B), coupler (B -> C) or rocker (D -> C) relative to A -> D [-]."""
         return {"crank": self.crank, "coupler": self.coupler, "rocker": self.rocker}[name]
 
     def angle(self, name: str) -> Value:
@@ -77,7 +79,7 @@ class CouplerPose:
 
 @dataclass(frozen=True)
 class CouplerLinkage:
-    """A four-bar with a coupler point, anywhere in the plane.
+    """A four-bar with a coupler point, at any position in the plane.
 
     Parameters
     ----------
@@ -94,7 +96,7 @@ class CouplerLinkage:
     Raises
     ------
     InputError
-        a length is not positive, a number not finite, or the mode neither +1 nor -1.
+        A length is not positive, a number is not finite, or the assembly mode is neither +1 nor -1.
     """
 
     crank: float
@@ -131,23 +133,23 @@ class CouplerLinkage:
 
     @property
     def inversion(self) -> Inversion:
-        """What it does when its first link is driven."""
+        """Inversion of the four-bar when its first link is driven."""
         return grashof(*self.lengths).inversion
 
     @property
     def crank_turns(self) -> bool:
-        """Whether its first link turns fully."""
+        """Whether the first link makes full revolutions."""
         return self.inversion.crank_turns
 
     def pose(self, phi: Value, side: Value | None = None) -> CouplerPose:
-        """Where it is.
+        """Compute the pose at given crank angles.
 
         Parameters
         ----------
         phi : Value, any shape [rad]
             Crank angle from A -> D; a jet gives velocities and accelerations too.
         side : Value of 1 and -1, broadcastable against `phi`
-            Assembly mode, where it is not everywhere that of the linkage (a cognate that passes its dead centres).
+            Assembly mode, if it differs from that of the linkage (a cognate that passes its dead centres).
 
         Returns
         -------
@@ -163,7 +165,7 @@ class CouplerLinkage:
         return self._placed(crank, coupler, rocker, margin)
 
     def _placed(self, crank: Vector, coupler: Vector, rocker: Vector, margin: Value) -> CouplerPose:
-        """The pose with its points in the plane, from the unit vectors of the links."""
+        """Return the pose with its points in the plane, from the unit vectors of the links."""
         b = self.crank * crank[0], self.crank * crank[1]
         c = b[0] + self.coupler * coupler[0], b[1] + self.coupler * coupler[1]
         p = plus(b, turn((self.along, self.across), coupler))
@@ -175,7 +177,7 @@ class CouplerLinkage:
 class _Drive(NamedTuple):
     """One of the loops above, driven at one of its two pivots.
 
-    `follows`: the links of the original as which its crank, coupler and rocker turn; `signs`: of these three and of the frame.
+    `follows`: the links of the original with which its crank, coupler and rocker rotate; `signs`: of these three and the frame.
     """
 
     at_a: bool
@@ -192,14 +194,14 @@ _OTHER_END = {_AT_A: _AT_E_TO_A, _AT_E_TO_A: _AT_A, _AT_D: _AT_E_TO_D, _AT_E_TO_
 
 @dataclass(frozen=True)
 class Cognate:
-    """A four-bar that traces the curve of `original`, and how its crank keeps time with it.
+    """A four-bar that traces the coupler curve of `original`, with the relation between the two crank angles.
 
-    `follows` names the links of the original as which its crank, coupler and rocker turn, at the same angular velocity at every
-    moment; its crank angle is that of the first of them plus `offset` [rad], each from the A -> D of its own linkage.
+    `follows` names the links of the original with which its crank, coupler and rocker rotate, always at the same angular
+    velocity; its crank angle is that of the first of them plus `offset` [rad], each from the A -> D of its own linkage.
 
-    `turning_back` are the crank angles of the original [rad], in the range in which it is assembled, at which the cognate's crank
-    stops and turns back (its coupler and rocker are in line, its assembly mode changes): it traces the whole curve, but its crank
-    alone cannot drive it past these. `linkage.side` is the mode at the crank angle that was asked for (see `cognates`).
+    `turning_back` are the crank angles of the original [rad], in the range in which it is assembled, at which the crank of the
+    cognate reverses (its coupler and rocker are in line, its assembly mode changes): the cognate traces the whole curve, but its
+    crank alone cannot drive it past these positions. `linkage.side` is the assembly mode at the crank angle `at` of `cognates`.
     """
 
     linkage: CouplerLinkage
@@ -212,44 +214,47 @@ class Cognate:
 
     @property
     def turns_as(self) -> str:
-        """The link of the original that its crank turns as: crank, coupler or rocker."""
+        """The link of the original with which its crank rotates: crank, coupler or rocker."""
         return self.follows[0]
 
     @property
     def inversion(self) -> Inversion:
-        """What it does when its crank is driven."""
+        """Inversion of the cognate when its crank is driven."""
         return self.linkage.inversion
 
     @property
     def crank_turns(self) -> bool:
-        """Whether its crank turns fully."""
+        """Whether its crank makes full revolutions."""
         return self.linkage.crank_turns
 
     @property
     def keeps_side(self) -> bool:
-        """Whether one assembly mode serves for the whole motion of the original, so that its crank can drive it throughout."""
+        """Whether the assembly mode is constant over the motion of the original, so that the crank can drive the cognate."""
         return not self.turning_back
 
     def crank_angle(self, phi: Value) -> Value:
-        """Its crank angle [rad] when that of the original is `phi` [rad], up to whole turns.
+        """Return the crank angle [rad] of the cognate at the crank angle `phi` [rad] of the original, up to whole revolutions.
 
-        Any shape, or a jet. `phi` itself where it turns as the crank, else NaN where the original is not assembled.
+        `phi` has any shape, or is a jet. NaN where the original is not assembled, except where the cognate's crank rotates with
+        the original's crank: then `phi` plus the offset.
         """
         if self.turns_as == "crank":
             return phi + self.offset
         return self.original.pose(phi).angle(self.turns_as) + self.offset
 
     def side_at(self, phi: Value) -> Value:
-        """Its assembly mode when the crank angle of the original is `phi` [rad] (a number or an array, no jet).
+        """Return the assembly mode of the cognate at the crank angle `phi` [rad] of the original (number or array, not a jet).
 
-        The sign of the vector product of B -> C and D -> C, both of which turn as links of the original; +1 where that is zero.
+        It is the sign of the vector product of B -> C and D -> C, which rotate with links of the original; +1 where that is zero.
         """
         return np.where(_sine(self.original.pose(phi), self._drive) < 0.0, -1, 1)
 
     def pose(self, phi: Value) -> CouplerPose:
-        """Where it is when the crank angle of the original is `phi` [rad], any shape or a jet; NaN where that is not assembled.
+        """Return the pose of the cognate at the crank angle `phi` [rad] of the original (any shape or a jet).
 
-        Its links are put parallel to those of the original, no loop is solved, so it is exact at its dead centres too.
+        NaN where the original is not assembled.
+
+        The links are set parallel to those of the original; no loop is solved, so the pose is exact at dead centres too.
         """
         pose, signs = self.original.pose(phi), self._drive.signs
         found = [pose.link(name) for name in self.follows]
@@ -264,14 +269,14 @@ class Cognate:
 
     @cached_property
     def driven_from_rocker(self) -> Cognate:
-        """The same four-bar driven at its other pivot, assembled at the same position."""
+        """The same four-bar driven at its other pivot, in the same position."""
         return _cognate(self.original, _OTHER_END[self._drive], self._at)
 
 
 class Cognates(NamedTuple):
     """The two cognates; None where the coupler point lies in B (no cognate at A) or in C (no cognate at D).
 
-    at_crank_pivot : on the pivots A and E, driven at the end whose link turns fully, if one does: see `cognates`.
+    at_crank_pivot : on the pivots A and E, driven at the end whose link turns fully, if there is one: see `cognates`.
     at_rocker_pivot : on the pivots E and D, driven at E with the crank angle of the original.
     """
 
@@ -280,27 +285,27 @@ class Cognates(NamedTuple):
 
 
 def cognates(linkage: CouplerLinkage, at: float | None = None) -> Cognates:
-    """Roberts-Chebyshev cognates of a four-bar.
+    """Compute the Roberts-Chebyshev cognates of a four-bar.
 
     Parameters
     ----------
     linkage : CouplerLinkage
     at : float [rad]
-        Crank angle of `linkage` at which the cognates' assembly modes are read, and which names the range that is meant where
-        the linkage can be assembled in two. Left out: a position of the last range, the one with the best transmission.
+        Crank angle of `linkage` at which the assembly modes of the cognates are determined; it also selects the range where
+        the linkage can be assembled in two. Default: the position of the last range with the best transmission.
 
     Returns
     -------
     Cognates, a pair of Cognate or None (`Cognates` says when). Both trace the branch of the curve that `linkage` traces in its
-    mode and in that range. The one at the crank pivot is driven at E, where its crank turns as the rocker of `linkage`, unless
-    its link at A alone turns fully (`linkage` a Grashof double-rocker). That of a crank-rocker or a triple-rocker passes dead
-    centres whichever end is driven (`Cognate.turning_back`). A coupler point on the line B-C is nothing special: then the three
-    pivots lie on a line too. Nothing is promised at a change point itself.
+    mode and in that range. The one at the crank pivot is driven at E, where its crank rotates with the rocker of `linkage`,
+    unless only its link at A turns fully (`linkage` a Grashof double-rocker). That of a crank-rocker or a triple-rocker passes
+    dead centres at whichever end it is driven (`Cognate.turning_back`). A coupler point on the line B-C is no special case: then
+    the three pivots are collinear too. The result is undefined at a change point itself.
 
     Raises
     ------
     InputError
-        when `linkage` cannot be assembled at all or only lies flat, or not at `at`.
+        `linkage` cannot be assembled in a range of crank angles, or not at `at`.
     """
     ranges = reachable(*linkage.lengths)
     if not ranges:
@@ -321,7 +326,7 @@ def cognates(linkage: CouplerLinkage, at: float | None = None) -> Cognates:
 
 
 def _cognate(original: CouplerLinkage, drive: _Drive, at: float | None) -> Cognate:
-    """One loop driven at one pivot, in the mode it has at the crank angle `at` of the original."""
+    """Return one loop driven at one pivot, in its assembly mode at the crank angle `at` of the original."""
     b, across = original.coupler, original.across
     from_b, from_c = complex(original.along, across) / b, complex(b - original.along, -across) / b  # z and 1 - z
     factor, rest = (from_b, from_c) if drive.at_a else (from_c, from_b)
@@ -361,13 +366,13 @@ def _cognate(original: CouplerLinkage, drive: _Drive, at: float | None) -> Cogna
 
 
 def _sine(pose: CouplerPose, drive: _Drive) -> Value:
-    """Sine of the angle from coupler to rocker of a cognate [-]: its sign is the mode, from where the original's links are."""
+    """Sine of the angle from coupler to rocker of a cognate [-], from the original's links; its sign is the assembly mode."""
     coupler, rocker = pose.link(drive.follows[1]), pose.link(drive.follows[2])
     return drive.signs[1] * drive.signs[2] * cross(coupler, rocker)
 
 
 def _best(original: CouplerLinkage, drive: _Drive, low: float, high: float) -> float:
-    """The crank angle of the original, inside a range, at which the transmission of the cognate is best."""
+    """Return the crank angle of the original, inside a range, with the best transmission of the cognate."""
     phi = low + (high - low) * (np.arange(SAMPLES) + 0.5) / SAMPLES
     quality = np.nan_to_num(np.abs(_sine(original.pose(phi), drive)), nan=-1.0)
     return float(phi[np.argmax(quality)])
@@ -379,15 +384,15 @@ def _within(phi: float, low: float, high: float) -> bool:
 
 
 def _from(phi: float, low: float) -> float:
-    """The angle at or above `low`, whole turns away."""
+    """Return the angle at or above `low` that differs by whole revolutions."""
     return low + (phi - low) % (2.0 * math.pi)
 
 
 def _turning_back(original: CouplerLinkage, drive: _Drive) -> list[float]:
     """Crank angles of the original [rad], in its mode, at which coupler and rocker of a cognate are in line.
 
-    Where the crank is in line with one of the other moving links, the two are one link w, and the three-bar loop that is left is
-    a triangle with the frame; of its two mirror images one belongs to the mode.
+    Where the crank is in line with one of the other moving links, the two act as one link w, and the remaining three-bar loop is
+    a triangle with the frame; one of its two mirror images belongs to the mode.
     """
     pair = set(drive.follows[1:])
     if "crank" not in pair:  # in line where the original's own coupler and rocker are: at the ends of its range

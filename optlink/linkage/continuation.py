@@ -1,9 +1,11 @@
-"""Following a mechanism through its singular positions by analytic continuation, group by group.
+"""Analytic continuation of a mechanism through its singular positions, group by group.
 
-On a small circle about a singular position in the complex plane of the crank angle the two assembly modes are well apart. The one
-that comes from the left is followed round the circle; Cauchy's integral turns it into a power series about the centre.
+On a small circle about a singular position in the complex plane of the crank angle the two assembly modes are well apart. The
+mode that arrives from the left is followed round the circle; Cauchy's integral gives its power series about the centre.
 
-Source: L. N. Trefethen, J. A. C. Weideman, The exponentially convergent trapezoidal rule, SIAM Review 56 (2014).
+References
+----------
+L. N. Trefethen, J. A. C. Weideman, The exponentially convergent trapezoidal rule, SIAM Review 56 (2014).
 """
 
 from __future__ import annotations
@@ -42,29 +44,29 @@ MOST_TURNS = 8
 
 
 class _Crossing(NamedTuple):
-    """How a group goes through a singular position: whether its side changes, and the series if it comes from side +1 or -1."""
+    """Passage of a group through a singular position: whether its side changes, and the series if it comes from side +1 or -1."""
 
     flips: bool
     series: dict[int, Passage]
 
 
 def follow(mechanism: Mechanism, sizes: Mapping[str, Value], start: float, *, every: bool = False) -> Mechanism:
-    """The mechanism with its groups led smoothly through their singular positions.
+    """Return the mechanism with its groups continued smoothly through their singular positions.
 
     Parameters
     ----------
     mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
     start : float [rad]
-        Crank angle at which the assembly modes hold, unless a group names another. Where it is a singular position itself they
-        hold just beyond it, counter-clockwise.
+        Crank angle at which the assembly modes apply, unless a group sets its own (`holds_at`). If it is a singular position,
+        they apply just beyond it, counter-clockwise.
     every : bool
-        Lead every group, not only those with `follow`.
+        Continue every group, not only those with `follow`.
 
     Returns
     -------
-    Mechanism, its `cycle` the crank rotation after which the motion repeats; a group that no smooth motion leads through a
-    singular position stays as it is
+    Mechanism, its `cycle` the crank rotation after which the motion repeats; a group without a smooth motion through a
+    singular position is left unchanged
     """
     for k, group in enumerate(mechanism.groups):
         if isinstance(group, RRR | RRP | RPR) and (every or group.follow):
@@ -79,7 +81,7 @@ def follow(mechanism: Mechanism, sizes: Mapping[str, Value], start: float, *, ev
 
 
 def _course(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, start: float) -> Course | None:
-    """Sides and passages of the last group of a mechanism, from the crank angle on at which its mode holds."""
+    """Sides and passages of the last group of a mechanism, from the crank angle at which its mode applies."""
     ranges, cycle = reachable(part, sizes), part.cycle
     aligned = [p for p in least_alignments(part, sizes) if p.group is group and p.singular]
     holding = (start, start + cycle) if ranges.full else ranges.holding(start)
@@ -108,13 +110,13 @@ def _course(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR,
 
 
 def _ahead(at: float, origin: float, cycle: float, *, closed: bool) -> float:
-    """How far a crank angle is ahead of the origin; a cycle, not nothing, where it is the origin of a closed motion."""
+    """Return the distance [rad] of a crank angle ahead of the origin; one cycle, not zero, at the origin of a closed motion."""
     found = (at - origin) % cycle
     return cycle if closed and (found < SAME or found > cycle - SAME) else found
 
 
 def _crossing(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, at: Aligned) -> _Crossing | None:
-    """Follow a group through a singular position, on the largest circle on which its motion is a power series."""
+    """Continue a group through a singular position, on the largest circle on which its motion is a power series."""
     theta = math.pi + TURN * np.arange(NODES) / NODES
     circle = np.exp(1j * theta)
     powers = np.arange(-NODES // 2, NODES // 2)
@@ -142,7 +144,7 @@ def _crossing(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RP
 def _places(
     part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, angles: NDArray[np.complex128]
 ) -> NDArray[np.complex128]:
-    """What the group adds at complex crank angles: the coordinates of its joint, or the direction of its guide."""
+    """Solution of the group at complex crank angles: the coordinates of its joint, or the direction of its guide."""
     with np.errstate(all="ignore"):
         pose = replace(part, groups=(*part.groups[:-1], group)).at(sizes, angles)
         if isinstance(group, RPR):

@@ -1,4 +1,4 @@
-"""The five dyads as data: which bodies, which joints, which assembly mode; the formulas are in `dyads`."""
+"""The five dyads as data types (bodies, joints, assembly mode); the formulas are in `dyads`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PARALLEL = 1e-12
 
 @dataclass(frozen=True)
 class _Pair:
-    """What all dyads have: two bodies."""
+    """Base class of all dyads: two bodies."""
 
     first: Link
     second: Link
@@ -32,8 +32,9 @@ class _Pair:
 class _Modal(_Pair):
     """A dyad with two assembly modes; `side` is one of them.
 
-    `follow`: lead it smoothly through its singular positions, from the mode `side` on, which holds at the crank angle `holds_at`
-    [rad], else where the drive starts. `course`: its way through them, once sizes are known (`continuation.follow`).
+    `follow`: continue it smoothly through its singular positions, starting in the mode `side`, which applies at the crank angle
+    `holds_at` [rad], or else at the start of the drive. `course`: its sides and series, once the sizes are known
+    (`continuation.follow`).
     """
 
     follow: bool = field(default=False, kw_only=True)
@@ -45,15 +46,24 @@ class _Modal(_Pair):
         return self.side if self.course is None else self.course.side(pose.angle)  # type: ignore[attr-defined]
 
     def through(self, pose: Pose, new: Vector, margin: Value) -> tuple[Vector, Value]:
-        """What the formula adds, or near singular positions what continues it."""
+        """Return the result of the formula, replaced by its smooth continuation near singular positions.
+
+        Parameters
+        ----------
+        pose : Pose
+        new : pair of Value [m or -]
+            Result of the dyad formula: the joint, or the unit vector of the guide.
+        margin : Value [-]
+            Assembly margin.
+        """
         return (new, margin) if self.course is None else self.course.through(pose.angle, new, margin)
 
 
 @dataclass(frozen=True)
 class RRR(_Modal):
-    """Two links pinned to known joints and to one another.
+    """Two links pinned to known joints and to each other.
 
-    Where nothing else is said the outer joints are the starts of the links and the joint is their common end.
+    By default the outer joints are the starts of the links and the inner joint is their common end.
     """
 
     side: int  # +1: new joint left of the outer joint of first -> that of second
@@ -84,14 +94,14 @@ class RRR(_Modal):
         return margin
 
     def cosine(self, pose: Pose) -> Value:
-        """Cosine of the transmission angle, between the two links, by their lengths: beyond -1 and 1 where they cannot close."""
+        """Cosine of the transmission angle between the two links, from their lengths; outside [-1, 1] where they cannot close."""
         p, q = self.pins
         a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
         between = minus(pose.point(q), pose.point(p))
         return (a * a + b * b - dot(between, between)) / (2.0 * (a * b))
 
     def gap(self, pose: Pose) -> Value:
-        """Distance of the outer joints beyond what the links span, or below what they leave [m]."""
+        """Distance of the outer joints beyond the reach of the links, or below their least distance [m]."""
         p, q = self.pins
         a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
         between = minus(pose.point(q), pose.point(p))
@@ -109,7 +119,7 @@ class RRR(_Modal):
 
 @dataclass(frozen=True)
 class RRP(_Modal):
-    """A link pinned to a known joint, and to a slider on a known line."""
+    """A link pinned to a known joint and to a slider on a known line."""
 
     guide: Guide
     outer: str
@@ -171,12 +181,12 @@ class RPR(_Modal):
         return margin
 
     def gap(self, pose: Pose) -> Value:
-        """Offset of the pins across the guide beyond their distance [m]."""
+        """Offset of the pins across the guide minus their distance [m]."""
         between = minus(*(pose.point(name) for name in self.outer))
         return np.abs(self._offset(pose)) - np.sqrt(dot(between, between))
 
     def alignment(self, pose: Pose) -> Value:
-        """Squared distance of the two pins along the guide, in lengths of the crank: at zero its normal force has no lever."""
+        """Squared distance of the pins along the guide over the squared crank length; zero where the guide force has no lever."""
         between, offset = minus(*(pose.point(name) for name in self.outer)), self._offset(pose)
         crank = pose.size(pose.mechanism.crank.length)
         return (dot(between, between) - offset * offset) / (crank * crank)
@@ -210,7 +220,7 @@ class RPP(_Pair):
         (own, own_line), (inner, inner_line) = (pose.local_line(guide, yoke) for guide in (self.rail, self.guide))
         axis = turn_back(line, own_line)
         slot = turn(inner_line, axis)
-        zero = minus(begin, turn(own, axis))  # where the yoke's own axes begin when it is at zero
+        zero = minus(begin, turn(own, axis))  # origin of the yoke's axes at zero displacement
         offset = pose.offset(self.guide, self.first, self.outer)
         shift, margin = rpp(pose.point(self.outer), plus(zero, turn(inner, axis)), line, slot, offset)
         pose.points[self.second.start] = plus(zero, (shift * line[0], shift * line[1]))
@@ -219,7 +229,7 @@ class RPP(_Pair):
         return margin
 
     def gap(self, pose: Pose) -> Value:
-        """Nothing: two lines meet unless they are parallel."""
+        """Zero: two lines intersect unless they are parallel."""
         return 0.0 * pose.margins[self.joint]
 
     def alignment(self, pose: Pose) -> Value:
@@ -229,7 +239,7 @@ class RPP(_Pair):
 
 @dataclass(frozen=True)
 class PRP(_Pair):
-    """Two sliders on known lines, pinned to one another."""
+    """Two sliders on known lines, pinned to each other."""
 
     guides: tuple[Guide, Guide]
     inner: str
@@ -254,12 +264,12 @@ class PRP(_Pair):
         return margin
 
     def sine(self, pose: Pose) -> Value:
-        """Sine of the angle from the first line to the second: changes its sign where they become parallel."""
+        """Sine of the angle from the first line to the second; it changes sign where they become parallel."""
         (_, w), (_, u) = (pose.line(guide, guide.other(link.body)) for link, guide in zip(self.links, self.guides, strict=True))
         return cross(w, u)
 
     def gap(self, pose: Pose) -> Value:
-        """Nothing: two lines meet unless they are parallel."""
+        """Zero: two lines intersect unless they are parallel."""
         return 0.0 * pose.margins[self.joint]
 
     def alignment(self, pose: Pose) -> Value:

@@ -1,4 +1,4 @@
-"""Assur groups of two bodies (dyads) in closed form: what is known of the neighbours in, what the group adds and its margin out.
+"""Assur groups of two bodies (dyads) in closed form.
 
 Every dyad is one elementwise function ``dyad(known ..., sizes ..., side) -> (new, margin)``. The margin is dimensionless,
 positive where the group can be assembled, zero where its assembly modes meet (dead position) or its lines become parallel,
@@ -15,7 +15,7 @@ from optlink.linkage.vector2d import Value, Vector, cross, dot, root
 
 
 def rrr(p: Vector, q: Vector, a: Value, b: Value, side: Value) -> tuple[Vector, Value]:
-    """Joint of two links pinned at p and q (RRR dyad).
+    """Compute the joint of two links pinned at p and q (RRR dyad).
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def rrr(p: Vector, q: Vector, a: Value, b: Value, side: Value) -> tuple[Vector, 
 
     Notes
     -----
-    Source: intersection of two circles (law of cosines in the triangle of p, q and the joint).
+    Intersection of two circles (law of cosines in the triangle of p, q and the joint).
     """
     dx, dy = q[0] - p[0], q[1] - p[1]
     square = dx * dx + dy * dy
@@ -47,7 +47,7 @@ def rrr(p: Vector, q: Vector, a: Value, b: Value, side: Value) -> tuple[Vector, 
 
 
 def rrp(p: Vector, g: Vector, w: Vector, a: Value, offset: Value, side: Value) -> tuple[Vector, Value]:
-    """Joint of a link pinned at p and a slider on a known line (RRP dyad).
+    """Compute the joint of a link pinned at p and a slider on a known line (RRP dyad).
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def rrp(p: Vector, g: Vector, w: Vector, a: Value, offset: Value, side: Value) -
 
     Notes
     -----
-    Source: intersection of a circle and a line.
+    Intersection of a circle and a line.
     """
     to_p = (p[0] - g[0], p[1] - g[1])
     height = cross(w, to_p) - offset
@@ -82,14 +82,14 @@ def rrp(p: Vector, g: Vector, w: Vector, a: Value, offset: Value, side: Value) -
 
 
 def rpr(p: Vector, q: Vector, offset: Value, side: Value) -> tuple[Vector, Value]:
-    """Direction of the line along which two bodies slide that are pinned at p and q (RPR dyad).
+    """Compute the direction of the line along which two bodies pinned at p and q slide (RPR dyad).
 
     Parameters
     ----------
     p, q : pair of Value [m]
         Outer pins of the body that carries the line (p) and of the slider (q).
     offset : Value [m]
-        How much further to the left of the line q lies than p, fixed on the two bodies.
+        Distance of q minus that of p to the left of the line, fixed on the two bodies.
     side : int or array of int
         +1: q lies forward (along the line) of p; -1: backward.
 
@@ -101,7 +101,7 @@ def rpr(p: Vector, q: Vector, offset: Value, side: Value) -> tuple[Vector, Value
 
     Notes
     -----
-    Source: p -> q is the sum of the slide along the line and the offset across it (right triangle).
+    p -> q is the sum of the slide along the line and the offset across it (right triangle).
     """
     dx, dy = q[0] - p[0], q[1] - p[1]
     with np.errstate(all="ignore"):
@@ -114,7 +114,7 @@ def rpr(p: Vector, q: Vector, offset: Value, side: Value) -> tuple[Vector, Value
 
 
 def rpp(p: Vector, y: Vector, w: Vector, u: Vector, offset: Value) -> tuple[Value, Value]:
-    """Displacement of a yoke on its known line, moved by a slider that is pinned at p (RPP dyad).
+    """Compute the displacement of a yoke on its known line, moved by a slider that is pinned at p (RPP dyad).
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def rpp(p: Vector, y: Vector, w: Vector, u: Vector, offset: Value) -> tuple[Valu
 
     Notes
     -----
-    Source: intersection of two lines.
+    Intersection of two lines.
     """
     sine = cross(u, w)
     with np.errstate(all="ignore"):
@@ -143,7 +143,7 @@ def rpp(p: Vector, y: Vector, w: Vector, u: Vector, offset: Value) -> tuple[Valu
 
 
 def prp(g: Vector, w: Vector, h: Vector, u: Vector, first: Value, second: Value) -> tuple[Vector, Value]:
-    """Joint of two sliders on two known lines (PRP dyad).
+    """Compute the joint of two sliders on two known lines (PRP dyad).
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def prp(g: Vector, w: Vector, h: Vector, u: Vector, first: Value, second: Value)
 
     Notes
     -----
-    Source: intersection of two lines.
+    Intersection of two lines.
     """
     sine = cross(w, u)
     start = (g[0] - first * w[1], g[1] + first * w[0])

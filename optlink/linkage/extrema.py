@@ -1,9 +1,11 @@
-"""Extremes and zeros of many functions of the crank angle at once: sampled on one grid, then refined together.
+"""Extrema and zeros of many functions of the crank angle at once: sampled on one grid, then refined together.
 
-Every function is refined on an interpolant of its samples and evaluated once more where that has its extreme; where the
-interpolant is not exact, more samples are taken.
+Every function is refined on an interpolant of its samples and evaluated once more at the extremum of the interpolant; where
+the interpolant is not accurate, more samples are taken.
 
-Source of the zeros: T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function
+References
+----------
+Zeros: T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function
 without using derivatives, Advances in Engineering Software 28 (1997) 145-149.
 """
 
@@ -22,8 +24,8 @@ POINTS = 9  # of a bracket, per round
 ROUNDS = 12  # each shrinks the brackets to two of the eight steps: 6e-8 of a grid step at the end
 EXACT, ROUNDING = 1e-9, 1e-13  # shares of the range of its samples, and of their size, by which an interpolant may be wrong
 SMOOTH = 1e-6  # share of that range which the last term of an interpolant may add half-way between samples
-ZERO = 1e-13  # share of the largest value of its kind below which a function is zero but for rounding
-PORTION, VALUES = 512, 1_000_000  # angles, and values of all functions, that are worked on at a time
+ZERO = 1e-13  # share of the largest value of its kind below which a function is rounding error
+PORTION, VALUES = 512, 1_000_000  # angles, and values of all functions, per portion
 HALFWAY = float(np.prod(np.arange(0.5, POINTS // 2) ** 2))
 """Product of the distances to all samples but the last, from half-way between the two in the middle."""
 
@@ -31,16 +33,18 @@ HALFWAY = float(np.prod(np.arange(0.5, POINTS // 2) ** 2))
 def extremes(
     function: Function, grid: Array, breaks: Sequence[float] = (), kinds: Sequence[Hashable] | None = None
 ) -> tuple[Array, Array]:
-    """Least and largest value of every function over the range of the grid.
+    """Compute the least and the largest value of every function over the range of the grid.
 
     Parameters
     ----------
-    function : crank angles (n,) -> values (functions, n), NaN where there is none
+    function : callable, crank angles (n,) -> values (functions, n)
+        NaN where a function is undefined.
     grid : array (n,) [rad], rising
-        Fine enough that each extreme lies beside the best grid point.
-    breaks : crank angles where the functions may jump; no bracket reaches across one
-    kinds : one for each function, optional
-        Functions of one kind have the same unit: one that is zero but for rounding beside the others is not refined.
+        Fine enough that each extremum lies beside the best grid point.
+    breaks : sequence of float [rad]
+        Crank angles where the functions may jump; no bracket reaches across one.
+    kinds : sequence of hashable, one for each function, optional
+        Functions of one kind have the same unit: a function that is rounding error compared with the others is not refined.
 
     Returns
     -------
@@ -55,13 +59,13 @@ def extremes(
 
 
 def extremes_of_rows(function: Function, grid: Array) -> Array:
-    """Least and largest value of every row of a function, each row closed in on at crank angles of its own.
+    """Compute the least and the largest value of every row of a function, each row refined at its own crank angles.
 
     Parameters
     ----------
-    function : crank angles (rows, n) [rad] -> values (rows, n), finite
+    function : callable, crank angles (rows, n) [rad] -> values (rows, n), finite
     grid : array (n,) [rad], rising
-        Fine enough that each extreme lies beside the best grid point.
+        Fine enough that each extremum lies beside the best grid point.
 
     Returns
     -------
@@ -80,9 +84,9 @@ def extremes_of_rows(function: Function, grid: Array) -> Array:
 def _extremes(
     values: Array, grid: Array, breaks: Sequence[float], zero: NDArray[np.bool_], own: Callable[[Array, Index], Array]
 ) -> tuple[Array, Array]:
-    """Angles and values (functions, 2) of the extremes near the best of the values (functions, n) on a grid.
+    """Angles and values (functions, 2) of the extrema near the best of the values (functions, n) on a grid.
 
-    `own` gives the values (m, k) at crank angles (m, k) for the extremes number (m,): twice the function's number, and one more
+    `own` returns the values (m, k) at crank angles (m, k) for the extrema number (m,): twice the function's number, plus one
     for the largest value.
     """
     known = np.isfinite(values)
@@ -92,7 +96,7 @@ def _extremes(
     low, high = grid[np.maximum(best - 1, 0)], grid[np.minimum(best + 1, len(grid) - 1)]
     for edge in breaks:
         low, high = np.where((low < edge) & (edge < angle), edge, low), np.where((angle < edge) & (edge < high), edge, high)
-    some = np.flatnonzero(np.isfinite(value) & ~zero[rows])  # what is still to be refined
+    some = np.flatnonzero(np.isfinite(value) & ~zero[rows])  # extrema still to be refined
     nodes, samples = _beside(values, rows[some], grid, best[some], breaks)
     samples = signs[some, None] * samples
     for left in range(ROUNDS, -1, -1):
@@ -112,7 +116,7 @@ def _extremes(
 
 
 def _zero(values: Array, kinds: Sequence[Hashable] | None) -> NDArray[np.bool_]:
-    """Which functions are rounding beside others of their kind."""
+    """Return which functions are rounding error compared with others of their kind."""
     if kinds is None:
         return np.zeros(len(values), dtype=bool)
     size = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=-1, initial=0.0)
@@ -124,7 +128,7 @@ def _zero(values: Array, kinds: Sequence[Hashable] | None) -> NDArray[np.bool_]:
 
 
 def _lower(angle: Array, value: Array, at: Array, other: Array) -> tuple[Array, Array]:
-    """The lower of two guesses (n,), the first where the other is not finite."""
+    """The lower of two candidates (n,), the first where the other is not finite."""
     lower = np.where(np.isfinite(other), other < value, False)
     return np.where(lower, at, angle), np.where(lower, other, value)
 
@@ -142,7 +146,7 @@ def _lowest(points: Array, values: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _refined(curves: Function, low: Array, high: Array, angle: Array, value: Array) -> tuple[Array, Array]:
-    """Angles and values (n,) of the minima of curves between `low` and `high`, those given where there is no lower one."""
+    """Angles and values (n,) of the minima of curves between `low` and `high`; the input values where there is no lower one."""
     for _ in range(ROUNDS):
         points = _points(low, high)
         at, lowest, low, high = _lowest(points, curves(points))
@@ -162,7 +166,7 @@ def _beside(values: Array, rows: Index, grid: Array, best: Index, breaks: Sequen
 
 
 def _interpolants(nodes: Array, samples: Array) -> tuple[Function, Array]:
-    """Polynomials through samples (n, points), and by how much the functions may miss them at an extreme (n,).
+    """Polynomials through samples (n, points), and the tolerated error of their extrema (n,).
 
     That is NaN where the samples are not smooth.
     """
@@ -187,7 +191,19 @@ def _interpolants(nodes: Array, samples: Array) -> tuple[Function, Array]:
 
 
 def in_portions(function: Function, angles: Array, rows: Index | None = None) -> Array:
-    """Values of all functions at all angles (functions, n), or of the function `rows[k]` at `angles[k]` (n,)."""
+    """Evaluate a function in portions of the crank angles, to limit memory.
+
+    Parameters
+    ----------
+    function : callable, crank angles (n,) -> values (functions, n)
+    angles : array (n,) [rad]
+    rows : array (n,) of int, optional
+        Index of the function whose value is returned at each angle. Default: all functions.
+
+    Returns
+    -------
+    array (functions, n), or (n,) with `rows`
+    """
     found: list[Array] = []
     done, size = 0, PORTION
     while done < len(angles) or not found:
@@ -202,18 +218,20 @@ STILL = 1e-11
 
 
 def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = False) -> list[Array]:
-    """Crank angles [rad] at which each function changes its sign, to the last digits.
+    """Compute the crank angles [rad] at which each function changes sign, to machine precision.
 
     Parameters
     ----------
-    function : crank angles (n,) -> values (functions, n)
+    function : callable, crank angles (n,) -> values (functions, n)
     grid : array (n,) [rad], rising
-    count : rounds of inverse quadratic interpolation or bisection at most
-    still : whether the functions are rates of what may stand still for a while: rounding does not reverse it
+    count : int
+        Maximum number of rounds of inverse quadratic interpolation or bisection.
+    still : bool
+        Whether the functions are rates that may be zero over a range: rounding errors then count as zero, not as reversals.
 
     Returns
     -------
-    one rising array per function; sign changes across a gap (NaN) or a jump to NaN are none
+    one rising array per function; sign changes across a gap (NaN) or a jump to NaN do not count
     """
     values = in_portions(function, grid)
     if still:
@@ -233,7 +251,7 @@ def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = Fal
 def _roots(
     function: Callable[[Array, Index], Array], low: Array, high: Array, at_low: Array, at_high: Array, count: int
 ) -> Array:
-    """Upper ends (n,) of the brackets of sign changes, closed in on to rounding (Chandrupatla 1997).
+    """Upper ends (n,) of the brackets of sign changes, refined to rounding (Chandrupatla 1997).
 
     `function` takes angles and the brackets that they lie in. `new` and `old` bracket a zero, `last` is the end dropped before.
     """

@@ -1,4 +1,4 @@
-"""Textbook four-bar theory, elementwise: crank condition, dead centres, transmission angle, swing, time ratio.
+"""Closed-form four-bar theory, elementwise: Grashof conditions, dead centres, transmission angle, swing angle, time ratio.
 
 Conventions: crank pivot A = (0, 0), rocker pivot D = (frame, 0); crank A-B, coupler B-C, rocker D-C; crank angle phi and
 rocker angle psi counter-clockwise from A -> D. Assembly mode +1: C to the left of B -> D (above it where D lies to the right).
@@ -21,28 +21,28 @@ LENGTHS = ("crank", "coupler", "rocker", "frame")
 
 
 def lengths_of(values: Mapping[str, Value]) -> tuple[Value, Value, Value, Value]:
-    """Crank, coupler, rocker, frame in the order of this module's functions."""
+    """Return crank, coupler, rocker and frame in the argument order of this module's functions."""
     return values["crank"], values["coupler"], values["rocker"], values["frame"]
 
 
 def four_bar(
     side: int = 1, points: Iterable[str] = (), *, placed: bool = False, follow: bool = False, holds_at: float | None = None
 ) -> Mechanism:
-    """The four-bar A-B-C-D as data, its sizes the parameters of `LENGTHS`.
+    """Return the four-bar A-B-C-D as a Mechanism, with the parameters of `LENGTHS` as its sizes.
 
     Parameters
     ----------
     side : int
-        Assembly mode.
-    points : names
-        Of points fixed on the coupler: their parameters are "P.along" and "P.across" (from B, along and left of B -> C).
+        Assembly mode: +1 or -1.
+    points : iterable of str
+        Names of points fixed on the coupler; their parameters are "P.along" and "P.across" (from B, along and left of B -> C).
     placed : bool
         False: A lies in the origin and D on the x axis. True: the parameters "A.x", "A.y" and "direction" place the frame, and
         crank angles count from A -> D.
     follow : bool
-        Lead it smoothly through change points.
+        Continue the motion smoothly through change points.
     holds_at : float [rad], optional
-        Crank angle at which `side` holds then; left out: where the drive starts.
+        Crank angle at which `side` applies if `follow` is set. Default: the start of the drive.
     """
     coupler, rocker = Link("coupler", "B", "C", "coupler"), Link("rocker", "D", "C", "rocker")
     return Mechanism(
@@ -55,13 +55,17 @@ def four_bar(
     )
 
 
-# --- which links can turn ------------------------------------------------------------------------------------------
+# --- Grashof conditions --------------------------------------------------------------------------------------------
 
 
 def crank_rocker_conditions(crank: Value, coupler: Value, rocker: Value, frame: Value) -> dict[str, Value]:
-    """Grashof's condition with the crank as the shortest link, as six slacks [m] that must not be negative.
+    """Return the Grashof condition with the crank as the shortest link, as six slacks [m] that must not be negative.
 
-    Linear in the lengths, so a solver that starts inside stays inside.
+    The slacks are linear in the lengths, so a solver that starts feasible remains feasible.
+
+    Parameters
+    ----------
+    crank, coupler, rocker, frame : Value [m]
     """
     return {
         "crank <= coupler": coupler - crank,
@@ -74,7 +78,12 @@ def crank_rocker_conditions(crank: Value, coupler: Value, rocker: Value, frame: 
 
 
 def double_crank_conditions(crank: Value, coupler: Value, rocker: Value, frame: Value) -> dict[str, Value]:
-    """Grashof's condition with the frame as the shortest link (drag link): crank and frame change places."""
+    """Return the Grashof condition with the frame as the shortest link (drag link): crank and frame are interchanged.
+
+    Parameters
+    ----------
+    crank, coupler, rocker, frame : Value [m]
+    """
     swapped = crank_rocker_conditions(frame, coupler, rocker, crank)
     return {
         label.replace("crank", "\0").replace("frame", "crank").replace("\0", "frame"): slack for label, slack in swapped.items()
@@ -82,7 +91,7 @@ def double_crank_conditions(crank: Value, coupler: Value, rocker: Value, frame: 
 
 
 class Inversion(enum.Enum):
-    """What a four-bar does when its first link is driven, as textbooks name it."""
+    """Inversion of a four-bar whose first link is driven, by its textbook name."""
 
     CRANK_ROCKER = "crank-rocker"
     DOUBLE_CRANK = "double-crank (drag link)"
@@ -96,13 +105,13 @@ class Inversion(enum.Enum):
 
     @property
     def crank_turns(self) -> bool:
-        """Whether the driven link makes full revolutions without passing a position where the modes meet."""
+        """Whether the driven link makes full revolutions without passing a singular position."""
         return self in (Inversion.CRANK_ROCKER, Inversion.DOUBLE_CRANK)
 
 
 @dataclass(frozen=True)
 class GrashofClass:
-    """Inversion and Grashof slack p + q - s - l [m]: positive where the shortest link turns fully."""
+    """Inversion and Grashof slack p + q - s - l [m], which is positive where the shortest link turns fully."""
 
     inversion: Inversion
     slack: float
@@ -117,9 +126,9 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
     tolerance : float [-]
         Share of the longest link below which a slack counts as zero (change-point linkage).
 
-    Notes
-    -----
-    Source: Grashof's condition s + l <= p + q; inversions as in Norton, Design of Machinery, chapter 2.
+    References
+    ----------
+    Grashof's condition s + l <= p + q; inversions as in Norton, Design of Machinery, chapter 2.
     """
     lengths = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
     ordered = sorted(lengths.values())
@@ -153,23 +162,42 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
 
 
 def diagonal_squared(crank: Value, frame: Value, cos_phi: Value) -> Value:
-    """Square of the distance B-D [m^2] at the crank angle phi: it falls with cos phi, so its extremes lie at 0 and pi."""
+    """Return the square of the distance B-D [m^2]. It is linear in cos phi, so its extrema lie at phi = 0 and pi.
+
+    Parameters
+    ----------
+    crank, frame : Value [m]
+    cos_phi : Value [-]
+        Cosine of the crank angle.
+    """
     return crank * crank + frame * frame - 2.0 * (crank * frame) * cos_phi
 
 
 def transmission_cosine(crank: Value, coupler: Value, rocker: Value, frame: Value, cos_phi: Value) -> Value:
-    """Cosine of the transmission angle at phi; outside [-1, 1] where the four-bar cannot be assembled."""
+    """Return the cosine of the transmission angle; outside [-1, 1] where the four-bar cannot be assembled.
+
+    Parameters
+    ----------
+    crank, coupler, rocker, frame : Value [m]
+    cos_phi : Value [-]
+        Cosine of the crank angle.
+    """
     diagonal = diagonal_squared(crank, frame, cos_phi)
     return (coupler * coupler + rocker * rocker - diagonal) / (2.0 * (coupler * rocker))
 
 
 def turning_points(start: Value, span: Value) -> list[Value]:
-    """Crank angles [rad] among which every function of cos phi takes its extremes over start ... start + span.
+    """Return crank angles [rad] that include the extrema of every function of cos phi over start ... start + span.
 
-    Both `start` and `span` lie within one revolution, -2 pi ... 2 pi.
+    These are both ends, and the multiples of pi clipped to the range: a multiple outside it coincides with an end, and because
+    cos is flat there the extremum is continuously differentiable in `start`.
 
-    Both ends, and the multiples of pi moved into the range: where one lies outside it becomes an end, and because cos is
-    flat there the extreme stays continuously differentiable in `start`.
+    Parameters
+    ----------
+    start : Value [rad]
+        First crank angle, from -2 pi to 2 pi.
+    span : Value [rad]
+        Crank rotation, from -2 pi to 2 pi.
     """
     end = start + span
     if isinstance(span, float | int):
@@ -181,7 +209,11 @@ def turning_points(start: Value, span: Value) -> list[Value]:
 
 
 def reachable(crank: float, coupler: float, rocker: float, frame: float) -> list[tuple[float, float]]:
-    """Ranges of crank angle [rad] in which the four-bar can be assembled.
+    """Return the ranges of crank angle [rad] in which the four-bar can be assembled.
+
+    Parameters
+    ----------
+    crank, coupler, rocker, frame : float [m]
 
     Returns
     -------
@@ -207,7 +239,7 @@ def reachable(crank: float, coupler: float, rocker: float, frame: float) -> list
 
 @dataclass(frozen=True)
 class DeadCentre:
-    """A limit position of the rocker: crank and coupler in line.
+    """Limit position of the rocker, with crank and coupler in line.
 
     `crank` and `rocker` are unit vectors; `margin` (dimensionless) is negative where the position does not exist.
     """
@@ -228,7 +260,7 @@ class DeadCentre:
 
 
 def dead_centre(crank: Value, coupler: Value, rocker: Value, frame: Value, side: int, outer: bool) -> DeadCentre:
-    """Limit position of the rocker.
+    """Compute a limit position of the rocker.
 
     Parameters
     ----------
@@ -240,7 +272,7 @@ def dead_centre(crank: Value, coupler: Value, rocker: Value, frame: Value, side:
 
     Notes
     -----
-    Source: triangle A-C-D, law of cosines.
+    Law of cosines in the triangle A-C-D.
     """
     reach = coupler + crank if outer else coupler - crank
     with np.errstate(all="ignore"):  # crank = coupler has no inner dead centre: C would sit on A, in no direction
@@ -252,7 +284,14 @@ def dead_centre(crank: Value, coupler: Value, rocker: Value, frame: Value, side:
 
 
 def swing(crank: Value, coupler: Value, rocker: Value, frame: Value, side: int) -> Value:
-    """Angle between the rocker's limit positions [rad], positive; a crank-rocker is assumed."""
+    """Return the swing angle between the limit positions of the rocker of a crank-rocker [rad], positive.
+
+    Parameters
+    ----------
+    crank, coupler, rocker, frame : Value [m]
+    side : int
+        Assembly mode: +1 or -1.
+    """
     outer = dead_centre(crank, coupler, rocker, frame, side, outer=True)
     inner = dead_centre(crank, coupler, rocker, frame, side, outer=False)
     return side * angle_from(outer.rocker, inner.rocker)
@@ -261,11 +300,11 @@ def swing(crank: Value, coupler: Value, rocker: Value, frame: Value, side: int) 
 def time_ratio(
     crank: Value, coupler: Value, rocker: Value, frame: Value, side: int, stroke: str | None = None, sense: Value = 1
 ) -> Value:
-    """Duration of one stroke of the rocker over that of the other at constant crank speed; a crank-rocker is assumed.
+    """Return the duration of one rocker stroke over that of the other at constant crank speed, for a crank-rocker.
 
-    (pi + theta) / (pi - theta), theta the angle between the crank's two directions A -> C at the dead centres; the forward stroke
-    is the slow one where theta has the sign of `side * sense`. Either assembly mode has the same strokes: a mirrored linkage
-    whose crank turns backwards.
+    The ratio is (pi + theta) / (pi - theta), with theta the angle between the two directions A -> C at the dead centres; the
+    forward stroke is the slow one where theta has the sign of `side * sense`. Both assembly modes have the same strokes: the
+    other mode is the mirrored linkage with the crank turning backwards.
 
     Parameters
     ----------
@@ -273,9 +312,9 @@ def time_ratio(
     side : +1 or -1
         Assembly mode.
     stroke : "forward", "backward", "slow", "quick" or None
-        Whose duration is divided by the other's: forward is counter-clockwise; None is the slow one.
+        Stroke whose duration is the numerator; forward is counter-clockwise; None is the slow one.
     sense : +1 or -1
-        Sense in which the crank turns, +1 counter-clockwise.
+        Sense of crank rotation, +1 counter-clockwise.
     """
     outer = dead_centre(crank, coupler, rocker, frame, side, outer=True)
     inner = dead_centre(crank, coupler, rocker, frame, side, outer=False)

@@ -1,6 +1,6 @@
-"""A value with its first and second time derivative, carried through the position formulas.
+"""Second-order jets: a value with its first and second time derivative, propagated through the position formulas.
 
-There is no second set of formulas for velocity and acceleration: a position formula fed with jets returns jets.
+Velocity and acceleration need no formulas of their own: a position formula evaluated with jets returns jets.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Jet(NDArrayOperatorsMixin):
         rule = _RULES.get(ufunc)
         return NotImplemented if rule is None else rule(*inputs)
 
-    # the operators without numpy's detour: half of the cost of a jet of a few hundred positions
+    # direct operators bypass numpy's dispatch, which is half of the cost of a jet of a few hundred positions
 
     def __add__(self, other: Value) -> Jet:
         return _add(self, other)
@@ -71,7 +71,7 @@ class Jet(NDArrayOperatorsMixin):
         return Jet(-self.value, -self.rate, -self.acceleration)
 
 
-# a quantity that is no jet stands still: its terms are left out, not multiplied by zero
+# a quantity that is not a jet is constant: its terms are omitted, not multiplied by zero
 
 
 def _add(a: Value, b: Value) -> Jet:
@@ -131,7 +131,7 @@ def _arctan2(y: Value, x: Value) -> Jet:
 
 
 def _power(base: Value, exponent: Value) -> Jet:
-    if isinstance(exponent, Jet):  # only an exponent that moves needs log(base)
+    if isinstance(exponent, Jet):  # only a variable exponent needs log(base)
         return np.exp(exponent * np.log(base))  # type: ignore[no-any-return]
     n = exponent
     if isinstance(n, float | int) and n in (0, 1, 2):  # where the general rule would multiply zero by infinity at zero

@@ -1,7 +1,7 @@
-"""Least distances of a mechanism from the positions where its assembly modes meet: there it locks, or may change its branch.
+"""Default limits of the distance from singular positions, where a mechanism locks or may change its branch.
 
-They are defaults of limits in the problem file, for laws, paths, poses and cycles alike; a user may set other values above zero.
-The validator uses the same values but measures them in motion, by formulas of its own.
+They are the defaults of limits in the problem file, for output laws, paths, poses and cycles alike; a user may set other values
+above zero. The validator uses the same values but measures them in motion, by independent formulas.
 
 References
 ----------

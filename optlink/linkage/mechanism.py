@@ -1,7 +1,7 @@
-"""A mechanism is data: ground points, a driving crank and dyads solved one after the other.
+"""Mechanisms as data: ground points, a driving crank and dyads solved one after the other.
 
-Sizes are names of parameters, so one description serves every design: `pose` takes the parameters and the crank's direction,
-each a Value (float, batch, symbol or jet), and returns where everything is, and the assembly margins.
+Sizes are names of parameters, so one description applies to every design: `pose` takes the parameters and the crank's direction,
+each a Value (float, batch, symbol or jet), and returns positions and assembly margins.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FRAME = "frame"
 
 @dataclass(frozen=True)
 class Link:
-    """A moving body. Its own axes begin at the point `start`; x points to `end`, `length` away.
+    """A moving body. Its axes have their origin at the point `start`; x points to `end`, at the distance `length`.
 
     A body without an `end` (a block, a ram, a yoke) gets the direction of its x axis from a guide.
     """
@@ -38,7 +38,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Arm:
-    """Where a point of the frame lies: `length` away from another ground point, in a `direction` [rad] counted from +x."""
+    """Position of a point of the frame: `length` away from another ground point, in a `direction` [rad] from +x."""
 
     origin: str
     length: Size
@@ -61,11 +61,11 @@ class BodyPoint:
 
 @dataclass(frozen=True)
 class Guide:
-    """A prismatic joint: the body `slider` slides along a line that is fixed on the body `on`, and does not turn against it.
+    """A prismatic joint: the body `slider` slides without rotation along a line that is fixed on the body `on`.
 
     The line passes `offset` to the left of the point `through` of `on` (its name, or coordinates on that body), at the angle
-    `direction` to the x axis of `on`; there the slide is counted from. The point `at` of the slider (its start, if not said) lies
-    on the line, and the slider's x axis is turned by `tilt` against the line.
+    `direction` to the x axis of `on`; the slide counts from there. The point `at` of the slider (default: its start) lies
+    on the line, and the slider's x axis is at the angle `tilt` to the line.
     """
 
     name: str
@@ -79,16 +79,16 @@ class Guide:
 
     @property
     def bodies(self) -> tuple[str, str]:
-        """The two bodies that slide on one another, the slider first."""
+        """The two bodies that slide on each other, the slider first."""
         return self.slider, self.on
 
     def other(self, body: str) -> str:
-        """The body at the other side."""
+        """The other body of the joint."""
         return self.on if body == self.slider else self.slider
 
 
 class Group(Protocol):
-    """A dyad: two bodies that can be placed once their neighbours are."""
+    """Protocol of a dyad: two bodies that can be placed once their neighbours are."""
 
     @property
     def kind(self) -> str:
@@ -97,12 +97,12 @@ class Group(Protocol):
 
     @property
     def least(self) -> float:
-        """Assembly margin below which it cannot be placed."""
+        """Assembly margin below which it cannot be assembled."""
         ...
 
     @property
     def joint(self) -> str:
-        """Name of the inner joint, which is that of the group too."""
+        """Name of the inner joint, also used as the name of the group."""
         ...
 
     @property
@@ -111,25 +111,28 @@ class Group(Protocol):
         ...
 
     def solve(self, pose: Pose) -> Value:
-        """Add what the group adds to `pose`; return the assembly margin."""
+        """Add the points and bodies of the group to `pose`; return the assembly margin."""
         ...
 
     def gap(self, pose: Pose) -> Value:
-        """By how much the group fails to close [m]: negative where it closes."""
+        """Distance [m] by which the group fails to close; negative where it closes."""
         ...
 
     @property
     def course(self) -> Course | None:
-        """Its way through singular positions, if it is led through them."""
+        """Sides and series through singular positions, if the group is continued through them."""
         ...
 
     def alignment(self, pose: Pose) -> Value:
-        """Squared sine of the angle by which the group is out of alignment: zero at a singular position, negative beyond it."""
+        """Squared sine of the angle between the group and its alignment: zero at a singular position, negative beyond it."""
         ...
 
 
 class Pose:
-    """Where everything is. Filled group by group; `points` in [m], `directions` of bodies as unit vectors, `margins` by joint."""
+    """Positions of all points and bodies of a mechanism, computed group by group.
+
+    `points` in [m], `directions` of bodies as unit vectors, `margins` by joint.
+    """
 
     __slots__ = ("angle", "directions", "margins", "mechanism", "points", "sizes")
 
@@ -140,11 +143,19 @@ class Pose:
         self.margins: dict[str, Value] = {}
 
     def size(self, size: Size) -> Value:
-        """The value of a parameter."""
+        """Return the value of a parameter, or a number unchanged."""
         return self.sizes[size] if isinstance(size, str) else size
 
     def local(self, body: str, point: str) -> Vector:
-        """Coordinates of a point in the body's own axes [m]."""
+        """Return the coordinates of a point in the axes of a body [m].
+
+        Parameters
+        ----------
+        body : str
+            Name of the body, `FRAME` for the frame.
+        point : str
+            Name of a point of that body.
+        """
         if body == FRAME:
             return self.fixed(self.mechanism.ground[point])
         link = self.mechanism.bodies[body]
@@ -156,14 +167,14 @@ class Pose:
         return self.size(own.along), self.size(own.across)
 
     def fixed(self, place: Ground) -> Vector:
-        """Coordinates of a point of the frame [m]."""
+        """Return the coordinates of a point of the frame [m]."""
         if not isinstance(place, Arm):
             return self.size(place[0]), self.size(place[1])
         length, axis = self.size(place.length), unit(self.size(place.direction))
         return plus(self.fixed(self.mechanism.ground[place.origin]), (length * axis[0], length * axis[1]))
 
     def point(self, name: str) -> Vector:
-        """Where a point is [m]; one that is fixed on a placed body is found on demand."""
+        """Return the position of a point [m]; points fixed on a placed body are computed on demand."""
         if name not in self.points:
             body = next(body for body in self.mechanism.owners[name] if self._placed(body))
             link = self.mechanism.bodies[body]
@@ -175,7 +186,7 @@ class Pose:
         return self.points[name]
 
     def direction(self, body: str) -> Vector:
-        """Unit vector of a body's x axis."""
+        """Return the unit vector of a body's x axis."""
         if body not in self.directions:
             link = self.mechanism.bodies[body]
             start, end, length = self.points[link.start], self.points[link.end], self.size(link.length)
@@ -183,7 +194,14 @@ class Pose:
         return self.directions[body]
 
     def line(self, guide: Guide, body: str) -> tuple[Vector, Vector]:
-        """A point and the unit vector of a guide's line, from where one of its bodies is."""
+        """Return a point [m] and the unit vector of a guide's line, from the position of one of its bodies.
+
+        Parameters
+        ----------
+        guide : Guide
+        body : str
+            Name of one of the two bodies of the guide; it must be placed.
+        """
         point, direction = self.local_line(guide, body)
         if body == FRAME:
             return point, direction
@@ -191,7 +209,14 @@ class Pose:
         return plus(start, turn(point, axis)), turn(direction, axis)
 
     def local_line(self, guide: Guide, body: str) -> tuple[Vector, Vector]:
-        """A point and the unit vector of a guide's line in the axes of one of its bodies."""
+        """Return a point [m] and the unit vector of a guide's line in the axes of one of its bodies.
+
+        Parameters
+        ----------
+        guide : Guide
+        body : str
+            Name of one of the two bodies of the guide.
+        """
         if body == guide.slider:
             at = guide.at or self.mechanism.bodies[body].start
             return self.local(body, at), unit(-self.size(guide.tilt))
@@ -203,19 +228,33 @@ class Pose:
         return (point[0] - offset * direction[1], point[1] + offset * direction[0]), direction
 
     def slide(self, guide: Guide) -> Value:
-        """How far the slider has moved along its line [m]."""
+        """Return the displacement of the slider along its line [m]."""
         begin, direction = self.line(guide, guide.on)
         return dot(minus(self.point(guide.at or self.mechanism.bodies[guide.slider].start), begin), direction)
 
     def distance(self, link: Link, p: str, q: str) -> Value:
-        """Distance of two points of a body [m]."""
+        """Return the distance between two points of a body [m].
+
+        Parameters
+        ----------
+        link : Link
+        p, q : str
+            Names of the two points.
+        """
         if {p, q} == {link.start, link.end}:
             return self.size(link.length)
         (px, py), (qx, qy) = self.local(link.body, p), self.local(link.body, q)
         return np.sqrt((qx - px) * (qx - px) + (qy - py) * (qy - py))
 
     def fit(self, link: Link, p: str, q: str) -> None:
-        """Place a body by two of its points that are known."""
+        """Place a body by two of its points whose positions are known.
+
+        Parameters
+        ----------
+        link : Link
+        p, q : str
+            Names of the two points.
+        """
         if {p, q} != {link.start, link.end}:
             (px, py), (qx, qy) = self.local(link.body, p), self.local(link.body, q)
             lever = (qx - px, qy - py)
@@ -224,7 +263,16 @@ class Pose:
             self.place(link, (x / square, y / square), p)
 
     def place(self, link: Link, direction: Vector, known: str) -> None:
-        """Place a body by its direction and one of its points that is known."""
+        """Place a body by its direction and one of its points whose position is known.
+
+        Parameters
+        ----------
+        link : Link
+        direction : pair of Value [-]
+            Unit vector of the body's x axis.
+        known : str
+            Name of the point.
+        """
         self.directions[link.body] = direction
         if link.start not in self.points:
             self.points[link.start] = minus(self.points[known], turn(self.local(link.body, known), direction))
@@ -232,7 +280,16 @@ class Pose:
             self.point(link.end)
 
     def offset(self, guide: Guide, link: Link, point: str) -> Value:
-        """How far to the left of a guide's line a point of one of its bodies lies [m]."""
+        """Return the distance of a point of a body to the left of a guide's line [m].
+
+        Parameters
+        ----------
+        guide : Guide
+        link : Link
+            One of the two bodies of the guide.
+        point : str
+            Name of a point of that body.
+        """
         begin, direction = self.local_line(guide, link.body)
         return cross(direction, minus(self.local(link.body, point), begin))
 
@@ -245,10 +302,10 @@ class Pose:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Ground + driving crank + ordered dyads (+ points fixed on bodies, + guides).
+    """A planar mechanism: ground, driving crank and ordered dyads, with points fixed on bodies and guides.
 
-    `datum` [rad] is the direction that crank angles are counted from, itself counted from +x. `cycle` [rad] is the crank rotation
-    after which the motion repeats: more than a revolution where groups are led through change points.
+    `datum` [rad] is the direction from which crank angles are measured, itself measured from +x. `cycle` [rad] is the crank
+    rotation after which the motion repeats: more than a revolution where groups are continued through change points.
     """
 
     name: str
@@ -262,7 +319,7 @@ class Mechanism:
 
     @cached_property
     def followed(self) -> bool:
-        """Whether a group is led through change points."""
+        """Whether a group is continued through change points."""
         return any(group.course is not None for group in self.groups)
 
     @cached_property
@@ -282,7 +339,7 @@ class Mechanism:
 
     @cached_property
     def owners(self) -> dict[str, tuple[str, ...]]:
-        """Every named point with the bodies that have it, the frame first; more than one body makes it a pin."""
+        """Every named point with the bodies that share it, the frame first; a point of more than one body is a pin."""
         found: dict[str, list[str]] = {name: [FRAME] for name in self.ground}
         for link in self.links:
             marks = [name for body, name in self.marks if body == link.body]
@@ -297,24 +354,30 @@ class Mechanism:
         return {name: bodies for name, bodies in self.owners.items() if len(bodies) > 1}
 
     def link(self, body: str) -> Link:
-        """The link of that name; KeyError if there is none."""
+        """Return the link of a body; KeyError if there is none."""
         return self.bodies[body]
 
     def at(self, sizes: Mapping[str, Value], crank_angle: Value) -> Pose:
-        """Positions of every point at crank angles [rad], see `pose`; velocities and accelerations where they are jets."""
+        """Compute the positions of all points at crank angles, see `pose`; jets give velocities and accelerations too.
+
+        Parameters
+        ----------
+        sizes : mapping of parameter name to Value [m, rad]
+        crank_angle : Value [rad]
+        """
         return self.pose(sizes, unit(crank_angle), crank_angle)
 
     def pose(self, sizes: Mapping[str, Value], crank: Vector, crank_angle: Value = None) -> Pose:
-        """Positions of every point.
+        """Compute the positions of all points.
 
         Parameters
         ----------
         sizes : mapping of parameter name to Value [m, rad]
             Broadcast against the crank: (designs, 1) against (angles,) gives (designs, angles).
         crank : pair of Value
-            Unit vector of the crank, against the datum of the crank angle.
+            Unit vector of the crank, relative to the datum of the crank angle.
         crank_angle : Value [rad], optional
-            Its angle, which a mechanism that is led through change points depends on; left out: within the first revolution.
+            Crank angle, needed by a mechanism that is continued through change points. Default: within the first revolution.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""A mechanism swept over its crank angles: positions, velocities, accelerations, margins, from the one pose formula."""
+"""Motion of a mechanism over its crank angles: positions, velocities, accelerations, margins, from the one pose formula."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Motion:
-    """How a mechanism moves while its crank turns.
+    """Motion of a mechanism with its crank.
 
     Arrays have the shape of sizes broadcast against `crank_angle`: (angles,) for one design, (designs, angles) for a batch.
     """
@@ -44,7 +44,7 @@ class Motion:
         return self._stack(point, lambda jet: jet.acceleration)
 
     def margin(self, joint: str) -> Array:
-        """Assembly margin [-] of the group that ends in that joint."""
+        """Assembly margin [-] of the group with that inner joint."""
         return self._full(_jet(self.pose.margins[joint]).value)
 
     def body_angle(self, body: str) -> Jet:
@@ -67,12 +67,18 @@ class Motion:
 
     @property
     def assembled(self) -> NDArray[np.bool_]:
-        """Where every group closes."""
+        """Whether every group closes, at each position."""
         margins = [self.margin(joint) for joint in self.pose.margins]
         return np.all([margin >= 0.0 for margin in margins], axis=0) if margins else np.ones(self._shape, dtype=bool)
 
     def scaled(self, speed: Value, acceleration: Value) -> Motion:
-        """The same positions at another crank speed; this motion must be that of 1 rad/s without acceleration."""
+        """Return the motion at the same positions and another crank speed; this motion must have 1 rad/s and no acceleration.
+
+        Parameters
+        ----------
+        speed : Value [rad/s]
+        acceleration : Value [rad/s^2]
+        """
 
         def scale(x: Value) -> Value:
             if not isinstance(x, Jet):
@@ -97,12 +103,12 @@ class Motion:
 
 
 def _jet(x: Value) -> Jet:
-    """What stands still as a jet."""
+    """Return a constant as a jet."""
     return x if isinstance(x, Jet) else Jet(x)
 
 
 def _continuous(angles: Array) -> Array:
-    """Angles without jumps of a turn along the last axis; NaN stays NaN and what follows a gap is kept near what was before."""
+    """Unwrap angles along the last axis; NaN stays NaN and the values after a gap stay near those before it."""
     if np.all(np.isfinite(angles)):
         return np.unwrap(angles)
     result = np.array(angles)
@@ -118,7 +124,7 @@ BATCH = 46_000
 
 @dataclass(frozen=True)
 class Positions:
-    """Positions alone, of a whole batch: `points` (point, x or y, designs, angles) [m] in the order of `names`.
+    """Positions of a batch of designs: `points` (point, x or y, designs, angles) [m] in the order of `names`.
 
     `margins` (group, designs, angles) are the assembly margins in the order of the mechanism's groups.
     """
@@ -134,19 +140,20 @@ class Positions:
 
 
 def positions(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: ArrayLike, names: Sequence[str] = ()) -> Positions:
-    """Positions of a batch of designs at many crank angles, at the speed of the cache rather than of the memory.
+    """Compute the positions of a batch of designs at many crank angles, in portions that fit the processor cache.
 
     Parameters
     ----------
     mechanism : Mechanism
     sizes : mapping of parameter name to float or array (designs, 1) [m]
     crank_angle : array (angles,) [rad]
-    names : points that are wanted; all moving joints if left out
+    names : sequence of str
+        Points to compute. Default: the end of the crank and the inner joint of every group.
 
     Returns
     -------
-    Positions, NaN where the mechanism cannot be assembled. One array is allocated for all results, and the designs go through in
-    portions, so memory grows with the results alone.
+    Positions, NaN where the mechanism cannot be assembled. One array is allocated for all results, so memory grows with the
+    results alone.
     """
     angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
     arrays = {name: np.asarray(size, dtype=float) for name, size in sizes.items()}
@@ -171,7 +178,7 @@ def positions(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Arr
 def sweep(
     mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0
 ) -> Motion:
-    """Move a mechanism through the given crank angles, at a constant crank speed if no acceleration is given.
+    """Compute the motion of a mechanism over crank angles, by default at constant crank speed.
 
     Parameters
     ----------
@@ -186,6 +193,6 @@ def sweep(
     Motion; NaN where the mechanism cannot be assembled (see `Motion.margin`).
     """
     angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
-    with np.errstate(all="ignore"):  # at a dead position of a group its speeds are infinite or NaN, as they are
+    with np.errstate(all="ignore"):  # at a dead position of a group its speeds are infinite or NaN
         pose = mechanism.at(sizes, Jet(angles, speed, acceleration))
     return Motion(mechanism, sizes, angles, speed, pose, acceleration)

@@ -1,6 +1,6 @@
-"""The way of a group through singular positions: on which side its joint lies where, and Taylor series about them.
+"""Sides of a group over the crank angle, and its Taylor series about singular positions.
 
-At a singular position the formulas of a dyad are 0/0. The joint itself moves on smoothly: there its place is a power series in
+At a singular position the formulas of a dyad are 0/0. The joint itself moves smoothly: there its position is a power series in
 the crank angle, whose derivatives are the velocities and accelerations.
 """
 
@@ -19,14 +19,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Passage:
-    """Power series (2, terms) of two coordinates in crank angle - `crank_angle` [rad], good within `window` [rad]."""
+    """Power series (2, terms) of two coordinates in crank angle - `crank_angle` [rad], accurate within `window` [rad]."""
 
     crank_angle: float
     window: float
     series: Array
 
     def place(self, angle: Value, delta: Value) -> Vector:
-        """The two coordinates; jets where the crank angle is one."""
+        """Evaluate the two coordinates; jets where the crank angle is a jet.
+
+        Parameters
+        ----------
+        angle : Value [rad]
+            Crank angle; of a jet only the derivatives are used.
+        delta : float or array [rad]
+            Crank angle minus `crank_angle`.
+        """
         values = [np.polynomial.polynomial.polyval(delta, row) for row in self.series]
         if not isinstance(angle, Jet):
             return values[0], values[1]
@@ -47,12 +55,12 @@ class Course:
     Parameters
     ----------
     origin, cycle : float [rad]
-        The crank angles from `origin` on, `cycle` of them, are what sides and passages are stated for; then they repeat.
+        Sides and passages apply to the crank angles from `origin` to `origin + cycle` and repeat with this period.
     breaks : array (n,) [rad]
         Crank angles at which the side may change, rising.
     sides : array (n + 1,)
-        Assembly mode before, between and behind them: +1 or -1.
-    passages : one for each break
+        Assembly mode before, between and after them: +1 or -1.
+    passages : tuple of Passage, one for each break
     """
 
     origin: float
@@ -68,7 +76,17 @@ class Course:
         return self.sides[np.searchsorted(self.breaks, within, side="right")]
 
     def through(self, angle: Value, new: Vector, margin: Value) -> tuple[Vector, Value]:
-        """Replace by their series what the formulas give near the singular positions, and margins that are rounding by zero."""
+        """Replace results near the singular positions by their series, and margins that are rounding errors there by zero.
+
+        Parameters
+        ----------
+        angle : Value [rad]
+            Crank angle.
+        new : pair of Value [m or -]
+            Result of the dyad formula: the joint, or the unit vector of the guide.
+        margin : Value [-]
+            Assembly margin.
+        """
         value = angle.value if isinstance(angle, Jet) else angle
         for passage in self.passages:
             turns = np.round((np.real(value) - passage.crank_angle) / self.cycle)
@@ -86,7 +104,7 @@ def _value(x: Value) -> Value:
 
 
 def _either(which: Value, one: Value, other: Value) -> Value:
-    """One or the other, elementwise, of jets too."""
+    """Elementwise selection, of jets too."""
     if not isinstance(one, Jet) and not isinstance(other, Jet):
         return np.where(which, one, other)
     a, b = (x if isinstance(x, Jet) else Jet(x) for x in (one, other))

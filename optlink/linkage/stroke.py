@@ -1,4 +1,4 @@
-"""What a mechanism does over its whole motion: where the crank can turn, dead centres, strokes, swings, time ratios."""
+"""Characteristics of the whole motion: crank ranges, dead centres, strokes, swing angles, time ratios."""
 
 from __future__ import annotations
 
@@ -35,14 +35,21 @@ OTHER: dict[Direction, Direction] = {"forward": "backward", "backward": "forward
 
 
 def within_cycle(crank_angle: float, cycle: float = TURN) -> float:
-    """Crank angle [rad] of a motion that repeats, from 0 to below the cycle; what rounding leaves below the cycle is 0."""
+    """Reduce the crank angle [rad] of a periodic motion to one cycle, from 0; values within rounding of the cycle give 0.
+
+    Parameters
+    ----------
+    crank_angle : float [rad]
+    cycle : float [rad]
+        Crank rotation after which the motion repeats.
+    """
     found = float(crank_angle) % cycle
     return 0.0 if cycle - found < SEAM else found
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A position that cannot be reached: which group fails there, and by how much it does not close [m]."""
+    """A position that cannot be reached: the group that fails to close, and its gap [m]."""
 
     crank_angle: float
     group: Group
@@ -59,7 +66,17 @@ class Failure:
 
 
 def stopping(mechanism: Mechanism, sizes: Mapping[str, Value], end: float, way: float) -> str:
-    """Why the crank does not turn beyond the end [rad] of a range, `way` = +1 or -1; empty where that is not known."""
+    """Return the reason why the crank cannot turn beyond the end of a range, or an empty string if it is unknown.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float [m, rad]
+    end : float [rad]
+        Crank angle at the end of the range.
+    way : float
+        +1 at the upper end, -1 at the lower end.
+    """
     if failed := failure(mechanism, sizes, end + way * math.radians(1.0)):
         return f"one degree further, {failed}"
     with np.errstate(all="ignore"):
@@ -83,12 +100,12 @@ class Ranges:
 
     @property
     def singular(self) -> tuple[Aligned, ...]:
-        """Positions beyond which the motion is not determined, in the order of the crank angle."""
+        """Singular positions beyond which the motion is not determined, in the order of the crank angle."""
         return self._meeting(followed=False)
 
     @property
     def followed(self) -> tuple[Aligned, ...]:
-        """Singular positions through which a group is led, in the order of the crank angle."""
+        """Singular positions through which a group is continued, in the order of the crank angle."""
         return self._meeting(followed=True)
 
     def _meeting(self, *, followed: bool) -> tuple[Aligned, ...]:
@@ -96,7 +113,7 @@ class Ranges:
         return tuple(sorted(found, key=lambda position: position.crank_angle))
 
     def holding(self, crank_angle: float) -> tuple[float, float] | None:
-        """The range that holds a crank angle, shifted by whole turns to it."""
+        """The range that contains a crank angle, shifted to it by whole revolutions; None if there is none."""
         for low, high in self.ranges:
             shift = TURN * math.ceil((low - crank_angle) / TURN - 1e-12)
             if low - 1e-12 <= crank_angle + shift <= high + 1e-12:
@@ -105,7 +122,14 @@ class Ranges:
 
 
 def closing(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Array) -> Array:
-    """Least assembly margin of all groups [-] at crank angles (n,); negative (never NaN) where one fails to close."""
+    """Return the least assembly margin of all groups [-], array (n,); negative (never NaN) where a group fails to close.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float [m, rad]
+    crank_angle : array (n,) [rad]
+    """
     with np.errstate(all="ignore"):
         return _closing(mechanism.at(sizes, crank_angle))
 
@@ -119,7 +143,7 @@ def _closing(pose: Pose) -> Array:
 
 
 def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
-    """Where the crank can turn, ends to the last digits.
+    """Compute the ranges in which the crank can turn, to machine precision.
 
     Parameters
     ----------
@@ -130,7 +154,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     lowest = [position.crank_angle for position in aligned if not position.singular]
     cycle = mechanism.cycle
     grid = np.unique(np.concatenate([np.linspace(0.0, cycle, GRID * round(cycle / TURN) + 1), lowest]))
-    crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel in passing
+    crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel within the motion
 
     def function(angles: Array) -> Array:
         with np.errstate(all="ignore"):
@@ -144,7 +168,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
 
     failing = not closed(grid)
     margin, *sines = zeros(function, grid)
-    ends = np.unique(np.concatenate([margin if failing else [], *sines]))  # a margin that but touches zero is no end
+    ends = np.unique(np.concatenate([margin if failing else [], *sines]))  # a margin that only touches zero is not an end
     if len(ends) == 0:
         return Ranges((), False) if failing else Ranges(((0.0, cycle),), True, tuple(aligned))
     ranges = [
@@ -159,7 +183,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
 
 
 def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) -> list[tuple[float, float]]:
-    """Ranges that are apart by no more than rounding at a singular position as one."""
+    """Merge ranges that are separated only by rounding at a singular position."""
     found: list[tuple[float, float]] = []
     for low, high in ranges:
         if found and closed(np.linspace(found[-1][1], low, 9)):
@@ -173,14 +197,14 @@ def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) 
 
 
 def _within(ranges: Ranges, crank_angle: float) -> bool:
-    """Whether a crank angle lies inside a range, not at its end."""
+    """Whether a crank angle lies in the interior of a range."""
     holding = ranges.holding(crank_angle)
     return holding is not None and min(crank_angle - holding[0], holding[1] - crank_angle) > 1e-6
 
 
 def _inside(function: Callable[[Array], Array], end: float, way: float) -> float:
     """The end of a range, on the side where the mechanism closes."""
-    for step in (0.0, 1e-15, 1e-14, 1e-13, 1e-12, 1e-7, 1e-6):  # the last for lines that are almost parallel
+    for step in (0.0, 1e-15, 1e-14, 1e-13, 1e-12, 1e-7, 1e-6):  # the last two for lines that are almost parallel
         at = end + way * step * TURN
         if function(np.array([at]))[0, 0] >= 0.0:
             return float(at)
@@ -188,7 +212,14 @@ def _inside(function: Callable[[Array], Array], end: float, way: float) -> float
 
 
 def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float) -> Failure | None:
-    """What fails to close at a crank angle [rad], if anything."""
+    """Return the first group that fails to close at a crank angle, or None.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float [m, rad]
+    crank_angle : float [rad]
+    """
     with np.errstate(all="ignore"):
         pose = mechanism.at(sizes, np.array([crank_angle]))
         for group in mechanism.groups:
@@ -199,9 +230,14 @@ def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float
 
 
 def slow_stroke(forward: float, backward: float) -> Direction | None:
-    """Which of two strokes is the slow one, by the crank rotation [rad] of each; None where they are equally long.
+    """Return which of the two strokes is the slow one at constant crank speed, None if they are equally long.
 
-    Equally long are crank rotations that differ by less than `LEAST_DIFFERENCE`, so that rounding never decides.
+    Strokes whose crank rotations differ by less than `LEAST_DIFFERENCE` count as equally long, so that rounding never decides.
+
+    Parameters
+    ----------
+    forward, backward : float [rad]
+        Crank rotation during each stroke.
     """
     if not abs(forward - backward) >= LEAST_DIFFERENCE:
         return None
@@ -213,8 +249,8 @@ class StrokeRange:
     """One stroke of an output at constant crank speed.
 
     `name`: "forward" where the output moves along its guide or counter-clockwise, else "backward"; `begin`, `end`: crank angles
-    [rad] at which it begins (0 ... 2 pi) and ends, the end beyond the begin in the sense in which the crank turns; `pace`:
-    "slow", "quick", or "equal" where the two strokes take equally long.
+    [rad] of its begin (0 ... 2 pi) and end, the end beyond the begin in the sense of crank rotation; `pace`: "slow", "quick", or
+    "equal" where the two strokes are equally long.
     """
 
     name: Direction
@@ -232,9 +268,9 @@ class StrokeRange:
 class Travel:
     """The limited motion of a body or slider.
 
-    `dead_centres`: crank angles [rad] at which it reverses, rising within a turn; `low`, `high`: its limits, and `low_at`,
+    `dead_centres`: crank angles [rad] at which it reverses, rising within a revolution; `low`, `high`: its limits, and `low_at`,
     `high_at` the crank angles there; `span` = high - low: stroke [m] or swing [rad]; `time_ratio`: duration of the slow stroke
-    over that of the quick one, for two dead centres and an evenly turning crank (NaN else).
+    over that of the quick one, for two dead centres and constant crank speed (NaN otherwise).
     """
 
     dead_centres: tuple[float, ...]
@@ -250,12 +286,12 @@ class Travel:
         return self.high - self.low
 
     def strokes(self, speed: float = 1.0) -> tuple[StrokeRange, ...]:
-        """The forward and the backward stroke; none unless there are two dead centres in a full revolution.
+        """Return the forward and the backward stroke; empty unless there are two dead centres in a full revolution.
 
         Parameters
         ----------
         speed : float
-            Speed of the crank; only its sign counts, negative clockwise.
+            Speed of the crank; only its sign is used, negative clockwise.
         """
         if not math.isfinite(self.time_ratio):
             return ()
@@ -271,23 +307,34 @@ class Travel:
 
 
 def pace_of(stroke: Direction, slow: Direction | None) -> Pace:
-    """Pace of a stroke, "slow", "quick" or "equal", where the slow one is known or there is none."""
+    """Return the pace of a stroke: "slow", "quick" or "equal".
+
+    Parameters
+    ----------
+    stroke : "forward" or "backward"
+    slow : "forward", "backward" or None
+        The slow stroke, None if both are equally long.
+    """
     return "equal" if slow is None else "slow" if stroke == slow else "quick"
 
 
 def travels(
     mechanism: Mechanism, sizes: Mapping[str, Value], low: float, high: float, full: bool
 ) -> tuple[dict[str, Travel], dict[str, Travel]]:
-    """Swinging bodies, and sliders (by guide), over a range of crank angles [rad].
+    """Compute the limited motions of swinging bodies, and of sliders (by guide), over a range of crank angles.
 
     Parameters
     ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float [m, rad]
     low, high : float [rad]
-        The range; one cycle if `full`.
+        Range of the crank angle; one cycle if `full`.
+    full : bool
+        Whether the crank turns fully.
 
     Returns
     -------
-    swings, strokes : mappings of body and of guide to Travel; bodies that turn fully or do not turn are left out
+    swings, strokes : mappings of body and of guide to Travel; bodies that turn fully or do not turn are omitted
     """
     outputs = [link.body for link in mechanism.links] + [guide.name for guide in mechanism.guides]
     is_body = [True] * len(mechanism.links) + [False] * len(mechanism.guides)

@@ -1,4 +1,4 @@
-"""The few elementwise functions that numpy lacks, for floats, arrays, complex steps, casadi symbols and jets alike."""
+"""Elementwise functions that numpy lacks, for floats, arrays, complex steps, casadi symbols and jets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Vector: TypeAlias = tuple[Value, Value]
 
 
 def root(x: Value) -> Value:
-    """Square root that is NaN, silently, where x < 0: the caller's margin tells, nothing is clipped."""
+    """Return the square root, NaN without a warning where x < 0; nothing is clipped."""
     with np.errstate(invalid="ignore"):
         return np.sqrt(x)
 
@@ -24,19 +24,20 @@ def _complex(x: Value) -> bool:
 
 
 def magnitude(x: Value) -> Value:
-    """Absolute value; under a complex step its analytic continuation, where numpy's would forget the step."""
+    """Return the absolute value; for a complex step its analytic continuation, because numpy's would drop the step."""
     return np.where(np.real(x) < 0.0, -x, x) if _complex(x) else np.abs(x)
 
 
 def sign(x: Value) -> Value:
-    """-1, 0 or 1; under a complex step that of the real part, where numpy's would keep the step."""
+    """Return -1, 0 or 1; for a complex step the sign of the real part, because numpy's would keep the step."""
     return np.sign(np.real(x)) if _complex(x) else np.sign(x)
 
 
 def angle(v: Vector) -> Value:
-    """Angle of the direction v from +x, counter-clockwise [rad], in (-pi, pi].
+    """Return the angle of the direction v from +x, counter-clockwise [rad], in (-pi, pi].
 
-    numpy's arctan2 knows no complex numbers; for a complex step the analytic continuation about the real direction is used.
+    numpy's arctan2 does not accept complex numbers; for a complex step the analytic continuation about the real direction is
+    used.
     """
     x, y = v
     if _complex(x) or _complex(y):
@@ -47,40 +48,83 @@ def angle(v: Vector) -> Value:
 
 
 def turn(v: Vector, by: Vector) -> Vector:
-    """Rotate the direction v by the angle whose unit vector is `by` (complex product)."""
+    """Rotate the direction v by an angle (complex product).
+
+    Parameters
+    ----------
+    v : pair of Value
+    by : pair of Value [-]
+        Unit vector at the angle of rotation.
+    """
     return v[0] * by[0] - v[1] * by[1], v[0] * by[1] + v[1] * by[0]
 
 
 def turn_back(v: Vector, by: Vector) -> Vector:
-    """Rotate the direction v back by the angle whose unit vector is `by`: what `turn` undoes."""
+    """Rotate the direction v back by an angle: the inverse of `turn`.
+
+    Parameters
+    ----------
+    v : pair of Value
+    by : pair of Value [-]
+        Unit vector at the angle of rotation.
+    """
     return v[0] * by[0] + v[1] * by[1], v[1] * by[0] - v[0] * by[1]
 
 
 def dot(a: Vector, b: Vector) -> Value:
-    """Scalar product."""
+    """Return the scalar product.
+
+    Parameters
+    ----------
+    a, b : pair of Value
+    """
     return a[0] * b[0] + a[1] * b[1]
 
 
 def cross(a: Vector, b: Vector) -> Value:
-    """Vector product: the moment of the force b at the lever a, positive counter-clockwise."""
+    """Return the z component of the vector product.
+
+    With a lever a and a force b it is the moment, positive counter-clockwise.
+
+    Parameters
+    ----------
+    a, b : pair of Value
+    """
     return a[0] * b[1] - a[1] * b[0]
 
 
 def plus(a: Vector, b: Vector) -> Vector:
-    """Sum."""
+    """Return the sum of two vectors.
+
+    Parameters
+    ----------
+    a, b : pair of Value
+    """
     return a[0] + b[0], a[1] + b[1]
 
 
 def minus(a: Vector, b: Vector) -> Vector:
-    """Difference: from b to a."""
+    """Return the difference a - b, the vector from b to a.
+
+    Parameters
+    ----------
+    a, b : pair of Value
+    """
     return a[0] - b[0], a[1] - b[1]
 
 
 def angle_from(reference: Vector, v: Vector) -> Value:
-    """Angle from `reference` to `v`, counter-clockwise [rad], in (-pi, pi]: no branch cut between two close directions."""
+    """Return the angle from `reference` to `v`, counter-clockwise [rad], in (-pi, pi].
+
+    Two close directions are never separated by the branch cut.
+
+    Parameters
+    ----------
+    reference, v : pair of Value
+    """
     return angle((reference[0] * v[0] + reference[1] * v[1], reference[0] * v[1] - reference[1] * v[0]))
 
 
 def unit(phi: Value) -> Vector:
-    """Unit vector at the angle phi [rad]."""
+    """Return the unit vector at the angle phi [rad]."""
     return np.cos(phi), np.sin(phi)
