@@ -1,1 +1,1 @@
-"""Views: what is shown of each kind of result."""
+"""Figures, tables and page sections for each kind of result."""

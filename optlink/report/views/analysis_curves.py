@@ -1,4 +1,4 @@
-"""An analysis as smooth curves over the crank angle: exact at extremes, broken where a load jumps; and the axes for them."""
+"""Curves of an analysis over the crank angle, with exact extremes and gaps at load jumps, and the axes for them."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ MANY = 12  # dead centres: a body that stands still has as many as rounding make
 
 
 class Course:
-    """Everything about a machine over the crank angle, in the order of the motion.
+    """Time history of a machine over the crank angle, in the order of the motion.
 
-    It has every row of the table (if they are not too many), points between them, the crank angles of all extremes, and at each
-    jump of a load two points: the value just before and the one just after.
+    It contains every row of the analysis table (unless there are more than `TABLE`), points between them, the crank angles of all
+    extremes, and two points at each jump of a load: the values just before and just after it.
     """
 
     def __init__(self, result: Analysis) -> None:
@@ -69,16 +69,19 @@ class Course:
 
     @property
     def steady(self) -> bool:
-        """Whether nothing grows without bound."""
+        """Whether the crank turns fully and no quantity grows without bound."""
         return self.result.sound and self.result.full
 
     def peak(self, *names: str) -> float:
-        """Largest amount of these columns [SI] that is shown."""
+        """Return the largest absolute value of the columns [SI], restricted to the range of values that is drawn."""
         windows = [self.window(self.columns[name]) for name in names if name in self.columns]
         return max((max(abs(low), abs(high)) for low, high in windows), default=0.0)
 
     def window(self, values: Array) -> tuple[float, float]:
-        """Least and largest value; of the bulk where some grow without bound, at singular positions or ends of the range."""
+        """Return the least and largest value to draw.
+
+        At singular positions or ends of the crank range, where values grow without bound, outliers are cut off.
+        """
         known = values[np.isfinite(values)]
         if known.size == 0:
             return 0.0, 0.0
@@ -90,11 +93,19 @@ class Course:
         return low, high
 
     def has(self, name: str, among: Sequence[str] = ()) -> bool:
-        """Whether a column is there and more than the rounding of others."""
+        """Return whether a column exists and exceeds the rounding error of the other columns.
+
+        Parameters
+        ----------
+        name : str
+            Column name.
+        among : sequence of str, optional
+            Columns that set the level of rounding.
+        """
         return self.peak(name) > NOTHING * self.peak(name, *among) and self.peak(name) > 0.0
 
     def breaks(self, *names: str) -> list[int]:
-        """Places after which one of these columns jumps."""
+        """Return the indices after which one of the columns jumps."""
         found = []
         for k in self._pairs:
             for name in names:
@@ -105,21 +116,37 @@ class Course:
         return found
 
     def line(self, name: str, factor: float = 1.0) -> tuple[Array, Array]:
-        """Crank angle [deg] and values times a factor, with a gap where they jump."""
+        """Return crank angles [deg] and scaled values, with NaN inserted at jumps.
+
+        Parameters
+        ----------
+        name : str
+            Column name.
+        factor : float, optional
+            Factor from SI to the display unit.
+        """
         at = [k + 1 for k in self.breaks(name)]
         return np.insert(self.degrees, at, np.nan), np.insert(self.columns[name] * factor, at, np.nan)
 
     def inside(self, crank_angle: float) -> float:
-        """The same crank angle [rad] shifted by whole turns into the course."""
+        """Return the crank angle [rad] shifted by whole periods into the range of the course."""
         low = min(self.start, self.end)
         return low + (crank_angle - low) % self.result.cycle if self.result.full else crank_angle
 
     def in_order(self, crank_angles: Sequence[float]) -> list[float]:
-        """Crank angles [rad] shifted into the course, in the order in which they are met."""
+        """Return crank angles [rad] shifted into the range of the course, in the order of the motion."""
         return sorted((self.inside(at) for at in crank_angles), key=lambda at: self.way * at)
 
     def at(self, crank_angle: float, name: str) -> float:
-        """A column at a crank angle [rad] of the course."""
+        """Interpolate a column at a crank angle.
+
+        Parameters
+        ----------
+        crank_angle : float [rad]
+            Within the range of the course.
+        name : str
+            Column name.
+        """
         rising = slice(None) if self.way > 0.0 else slice(None, None, -1)
         return float(np.interp(crank_angle, self.angles[rising], self.columns[name][rising]))
 
@@ -136,7 +163,23 @@ def _unwrapped(angles: Array) -> Array:
 def draw(
     axes: Axes, course: Course, name: str, scale: Scale, colour: str, label: str = "", width: float = 1.7, line: str = "-"
 ) -> Line2D:
-    """Draw a column; where it jumps the curve has a gap, bridged by thin dots."""
+    """Draw a column as a curve; at jumps the curve has a gap, bridged by a dotted line.
+
+    Parameters
+    ----------
+    axes : Axes
+    course : Course
+    name : str
+        Column name; also the identifier (gid) of the line.
+    scale : Scale
+        Display unit of the axis.
+    colour : str
+    label : str, optional
+        Entry in the legend; empty for none.
+    width : float [pt], optional
+    line : str, optional
+        Line style of matplotlib.
+    """
     x, y = course.line(name, scale.factor)
     drawn = axes.plot(x, y, color=colour, linewidth=width, linestyle=line, label=label or None, gid=name, zorder=3)[0]
     for k in course.breaks(name):
@@ -146,7 +189,15 @@ def draw(
 
 
 def crank_axis(axes: Axes, course: Course, *, named: bool = True) -> None:
-    """The crank angle along x, to the right as time goes on."""
+    """Set up the crank angle as the x axis, with time increasing to the right, and mark singular positions.
+
+    Parameters
+    ----------
+    axes : Axes
+    course : Course
+    named : bool, optional
+        Label the axis and the singular positions.
+    """
     first, last = math.degrees(course.start), math.degrees(course.end)
     axes.set_xlim(first, last)
     for position in course.result.ranges.singular:
@@ -164,9 +215,25 @@ def crank_axis(axes: Axes, course: Course, *, named: bool = True) -> None:
 
 
 def fit(axes: Axes, course: Course, *lines: Line2D, room: float = 0.16, least: float = 0.0) -> bool:
-    """Limits of y that hold the lines, at least so far apart, with room for labels; the bulk of what grows without bound.
+    """Set the limits of y to the lines, leaving room for labels; values that grow without bound are cut off.
 
     Returns whether all is held.
+
+    Parameters
+    ----------
+    axes : Axes
+    course : Course
+    *lines : Line2D
+        Lines on `axes`.
+    room : float, optional
+        Margin above and below, as a share of the range.
+    least : float, optional
+        Smallest range of y, in the unit of the axis.
+
+    Returns
+    -------
+    bool
+        Whether the limits contain all values.
     """
     values = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in lines] or [np.zeros(1)])
     low, high = course.window(values)
@@ -182,7 +249,20 @@ def fit(axes: Axes, course: Course, *lines: Line2D, room: float = 0.16, least: f
 def extremes(
     axes: Axes, course: Course, name: str, scale: Scale, colour: str = WANTED, extreme: Extreme | None = None
 ) -> list[Label]:
-    """Mark least and largest value of a column with a dot and a label, at their exact crank angles."""
+    """Mark the least and largest value of a column with markers at their exact crank angles and return the labels.
+
+    Parameters
+    ----------
+    axes : Axes
+    course : Course
+    name : str
+        Column name.
+    scale : Scale
+        Display unit of the axis.
+    colour : str, optional
+    extreme : Extreme or None, optional
+        Values to mark [SI]; default: the extremes of the column in the analysis.
+    """
     extreme = course.result.extremes.get(name) if extreme is None else extreme
     if extreme is None or not math.isfinite(extreme.least) or extreme.largest - extreme.least <= NOTHING * course.peak(name):
         return []
@@ -210,14 +290,24 @@ def extremes(
 
 
 def zero(axes: Axes) -> None:
-    """A thin line at zero, if zero is in sight."""
+    """Draw a thin line at zero if zero is within the limits of y."""
     low, high = axes.get_ylim()
     if low < 0.0 < high:
         axes.axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
 
 
 def strokes(axes: Axes, course: Course, travel: Travel | None, *, named: bool = False) -> None:
-    """Dead centres as upright lines, the quick stroke shaded; named: with the durations of both below the curve."""
+    """Draw dead centres as vertical lines and shade the quick stroke.
+
+    Parameters
+    ----------
+    axes : Axes
+    course : Course
+    travel : Travel or None
+        Stroke or swing of the output; None draws nothing.
+    named : bool, optional
+        Write the crank rotation of both strokes below the curve.
+    """
     if travel is None:
         return
     centres = course.in_order(travel.dead_centres)

@@ -1,4 +1,4 @@
-"""Pictures of what moves a machine and what it withstands: torque, reactions, guide forces, work, shaking."""
+"""Figures of the driving torque, joint reactions, guide forces, work and shaking force of an analysis."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ DASHES = ("-", "--", "-.")
 
 @styled
 def torque(course: Course) -> Figure | None:
-    """The driving torque, what of it goes into inertia, gravity and loads, and its mean; extremes marked."""
+    """Draw the driving torque, its inertia, gravity and load parts, and its mean, with extremes marked."""
     if not course.has(TORQUE):
         return None
     result = course.result
@@ -82,7 +82,7 @@ def _speed(speed: float) -> str:
 
 
 def joints(course: Course) -> dict[str, str]:
-    """Every reaction that is told: what it is called, and the column of its amount."""
+    """Return the column of the force magnitude of every joint reaction, by label."""
     found = {}
     for point, bodies in course.result.machine.mechanism.pins.items():
         if len(bodies) == 2:
@@ -94,7 +94,7 @@ def joints(course: Course) -> dict[str, str]:
 
 @styled
 def reactions(course: Course) -> Figure | None:
-    """The reaction at the crank pivot over the crank angle and as a hodograph; the amounts of all joint reactions."""
+    """Draw the crank-pivot reaction over the crank angle and as a hodograph, and the magnitudes of all joint reactions."""
     amounts = joints(course)
     if not any(course.has(name) for name in amounts.values()):
         return None
@@ -144,7 +144,7 @@ def reactions(course: Course) -> Figure | None:
 
 
 def _together(course: Course, names: dict[str, str]) -> dict[str, str]:
-    """Columns by label; those that are the same everywhere once, under all their labels."""
+    """Merge columns with identical values under one combined label."""
     found: dict[str, str] = {}
     for label, name in names.items():
         same = next(
@@ -158,7 +158,19 @@ def _together(course: Course, names: dict[str, str]) -> dict[str, str]:
 
 
 def hodograph(axes: Axes, course: Course, x: str, y: str, unit: Scale) -> list[Label]:
-    """The path of the tip of a force vector, on equal scales: origin, sense of the motion and round crank angles marked."""
+    """Draw the hodograph of a force with equal scales; mark the origin, the direction of motion and round crank angles.
+
+    Parameters
+    ----------
+    axes : Axes
+    course : Course
+    x : str
+        Column of the x component [N].
+    y : str
+        Column of the y component [N].
+    unit : Scale
+        Display unit of both axes.
+    """
     breaks = [k + 1 for k in course.breaks(x, y)]
     xs, ys = (np.insert(course[name] * unit.factor, breaks, np.nan) for name in (x, y))
     axes.plot(xs, ys, color=FOUND, linewidth=1.6, zorder=3, gid=f"hodograph {x}")
@@ -186,7 +198,7 @@ def hodograph(axes: Axes, course: Course, x: str, y: str, unit: Scale) -> list[L
 
 
 def _window(axes: Axes, course: Course, xs: Array, ys: Array) -> None:
-    """Equal scales that hold the path and the origin; the bulk of it where forces grow without bound."""
+    """Set equal scales that contain the curve and the origin; forces that grow without bound are cut off."""
     ends = [(min(0.0, low), max(0.0, high)) for low, high in (course.window(xs), course.window(ys))]
     size = max(high - low for low, high in ends) or 1.0
     halves = [max(0.62 * (high - low), 0.25 * size) for low, high in ends]
@@ -197,7 +209,7 @@ def _window(axes: Axes, course: Course, xs: Array, ys: Array) -> None:
 
 
 def _sense(axes: Axes, xs: Array, ys: Array, marks: list[Label]) -> None:
-    """An arrow head on the path (on its longest piece, if it jumps), where no mark is near."""
+    """Draw an arrow head on the longest piece of the curve, away from the labels."""
     pieces = [np.stack([xs, ys], axis=-1)[piece] for piece in np.split(np.arange(len(xs)), np.flatnonzero(~np.isfinite(xs + ys)))]
     paths = [piece[np.isfinite(piece).all(axis=1)] for piece in pieces]
     lengths = [np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)) if len(path) > 1 else np.zeros(1) for path in paths]
@@ -215,7 +227,7 @@ def _sense(axes: Axes, xs: Array, ys: Array, marks: list[Label]) -> None:
 
 @styled
 def guides(course: Course) -> Figure | None:
-    """What every guide exerts on its slider: normal force, friction, and the moment where there is one."""
+    """Draw the normal force, friction force and moment of every guide on its slider."""
     every = course.result.machine.mechanism.guides
     normals = [f"{guide.name}.normal_N" for guide in every]
     moments = [f"{guide.name}.moment_Nm" for guide in every]
@@ -262,13 +274,13 @@ def guides(course: Course) -> Figure | None:
 
 
 def _extent(course: Course) -> float:
-    """A length of the machine [m]."""
+    """Return a characteristic length of the machine [m]."""
     return max((course.peak(name) for name in course.columns if name.endswith((".x_m", ".y_m"))), default=1.0)
 
 
 @styled
 def work(course: Course) -> Figure | None:
-    """Work of the drive since the start with its extremes; below, the energy that the machine holds."""
+    """Draw the work of the drive since the start with its extremes, and below it the kinetic and potential energy."""
     name, energies = "input.work_J", ("energy.kinetic_J", "energy.potential_J")
     if not course.has(name):
         return None
@@ -304,7 +316,7 @@ def work(course: Course) -> Figure | None:
 
 @styled
 def shaking(course: Course) -> Figure | None:
-    """What inertia does to the frame: hodograph of the shaking force, and the shaking moment about the crank pivot."""
+    """Draw the hodograph of the shaking force and the shaking moment about the crank pivot."""
     x, y, moment = "frame.shaking_fx_N", "frame.shaking_fy_N", "frame.shaking_moment_Nm"
     forced = any(course.has(name, [x, y, *joints(course).values()]) for name in (x, y))
     if not forced and not course.has(moment):
@@ -335,7 +347,7 @@ def shaking(course: Course) -> Figure | None:
 
 
 def _largest_shaking(course: Course) -> tuple[float, float, float]:
-    """Shaking force (x, y) [N] where it is largest, and the crank angle [rad] there."""
+    """Return the components [N] of the largest shaking force and its crank angle [rad]."""
     machine, speed = course.result.machine, course.result.speed
 
     def force(angles: Array) -> tuple[Array, Array]:

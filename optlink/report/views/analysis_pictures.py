@@ -1,4 +1,4 @@
-"""Pictures of an analysis: the mechanism, what it does, what it takes to drive it, and a film."""
+"""Figures and animation of an analysis: mechanism, motion, forces and work."""
 
 from __future__ import annotations
 
@@ -31,7 +31,14 @@ SHOWN = 4  # sliders, at most, whose motion is drawn
 
 
 def write_all(result: Analysis, folder: Path) -> list[Path]:
-    """Write result.json, cycle.csv and every picture that the machine has something for; return the files."""
+    """Write result.json, cycle.csv, the applicable figures and the animation; return the paths.
+
+    Parameters
+    ----------
+    result : Analysis
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / "result.json", folder / "cycle.csv"]
     write_json(written[0], result.to_dict())
     write_csv(written[1], result.columns)
@@ -47,7 +54,7 @@ def write_all(result: Analysis, folder: Path) -> list[Path]:
 
 
 class Output(NamedTuple):
-    """A motion that is shown: its name, the columns of position, velocity and acceleration, and how far it goes."""
+    """An output motion to draw: name, columns of position, velocity and acceleration, and its stroke or swing."""
 
     name: str
     columns: tuple[str, str, str]
@@ -55,17 +62,24 @@ class Output(NamedTuple):
 
     @property
     def slides(self) -> bool:
-        """Whether it is a slider's motion [m], not a body's [rad]."""
+        """Whether the output is a slider [m] rather than a rotating body [rad]."""
         return self.columns[0].endswith(".s_m")
 
     def floors(self, course: Course) -> tuple[float, float, float]:
-        """Differences in position, velocity and acceleration [SI] below which there is no motion but rounding."""
+        """Return the ranges of position, velocity and acceleration [SI] below which variation is rounding error."""
         size = 1e-8 * (course.peak(self.columns[0]) if self.slides else 1.0)
         turning = abs(course.result.speed)
         return size, size * turning, size * turning * turning
 
     def scales(self, course: Course, others: Sequence[Output] = ()) -> tuple[Scale, Scale, Scale]:
-        """In what it is shown, together with others."""
+        """Return the display units of position, velocity and acceleration, common to all outputs of the same kind.
+
+        Parameters
+        ----------
+        course : Course
+        others : sequence of Output, optional
+            Other outputs that share the axes.
+        """
         units = ("m", "m/s", "m/s²") if self.slides else ("deg", "rad/s", "rad/s²")
         alike = [out for out in (self, *others) if out.slides == self.slides]
         s, v, a = (
@@ -85,13 +99,13 @@ def _body(course: Course, body: str) -> Output:
 
 
 def output(course: Course) -> Output:
-    """What the machine is for, as far as can be told: its last slider on the frame, else its last body that swings."""
+    """Return the main output of the machine: its last slider on the frame, otherwise its last oscillating body."""
     name, slides = last_output(course.result.machine, course.result.swings, course.result.strokes)
     return _slider(course, name) if slides else _body(course, name)
 
 
 def outputs(course: Course) -> list[Output]:
-    """What motion.png shows: every slider, those on the frame last, or the last body that swings."""
+    """Return the outputs shown in motion.png: the sliders, those on the frame last, or the main output."""
     names = slider_names(course.result.machine)
     ordered = sorted(course.result.machine.mechanism.guides, key=lambda guide: guide.on == FRAME)
     found = [_slider(course, names[guide.name]) for guide in ordered]
@@ -102,7 +116,10 @@ def outputs(course: Course) -> list[Output]:
 
 
 def positions(course: Course) -> dict[str, float]:
-    """The telling crank angles [rad] by name: start, dead centres of the output, extremes of the torque; ends of a range."""
+    """Return the characteristic crank angles [rad] by name.
+
+    These are the start (or start, middle and end of a limited range), the dead centres of the output and the torque extremes.
+    """
     result, out = course.result, output(course)
     found = [("start", course.start)]
     if not result.full:
@@ -132,7 +149,7 @@ def positions(course: Course) -> dict[str, float]:
 
 @styled
 def mechanism(course: Course) -> Figure:
-    """The mechanism in its telling positions on one scale, with the traces of its points; last the velocities of its joints."""
+    """Draw the mechanism at its characteristic positions with joint traces, and the joint velocities at one of them."""
     result = course.result
     machine = result.machine
     sketch = Sketch(sweep(machine.mechanism, machine.sizes, course.angles, result.speed), machine)
@@ -186,7 +203,7 @@ def mechanism(course: Course) -> Figure:
 
 
 def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
-    """How long a round velocity is drawn, at the right end of the line below the ticks; `top` [m/s] is `longest` long."""
+    """Draw the scale arrow of the velocities below the x axis; a velocity `top` [m/s] is drawn `longest` long."""
     drawn = axes.get_figure()
     assert drawn is not None
     unit = scale(top, "m/s")
@@ -200,7 +217,7 @@ def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
 
 
 def _state(course: Course, at: float) -> str:
-    """Crank angle, output and torque at a position."""
+    """Format crank angle, output position and driving torque at a position."""
     out = output(course)
     parts = [
         f"φ {degrees(at)}",
@@ -213,7 +230,7 @@ def _state(course: Course, at: float) -> str:
 
 
 def _round(value: float) -> float:
-    """The next lower of 1, 2, 5, 10, ..."""
+    """Return the next lower value of the series 1, 2, 5, 10, ..."""
     power = 10.0 ** math.floor(math.log10(value))
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-12))
 
@@ -223,7 +240,7 @@ def _round(value: float) -> float:
 
 @styled
 def motion(course: Course) -> Figure:
-    """Displacement, velocity and acceleration of every slider (or the last swinging body) over the crank angle."""
+    """Draw displacement, velocity and acceleration of every slider (or the last oscillating body) over the crank angle."""
     shown = outputs(course)
     width = 7.4 if len(shown) == 1 else min(5.6 * len(shown), 19.0)
     made = figure(width, 7.4)
@@ -283,7 +300,16 @@ def _travelled(course: Course, out: Output, width: float) -> str:
 
 @styled
 def frames(course: Course, count: int = FRAMES) -> list[Image.Image]:
-    """One revolution, or to and fro over a limited range, with traces; beside it the torque, or the motion of the output."""
+    """Draw the frames of the animation: one revolution, or back and forth over a limited crank range.
+
+    Beside the mechanism, the driving torque or the output motion is drawn.
+
+    Parameters
+    ----------
+    course : Course
+    count : int, optional
+        Number of frames.
+    """
     result = course.result
     machine = result.machine
     sketch = Sketch(sweep(machine.mechanism, machine.sizes, course.angles), machine)

@@ -1,4 +1,4 @@
-"""A machine, its analysis and its motion under a torque as well-set tables for people."""
+"""Terminal tables of a machine, its analysis and its forward dynamics simulation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COLUMN = tuple[str, str]
 
 
 def machine(file: ProblemFile) -> list[RenderableType]:
-    """What a machine is made of: bodies, joints, groups, masses, loads, drive; and which body acts on which."""
+    """List the bodies, joints, Assur groups, masses, loads and drive of a machine, and the directions of its joint reactions."""
     model = file.model
     built = model.machine(slow=model.slow_assumed)
     mechanism = built.mechanism
@@ -75,7 +75,7 @@ def machine(file: ProblemFile) -> list[RenderableType]:
 
 
 def _loose(file: ProblemFile, built: Machine) -> list[RenderableType]:
-    """The joints with clearance, and the controller."""
+    """List the joints with clearance, the contact law and the controller."""
     gaps, model = file.model.gaps(built), file.model
     if not gaps:
         return []
@@ -110,7 +110,7 @@ def _loose(file: ProblemFile, built: Machine) -> list[RenderableType]:
 
 
 def analysis(outcome: Analysis) -> RenderableType:
-    """Everything about an analysis that fits on a screen or two."""
+    """Summarise an analysis: status, strokes, extremes, work and flywheel."""
     model = outcome.problem.model
     title = Text(model.title, style=HEAD)
     turn = "the crank turns fully" if outcome.full else "the crank cannot turn fully"
@@ -156,29 +156,30 @@ def _travels(outcome: Analysis) -> RenderableType:
 
 
 def machine_strokes(machine: Machine, speed: float, acting: tuple[Acting, ...] | None = None) -> Table | None:
-    """Forward and backward stroke of the outputs of a machine whose crank turns fully; None where there is none.
+    """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none.
 
     Parameters
     ----------
     machine : Machine
-    speed : float
-        Speed of the crank; only its sign counts.
-    acting : tuple of Acting, optional
-        What works in one stroke alone; the loads of the machine if left out.
+    speed : float [rad/s]
+        Crank speed; only its sign matters.
+    acting : tuple of Acting or None, optional
+        Loads that act in one stroke only; default: those of the machine.
     """
     return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed) if acting is None else acting)
 
 
 def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Acting, ...]) -> Table | None:
-    """Forward and backward stroke of outputs with their crank ranges; None where none of them has two dead centres.
+    """Tabulate the forward and return strokes of outputs with their crank ranges; None if no output has two dead centres.
 
     Parameters
     ----------
-    named : mapping of output to Travel
-    speed : float
-        Speed of the crank; only its sign counts.
+    named : mapping of str to Travel
+        Strokes or swings by name of the output.
+    speed : float [rad/s]
+        Crank speed; only its sign matters.
     acting : tuple of Acting
-        The loads that act in one stroke alone.
+        Loads that act in one stroke only.
     """
     columns: list[COLUMN] = [("", "left"), ("stroke", "left"), ("crank range deg", "right"), ("turns deg", "right")]
     columns += [("pace", "left"), ("use", "left")]
@@ -283,7 +284,7 @@ def _work(outcome: Analysis) -> Table:
 
 
 def simulation(outcome: Simulation) -> RenderableType:
-    """How a simulation went: where it ended, works and energy account, drift, evenness of the last turn."""
+    """Summarise a forward dynamics simulation: final state, energy balance, drift and speed fluctuation."""
     found, course = outcome.figures, outcome.run
     title = Text(outcome.problem.model.title, style=HEAD)
     title.append(f"\n{course.ending.value}", style=GOOD if outcome.finished else BAD)

@@ -1,4 +1,4 @@
-"""The page of `balance`: before and after, counterweights, what limits cost, the trade-off; proven anew by inverse dynamics."""
+"""HTML sections of a balancing result, checked against inverse dynamics when it is read."""
 
 from __future__ import annotations
 
@@ -43,12 +43,18 @@ VERDICTS = {
 
 
 def read(record: Record, file: ProblemFile) -> Balance:
-    """A recorded balance, its measures computed anew from the counterweights in it.
+    """Read a stored balancing result and recompute its measures from its counterweights.
+
+    Parameters
+    ----------
+    record : Record
+    file : ProblemFile
+        The problem that was solved.
 
     Raises
     ------
     InputError
-        when the record is damaged, or its measures are not those of its counterweights.
+        If the record is damaged or its measures differ from those of its counterweights.
     """
     section = file.model.balance
     if section is None or record.text("status") not in VERDICTS:
@@ -94,7 +100,7 @@ def read(record: Record, file: ProblemFile) -> Balance:
 
 
 def _goal(record: Record, section: BalanceSection) -> tuple[tuple[Measure, float], ...]:
-    """What was made small: what the problem asks, or the one measure of `--minimise`."""
+    """Return the minimised measures with weights: those of the problem, or the single measure of `--minimise`."""
     goal = section.goal
     told = record.text("measure")
     if len(goal) > 1 and " + " in told:
@@ -110,7 +116,7 @@ def _measure(record: Record, key: str) -> Measure:
 
 
 def _parts(record: Record, section: BalanceSection, machine: Machine) -> tuple[tuple[Added, ...], tuple[Fitted, ...]]:
-    """The counterweights and springs that were found."""
+    """Read the optimal counterweights and springs."""
     weights, free = section.build(machine)
     added, springs = [], []
     for one in record.records("counterweights"):
@@ -129,7 +135,7 @@ def _parts(record: Record, section: BalanceSection, machine: Machine) -> tuple[t
 
 
 def _rows(record: Record, machine: Machine, heavier: Machine, angles: Array, speed: float, about: Array) -> tuple[Row, ...]:
-    """All measures before and after, by inverse dynamics; refused if the record says something else."""
+    """Recompute all measures before and after balancing by inverse dynamics; raise if the record differs."""
     asked = quantities(machine)
     place = (float(about[0]), float(about[1]))
     both = [amounts(one.moving(angles, speed), asked, place) for one in (machine, heavier)]
@@ -189,12 +195,18 @@ def _trade_point(record: Record) -> TradePoint:
 
 
 def studied(record: Record, file: ProblemFile) -> Studied:
-    """A recorded balance.
+    """Build the report of a stored balancing result.
+
+    Parameters
+    ----------
+    record : Record
+    file : ProblemFile
+        The problem that was solved.
 
     Raises
     ------
     InputError
-        when the record is damaged, or its measures are not those of its counterweights.
+        If the record is damaged or its measures differ from those of its counterweights.
     """
     found = read(record, file)
     lines, tables = split(balance_tables.balance(found))
@@ -218,7 +230,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
 
 
 def _amounts(columns: Mapping[str, Array]) -> Iterator[tuple[str, str, Array, Array]]:
-    """Quantities over the positions: name, unit, amounts before and after [SI]."""
+    """Yield name, unit and magnitudes [SI] before and after balancing of every quantity over the cycle."""
     for name in [name.removeprefix("before.") for name in columns if name.startswith("before.") and "_y_" not in name]:
         pair = name.replace("_x_", "_y_") if "_x_" in name else ""
         old, new = (
@@ -230,7 +242,7 @@ def _amounts(columns: Mapping[str, Array]) -> Iterator[tuple[str, str, Array, Ar
 
 
 def _before_after(columns: Mapping[str, Array]) -> list[Chart]:
-    """Everything that shakes, drives and loads the machine, over the crank angle."""
+    """Plot shaking force and moment, driving torque and joint reactions over the crank angle, before and after balancing."""
     x = columns["crank_angle_deg"]
     panels: dict[str, list[Panel]] = {"Shaking and drive": [], "Joint reactions": []}
     for quantity, unit, old, new in _amounts(columns):
@@ -250,7 +262,7 @@ def _before_after(columns: Mapping[str, Array]) -> list[Chart]:
 
 
 def _hodograph(columns: Mapping[str, Array]) -> list[Chart]:
-    """The tip of the shaking force over a revolution, on equal scales."""
+    """Plot the hodograph of the shaking force over a revolution with equal scales."""
     shown = scale(_most(columns), "N")
     curves = []
     for when, words, colour in (("before", "given machine", QUIET), ("after", "balanced", FOUND)):
@@ -265,12 +277,12 @@ def _hodograph(columns: Mapping[str, Array]) -> list[Chart]:
 
 
 def _most(columns: Mapping[str, Array]) -> float:
-    """The largest part of the given machine's shaking force [N]."""
+    """Return the largest component of the shaking force before balancing [N]."""
     return max(float(np.max(np.abs(columns[f"before.shaking_force_{way}_N"]))) for way in "xy")
 
 
 def _curve(found: Balance, trade: Trade) -> Chart:
-    """The trade-off between two measures: its points with the counterweights that make them."""
+    """Plot the trade-off between two measures; its points carry their counterweights."""
     one, other = trade.first, trade.second
     units = [scale(max(*(point.made[k] for point in trade.points), trade.before[k]), (one, other)[k].unit) for k in (0, 1)]
     x, y = (np.array([point.made[k] for point in trade.points]) * units[k].factor for k in (0, 1))

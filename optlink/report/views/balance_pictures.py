@@ -1,4 +1,4 @@
-"""Files and pictures of a balanced machine: before and after, the counterweights to scale, the trade-off."""
+"""Files and figures of a balancing result: before and after, counterweights to scale, trade-off."""
 
 from __future__ import annotations
 
@@ -31,7 +31,14 @@ COMMON = ("shaking force", "shaking moment", "driving torque")
 
 
 def write_all(result: Balance, folder: Path) -> list[Path]:
-    """Write result.json, the balanced machine as design.toml, the tables and every picture; return the files."""
+    """Write result.json, the tables, the balanced machine as design.toml and the applicable figures; return the paths.
+
+    Parameters
+    ----------
+    result : Balance
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / "result.json", folder / "balance.csv"]
     write_json(written[0], result.to_dict())
     write_csv(written[1], result.columns)
@@ -64,7 +71,7 @@ def _title(result: Balance, what: str, width: float) -> str:
 
 
 def _amounts(result: Balance, measure: Measure, when: str) -> Array:
-    """Amount of a force, value of a torque over the positions [SI]."""
+    """Return the magnitude of a force or the value of a torque at the positions [SI]."""
     stem = f"{when}.{measure.quantity.replace(' at ', '_').replace(' ', '_')}"
     unit = measure.unit.replace(" ", "")
     if f"{stem}_x_{unit}" in result.columns:
@@ -73,7 +80,7 @@ def _amounts(result: Balance, measure: Measure, when: str) -> Array:
 
 
 def _shown(result: Balance) -> list[Measure]:
-    """What before-and-after curves are drawn of: shaking force and moment, torque, and reactions that were asked for."""
+    """Return the measures to plot: shaking force and moment, driving torque, and the minimised or limited reactions."""
     asked = [measure for measure, _ in result.goal] + _limited(result)
     found = [Measure(kind) for kind in COMMON]  # type: ignore[arg-type]
     for measure in asked:
@@ -98,7 +105,7 @@ def _same(bare: Measure, measure: Measure, result: Balance) -> bool:
 
 @styled
 def before_after(result: Balance) -> Figure | None:
-    """Shaking force, shaking moment, torque and the reactions asked for, over the crank angle, before and after."""
+    """Draw shaking force and moment, driving torque and selected reactions over the crank angle, before and after."""
     if result.heavier is None:
         return None
     shown = _shown(result)
@@ -156,7 +163,7 @@ def _values(measure: Measure, old: Array, new: Array, unit: Scale) -> dict[str, 
 
 @styled
 def hodograph(result: Balance) -> Figure | None:
-    """The path of the tip of the shaking force over a revolution, before and after, on equal scales."""
+    """Draw the hodograph of the shaking force over a revolution before and after balancing, with equal scales."""
     if result.heavier is None:
         return None
     paths = {
@@ -204,7 +211,7 @@ def hodograph(result: Balance) -> Figure | None:
 
 @styled
 def mechanism(result: Balance) -> Figure | None:
-    """The machine with its counterweights to scale: discs as they are, free shapes by their radius of gyration (dashed)."""
+    """Draw the machine with its counterweights to scale: discs solid, other shapes dashed with their radius of gyration."""
     if result.heavier is None:
         return None
     machine = result.heavier
@@ -249,12 +256,12 @@ def _centre(one: Added, sketch: Sketch) -> Array:
 
 
 def _size(one: Added, sketch: Sketch) -> float:
-    """Radius that is drawn."""
+    """Return the radius to draw, in the display unit."""
     return (one.radius if one.radius is not None else one.gyration) * sketch.scale.factor
 
 
 def _disc(axes: Axes, sketch: Sketch, one: Added, centre: Array) -> None:
-    """A counterweight."""
+    """Draw a counterweight."""
     colour, disc = sketch.colours[one.body], one.radius is not None
     face, place = (*to_rgb(colour), 0.30 if disc else 0.10), (float(centre[0]), float(centre[1]))
     shape = Circle(place, _size(one, sketch), facecolor=face, edgecolor=colour)
@@ -263,7 +270,7 @@ def _disc(axes: Axes, sketch: Sketch, one: Added, centre: Array) -> None:
 
 
 def _told(axes: Axes, sketch: Sketch, one: Added, centre: Array) -> Label:
-    """Mass and size of a counterweight, clear of it."""
+    """Label a counterweight with its mass and size."""
     shown = 2.0 * one.radius if one.radius is not None else one.gyration
     text = f"{one.body}: {one.mass:.4g} kg\n{'∅' if one.radius is not None else 'gyration'} {scale(shown, 'm').text(shown)}"
     ends = axes.transData.transform(np.array([centre, centre + np.array([_size(one, sketch), 0.0])]))
@@ -278,7 +285,7 @@ def _told(axes: Axes, sketch: Sketch, one: Added, centre: Array) -> Label:
 
 @styled
 def trade(result: Balance) -> Figure | None:
-    """The trade-off with its ends, its knee and the given machine; below the masses along it."""
+    """Draw the trade-off curve with its end points, its knee and the unbalanced machine; below it the counterweight masses."""
     found = result.trade
     if found is None or len(found.points) < 2:
         return None

@@ -1,4 +1,4 @@
-"""A balanced machine as well-set tables for people; and the section that asks for it."""
+"""Terminal tables of a balancing result and of the `[balance]` section."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WORDS = {
 
 
 def balance(outcome: Balance) -> RenderableType:
-    """Everything about a balanced machine."""
+    """Summarise a balancing result."""
     title = Text(outcome.problem.model.title, style=HEAD)
     good = outcome.valid and outcome.proven
     title.append(f"\n{WORDS[outcome.status]}", style=GOOD if good else "" if outcome.valid else BAD)
@@ -48,7 +48,7 @@ def balance(outcome: Balance) -> RenderableType:
 
 
 def percent(share: float) -> str:
-    """A change in per cent, with its sign."""
+    """Format a relative change in per cent, with its sign."""
     if not math.isfinite(share):
         return "-"
     shown = round(100.0 * share, 2) + 0.0
@@ -108,7 +108,7 @@ def _measures(outcome: Balance) -> Table:
 
 
 def _tiny(value: float, scale: float) -> float:
-    """Rounding beside the value before is nothing."""
+    """Return zero for values that are rounding error relative to `scale`."""
     return value if abs(value) > 1e-12 * abs(scale) else 0.0
 
 
@@ -165,7 +165,7 @@ def _trade(trade: Trade) -> Table:
 
 
 def asked(section: BalanceSection) -> list[RenderableType]:
-    """What a problem asks of balancing."""
+    """List the settings of the `[balance]` section."""
     table = grid("\n[balance]", [("", "left"), ("", "left")])
     goal = section.goal
     table.add_row("minimise", str(goal[0][0]) if len(goal) == 1 else " + ".join(f"{w:g} {measure}" for measure, w in goal))

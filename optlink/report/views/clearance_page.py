@@ -1,4 +1,4 @@
-"""The pages of `simulate` with clearance: deviation, contacts, orbits in the gaps, energy account; and all kinds of control."""
+"""HTML sections of a simulation with joint clearance and of a control comparison."""
 
 from __future__ import annotations
 
@@ -45,12 +45,18 @@ CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
 
 
 def read(record: Record, file: ProblemFile) -> LooseSimulation:
-    """A recorded simulation with clearance.
+    """Read a stored simulation with clearance.
+
+    Parameters
+    ----------
+    record : Record
+    file : ProblemFile
+        The problem that was simulated.
 
     Raises
     ------
     InputError
-        when the record is damaged.
+        If the record is damaged.
     """
     machine = machine_of(file)
     known = outputs(machine)
@@ -107,7 +113,7 @@ def _prediction(record: Record) -> Prediction:
 
 
 def _whole(record: Record, found: LooseSimulation) -> None:
-    """Whether everything is there that is told and drawn."""
+    """Check that the record contains everything that the report needs."""
     unit = found.output.unit
     for name in ("revolutions", "settled_revolutions"):
         record.record("figures").number(name)
@@ -156,12 +162,18 @@ def _whole(record: Record, found: LooseSimulation) -> None:
 
 
 def studied(record: Record, file: ProblemFile) -> Studied:
-    """A recorded simulation with clearance.
+    """Build the report of a stored simulation with clearance.
+
+    Parameters
+    ----------
+    record : Record
+    file : ProblemFile
+        The problem that was simulated.
 
     Raises
     ------
     InputError
-        when the record is damaged.
+        If the record is damaged.
     """
     found = read(record, file)
     lines, tables = split(clearance_tables.simulation(found))
@@ -185,12 +197,12 @@ def studied(record: Record, file: ProblemFile) -> Studied:
 
 
 def _rows(turns: Turns) -> slice:
-    """The rows that are drawn one by one: those of the last revolutions."""
+    """Return the rows of the last revolutions, which are drawn."""
     return turns.rows(WINDOW)
 
 
 def _orbit(turns: Turns, gap: Gap) -> Chart:
-    """The path of a journal's centre in its bearing over the last revolutions, in contact and apart, on equal scales."""
+    """Plot the orbit of the journal centre in its bearing over the last revolutions, with equal scales."""
     found, rows = turns.result, _rows(turns)
     unit = scale(gap.clearance, "m")
     x, y = (found[f"{gap.point}.e{way}_m"][rows] * unit.factor for way in "xy")
@@ -218,7 +230,7 @@ def _error(turns: Turns) -> Scale:
 
 
 def _time(turns: Turns) -> list[Chart]:
-    """Deviation, contact forces and torque over the last revolutions."""
+    """Plot deviation, contact forces and driving torque over the last revolutions."""
     found, rows = turns.result, _rows(turns)
     columns = {name: values[rows] for name, values in found.columns.items()}
     shown, name = _error(turns), f"{found.output.name}.error_{found.output.unit}"
@@ -238,7 +250,7 @@ def _time(turns: Turns) -> list[Chart]:
 
 
 def _turns(turns: Turns) -> list[Chart]:
-    """What every revolution was like."""
+    """Plot the deviation and the largest contact forces of every revolution."""
     found, unit = turns.result, turns.result.output.unit
     numbers = found.turns.get("revolution", np.arange(1.0, len(found.turns[f"rms_{unit}"]) + 1.0))
     if len(numbers) < 3:
@@ -257,7 +269,7 @@ def _turns(turns: Turns) -> list[Chart]:
 
 
 def _impacts(turns: Turns) -> list[Chart]:
-    """Where over the crank angle contacts begin, and how hard."""
+    """Plot crank angle and approach speed of the impacts."""
     found, curves = turns.result, []
     for k, gap in enumerate(found.gaps):
         own = [one for one in found.impacts if one.gap == k and math.isfinite(one.approach)][-2000:]
@@ -277,7 +289,7 @@ def _impacts(turns: Turns) -> list[Chart]:
 
 
 def _section(turns: Turns) -> list[Chart]:
-    """Deviation at the ends of the revolutions: a periodic motion has always the same."""
+    """Plot the deviation at the end of every revolution (Poincaré section); it is constant for a periodic motion."""
     found = turns.result
     values = found.section[f"{found.output.name}.error_{found.output.unit}"]
     if len(values) < 3:
@@ -295,7 +307,7 @@ def _section(turns: Turns) -> list[Chart]:
 
 
 def _moving(found: LooseSimulation) -> Callable[[int], Moving | None]:
-    """The machine without clearance at the crank angles of the last revolutions."""
+    """Return a function that animates the machine without clearance over the last revolutions."""
     file = found.problem
 
     def made(steps: int) -> Moving | None:
@@ -331,12 +343,18 @@ def _moving(found: LooseSimulation) -> Callable[[int], Moving | None]:
 
 
 def compared(record: Record, file: ProblemFile) -> Studied:
-    """A recorded comparison of all kinds of control.
+    """Build the report of a stored control comparison.
+
+    Parameters
+    ----------
+    record : Record
+    file : ProblemFile
+        The problem that was simulated.
 
     Raises
     ------
     InputError
-        when the record is damaged.
+        If the record is damaged.
     """
     starts, below = record.numbers("starts_rad"), record.record("trials")
     trials = {name: _trials(below.record(name), len(starts)) for name in below.document}
@@ -365,7 +383,7 @@ def _trials(record: Record, count: int) -> Trials:
 
 
 def _bars(found: Comparison) -> Chart:
-    """Root mean square of the error of every kind of control, with its scatter, and the largest error."""
+    """Plot the RMS deviation of each kind of control with its scatter, and the largest deviation."""
     factor, unit = clearance_tables.TO_PEOPLE[found.unit]
     names = [escape(name) for name in found.trials]
     rms = np.array([one.mean for one in found.trials.values()]) * factor

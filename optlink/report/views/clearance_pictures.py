@@ -1,4 +1,4 @@
-"""Files and pictures of a simulation with clearance: what the output does, what drives it, where the energy goes."""
+"""Files and figures of a simulation with joint clearance: output deviation, driving torque, energy balance."""
 
 from __future__ import annotations
 
@@ -56,7 +56,14 @@ ZOOM = 4.0  # times the ideal torque from which on a second view shows what is n
 
 
 def write_all(result: LooseSimulation, folder: Path) -> list[Path]:
-    """Write result.json, play.csv (rows of the last revolutions), every picture and the film; return the files."""
+    """Write result.json, play.csv (rows of the last revolutions), the applicable figures and the animation; return the paths.
+
+    Parameters
+    ----------
+    result : LooseSimulation
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / "result.json"]
     write_json(written[0], result.to_dict())
     if result.columns:
@@ -75,7 +82,14 @@ def write_all(result: LooseSimulation, folder: Path) -> list[Path]:
 
 
 def write_comparison(found: Comparison, folder: Path) -> list[Path]:
-    """Write result.json and the pictures of a comparison of controls; return the files."""
+    """Write result.json and the figures of a control comparison; return the paths.
+
+    Parameters
+    ----------
+    found : Comparison
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / "result.json"]
     write_json(written[0], found.to_dict())
     for name, drawn in (("compensation", compensation(found.examples)), ("trials", trials(found))):
@@ -90,7 +104,7 @@ def write_comparison(found: Comparison, folder: Path) -> list[Path]:
 
 @styled
 def displacement(result: LooseSimulation) -> Figure | None:
-    """The output and the ideal machine's over the last revolutions, the deviation below; both over time and crank angle."""
+    """Draw the output with and without clearance and its deviation over the last revolutions, over time and crank angle."""
     turns = Turns(result)
     if not turns:
         return None
@@ -132,7 +146,7 @@ def displacement(result: LooseSimulation) -> Figure | None:
 
 @styled
 def error(result: LooseSimulation) -> Figure | None:
-    """Root mean square and peak of the deviation, revolution by revolution, and over all that count."""
+    """Draw the RMS and peak deviation of every revolution and the RMS over all revolutions after the running-in."""
     turns = Turns(result)
     if not turns or not result.turns:
         return None
@@ -171,7 +185,7 @@ def error(result: LooseSimulation) -> Figure | None:
 
 
 def _ideal_torque(turns: Turns) -> tuple[Array, Array] | None:
-    """Crank angles [deg] and the torque [N m] that the machine without clearance takes at constant speed."""
+    """Return crank angles [deg] and the driving torque [N m] of the machine without clearance at constant speed."""
     if turns.free:
         return None
     angles = np.linspace(0.0, FULL, 721)
@@ -181,7 +195,7 @@ def _ideal_torque(turns: Turns) -> tuple[Array, Array] | None:
 
 @styled
 def torque(result: LooseSimulation) -> Figure | None:
-    """The driving torque over the last revolution against the ideal machine's; near it once more, if that hardly shows."""
+    """Draw the driving torque of the last revolution with and without clearance; a small ideal torque is enlarged below."""
     turns = Turns(result)
     if not turns:
         return None
@@ -234,7 +248,7 @@ def torque(result: LooseSimulation) -> Figure | None:
 
 
 def _works(turns: Turns) -> tuple[dict[str, Array], dict[str, Array]]:
-    """What was fed in (drive, loads) and what was lost at the joints since the first row that is kept [J]."""
+    """Return the work of drive and loads, and the energy lost at the joints, since the first stored row [J]."""
     names = [name.removesuffix(".work_J") for name in turns.result.figures if name.endswith(".work_J")]
     points = {gap.point for gap in turns.result.gaps}
     fed: dict[str, Array] = {}
@@ -249,7 +263,7 @@ def _works(turns: Turns) -> tuple[dict[str, Array], dict[str, Array]]:
 
 @styled
 def energy(result: LooseSimulation) -> Figure | None:
-    """Works of drive and loads and the energy gained; what is lost at each joint; what the account leaves open."""
+    """Draw the work of drive and loads, the energy gained, the losses at each joint, and the imbalance of the energy account."""
     turns = Turns(result)
     largest = result.figures["largest_energy_J"]
     if not turns or largest <= 0.0:

@@ -1,4 +1,4 @@
-"""Simulations with clearance, and what control makes of it, as well-set tables for people."""
+"""Terminal tables of simulations with joint clearance and of control comparisons."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TO_PEOPLE = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg")}
 
 
 def simulation(outcome: LooseSimulation) -> RenderableType:
-    """How a simulation with clearance went: error, contacts, drive and energy account, and how far it can be trusted."""
+    """Summarise a simulation with clearance: deviation, contacts, drive, energy account and predictability."""
     title = Text(outcome.problem.model.title, style=HEAD)
     title.append(f"\n{outcome.ending.value}", style=GOOD if outcome.finished else BAD)
     rpm = outcome.speed * 30.0 / math.pi
@@ -101,7 +101,7 @@ def _tail(outcome: LooseSimulation) -> Text:
 
 
 def comparison(outcome: Comparison) -> RenderableType:
-    """All kinds of control in one table."""
+    """Tabulate all kinds of control of a comparison."""
     factor, people = TO_PEOPLE[outcome.unit]
     title = Text(outcome.problem.model.title, style=HEAD)
     count = len(outcome.starts)
@@ -119,7 +119,7 @@ def comparison(outcome: Comparison) -> RenderableType:
 
 
 def tuning(outcome: Tuning) -> RenderableType:
-    """What a search for parameters tried, and the best."""
+    """Summarise a search for controller parameters and its best set."""
     factor, people = TO_PEOPLE[outcome.unit]
     title = Text(outcome.problem.model.title, style=HEAD)
     starts = "one crank angle" if outcome.starts == 1 else f"{outcome.starts} crank angles"

@@ -1,4 +1,4 @@
-"""Pictures of what control makes of clearance: the deviation under several kinds of control, and trials from several starts."""
+"""Figures of a control comparison: deviation under each kind of control, and trials from several starts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def _mean_turn(turns: Turns, values: Array) -> tuple[Array, Array, Array, Array]:
-    """Crank angle [deg], and over the revolutions past the running-in the mean, least and largest of values, row by row."""
+    """Return crank angles [deg] and the mean, least and largest values over the revolutions after the running-in."""
     count = max(1, min(turns.whole // turns.points, turns.last - turns.begin + 1))
     rows = slice(turns.whole - count * turns.points, turns.whole)
     table = values[rows].reshape(count, turns.points)
@@ -31,12 +31,12 @@ def _mean_turn(turns: Turns, values: Array) -> tuple[Array, Array, Array, Array]
 
 
 def _closed(values: Array) -> Array:
-    """A periodic course with its end in front of its beginning."""
+    """Prepend the last value of a periodic course."""
     return np.concatenate([values[-1:], values])
 
 
 def _standstills(turns: Turns) -> list[float]:
-    """Crank angles [deg] at which the ideal output reverses: no turn of the crank moves it there."""
+    """Return the crank angles [deg] at which the ideal output reverses, where crank corrections have no effect."""
     angles, ideal, _, _ = _mean_turn(turns, turns.output - turns.error)
     if turns.advance:
         return []
@@ -48,7 +48,7 @@ def _standstills(turns: Turns) -> list[float]:
 
 @styled
 def compensation(results: Mapping[str, LooseSimulation]) -> Figure | None:
-    """The deviation over the crank angle under several kinds of control of one machine; below, how they correct the command."""
+    """Draw the deviation over the crank angle under several kinds of control, and the corrections of the crank command."""
     every = {name: Turns(result) for name, result in results.items()}
     every = {name: turns for name, turns in every.items() if turns and turns.last}
     if not every:
@@ -103,7 +103,7 @@ def _band(axes: Axes, angles: Array, least: Array, most: Array, colour: str) -> 
 
 @styled
 def trials(found: Comparison) -> Figure | None:
-    """The error under every kind of control, start by start, and their mean."""
+    """Draw the RMS and peak deviation of every start under each kind of control, and their means."""
     kinds = list(found.trials)
     shown = scale(float(max(np.max(one.peak) for one in found.trials.values())), "m" if found.unit == "m" else "deg")
     made = figure(7.6, 0.55 * len(kinds) + 2.0)

@@ -1,4 +1,4 @@
-"""Pictures of a machine designed by its cycle: what was asked for, of the given machine and of the one found; both overlaid."""
+"""Figures of a cycle optimisation: cycle quantities and mechanism, initial and optimal machine overlaid."""
 
 from __future__ import annotations
 
@@ -43,7 +43,14 @@ UNITS = {
 
 
 def write_all(result: MachineDesign, folder: Path) -> list[Path]:
-    """Write result.json, the machine found as design.toml, its cycle as cycle.csv, and the pictures; return the files."""
+    """Write result.json, the optimal machine as design.toml, its cycle as cycle.csv, and the figures; return the paths.
+
+    Parameters
+    ----------
+    result : MachineDesign
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / "result.json"]
     write_json(written[0], result.to_dict())
     if result.found is None:
@@ -60,7 +67,7 @@ def write_all(result: MachineDesign, folder: Path) -> list[Path]:
 
 
 class Line(NamedTuple):
-    """A course over the revolution: crank angles [deg], values [SI] with NaN between what jumps, its figure, its dead centres."""
+    """A quantity over the revolution: crank angles [deg], values [SI] with NaN at jumps, its measure, jump angles [deg]."""
 
     angles: Array
     values: Array
@@ -69,7 +76,7 @@ class Line(NamedTuple):
 
 
 def _line(cycle: Cycle, term: Term) -> Line:
-    """The course of a cyclic term, one-sided where a load jumps."""
+    """Evaluate a cyclic term over the revolution, with one-sided values at load jumps."""
     machine, read = cycle.course(term)
     jumps = np.remainder(cycle.work.jumps, TURN)
     even = np.linspace(0.0, TURN, STEPS + 1)
@@ -85,7 +92,7 @@ def _line(cycle: Cycle, term: Term) -> Line:
 
 
 def _shown(result: MachineDesign) -> Iterable[tuple[Term, float | None, float | None]]:
-    """Every cyclic term once, with its limits [SI]."""
+    """Yield every cyclic term once, with its limits [SI]."""
     found: dict[tuple[object, ...], tuple[Term, float | None, float | None]] = {}
     asked = [(goal, None, None) for goal in result.task.goals]
     for term, low, high in [*asked, *((b.term, b.interval.low, b.interval.high) for b in result.task.bounds)]:
@@ -99,7 +106,7 @@ def _shown(result: MachineDesign) -> Iterable[tuple[Term, float | None, float | 
 
 @styled
 def courses(result: MachineDesign) -> Figure | None:
-    """What is minimised and limited over the revolution: the given machine grey, the one found in colour, limits red."""
+    """Draw the minimised and limited quantities over the revolution: initial machine grey, optimal in colour, limits red."""
     shown = list(_shown(result))
     given, found = Cycle(result.task, {}), Cycle(result.task, result.values)
     if not shown or not found.full:
@@ -143,7 +150,7 @@ def _panel(axes: Axes, result: MachineDesign, term: Term, cycles: list[Cycle], l
 
 
 def _limits(axes: Axes, term: Term, limits: tuple[float | None, float | None], shown: Scale) -> None:
-    """Limits as red lines; a peak is limited on either side of zero."""
+    """Draw the limits as red lines; a peak is limited on both sides of zero."""
     found = [limit for limit in limits if limit is not None]
     below = axes.get_ylim()[0] / shown.factor
     if term.how == "peak" and found and not term.nature.vector and below < -0.6 * found[0]:
@@ -153,13 +160,13 @@ def _limits(axes: Axes, term: Term, limits: tuple[float | None, float | None], s
 
 
 def _named(term: Term) -> str:
-    """What is drawn, without its measure."""
+    """Return the name of the quantity without its measure."""
     return term.words.removeprefix({"rms": "RMS "}.get(term.how, f"{term.how} "))
 
 
 @styled
 def mechanisms(result: MachineDesign) -> Figure | None:
-    """The given machine grey and the one found in colour, with the paths of their joints, at the crank angle of the peak."""
+    """Draw the initial machine grey and the optimal one in colour, with joint paths, at the crank angle of the largest torque."""
     given, found = result.given, result.found
     if found is None:
         return None
@@ -185,7 +192,7 @@ def mechanisms(result: MachineDesign) -> Figure | None:
 
 
 def _telling(result: MachineDesign, found: Analysis) -> float:
-    """The crank angle [rad] at which the driving torque of the machine found is largest."""
+    """Return the crank angle [rad] at which the absolute driving torque of the optimal machine is largest."""
     extreme = found.extremes.get("input.torque_Nm")
     if extreme is None or not math.isfinite(extreme.largest):
         return 0.0
@@ -197,7 +204,7 @@ def _revolution(analysis: Analysis) -> Value:
 
 
 def _ghost(axes: Axes, given: Analysis, shown: Scale, at: Array) -> None:
-    """The given machine in grey: paths of its joints, and its bodies as lines."""
+    """Draw the initial machine in grey: joint paths and bodies as lines."""
     mechanism = given.machine.mechanism
     whole_turn, here = _revolution(given), sweep(mechanism, given.machine.sizes, at)
     for name, bodies in mechanism.owners.items():

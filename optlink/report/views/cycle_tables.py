@@ -1,4 +1,4 @@
-"""The design of a machine by its cycle as tables for people."""
+"""Terminal tables of a cycle optimisation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from optlink.tasks.cycle_result import MachineDesign, people_unit
 
 
 def machine_design(outcome: MachineDesign) -> RenderableType:
-    """Everything about the design of a machine."""
+    """Summarise a cycle optimisation: design, cycle quantities, active constraints, validation, optima."""
     parts: list[RenderableType] = [_headline(outcome), Text(), _sizes(outcome), Text(), _figures(outcome)]
     strokes = machine_strokes(outcome.built, outcome.task.drive.speed.value) if outcome.built is not None else None
     parts += [Text(), strokes] if strokes is not None else []
@@ -34,7 +34,7 @@ def machine_design(outcome: MachineDesign) -> RenderableType:
 
 
 def asked(task: CycleProblem) -> Table:
-    """The objective and the limits of a problem."""
+    """List the objective and the limits of a problem."""
     table = grid("\n[objective] and [limits]", [("", "left"), ("", "left"), ("", "left")])
     for goal in task.goals:
         share = "" if task.single else f"weight {goal.weight:g}" + (f" per {goal.scale}" if goal.scale is not None else "")

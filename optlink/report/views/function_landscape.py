@@ -1,4 +1,4 @@
-"""Map of the objective over two free quantities: where the optimum lies, and how the search got there."""
+"""Contour map of the objective over two design variables, with the optimum and the iterates."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def unit_of(result: Result) -> str:
-    """The unit of the objective, as people write it."""
+    """Return the unit of the objective with typographic exponents."""
     return result.unit.replace("^2", "²")
 
 
 @styled
 def objective_map(result: Result) -> Figure | None:
-    """Contours of the objective over two free quantities, the feasible region, the iterations and the optimum."""
+    """Draw contours of the objective over two design variables, the feasible region, the iterates and the optimum."""
     problem, solution = result.problem.spec, result.solution
     if solution is None or len(problem.free) != 2:
         return None

@@ -1,4 +1,4 @@
-"""Pictures of a result: the mechanism in its telling positions, law and error, transmission angle, map of the objective, film."""
+"""Figures and animation of a function synthesis result: mechanism, error, transmission angle, objective map."""
 
 from __future__ import annotations
 
@@ -63,7 +63,14 @@ __all__ = [
 
 
 def write_all(result: Result, folder: Path) -> list[Path]:
-    """Write result.json, the linkage as design.toml and every picture there is something for; return the files."""
+    """Write result.json, the linkage as design.toml, the applicable figures and the animation; return the paths.
+
+    Parameters
+    ----------
+    result : Result
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / "result.json"]
     write_json(written[0], result.to_dict())
     machine = None if result.conflict else machine_found(result)
@@ -86,7 +93,7 @@ def _moved(result: Result, angles: Array) -> Motion:
 
 
 def _range(result: Result) -> Array:
-    """Crank angles [rad] of the whole motion: a revolution, or the reachable range that holds the start."""
+    """Return crank angles [rad] of a revolution, or of the reachable range that contains the starting angle."""
     start = result.design["phi0"]
     for low, high in reachable(*lengths_of(result.sizes)):
         if high - low > 2.0 * np.pi - 1e-9:
@@ -108,7 +115,7 @@ def _transmission(motion: Motion) -> Array:
 
 
 def positions(result: Result) -> dict[str, float]:
-    """The telling crank angles [rad] by name: start and end of the requirement, dead centres, transmission extremes."""
+    """Return the characteristic crank angles [rad] by name: start and end of the span, dead centres, transmission extremes."""
     problem, sizes = result.problem.spec, result.sizes
     found: dict[str, float] = {"start": result.design["phi0"], "end of the span": result.design["phi0"] + problem.span}
     whole_turn = [(low, high) for low, high in reachable(*lengths_of(sizes)) if high - low > 2.0 * np.pi - 1e-9]
@@ -130,7 +137,7 @@ def positions(result: Result) -> dict[str, float]:
 
 @styled
 def mechanism(result: Result) -> Figure | None:
-    """The mechanism in its telling positions, side by side on one scale."""
+    """Draw the mechanism at its characteristic positions side by side, on one scale."""
     angles = _range(result)
     if angles.size == 0:
         return None
@@ -162,7 +169,7 @@ def mechanism(result: Result) -> Figure | None:
 
 @styled
 def law(result: Result) -> Figure | None:
-    """Wanted and generated law over the span, the error below, the design positions marked."""
+    """Draw the prescribed and the generated function over the span, with the precision points, and the error below."""
     problem, design = result.problem.spec, result.design
     offsets = problem.span * np.linspace(0.0, 1.0, 361)
     at = problem.law.offsets
@@ -221,7 +228,7 @@ def _rocker(result: Result, offsets: Array) -> Array:
 
 @styled
 def transmission(result: Result) -> Figure | None:
-    """Transmission angle over the whole motion with its limits."""
+    """Draw the transmission angle over the whole motion with its limits."""
     problem, angles = result.problem.spec, _range(result)
     if angles.size == 0:
         return None
@@ -266,7 +273,7 @@ def transmission(result: Result) -> Figure | None:
 
 
 def transmission_limits(result: Result) -> list[tuple[float, bool]]:
-    """Limits of the transmission angle [deg], each with whether it is the lower one."""
+    """Return the limits of the transmission angle [deg], each with whether it is the lower one."""
     limits = result.problem.spec.limits
     if limits.transmission_angle is not None:
         both = (limits.transmission_angle.low, limits.transmission_angle.high)
@@ -283,7 +290,16 @@ def transmission_limits(result: Result) -> list[tuple[float, bool]]:
 
 @styled
 def frames(result: Result, count: int = 90) -> list[Image.Image]:
-    """One revolution (or there and back through the reachable range), with the rocker angle beside it, as pictures."""
+    """Draw the frames of the animation: one revolution, or back and forth over the reachable range.
+
+    Beside the mechanism, the rocker angle is drawn.
+
+    Parameters
+    ----------
+    result : Result
+    count : int, optional
+        Number of frames.
+    """
     angles = _range(result)
     if angles.size == 0:
         return []

@@ -1,4 +1,4 @@
-"""Results as well-set tables for people."""
+"""Terminal tables of a function synthesis result and of a problem file, and the table helpers of all views."""
 
 from __future__ import annotations
 
@@ -31,7 +31,16 @@ GOOD, BAD, QUIET, HEAD = "green", "bold red", "dim", "bold"
 
 
 def grid(title: str, columns: Iterable[tuple[str, str]], header: bool = False) -> Table:
-    """An empty table with its title; columns as (name, left or right)."""
+    """Return an empty table with a title.
+
+    Parameters
+    ----------
+    title : str
+    columns : iterable of (str, str)
+        Name and justification ("left" or "right") of each column.
+    header : bool, optional
+        Show the column names.
+    """
     table = Table(
         title=Text(title, style=HEAD),
         title_justify="left",
@@ -48,7 +57,14 @@ def grid(title: str, columns: Iterable[tuple[str, str]], header: bool = False) -
 
 
 def number(value: float, digits: int = 6) -> str:
-    """A figure for people; a dash where there is none."""
+    """Format a number with significant digits; a dash if it is not finite.
+
+    Parameters
+    ----------
+    value : float
+    digits : int, optional
+        Significant digits.
+    """
     if not math.isfinite(value):
         return "-"
     if abs(value) < 1e-300:
@@ -57,17 +73,24 @@ def number(value: float, digits: int = 6) -> str:
 
 
 def points(count: int) -> str:
-    """A number of points in words."""
+    """Format a number of points, with its noun."""
     return f"{count:,} point{'' if count == 1 else 's'}"
 
 
 def fixed(value: float, digits: int = 3) -> str:
-    """A figure with a fixed number of decimals; a dash where there is none."""
+    """Format a number with fixed decimals; a dash if it is not finite.
+
+    Parameters
+    ----------
+    value : float
+    digits : int, optional
+        Number of decimals.
+    """
     return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "-"  # + 0.0: no minus before a zero
 
 
 def result(outcome: Result) -> RenderableType:
-    """Everything about a result."""
+    """Summarise a function synthesis result: design, objective, active constraints, validation, optima, back ends."""
     parts: list[RenderableType] = [_headline(outcome), Text(), _design(outcome)]
     parts += _strokes(outcome)
     if outcome.conflict:
@@ -86,7 +109,7 @@ def result(outcome: Result) -> RenderableType:
 
 
 def _strokes(outcome: Result) -> list[RenderableType]:
-    """Forward and backward stroke of the rocker, where the crank turns fully."""
+    """Tabulate the forward and return strokes of the rocker if the crank turns fully."""
     from optlink.report.views.analysis_tables import machine_strokes
 
     machine = turning(outcome.problem, outcome.design)
@@ -111,7 +134,16 @@ def _headline(outcome: Result) -> Text:
 
 
 def graded(title: Text, fit: Fit | None, tail: str = "") -> None:
-    """The grade of a fit behind the verdict of a title, then `tail`, then the reasons of a poor fit."""
+    """Append the grade of a fit to a title, then a tail, then the likely reasons of a poor fit with remedies.
+
+    Parameters
+    ----------
+    title : Text
+        Changed in place.
+    fit : Fit or None
+        None appends the tail only.
+    tail : str, optional
+    """
     if fit is None:
         title.append(tail)
         return
@@ -160,7 +192,17 @@ def _objective(outcome: Result) -> Table:
 
 
 def active(limits: Iterable[LimitState], objective: float, unit: str) -> RenderableType:
-    """The active limits with their prices; `unit` is that of the objective."""
+    """Tabulate the active constraints with their shadow prices.
+
+    Parameters
+    ----------
+    limits : iterable of LimitState
+        All constraints; inactive ones are left out.
+    objective : float
+        Value of the objective, for relative prices.
+    unit : str
+        Unit of the objective.
+    """
     held = [limit for limit in limits if limit.active]
     if not held:
         return Text.assemble(("Active limits", HEAD), "\nnone: only the requirement shapes this design")
@@ -175,7 +217,7 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Rendera
 
 
 def checks(asked: Sequence[Check]) -> Table:
-    """The checks of a validation."""
+    """Tabulate the checks of a validation."""
     passed = sum(check.passed for check in asked)
     table = grid(
         f"Validation: {passed} of {len(asked)} checks passed",
@@ -189,7 +231,15 @@ def checks(asked: Sequence[Check]) -> Table:
 
 
 def conflict(limits: Sequence[Relaxed], together: Sequence[Relaxed]) -> Table:
-    """Limits that cannot hold together, and by how much each would have to give."""
+    """Tabulate conflicting limits with the relaxation that each would need.
+
+    Parameters
+    ----------
+    limits : sequence of Relaxed
+        Each limit relaxed alone; an infinite amount where that does not suffice.
+    together : sequence of Relaxed
+        Limits relaxed simultaneously; shown if one of `limits` does not suffice alone.
+    """
     table = grid(
         "These limits cannot hold together",
         [("limit", "left"), ("asked", "left"), ("feasible if it alone gave", "left")],
@@ -217,7 +267,7 @@ def _given(item: Relaxed) -> str:
 
 
 def _optima(outcome: Result) -> RenderableType:
-    """Evidence of a multistart search and its distinct optima; those of a function over its whole range, like the design."""
+    """Show the statistics of a multistart search and its distinct optima."""
     free = outcome.problem.spec.free
     modes = len({optimum.assembly for optimum in outcome.optima}) > 1
     range_ = ", largest error over the whole range" if outcome.problem.spec.everywhere else ""
@@ -260,7 +310,7 @@ def _times(outcome: Result) -> Text:
 
 
 def problem(file: ProblemFile) -> RenderableType:
-    """A problem in full: every key with its value or default, in units."""
+    """List all settings of a problem: every key with its value or default, in units."""
     model = file.model
     parts: list[RenderableType] = [Text(model.title, style=HEAD)]
     if model.about:
@@ -292,7 +342,7 @@ def problem(file: ProblemFile) -> RenderableType:
 
 
 def holding(model: GenerationProblem) -> dict[str, str]:
-    """What holds for the keys of a task that may be left out."""
+    """Return the effective values of optional keys of a path or motion synthesis problem."""
     found = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
     if model.requirement.kind == "motion":
         found["angle_length"] = f"{1e3 * model.radian:.6g} mm"
@@ -349,7 +399,7 @@ def _plain(name: str, value: object) -> str:
 
 
 def listing(files: Iterable[ProblemFile]) -> Table:
-    """The shipped problems, a line each."""
+    """List the shipped problems, one per row."""
     table = grid("Shipped problems", [("name", "left"), ("kind", "left"), ("what it is", "left")], header=True)
     for file in files:
         table.add_row(file.name, file.kind, file.model.title)
@@ -361,15 +411,15 @@ NARROWEST = 79
 
 
 class _Console(Console):
-    """A console that leaves a closed pipe to the command line, which ends with the exit code for it."""
+    """Console that leaves a closed pipe to the command line, which sets the exit code."""
 
     def on_broken_pipe(self) -> None:
-        """Pass the error on."""
+        """Re-raise the error."""
         raise  # noqa: PLE0704  (rich calls this while it handles the error)
 
 
 def console(*, stderr: bool = False) -> Console:
-    """A console that prints texts as they are: no guessed colours, and nothing in a file is markup."""
+    """Return a console that prints text verbatim, without markup or highlighting."""
     made = _Console(stderr=stderr, highlight=False, markup=False, emoji=False)
     made.width = max(made.width, NARROWEST)
     return made

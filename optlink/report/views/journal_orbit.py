@@ -1,4 +1,4 @@
-"""Pictures of the joints with clearance: where their journals go, contact forces, impacts."""
+"""Figures of the joints with clearance: journal orbits, contact forces, impacts."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SOME = 6  # revolutions up to which their parts are told
 
 
 def _panels(made: Figure, count: int, rows: int = 1) -> list[list[Axes]]:
-    """Axes for so many gaps, `rows` below one another for each."""
+    """Create axes for `count` joints, `rows` below one another for each."""
     columns = beside(count)
     deep = -(-count // columns)
     grid = made.subplots(rows * deep, columns, squeeze=False, height_ratios=(1.5, 1.0)[:rows] * deep)
@@ -57,15 +57,24 @@ def _panels(made: Figure, count: int, rows: int = 1) -> list[list[Axes]]:
 
 
 def exaggeration(gap: Gap, deepest: float) -> float:
-    """By how much penetrations are drawn larger: a round number, 1 where they can be seen as they are."""
+    """Return the factor by which penetrations are magnified: a round number, 1 if they are visible to scale.
+
+    Parameters
+    ----------
+    gap : Gap
+        Joint with clearance.
+    deepest : float [m]
+        Largest penetration.
+    """
     return max(1.0, min(round_below(DEEP * gap.clearance / deepest), MOST)) if deepest > 0.0 else 1.0
 
 
 def _path(turns: Turns, k: int, rows: slice, factor: float) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.intp]]:
-    """The journal's centre from the bearing's [m], beyond the clearance `factor` times as far.
+    """Return the journal centre relative to the bearing centre [m], with penetrations magnified by `factor`.
 
-    Where a contact begins or ends between two rows, the path has a point on the circle. Also: which segments are in contact, and
-    at which points a contact begins.
+    Where a contact begins or ends between two rows, the path has a point on the clearance circle. Also returned: which segments
+    are
+    in contact, and the indices of the points where a contact begins.
     """
     result, gap = turns.result, turns.result.gaps[k]
     time = turns.time[rows]
@@ -99,7 +108,7 @@ def _own(turns: Turns, k: int, since: float) -> list[Impact]:
 
 @styled
 def orbit(result: LooseSimulation) -> Figure | None:
-    """The path of every journal's centre over the last revolutions: apart, in contact, impacts; penetration exaggerated."""
+    """Draw the orbit of every journal centre over the last revolutions with contacts and impacts; penetrations are magnified."""
     turns = Turns(result)
     if not turns:
         return None
@@ -153,7 +162,7 @@ def orbit(result: LooseSimulation) -> Figure | None:
 
 
 def _masked(x: Array, y: Array, segments: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """The segments of a path that are chosen, with gaps between them."""
+    """Return the selected segments of a path, separated by NaN."""
     ends = np.concatenate([segments, [False]]) | np.concatenate([[False], segments])
     whole = np.flatnonzero(ends)
     breaks = np.flatnonzero(~np.concatenate([segments, [False]])[whole[:-1]]) + 1
@@ -165,7 +174,7 @@ def _masked(x: Array, y: Array, segments: NDArray[np.bool_]) -> tuple[Array, Arr
 
 @styled
 def force(result: LooseSimulation) -> Figure | None:
-    """Normal force and friction at every gap over the crank angle, penetration below; contact of the last revolution shaded."""
+    """Draw the normal force, friction and penetration of every joint over the crank angle; contact phases are shaded."""
     turns = Turns(result)
     if not turns:
         return None
@@ -237,7 +246,7 @@ def force(result: LooseSimulation) -> Figure | None:
 
 @styled
 def impacts(result: LooseSimulation) -> Figure | None:
-    """Approach speed and largest penetration of every contact over the revolutions."""
+    """Draw the approach speed and the largest penetration of every contact over the revolutions."""
     turns = Turns(result)
     if not turns or not result.impacts:
         return None

@@ -1,4 +1,4 @@
-"""The mechanism with the play in its joints drawn larger than it is, and every such joint under a loupe; picture and film."""
+"""Figure and animation of the mechanism with magnified clearances and close-ups of its joints."""
 
 from __future__ import annotations
 
@@ -40,13 +40,14 @@ FELT = 0.02  # share of the largest force from which on a force is drawn
 
 
 class Loosened(Sketch):
-    """A mechanism at some rows of a simulation: its bodies' deviations from the ideal machine are drawn `factor` times as large.
+    """Sketch of a mechanism with clearance, with deviations from the ideal machine magnified by `factor`.
 
     Parameters
     ----------
     turns : Turns
-    rows : array (positions,)
-        Which rows; `steps` is the ideal machine's motion through them.
+        The simulated revolutions.
+    rows : array of int (positions,)
+        Rows of the simulation to draw; `steps` is the motion of the ideal machine at these rows.
     """
 
     def __init__(self, turns: Turns, rows: NDArray[np.intp]) -> None:
@@ -73,22 +74,30 @@ class Loosened(Sketch):
         self.low, self.high = self.low - reach, self.high + reach
 
     def columns(self, name: str) -> Array:
-        """A column at the rows."""
+        """Return a column at the rows."""
         return self.turns.result[name][self.rows]
 
     def force(self, gap: Gap) -> Array:
-        """Amount of the contact force at the rows [N]."""
+        """Return the magnitude of the contact force at the rows [N]."""
         amount: Array = np.hypot(self.columns(f"{gap.point}.normal_N"), self.columns(f"{gap.point}.rub_N"))
         return amount
 
     def eccentricity(self, gap: Gap) -> Array:
-        """From the bearing's middle to the journal's at the rows [m], (positions, 2)."""
+        """Return the vectors from the bearing centre to the journal centre at the rows [m], shape (positions, 2)."""
         return np.stack([self.columns(f"{gap.point}.e{axis}_m") for axis in "xy"], axis=-1)
 
     # --- where things are ------------------------------------------------------------------------------------------------
 
     def at(self, point: str, body: str) -> Array:
-        """Where a point of a body is drawn at the rows, (positions, 2)."""
+        """Return the drawn positions of a point of a body at the rows, shape (positions, 2).
+
+        Parameters
+        ----------
+        point : str
+            Joint name.
+        body : str
+            Body to which the point belongs; matters at a joint with clearance.
+        """
         ideal, known = super().position(self.steps, point), self.turns.result.columns
         name = f"{point}.{body}" if f"{point}.{body}.x_m" in known else point
         if name == point and point in self.gaps:  # a third body shares the bearing
@@ -100,13 +109,30 @@ class Loosened(Sketch):
         return drawn
 
     def position(self, motion: Motion, name: str) -> Array:
-        """Where a point is, in the unit that is shown; at a joint with play, the middle of the bearing."""
+        """Return the positions of a point in the display unit; at a joint with clearance, those of the bearing centre.
+
+        Parameters
+        ----------
+        motion : Motion
+            `self.motion` for the ideal machine, otherwise the rows are used.
+        name : str
+            Joint name.
+        """
         if motion is self.motion:
             return super().position(motion, name)
         return self.at(name, self.gaps[name].bearing if name in self.gaps else self.mechanism.owners[name][0])
 
     def placed(self, motion: Motion, body: str, outline: Array) -> Array:
-        """Where an outline of a body is, (positions, corners, 2)."""
+        """Return the positions of an outline that moves with a body, shape (positions, corners, 2).
+
+        Parameters
+        ----------
+        motion : Motion
+            `self.motion` for the ideal machine, otherwise the rows are used.
+        body : str
+        outline : array (corners, 2)
+            Coordinates along and across the body from its start point, in the display unit.
+        """
         if motion is self.motion:
             return super().placed(motion, body, outline)
         x, y = np.cos(self.angles[body])[:, None], np.sin(self.angles[body])[:, None]
@@ -118,7 +144,16 @@ class Loosened(Sketch):
     # --- drawing -----------------------------------------------------------------------------------------------------------
 
     def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
-        """Draw the k-th row; joints with play as journals in bearings, and under the loupe if that is laid somewhere."""
+        """Draw the mechanism at row `k`, with joints with clearance as journals in bearings; also draw the close-ups, if any.
+
+        Parameters
+        ----------
+        axes : Axes
+        motion : Motion
+            `self.steps`.
+        k : int, optional
+            Index of the row.
+        """
         found = super().pose(axes, motion, k)
         ideal = [name for name in self.mechanism.pins if name not in self.gaps]
         for artist in found:
@@ -135,7 +170,7 @@ class Loosened(Sketch):
         return GROUND if body == FRAME else self.colours[body]
 
     def _joint(self, gap: Gap, k: int) -> list[Artist]:
-        """A bearing as a ring, the journal as a disc in it, and of the journal's body what the ring would hide."""
+        """Draw the bearing as a ring, the journal as a disc, and the part of the journal's body that the ring would hide."""
         centre, journal = self.at(gap.point, gap.bearing)[k], self.at(gap.point, gap.journal)[k]
         radius = self.radius + self.factor * gap.clearance * self.scale.factor
         ring = Circle((centre[0], centre[1]), radius, facecolor="white", edgecolor=self._colour(gap.bearing), linewidth=1.6)
@@ -154,7 +189,16 @@ class Loosened(Sketch):
         return found
 
     def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
-        """The names of all points, for `labels.settle`; clear of the rings, once the axes have their size."""
+        """Return the labels of all points, clear of the bearing rings; the axes must have their final size.
+
+        Parameters
+        ----------
+        axes : Axes
+        motion : Motion
+            `self.steps`.
+        k : int, optional
+            Index of the row.
+        """
         drawn = axes.get_figure()
         assert drawn is not None
         pixels = axes.get_window_extent().width / float(np.ptp(axes.get_xlim()))
@@ -169,9 +213,18 @@ class Loosened(Sketch):
     # --- the loupe ---------------------------------------------------------------------------------------------------------
 
     def lay(self, axes: Axes, columns: int, told: int | None = None) -> None:
-        """What stands still under the loupe: bearings, so many beside one another, and the paths of the journals' middles.
+        """Draw the fixed parts of the close-ups: the bearings and the paths of the journal centres.
 
         `told`: the position whose values are written below; none in a film.
+
+        Parameters
+        ----------
+        axes : Axes
+            Axes of the close-ups, also used by `pose`.
+        columns : int
+            Number of joints side by side.
+        told : int or None, optional
+            Row whose contact state is written below each joint; None writes none, as in an animation.
         """
         self.loupe = axes
         for i, gap in enumerate(self.gaps.values()):
@@ -203,11 +256,11 @@ class Loosened(Sketch):
         return f"{rough(force, 'N')}, {rough(depth, 'm')} deep"
 
     def _share(self, gap: Gap) -> float:
-        """Share of the bearing's radius that the gap takes under the loupe."""
+        """Return the share of the bearing radius that the clearance takes in the close-up."""
         return max(SHARE, gap.clearance / (gap.radius + gap.clearance))
 
     def _magnified(self, gap: Gap, k: int) -> list[Artist]:
-        """The journal, how both bodies have turned, and the contact force on the journal."""
+        """Draw the journal, the rotation marks of both bodies and the contact force on the journal."""
         middle, share = self.middles[gap.point], self._share(gap)
         e = self.eccentricity(gap)[k]
         centre, colour = middle + e / gap.clearance * share, self._colour(gap.journal)
@@ -242,7 +295,7 @@ def _exaggerated(sketch: Loosened) -> str:
 
 @styled
 def mechanism(result: LooseSimulation) -> Figure | None:
-    """The mechanism where the contact force is largest in the last revolution, and its joints with play under the loupe."""
+    """Draw the mechanism at the largest contact force of the last revolution, with close-ups of its joints with clearance."""
     turns = Turns(result)
     if not turns:
         return None
@@ -278,7 +331,14 @@ def mechanism(result: LooseSimulation) -> Figure | None:
 
 @styled
 def frames(result: LooseSimulation, count: int = FRAMES) -> list[Image.Image]:
-    """The last revolution: the mechanism, its deviations exaggerated, and the joints with play under the loupe."""
+    """Draw the frames of the last revolution with magnified deviations and close-ups of the joints with clearance.
+
+    Parameters
+    ----------
+    result : LooseSimulation
+    count : int, optional
+        Largest number of frames.
+    """
     turns = Turns(result)
     if not turns:
         return []

@@ -1,4 +1,4 @@
-"""The page of `study pareto`: the front with its ends and its knee; every point of it with its design."""
+"""HTML sections of a Pareto study: the front with its end points, its knee and the design of every point."""
 
 from __future__ import annotations
 
@@ -27,12 +27,18 @@ SENSES = {"minimise": 1, "maximise": -1}
 
 
 def read(record: Record, file: ProblemFile) -> Pareto:
-    """A recorded front.
+    """Read a stored Pareto front.
+
+    Parameters
+    ----------
+    record : Record
+    file : ProblemFile
+        The problem of the study.
 
     Raises
     ------
     InputError
-        when the record is damaged.
+        If the record is damaged.
     """
     aims = tuple(_aim(one) for one in record.records("objectives"))
     if not 2 <= len(aims) <= 3:
@@ -99,12 +105,18 @@ def _axis(record: Record) -> Axis:
 
 
 def studied(record: Record, file: ProblemFile) -> Studied:
-    """A recorded front.
+    """Build the report of a stored Pareto front.
+
+    Parameters
+    ----------
+    record : Record
+    file : ProblemFile
+        The problem of the study.
 
     Raises
     ------
     InputError
-        when the record is damaged.
+        If the record is damaged.
     """
     found = read(record, file)
     lines, tables = split(pareto_tables.front(found))
@@ -126,7 +138,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
 
 
 def _chosen(found: Pareto) -> int | None:
-    """The point whose machine is drawn: the knee, else the best of the first objective."""
+    """Return the index of the point whose machine is drawn: the knee, otherwise the best point of the first objective."""
     if not found.points:
         return None
     return found.ends[0] if found.knee is None else found.knee[0]
@@ -138,7 +150,7 @@ def _named(aim: Aim) -> str:
 
 
 def _front(found: Pareto) -> Chart:
-    """Two objectives as a curve, three as a cloud whose colour is the third."""
+    """Plot two objectives as a curve, or three as points coloured by the third."""
     values = np.array([point.values for point in found.points])
     x, y = values[:, 0], values[:, 1]
     picks = _picks(found, x, y)
@@ -169,13 +181,13 @@ def _front(found: Pareto) -> Chart:
 
 
 def _side(x: Array, y: Array, k: int) -> str:
-    """Where the name of a point has room: towards the middle of the picture."""
+    """Return the text position of a point label, towards the centre of the chart."""
     across = "right" if x[k] < 0.5 * (np.min(x) + np.max(x)) else "left"
     return f"{'bottom' if y[k] > 0.5 * (np.min(y) + np.max(y)) else 'top'} {across}"
 
 
 def _picks(found: Pareto, x: Array, y: Array) -> Picks:
-    """The design of every point."""
+    """Tabulate the design of every point."""
     names: list[str] = []
     for aim in found.aims:
         names += [_named(aim), f"{aim.name}: change"] if found.given is not None else [_named(aim)]

@@ -1,4 +1,4 @@
-"""A front as files: result.json, front.csv, and the picture: a curve of two objectives, three views of three."""
+"""Files and figure of a Pareto front: one curve for two objectives, three projections for three."""
 
 from __future__ import annotations
 
@@ -19,7 +19,16 @@ from optlink.studies.pareto import Pareto
 
 
 def write_all(result: Pareto, folder: Path) -> list[Path]:
-    """Write result.json, the front as a table, and its picture if it has two points; the grid's table is there already."""
+    """Write result.json, the front as front.csv, and its figure if it has two points; return the paths.
+
+    The table of all solved points exists already.
+
+    Parameters
+    ----------
+    result : Pareto
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / "result.json", folder / "front.csv"]
     write_json(written[0], result.to_dict())
     columns = result.columns
@@ -36,7 +45,7 @@ def write_all(result: Pareto, folder: Path) -> list[Path]:
 
 @styled
 def picture(result: Pareto) -> Figure:
-    """The front with its ends, its knee and what was given."""
+    """Draw the front with its end points, its knee and the initial design."""
     pairs = list(itertools.combinations(range(len(result.aims)), 2))
     width, height = (7.6, 5.2) if len(pairs) == 1 else (13.0, 4.9)
     made = figure(width, height)
@@ -83,7 +92,7 @@ def _panel(result: Pareto, axes: Axes, x: int, y: int) -> list[Label]:
 
 
 def _outward(result: Pareto, x: int, y: int) -> tuple[float, float]:
-    """Away from what is out of reach."""
+    """Return the label direction that points to worse objectives, away from the unattainable side of the front."""
     return 0.7 * result.aims[x].sense, 0.7 * result.aims[y].sense
 
 

@@ -1,4 +1,4 @@
-"""A front of two or three objectives as tables for people."""
+"""Terminal tables of a Pareto front of two or three objectives."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SHOWN = 24  # points that are listed; ends and knee always
 
 
 def front(result: Pareto) -> RenderableType:
-    """What a front says: its points with ends and knee, and how each objective stands against what was given."""
+    """Summarise a Pareto front: its points with end points and knee, and the change of each objective from the initial design."""
     title = Text(result.problem.model.title, style=HEAD)
     title.append(f"\n{points(len(result.points))} of the front of {_and([aim.name for aim in result.aims])}, ")
     title.append("every one proven", style=GOOD)
@@ -46,13 +46,13 @@ def _and(names: list[str]) -> str:
 
 
 def _shown(result: Pareto) -> list[int]:
-    """Numbers of the points that are listed."""
+    """Return the indices of the listed points."""
     step = max(1, math.ceil(len(result.points) / SHOWN))
     return [k for k, point in enumerate(result.points) if k % step == 0 or point.mark]
 
 
 def _points(result: Pareto) -> RenderableType:
-    """Objectives of the points, and how they stand against what was given."""
+    """Tabulate the objectives of the points and their change from the initial design."""
     columns = [("", "right")]
     for aim in result.aims:
         columns += [(f"{aim.name}\n[{aim.unit}]" if aim.unit else aim.name, "right")]
@@ -66,7 +66,7 @@ def _points(result: Pareto) -> RenderableType:
 
 
 def _designs(result: Pareto) -> RenderableType:
-    """Sizes of the points, and what holds them."""
+    """Tabulate the design variables of the points."""
     free = list(result.points[0].design)
     heads = [("{}\n[{}]".format(*name.rpartition("_")[::2]), "right") for name in free]
     table = grid("Designs", [("", "right"), *heads], header=True)
@@ -76,7 +76,7 @@ def _designs(result: Pareto) -> RenderableType:
 
 
 def _compared(result: Pareto) -> bool:
-    """Whether there is room to say how much better than what was given a point is."""
+    """Return whether the table has columns for the change from the initial design."""
     return result.given is not None and len(result.aims) == 2
 
 
@@ -90,7 +90,14 @@ def _cells(result: Pareto, values: tuple[float, ...]) -> list[RenderableType]:
 
 
 def against(value: float, before: float) -> str:
-    """How a value stands against one before: in per cent, or how many times as large it is."""
+    """Format the change of a value: in per cent, or as a ratio if it is large.
+
+    Parameters
+    ----------
+    value : float
+    before : float
+        Reference in the same unit; zero gives an empty text.
+    """
     if not before:
         return ""
     ratio = value / before

@@ -1,4 +1,4 @@
-"""Several generated designs side by side."""
+"""Figure of several path synthesis designs side by side."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ APART = 4.0  # times as large as the smallest: designs that are drawn on one sca
 
 @styled
 def designs(result: Generation) -> Figure | None:
-    """The distinct designs side by side on one scale, and which of them are cognates."""
+    """Draw the distinct designs side by side on one scale and name their cognates."""
     if len(result.designs) < 2:
         return None
     related = kin(result.designs)

@@ -1,4 +1,4 @@
-"""What pictures of a generated design say in words: its figures, its sizes, why it is not valid."""
+"""Captions of the path synthesis figures: deviations, dimensions, failed checks."""
 
 from __future__ import annotations
 
@@ -23,18 +23,39 @@ LINE = 0.17  # height of a line of the title [inch]
 
 
 def fitting(value: float, unit: Scale) -> Scale:
-    """The unit of the picture; for what is small in it, one that suits it."""
+    """Return the unit of the figure, or a smaller unit for values that are small in it.
+
+    Parameters
+    ----------
+    value : float [m]
+    unit : Scale
+        Unit of the figure.
+    """
     return unit if value == 0.0 or not math.isfinite(value) or value * unit.factor >= 0.01 else scale(value, "m")
 
 
 def length(value: float, unit: Scale) -> str:
-    """A deviation [m]."""
+    """Format a deviation with its unit.
+
+    Parameters
+    ----------
+    value : float [m]
+    unit : Scale
+        Unit of the figure.
+    """
     shown = fitting(value, unit)
     return f"{_digits(value * shown.factor, 4)} {shown.unit}"
 
 
 def squares(value: float, unit: Scale) -> str:
-    """A sum of squares [m²] in the square of the picture's unit, or of the next smaller one that needs no power of ten."""
+    """Format a sum of squares in the square of the figure's unit, or of a smaller one that avoids an exponent.
+
+    Parameters
+    ----------
+    value : float [m²]
+    unit : Scale
+        Unit of the figure.
+    """
     units = [
         unit,
         *(smaller for smaller in (Scale(1e3, "mm"), Scale(1e6, "µm"), Scale(1e9, "nm")) if smaller.factor > unit.factor),
@@ -44,7 +65,7 @@ def squares(value: float, unit: Scale) -> str:
 
 
 def _digits(value: float, count: int) -> str:
-    """So many significant digits, without a power of ten as far as people read it so; a true minus."""
+    """Format `count` significant digits, without an exponent for moderate sizes and with a typographic minus."""
     if not math.isfinite(value):
         return "–"
     size = math.floor(math.log10(abs(value))) if value else 0
@@ -55,14 +76,14 @@ def _digits(value: float, count: int) -> str:
 
 
 def failed(design: Design | Single) -> str:
-    """Why a design is not valid."""
+    """Return the reason why a design is not valid."""
     names = [check.name for check in design.validation.checks if not check.passed]
     more = f" and {len(names) - 2} more checks" if len(names) > 3 else ""
     return f"fails {', '.join(names[: 2 if more else 3])}{more}" if names else design.status.text
 
 
 def objective(track: Track) -> str:
-    """The measure of the deviations."""
+    """Format the objective with its measure."""
     design, unit, task = track.design, track.sketch.scale, track.task
     if exact(design):
         return "exact to rounding"
@@ -77,19 +98,19 @@ def objective(track: Track) -> str:
 
 
 def assembly(design: Design) -> list[str]:
-    """Assembly modes, each whole."""
+    """Return the assembly modes, one text for each joint."""
     first, *others = words(design).split(", ")
     return [f"assembly {first}", *others]
 
 
 def transmission(design: Design) -> str:
-    """The worst transmission angle; empty if there is none."""
+    """Format the worst transmission angle; empty if there is none."""
     least = design.least_transmission
     return f"least transmission angle {math.degrees(least):.1f}°" if math.isfinite(least) else ""
 
 
 def figures(track: Track) -> list[str]:
-    """Objective, deviations, transmission angle."""
+    """Return the captions of objective, deviations and transmission angle."""
     design, task, unit = track.design, track.task, track.sketch.scale
     distances, turned = design.measured.distances, design.measured.turned
     if not task.pointed:
@@ -114,7 +135,7 @@ def figures(track: Track) -> list[str]:
 
 
 def _error(track: Track) -> list[str]:
-    """How far the output of a function is off."""
+    """Return the caption of the output error of a function."""
     task, errors = track.task, track.design.measured.distances
     if not task.unit or track.exact:
         return []
@@ -125,7 +146,7 @@ def _error(track: Track) -> list[str]:
 
 
 def sizes(track: Track) -> list[str]:
-    """Sizes of the design; the free ones if all are too many."""
+    """Return the captions of all dimensions, or of the design variables only if there are too many."""
     task, unit, values = track.task, track.sketch.scale, track.design.values
     names = [*task.mechanism.quantities, *([MARK] if MARK in task.quantities else [])]
     if len(names) > SIZES:
@@ -143,7 +164,17 @@ def sizes(track: Track) -> list[str]:
 
 
 def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -> str:
-    """Items in lines of about the same length that fit into a width [inch]; no item is broken that fits into a line."""
+    """Join items to lines of similar length that fit a width; items are not broken.
+
+    Parameters
+    ----------
+    items : sequence of str
+    width : float [inch]
+    gap : str
+        Separator between items.
+    size : float [pt], optional
+        Font size.
+    """
     most = max(16, int(72.0 * width / (0.56 * size)))
 
     def lines(limit: int) -> list[str]:
@@ -162,7 +193,16 @@ def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -
 
 
 def title_of(track: Track, width: float, title: str, *more: str) -> str:
-    """A title with more lines below it; what is not valid says so."""
+    """Compose a title with further lines below it; an invalid design is marked as not valid.
+
+    Parameters
+    ----------
+    track : Track
+    width : float [inch]
+    title : str
+    *more : str
+        Further lines; empty ones are left out.
+    """
     text = [heading(title, width, TITLE)]
     if not track.design.valid:
         text.append(wrapped(f"NOT VALID: {failed(track.design)}".split(", "), width, ", "))
@@ -172,11 +212,24 @@ def title_of(track: Track, width: float, title: str, *more: str) -> str:
 
 
 def headed(track: Track, width: float) -> str:
-    """The title of a mechanism: with its figures and its sizes."""
+    """Compose the title of a mechanism with its deviations and dimensions.
+
+    Parameters
+    ----------
+    track : Track
+    width : float [inch]
+    """
     told = wrapped(figures(track), width, "; "), wrapped(sizes(track), width, "   ")
     return title_of(track, width, track.task.title, *told)
 
 
 def entitle(made: Figure, track: Track, title: str) -> None:
-    """Write it; in red what is not valid."""
+    """Write the title of a figure, in red if the design is not valid.
+
+    Parameters
+    ----------
+    made : Figure
+    track : Track
+    title : str
+    """
     made.suptitle(title, fontsize=TITLE, color=WANTED if track.design.valid else LIMIT)

@@ -1,4 +1,4 @@
-"""The curve of a generated design from near: points, tolerances, deviations, poses."""
+"""Close-up of the coupler curve with precision points, tolerances, deviations and poses."""
 
 from __future__ import annotations
 
@@ -25,18 +25,36 @@ ALLOWED = BODIES[2]
 
 
 def dots(count: int) -> float:
-    """Size of the mark of a point [pt]."""
+    """Return the marker size of a point [pt]."""
     return 3.8 if count <= NUMBERED else 3.0 if count <= 100 else 2.0
 
 
 def points_on(axes: Axes, places: Array, size: float = 1.0) -> None:
-    """The wanted points."""
+    """Draw the precision points.
+
+    Parameters
+    ----------
+    axes : Axes
+    places : array (n, 2)
+        In the unit of the axes.
+    size : float, optional
+        Factor on the marker size.
+    """
     size *= dots(len(places))
     axes.plot(*places.T, linestyle="none", marker="o", markersize=size, color=WANTED, mew=0.0, zorder=5, gid="wanted")
 
 
 def small_frames(places: Array, angles: Array, length: float) -> Array:
-    """Little frames, an arrow along x and a short line along y, as one line with gaps, (n, 2)."""
+    """Return small coordinate frames, an arrow along x and a short line along y, as one line with gaps, shape (10 n, 2).
+
+    Parameters
+    ----------
+    places : array (n, 2)
+        Origins, in the unit of the axes.
+    angles : array (n,) [rad]
+    length : float
+        Length of the arrow, in the unit of the axes.
+    """
     x, y = np.stack([np.cos(angles), np.sin(angles)], axis=-1), np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
     gap = (math.nan, math.nan)
     strokes = [(0.0, 0.0), (1.0, 0.0), gap, (0.8, 0.11), (1.0, 0.0), (0.8, -0.11), gap, (0.0, 0.0), (0.0, 0.45), gap]
@@ -44,19 +62,25 @@ def small_frames(places: Array, angles: Array, length: float) -> Array:
 
 
 def some(count: int, most: int) -> NDArray[np.intp]:
-    """At most so many indices, evenly, the first and the last among them."""
+    """Return at most `most` evenly spaced indices of `count` items, including the first and the last.
+
+    Parameters
+    ----------
+    count : int
+    most : int
+    """
     return np.unique(np.round(np.linspace(0.0, count - 1.0, min(count, most))).astype(int))
 
 
 def _listed(numbers: list[int]) -> str:
-    """Numbers of points: 1–6 where they follow one another."""
+    """Format point numbers; consecutive numbers as a range."""
     if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
         return f"{numbers[0]}–{numbers[-1]}"
     return ", ".join(map(str, numbers))
 
 
 class Close:
-    """The curve seen from near, in axes of its own: points, tolerances, deviations, poses."""
+    """Close-up of the coupler curve in its own axes: precision points, tolerances, deviations, poses."""
 
     def __init__(self, track: Track) -> None:
         self.track = track
@@ -66,21 +90,21 @@ class Close:
         self.shown = some(len(track.wanted), FRAMED)
 
     def _ends(self) -> Array:
-        """Where the lines from the wanted points end."""
+        """Return the end points of the deviation lines."""
         ends: Array = self.track.wanted + self.track.factor * (self.track.generated - self.track.wanted)
         return ends * self.unit.factor
 
     def _poses(self) -> tuple[Array, Array]:
-        """Wanted and generated frames."""
+        """Return the prescribed and the generated frames as lines."""
         track, k = self.track, self.shown
         aim = np.arctan2(track.task.data.columns[:, 3], track.task.data.columns[:, 2])
         wanted = small_frames(track.wanted[k] * self.unit.factor, aim[k], self.length)
         return wanted, small_frames(track.generated[k] * self.unit.factor, track.angles(track.at)[k], self.length)
 
     def limits(self) -> tuple[Array, Array]:
-        """Least and largest coordinates of what must be seen, with a margin, never thinner than half of their length.
+        """Return the least and largest coordinates to show, with a margin; the aspect ratio is at most two.
 
-        The curve is held as far as it keeps near the points.
+        The curve is included as far as it stays near the points.
         """
         track, factor = self.track, self.unit.factor
         radii = np.where(np.isfinite(track.tolerances), track.tolerances * track.factor, 0.0)[:, None]
@@ -97,18 +121,25 @@ class Close:
 
     @property
     def ratio(self) -> float:
-        """Height over width."""
+        """Height divided by width."""
         low, high = self.limits()
         return float((high - low)[1] / (high - low)[0])
 
     @property
     def once(self) -> bool:
-        """Whether the run from point to point is the whole curve."""
+        """Whether the run from the first to the last point is the whole curve."""
         track = self.track
         return bool(np.ptp(track.run.crank_angle) >= np.ptp(track.motion.crank_angle) - 1e-9)
 
     def draw(self, axes: Axes, *, sticks: bool = True) -> list[Label]:
-        """Draw all of it."""
+        """Draw the curve, points, tolerances, deviations and poses, and return the labels of the points.
+
+        Parameters
+        ----------
+        axes : Axes
+        sticks : bool, optional
+            Draw tolerances and deviations.
+        """
         track, factor, unit = self.track, self.unit.factor, self.unit.unit
         rest = None if self.once else "rest of the curve"
         whole = track.position(track.motion) * factor
@@ -179,7 +210,7 @@ class Close:
         return f", drawn {self.track.factor:g}-fold" if self.track.factor > 1.0 else ""
 
     def _numbers(self, axes: Axes) -> list[Label]:
-        """Numbers of the points: of all if they are few."""
+        """Return labels with the numbers of the points; every fifth, tenth, ... if there are many."""
         places = self.track.wanted * self.unit.factor
         count = len(places)
         every = next(step for step in (1, 5, 10, 20, 50) if count <= NUMBERED * step or step == 50)

@@ -1,4 +1,4 @@
-"""A generated mechanism as it stands at its first position, with its curve and what it shall meet."""
+"""Figure of a synthesised mechanism at its first position, with its coupler curve and the precision points."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GHOSTS = 8  # poses in which the body is drawn
 
 
 def _turning(axes: Axes, track: Track) -> None:
-    """An arrow on the circle of the crank: which way it turns."""
+    """Draw an arrow on the crank circle in the direction of rotation."""
     crank = track.sketch.mechanism.crank
     pivot, pin = (track.sketch.position(track.here, name)[0] for name in (crank.start, crank.end))
     arm = pin - pivot
@@ -38,7 +38,7 @@ def _turning(axes: Axes, track: Track) -> None:
 
 
 def _ghosts(axes: Axes, track: Track) -> None:
-    """The body in the poses that it takes."""
+    """Draw the guided body in its poses."""
     sketch, body = track.sketch, track.task.body
     for part in sketch.parts[body]:
         if part.kind in ("bar", "plate"):
@@ -52,7 +52,14 @@ def _ghosts(axes: Axes, track: Track) -> None:
 
 
 def trim(made: Figure, rows: int = 1) -> None:
-    """Take off the paper that panels of equal scales leave empty above and below them."""
+    """Reduce the height of a figure by the empty space above and below its panels.
+
+    Parameters
+    ----------
+    made : Figure
+    rows : int, optional
+        Number of rows of panels.
+    """
     made.draw_without_rendering()
     empty = math.inf
     for axes in made.axes:
@@ -64,7 +71,13 @@ def trim(made: Figure, rows: int = 1) -> None:
 
 
 def standing(axes: Axes, track: Track) -> list[Label]:
-    """The mechanism at the first point, with the curve and the points."""
+    """Draw the mechanism at the first point with its coupler curve and the precision points, and return the labels.
+
+    Parameters
+    ----------
+    axes : Axes
+    track : Track
+    """
     sketch = track.sketch
     factor = sketch.scale.factor
     sketch.stage(axes)

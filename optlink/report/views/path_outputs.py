@@ -1,4 +1,4 @@
-"""What a generated linkage does over the crank angle: its output beside the wanted one, or its transmission angles."""
+"""Figures of a synthesised function or transmission: output against the prescribed one, or transmission angles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FINEST = 360  # positions of the curve of a function
 
 
 class Output(NamedTuple):
-    """What a linkage does over crank angles (n,) [deg]: `found` (n, curves) in the unit of `name`, `wanted` (n,) if stated."""
+    """Output over crank angles (n,) [deg]: `found` (n, curves) in the unit of `name`, `wanted` (n,) if prescribed."""
 
     crank: Array
     found: Array
@@ -37,7 +37,7 @@ class Output(NamedTuple):
 
 
 def output(track: Track) -> Output:
-    """The output of a function over its range, or the transmission angles over the revolution."""
+    """Return the output of a function over its range, or the transmission angles over the revolution."""
     task, values = track.task, track.design.values
     if task.requirement.kind == "transmission":
         joints = [group.joint for group in task.linkage.groups if isinstance(group, RRR)]
@@ -57,7 +57,7 @@ def output(track: Track) -> Output:
 
 @styled
 def mechanism(result: Generation) -> Figure | None:
-    """The mechanism of a function or the best transmission, at the first position."""
+    """Draw the mechanism of a function or transmission synthesis at its first position."""
     track = best(result)
     if track is None or track.task.pointed:
         return None
@@ -77,7 +77,7 @@ def mechanism(result: Generation) -> Figure | None:
 
 @styled
 def curve(result: Generation) -> Figure | None:
-    """Wanted and generated output of a function with their difference, or the transmission angles over the revolution."""
+    """Draw the prescribed and generated output of a function with their difference, or the transmission angles."""
     track = best(result)
     if track is None or track.task.pointed:
         return None
@@ -104,7 +104,7 @@ def curve(result: Generation) -> Figure | None:
 
 
 def _outputs(axes: Axes, track: Track, shown: Output) -> None:
-    """All curves of an output."""
+    """Draw all curves of an output."""
     if shown.wanted is not None:
         axes.plot(shown.crank, shown.wanted, color=WANTED, linestyle="--", linewidth=1.4, label="wanted", zorder=3, gid="wanted")
     for k, name in enumerate(shown.curves):
@@ -121,7 +121,14 @@ def _outputs(axes: Axes, track: Track, shown: Output) -> None:
 
 
 def output_film(track: Track, count: int) -> list[Image.Image]:
-    """The mechanism in motion beside its output or its transmission angles."""
+    """Draw the frames of the mechanism beside its output or its transmission angles.
+
+    Parameters
+    ----------
+    track : Track
+    count : int
+        Number of frames.
+    """
     shown = output(track)
     steps = track.begin + track.way * np.linspace(0.0, TURN, count, endpoint=False)
     if shown.wanted is not None:

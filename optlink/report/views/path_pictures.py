@@ -1,6 +1,7 @@
-"""Files and pictures of generated linkages: on their curve with the points, how far they miss, other designs, a film.
+"""Files, figures and animation of a path, motion, function or transmission synthesis result of any linkage.
 
-Of a function or the best transmission: the mechanism, its output or its transmission angles, other designs, a film.
+Path and motion: mechanism and curve with the precision points, deviations, alternative designs. Function and transmission:
+mechanism, output or transmission angles, alternative designs.
 """
 
 from __future__ import annotations
@@ -40,7 +41,19 @@ LIT = "#ffc20a"
 
 
 def write_all(result: Generation, folder: Path) -> list[Path]:
-    """Write result.json and, of the best design or the nearest miss, points.csv, design.toml, every picture and the film."""
+    """Write result.json and, for the best design or nearest miss, points.csv, design.toml, the figures and the animation.
+
+    Parameters
+    ----------
+    result : Generation
+    folder : Path
+        Existing folder to write to.
+
+    Returns
+    -------
+    list of Path
+        The written files.
+    """
     written = [folder / "result.json"]
     write_json(written[0], result.to_dict())
     design = result.best
@@ -64,7 +77,7 @@ def write_all(result: Generation, folder: Path) -> list[Path]:
 
 
 def columns(design: Design) -> dict[str, Array]:
-    """What is wanted and what is generated at every position, by name and SI unit."""
+    """Return prescribed and generated values at every position, by column name with SI unit."""
     task, data, measured = design.task, design.task.data, design.measured
     found: dict[str, Array] = {"point": np.arange(1.0, len(data.columns) + 1.0)}
     if task.requirement.kind == "transmission":
@@ -90,7 +103,7 @@ def columns(design: Design) -> dict[str, Array]:
 
 @styled
 def path(result: Generation) -> Figure | None:
-    """The mechanism at the first point with the curve that it draws; beside it the curve from near, with the points."""
+    """Draw the mechanism at its first point with its coupler curve, and beside it a close-up of the curve."""
     track = best(result)
     if track is None or not track.task.pointed:
         return None
@@ -118,7 +131,7 @@ def path(result: Generation) -> Figure | None:
 
 
 class Passing(Sketch):
-    """A mechanism whose point passes the wanted points, which light up."""
+    """Sketch of a mechanism that highlights the precision points it has passed."""
 
     def __init__(self, track: Track) -> None:
         super().__init__(track.motion)
@@ -127,12 +140,20 @@ class Passing(Sketch):
         self.strip: Axes | None = None
 
     def lay(self, axes: Axes) -> None:
-        """Draw the curve from near; there the points light up too."""
+        """Draw the close-up of the curve, in which passed points are highlighted too."""
         self.strip = axes
         self.close.draw(axes, sticks=False)
 
     def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
-        """Draw the k-th position, the points that are passed, the pose of the body."""
+        """Draw position `k`, the points passed so far and the pose of the guided body.
+
+        Parameters
+        ----------
+        axes : Axes
+        motion : Motion
+        k : int, optional
+            Index of the position.
+        """
         found = super().pose(axes, motion, k)
         track = self.track
         assert self.strip is not None
@@ -154,7 +175,16 @@ class Passing(Sketch):
 
 @styled
 def frames(result: Generation, count: int = FRAMES) -> list[Image.Image]:
-    """The best design on its way along the curve, once round or to and fro between the first point and the last."""
+    """Draw the frames of the best design moving along its curve, or its output.
+
+    The crank turns once, or back and forth between the first and the last point.
+
+    Parameters
+    ----------
+    result : Generation
+    count : int, optional
+        Number of frames.
+    """
     track = best(result)
     if track is None:
         return []

@@ -1,4 +1,4 @@
-"""How far a generated design misses what is wanted, point for point."""
+"""Figure of the deviations of a path or motion synthesis at every point."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NOTHING = 1e-3  # of the largest deviation: a component that is not shown
 
 @styled
 def errors(result: Generation) -> Figure | None:
-    """Deviation at every point: how far, in which direction, and of poses by which angle."""
+    """Draw the deviation at every point: distance, components, and for poses the angle."""
     track = best(result)
     if track is None or not track.task.pointed:
         return None
@@ -52,7 +52,7 @@ def errors(result: Generation) -> Figure | None:
 def _bars(
     axes: Axes, values: Array, colour: str, gid: str, label: str | None = None, place: float = 0.0, wide: float = 0.6
 ) -> None:
-    """A bar for each point; a stepped line where they are many."""
+    """Draw a bar for each point, or a stepped line if there are many."""
     numbers = np.arange(1.0, len(values) + 1.0)
     if len(values) <= BARS:
         drawn = axes.bar(numbers + place, values, width=wide, color=colour, label=label, zorder=2)
@@ -63,7 +63,7 @@ def _bars(
 
 
 def _rounding(axes: Axes, values: Array, level: float, unit: str) -> None:
-    """Deviations that are nothing but rounding, on a logarithmic axis, with the level below which they are."""
+    """Draw deviations that are rounding error on a logarithmic axis, with the level of rounding."""
     numbers = np.arange(1.0, len(values) + 1.0)
     low = 1e-9 * level
     axes.plot(numbers, np.maximum(values, low), linestyle="none", marker="o", markersize=4, color=QUIET, gid="exact")
@@ -78,7 +78,10 @@ def _rounding(axes: Axes, values: Array, level: float, unit: str) -> None:
 
 
 def _bulk(track: Track) -> NDArray[np.bool_]:
-    """Points whose bars set the scale: all; but those that have a tolerance, where the others are so far off as to hide them."""
+    """Return the points whose bars set the scale.
+
+    These are all points, or only those with a tolerance if the others deviate so far that they would hide them.
+    """
     distances, known = track.design.measured.distances, np.isfinite(track.tolerances)
     if not np.any(known) or np.all(known):
         return np.ones(len(known), dtype=bool)
@@ -87,12 +90,12 @@ def _bulk(track: Track) -> NDArray[np.bool_]:
 
 
 def _legend(axes: Axes) -> None:
-    """Above the axes, off the bars."""
+    """Place the legend above the axes."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, frameon=False, fontsize=8.5, ncols=2)
 
 
 def _cut(axes: Axes, values: Array, place: float = 0.0) -> None:
-    """Tell how long the bars are that the axes cut off."""
+    """Annotate bars that exceed the axes with their values."""
     low, high = axes.get_ylim()
     for k, value in enumerate(values):
         if not low <= value <= high:
@@ -141,7 +144,7 @@ def _distances(axes: Axes, track: Track) -> None:
 
 
 def _directions(axes: Axes, track: Track) -> None:
-    """Components along the curve, in the direction of motion, and across, to the left of it; x and y where it stands still."""
+    """Draw the components along and across the curve, to the left of the motion; x and y where the velocity vanishes."""
     miss = track.generated - track.wanted
     speed = track.way * track.at.velocity(track.task.requirement.point)
     fast = np.linalg.norm(speed, axis=1)

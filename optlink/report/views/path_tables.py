@@ -1,4 +1,4 @@
-"""Path and motion generation as tables for people."""
+"""Terminal tables of a path, motion, function or transmission synthesis result of any linkage."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SHOWN = 12  # points listed on a terminal; result.json and points.csv have all
 
 
 def generation(outcome: Generation) -> RenderableType:
-    """Everything about a search for points or poses."""
+    """Summarise a synthesis result: best design, deviations, active constraints, validation, alternatives, cognates."""
     title = Text(outcome.problem.model.title, style=HEAD)
     best = outcome.best
     if best is None:
@@ -82,18 +82,18 @@ def _sizes(design: Design, chosen: bool) -> Table:
 
 
 def words(design: Design) -> str:
-    """Assembly modes in words."""
+    """Format the assembly modes."""
     return ", ".join(f"{joint} {mode}".strip() for joint, mode in modes(design).items())
 
 
 def modes(design: Design) -> dict[str, str]:
-    """Assembly modes by joint; that of a four-bar without a name."""
+    """Return the assembly modes by joint; a four-bar has one mode with an empty name."""
     stated = design.assembly
     return {str(joint): str(mode) for joint, mode in stated.items()} if isinstance(stated, dict) else {"": str(stated)}
 
 
 def significant(value: float) -> str:
-    """A size with at least three decimals and six digits."""
+    """Format a dimension with at least three decimals and six significant digits."""
     digits = 3 if abs(value) >= 100.0 or value == 0.0 else min(9, 5 - math.floor(math.log10(max(abs(value), 1e-6))))
     return fixed(value, digits)
 
@@ -117,36 +117,36 @@ def _objective(design: Design) -> Table:
 
 
 def measure(task: GenerationProblem) -> str:
-    """How deviations become one figure, in words."""
+    """Return the name of the measure of the deviations, with a note if it is weighted."""
     return task.measure + (", weighted" if task.wanted.weights is not None else "")
 
 
 def _figure(value: float, digits: int) -> str:
-    """A figure with all its digits, however small it is."""
+    """Format a number with all its digits, however small it is."""
     return number(value, digits) if value == 0.0 or abs(value) >= 1e-5 else f"{value:.{digits - 1}e}"
 
 
 def people_objective_unit(design: Design) -> str:
-    """Its unit."""
+    """Return the display unit of the objective."""
     unit = OUTPUT[design.task.unit][1]
     return f"{unit}^2" if design.task.measure == "sum of squares" and unit else unit
 
 
 def people_objective(design: Design) -> float:
-    """The objective in the unit that people read."""
+    """Return the objective in its display unit."""
     factor = OUTPUT[design.task.unit][0]
     return design.objective * (factor**2 if design.task.measure == "sum of squares" else factor)
 
 
 def _active(design: Design) -> RenderableType:
-    """The active limits with their prices in the unit of the objective that people read."""
+    """Tabulate the active constraints with their shadow prices in the display unit of the objective."""
     factor = people_objective(design) / design.objective if design.objective > 0.0 else 1.0
     held = [replace(limit, multiplier=limit.multiplier * factor) for limit in design.limits]
     return active(held, people_objective(design), people_objective_unit(design))
 
 
 def _checks(asked: Sequence[Check]) -> Table:
-    """The checks of a validation; sizes that keep within their bounds in one line."""
+    """Tabulate the checks of a validation, with passed bounds of dimensions in one row."""
     held = [check for check in asked if check.passed and check.name.endswith(BOUNDED)]
     if len(held) < 2:
         return checks(asked)
@@ -187,27 +187,27 @@ def _points(design: Design) -> Table:
 
 
 def decimals(largest: float) -> int:
-    """Decimals of coordinates up to `largest`: three, fewer of large ones, more of small ones."""
+    """Return the number of decimals for coordinates up to `largest`."""
     size = math.floor(math.log10(largest)) if largest > 0.0 else 0
     return max(0, 7 - size) if size > 4 else min(8, 3 - min(size, 0))
 
 
 def unbroken(table: Table) -> Table:
-    """The table with numbers that are never broken over lines."""
+    """Disable line breaks in the right-aligned columns of a table and return it."""
     for column in table.columns:
         column.no_wrap = column.justify == "right"
     return table
 
 
 class _Alternatives:
-    """The distinct designs beside one another, as many as the terminal is wide enough for, then the next."""
+    """Table of the distinct designs, as many side by side as the terminal is wide enough for."""
 
     def __init__(self, outcome: Generation) -> None:
         self.designs = outcome.designs
         self.kin = kin(outcome.designs)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Tables of as many designs as fit."""
+        """Yield tables of as many designs as fit."""
         columns = [self._column(k) for k in range(len(self.designs))]
         names = [(name, unit) for name, unit in self._names() if any(name in column for column in columns)]
         head = max(len(name) for name, _ in names) + max(len(unit) for _, unit in names) + 2 * GAP
@@ -226,7 +226,7 @@ class _Alternatives:
             first, title = last, ""
 
     def _names(self) -> list[tuple[str, str]]:
-        """Names of the rows with their units."""
+        """Return the names of the rows with their units."""
         best, task = self.designs[0], self.designs[0].task
         free = [(name, people_unit(task, name)[1]) for name in task.quantities if task.quantities[name].free]
         joints = list(dict.fromkeys(f"assembly {joint}".rstrip() for design in self.designs for joint in modes(design)))
@@ -234,7 +234,7 @@ class _Alternatives:
         return [*first, *free, *((joint, "") for joint in joints)]
 
     def _column(self, k: int) -> dict[str, str]:
-        """What is told of a design, by row."""
+        """Return the cells of a design by row."""
         design = self.designs[k]
         found = {measure(design.task): "exact" if exact(design) else _figure(people_objective(design), 5)}
         if math.isfinite(design.least_transmission):
@@ -282,23 +282,23 @@ def _times(outcome: Generation) -> Text:
 
 
 def exact_places(design: Design) -> bool:
-    """Whether every point, or every output of a function, is met but for rounding."""
+    """Return whether every point, or every output of a function, is met to rounding."""
     return bool((design.measured.distances <= LEVEL * design.task.whole).all())
 
 
 def exact_angles(design: Design) -> bool:
-    """Whether all poses have the wanted angle but for rounding; so if there are none."""
+    """Return whether all pose angles are met to rounding; true if there are none."""
     turned = design.measured.turned
     return turned is None or bool((abs(turned) <= LEVEL).all())
 
 
 def exact(design: Design) -> bool:
-    """Whether all that is wanted is met but for rounding; never of the transmission, which wants no value."""
+    """Return whether all prescribed values are met to rounding; false for transmission synthesis, which prescribes none."""
     return bool(design.task.unit) and exact_places(design) and exact_angles(design)
 
 
 def kin(designs: Sequence[Design]) -> dict[int, int]:
-    """Of designs, by number from 0, the earlier one whose cognate they are: another four-bar that draws the same curve."""
+    """Return, by index of a design, the earlier design whose cognate it is: another four-bar with the same coupler curve."""
     found: dict[int, int] = {}
     for j, design in enumerate(designs):
         for i in range(j):
@@ -309,7 +309,7 @@ def kin(designs: Sequence[Design]) -> dict[int, int]:
 
 
 def _is(cognate: Cognate, design: Design) -> bool:
-    """Whether a design is this cognate, driven at either of its pivots."""
+    """Return whether a design is this cognate, driven at either of its fixed pivots."""
     own = design.coupler_linkage
     return own is not None and any(_alike(own, each.linkage) for each in (cognate, cognate.driven_from_rocker))
 

@@ -1,4 +1,4 @@
-"""A generated design on its curve: what all its pictures share."""
+"""Motion and deviations of a synthesised design, shared by all its figures."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ STICK = 0.07  # of the extent of the points: the longest deviation as it is draw
 
 
 class Track:
-    """A design on its curve: what all pictures share.
+    """Motion of a synthesised design relative to its precision points.
 
-    `motion` is the whole motion, a revolution or all that is assembled around the points; `run` that from the first point to the
-    last, once round if the points are closed; `at` the points themselves.
+    `motion` is the whole motion: a revolution, or the assembled range around the points. `run` is the motion from the first point
+    to
+    the last, or a revolution if the points are closed. `at` contains the positions at the points.
     """
 
     def __init__(self, design: Design) -> None:
@@ -44,7 +45,7 @@ class Track:
         self.here = self.sweep(angles[self.first : self.first + 1])
 
     def sweep(self, angles: Array) -> Motion:
-        """The mechanism at crank angles."""
+        """Return the motion of the mechanism at crank angles [rad]."""
         return sweep(self.task.linkage, self.design.values, angles)
 
     def _whole(self) -> Array:
@@ -58,7 +59,7 @@ class Track:
         return np.linspace(*(ends if self.way > 0.0 else ends[::-1]), FINE)
 
     def _farthest(self, start: float, stop: float) -> float:
-        """The last angle on the way at which the mechanism is assembled."""
+        """Return the last angle from `start` towards `stop` at which the mechanism is assembled."""
         for _ in range(4):
             grid = np.linspace(start, stop, FINE)
             apart = np.flatnonzero(~self.sweep(grid).assembled)
@@ -71,43 +72,43 @@ class Track:
 
     @cached_property
     def sketch(self) -> Sketch:
-        """How the mechanism is drawn, with room for the points."""
+        """Sketch of the mechanism, with room for the points."""
         found = Sketch(self.motion)
         found.widen(self.wanted * found.scale.factor)
         return found
 
     @property
     def wanted(self) -> Array:
-        """Wanted points [m], (points, 2); none of a function or the transmission."""
+        """Precision points [m], shape (points, 2); empty for function and transmission synthesis."""
         places: Array = self.task.data.columns[:, :2] if self.task.pointed else np.empty((0, 2))
         return places
 
     @property
     def generated(self) -> Array:
-        """Generated points [m], (points, 2)."""
+        """Generated points [m], shape (points, 2)."""
         return self.position(self.at)
 
     def position(self, motion: Motion) -> Array:
-        """The point on its curve [m]."""
+        """Return the positions of the coupler point [m], shape (positions, 2)."""
         return motion.position(self.task.requirement.point)
 
     @property
     def colour(self) -> str:
-        """Of the body that carries the point."""
+        """Colour of the body that carries the coupler point."""
         return self.sketch.colours[self.task.body]
 
     @property
     def exact(self) -> bool:
-        """Whether every point is met but for rounding."""
+        """Whether every point is met to rounding."""
         return exact_places(self.design)
 
     @property
     def tolerances(self) -> Array:
-        """Of the points that have one [m]; infinite of the others."""
+        """Tolerances of the points [m]; infinite where there is none."""
         return self.task.data.tolerances
 
     def angles(self, motion: Motion) -> Array:
-        """Angle [rad] of the poses that the body takes."""
+        """Return the pose angles of the guided body [rad]."""
         return np.asarray(motion.body_angle(self.task.body).value) + self.design.values[MARK]
 
     @cached_property
@@ -118,7 +119,7 @@ class Track:
 
     @cached_property
     def factor(self) -> float:
-        """How many times as large as they are deviations and tolerances are drawn."""
+        """Magnification of deviations and tolerances in the figures."""
         largest = 0.0 if self.exact else float(np.nanmax(self.design.measured.distances))
         limit = STICK * self.size / largest if largest > 0.0 else math.inf
         tolerances = self.tolerances[np.isfinite(self.tolerances)]
@@ -129,7 +130,7 @@ class Track:
 
 
 def best(result: Generation) -> Track | None:
-    """The best design, or the nearest miss, if there is anything to draw."""
+    """Return the best design or the nearest miss; None if there is nothing to draw."""
     if result.best is None:
         return None
     track = Track(result.best)

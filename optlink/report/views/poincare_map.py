@@ -1,4 +1,4 @@
-"""Whether the motion of a machine with clearance repeats: its Poincare section, at the ends of the revolutions."""
+"""Poincaré section of a machine with clearance, taken at the ends of the revolutions."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ FEW = 6  # revolutions from which on it can be told
 
 
 def repetition(turns: Turns) -> tuple[int | None, float] | None:
-    """After how many revolutions the journals are where they were, and within which share of the clearance; None: cannot be told.
+    """Return the period of the motion in revolutions and the largest difference as a share of the clearance.
 
-    The second half of the run, at most 200 revolutions of it, is looked at. No number of revolutions: it does not repeat.
+    The second half of the run is used, at most 200 revolutions. The period is None if the motion does not repeat; the result is
+    None
+    if there are too few revolutions.
     """
     result = turns.result
     count = len(next(iter(result.section.values()), ()))
@@ -35,7 +37,7 @@ def repetition(turns: Turns) -> tuple[int | None, float] | None:
 
 
 def _verdict(turns: Turns) -> str:
-    """Whether the motion is periodic, and whether it can be predicted."""
+    """Describe whether the motion is periodic and whether it is predictable."""
     found, predicted = repetition(turns), turns.result.prediction
     if turns.free:
         told = "under a given torque these are the ends of nominal periods, not of the crank's revolutions"
@@ -56,7 +58,7 @@ def _verdict(turns: Turns) -> str:
 
 @styled
 def section(result: LooseSimulation) -> Figure | None:
-    """Poincare section: deviation of the output, and every journal's place, at the ends of the revolutions."""
+    """Draw the Poincaré section: output deviation and journal positions at the ends of the revolutions."""
     turns = Turns(result)
     if not turns or not result.section:
         return None
