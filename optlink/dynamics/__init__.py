@@ -1,1 +1,1 @@
-"""Dynamics of linkages with ideal joints: inertia, loads, reactions, torque, work, motion under a torque."""
+"""Dynamics of linkages with ideal joints: inertia, loads, reactions, torque, work, forward dynamics."""

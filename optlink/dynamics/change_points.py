@@ -1,4 +1,4 @@
-"""Reactions of a machine that is led through change points: which of them grow without bound towards these positions."""
+"""Reactions that grow without bound towards change points, in a machine that is continued through them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GROWS, NOTHING = 0.3, 1e-9
 
 
 def pin_columns(machine: Machine) -> list[tuple[str, str, str]]:
-    """Name of the column of its amount, pin and body of every joint force."""
+    """Return the column name of the magnitude, the pin and the body of every joint force."""
     return [
         (f"{point}.f_N" if len(bodies) == 2 else f"{point}.{body}.f_N", point, body)
         for point, bodies in machine.mechanism.pins.items()
@@ -29,12 +29,13 @@ def pin_columns(machine: Machine) -> list[tuple[str, str, str]]:
 
 
 def unbounded_reactions(machine: Machine, positions: Sequence[Aligned], speed: float) -> tuple[str, ...]:
-    """Columns of reactions that grow without bound towards change points.
+    """Return the columns of reactions that grow without bound towards change points.
 
     Parameters
     ----------
     machine : Machine
-    positions : the change points through which it is led
+    positions : sequence of Aligned
+        Change points through which the machine is continued.
     speed : float [rad/s]
 
     Notes
@@ -53,7 +54,7 @@ def unbounded_reactions(machine: Machine, positions: Sequence[Aligned], speed: f
 
 
 def _amounts(machine: Machine, at: Array, distance: float, speed: float) -> tuple[list[str], Array]:
-    """Names and largest amounts of all reactions at a distance before and behind crank angles."""
+    """Names and largest magnitudes of all reactions at a distance before and after crank angles."""
     record = Record(machine.moving(np.concatenate([at - distance, at + distance]), speed))
     found = {name: record[name] for name in record.columns if name in record.held}
     for name, point, body in pin_columns(machine):

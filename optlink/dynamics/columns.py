@@ -1,4 +1,4 @@
-"""Everything about a machine in motion as named columns: motion, reactions, torque, energies."""
+"""Named columns of a machine in motion: motion, reactions, torque, energies."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SINGULAR = 1e-7
 
 
 class Column(NamedTuple):
-    """A column of the record: its name (with the unit at the end), and what it is."""
+    """A column of the record: its name (ending in the unit), its meaning and its values."""
 
     name: str
     meaning: str
@@ -28,10 +28,10 @@ class Column(NamedTuple):
 
 
 class Record:
-    """A machine at crank angles (n,), or a batch of designs (designs, n): columns by name.
+    """Columns by name of a machine at crank angles (n,), or of a batch of designs (designs, n).
 
-    `singular`: positions without finite reactions; `jammed`: where friction locks a guide; `undefined`: where a load has no
-    finite value; `held`: names of the columns of reactions. `wanted`: names of the columns that are needed, all if left out.
+    `singular`: positions without finite reactions; `jammed`: positions in which friction locks a guide; `undefined`: positions in
+    which a load has no finite value; `held`: names of the reaction columns. `wanted`: names of the required columns, default all.
     """
 
     def __init__(self, moving: Moving, wanted: Collection[str] | None = None) -> None:
@@ -51,7 +51,7 @@ class Record:
         return self.wanted is None or any(name in self.wanted for name in names)
 
     def full(self, value: Value) -> Array:
-        """An array of all positions."""
+        """Broadcast a value to all positions."""
         return np.broadcast_to(np.asarray(value, dtype=float), self.shape)
 
     def __getitem__(self, name: str) -> Array:
@@ -154,6 +154,6 @@ def _nothing(parts: tuple[Any, Any]) -> bool:
 
 
 def slider_names(machine: Machine) -> dict[str, str]:
-    """For every guide what its slide is called: the slider's name, or the guide's where one body slides in two."""
+    """Return the name of the slide of every guide: the slider's name, or the guide's name where one body slides in two guides."""
     sliders = [guide.slider for guide in machine.mechanism.guides]
     return {g.name: g.slider if sliders.count(g.slider) == 1 else g.name for g in machine.mechanism.guides}

@@ -1,7 +1,8 @@
-"""What counterweights and springs do to a machine: every force and torque as an affine function of their parameters.
+"""Reactions, torque and shaking forces as affine functions of the parameters of counterweights and springs.
 
 A counterweight adds four inertial parameters to its body (`optlink.dynamics.inertia.Parameters`), a spring its stiffness k and
-the product k * free length; reactions, torque and shaking are linear in all of these. So balancing is a convex programme.
+the product k * free length; reactions, torque and shaking forces are linear in all of these. Balancing is therefore a convex
+programme.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ KINDS: tuple[Kind, ...] = ("shaking force", "shaking moment", "driving torque", 
 
 @dataclass(frozen=True)
 class Measure:
-    """What is made small or limited: the root mean square or the largest amount, over the positions, of a force or torque.
+    """Root mean square or maximum, over the positions, of a force or torque that is minimised or limited.
 
-    `joint` (a pin or a guide) and `on` (a body, where three meet at the pin) say which reaction; a guide's is its normal force.
-    `arc` [rad]: only crank angles from the first to the second count.
+    `joint` (a pin or a guide) and `on` (a body, for a pin of three bodies) select the reaction; for a guide it is the normal
+    force. `arc` [rad]: only crank angles from the first to the second are included.
     """
 
     kind: Kind
@@ -42,12 +43,12 @@ class Measure:
 
     @property
     def unit(self) -> str:
-        """Of its value, for people."""
+        """Display unit of the value."""
         return "N" if self.kind in ("shaking force", "reaction") else "N m"
 
     @property
     def quantity(self) -> str:
-        """What is measured, without how."""
+        """Name of the measured quantity, without the kind of mean."""
         where = f" at {self.joint}" + (f" on {self.on}" if self.on else "") if self.joint else ""
         return self.kind + where
 
@@ -56,7 +57,7 @@ class Measure:
         return f"{self.of} {self.quantity}{arc}"
 
     def rows(self, angles: Array) -> NDArray[np.bool_]:
-        """Which of the crank angles [rad] count."""
+        """Return which of the crank angles [rad] are included."""
         if self.arc is None:
             return np.ones(len(angles), dtype=bool)
         low, high = self.arc
@@ -65,7 +66,7 @@ class Measure:
         return np.asarray((turned <= span + 1e-9) | (turned >= 2.0 * np.pi - 1e-9))
 
     def value(self, amounts: Array) -> float:
-        """The measure of a quantity (positions, parts)."""
+        """Return the measure of a quantity (positions, parts)."""
         squares = np.sum(amounts * amounts, axis=1)
         return float(np.sqrt(np.mean(squares) if self.of == "rms" else np.max(squares)))
 
@@ -73,9 +74,21 @@ class Measure:
 def measured(
     quantity: Measure, machine: Machine, found: Reactions, shaken: Wrench, shape: tuple[int, ...], pivot: Vector, about: Vector
 ) -> Array:
-    """A quantity over the positions: (positions, parts), parts being x and y of a force.
+    """Return a quantity over the positions, array (positions, parts); the parts of a force are x and y.
 
-    `shaken` has its moment about `pivot`; the shaking moment that is measured is that about `about` [m].
+    Parameters
+    ----------
+    quantity : Measure
+    machine : Machine
+    found : Reactions
+    shaken : Wrench
+        Shaking force [N] and shaking moment about `pivot` [N m].
+    shape : tuple of int
+        Shape of the positions.
+    pivot : pair of Value [m]
+        Reference point of the moment of `shaken`.
+    about : pair of Value [m]
+        Reference point of the shaking moment that is returned.
     """
     parts: tuple[Value, ...]
     if quantity.kind == "shaking force":
@@ -92,7 +105,15 @@ def measured(
 
 
 def amounts(moving: Moving, quantities: Sequence[Measure], about: Vector) -> list[Array]:
-    """Quantities of a machine in motion by its ordinary inverse dynamics, each (positions, parts)."""
+    """Compute quantities of a machine in motion by inverse dynamics, each (positions, parts).
+
+    Parameters
+    ----------
+    moving : Moving
+    quantities : sequence of Measure
+    about : pair of Value [m]
+        Reference point of the shaking moment.
+    """
     shape, machine = np.shape(moving.motion.assembled), moving.machine
     found, shaken = reactions(moving), shaking(moving)
     pivot = moving.position(machine.mechanism.crank.start)
@@ -100,7 +121,7 @@ def amounts(moving: Moving, quantities: Sequence[Measure], about: Vector) -> lis
 
 
 def quantities(machine: Machine) -> list[Measure]:
-    """Everything that can be measured of a machine: shaking, torque, every reaction; each by its root mean square."""
+    """Return all measurable quantities of a machine (shaking, torque, every reaction), each as root mean square."""
     found = [Measure("shaking force"), Measure("shaking moment"), Measure("driving torque")]
     for point, bodies in machine.mechanism.pins.items():
         found += [
@@ -109,15 +130,16 @@ def quantities(machine: Machine) -> list[Measure]:
     return found + [Measure("reaction", "rms", guide.name) for guide in machine.mechanism.guides]
 
 
-# --- what may be added --------------------------------------------------------------------------------------------------
+# --- counterweights and springs-------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Counterweight:
-    """A mass that is added to a body; what is not bounded is infinite, what is not given is None. SI, in the body's axes.
+    """A mass added to a body; missing bounds are infinite, missing values None. SI units, in the body's axes.
 
     A disc has a `thickness` (its radius follows from its mass), or a `radius` (its thickness follows). A free counterweight may
-    have any shape. `mass`: least and largest. `reach`: of its centre from `origin`; `extent`: of all of it; `at`: its place.
+    have any shape. `mass`: least and largest; `reach`: largest distance of its centre from `origin`; `extent`: largest distance
+    of any of its points from `origin`; `at`: prescribed position of its centre.
     """
 
     body: str
@@ -133,7 +155,7 @@ class Counterweight:
 
     @property
     def spread(self) -> float:
-        """Own moment of inertia of a disc of given thickness, per mass squared [m^2/kg]."""
+        """Central moment of inertia of a disc of prescribed thickness, per mass squared [m^2/kg]."""
         assert self.thickness is not None
         assert self.density is not None
         return 1.0 / (2.0 * math.pi * self.density * self.thickness)
@@ -151,13 +173,13 @@ class Counterweight:
         return math.sqrt(max(mass, 0.0) / (math.pi * self.density * self.thickness))
 
     def thickness_of(self, mass: float) -> float | None:
-        """Thickness of the disc [m], None where its material is not given."""
+        """Thickness of the disc [m], None where its density is unknown."""
         if self.thickness is not None or self.density is None or self.radius is None:
             return self.thickness
         return mass / (math.pi * self.density * self.radius**2)
 
     def realised(self, parameters: Parameters) -> Parameters:
-        """The nearest that can be made: a disc has the moment of inertia that its mass and place give it."""
+        """Return the nearest feasible parameters: mass and position of a disc determine its moment of inertia."""
         mass, along, across, moment = (float(part) for part in parameters)
         if mass <= 0.0:
             return Parameters(0.0, 0.0, 0.0, 0.0)
@@ -170,7 +192,7 @@ class Counterweight:
 
 @dataclass(frozen=True)
 class FreeSpring:
-    """A linear spring between two points, its stiffness [N/m] and free length [m] between bounds; `force`: the largest [N]."""
+    """A linear spring between two points with bounds on stiffness [N/m] and free length [m]; `force`: largest force [N]."""
 
     name: str
     ends: tuple[tuple[str, str], tuple[str, str]]
@@ -179,12 +201,27 @@ class FreeSpring:
     force: float = math.inf
 
     def spring(self, stiffness: float, free: float) -> Spring:
-        """The load."""
+        """Return the spring as a load.
+
+        Parameters
+        ----------
+        stiffness : float [N/m]
+        free : float [m]
+            Free length.
+        """
         return Spring(self.name, self.ends, stiffness, free, 0.0)
 
 
 def joined(own: Inertia, added: Parameters) -> Inertia:
-    """Mass properties of a body with a counterweight."""
+    """Return the mass properties of a body with a counterweight.
+
+    Parameters
+    ----------
+    own : Inertia
+        Mass properties of the body alone.
+    added : Parameters
+        Inertial parameters of the counterweight, about the start of the body.
+    """
     mass, along, across, moment = (a + b for a, b in zip(own.parameters, added, strict=True))
     if mass <= 0.0:
         return own
@@ -197,20 +234,20 @@ def joined(own: Inertia, added: Parameters) -> Inertia:
 
 @dataclass(frozen=True)
 class Affine:
-    """matrix (positions, parts, n) @ parameters (n,) + offset (positions, parts)."""
+    """Affine function matrix (positions, parts, n) @ parameters (n,) + offset (positions, parts)."""
 
     matrix: Array
     offset: Array
 
     def at(self, parameters: Array) -> Array:
-        """Its value (positions, parts)."""
+        """Return its value (positions, parts)."""
         found: Array = self.matrix @ parameters + self.offset
         return found
 
     def compressed(self) -> tuple[Array, Array]:
-        """R (k, n) and r (k,), k <= n + 1, with |R x + r| the root mean square over the positions for every x.
+        """Return R (k, n) and r (k,), k <= n + 1, with |R x + r| the root mean square over the positions for every x.
 
-        Exact: the QR factors of a matrix have its norm.
+        The result is exact, because the R factor of a QR decomposition preserves the norm.
         """
         n = self.matrix.shape[-1]
         tall = np.concatenate([self.matrix.reshape(-1, n), self.offset.reshape(-1, 1)], axis=1)
@@ -219,15 +256,18 @@ class Affine:
 
 
 class Effects:
-    """What the parameters of counterweights and springs do: four of each body, then k and k * free length of each spring.
+    """Effects of the parameters of counterweights (four for each body) and springs (k and k * free length each).
 
     Parameters
     ----------
     moving : Moving
-        The given machine at the positions that count, (positions,).
-    bodies : names of the bodies with a counterweight
-    springs : the springs that are sought
-    about : where shaking moments are measured [m]
+        The original machine at the evaluated positions, (positions,).
+    bodies : sequence of str
+        Names of the bodies with a counterweight.
+    springs : sequence of FreeSpring
+        The springs to be designed.
+    about : pair of Value [m]
+        Reference point of shaking moments.
     """
 
     def __init__(self, moving: Moving, bodies: Sequence[str], springs: Sequence[FreeSpring], about: Vector) -> None:
@@ -267,7 +307,7 @@ class Effects:
         return np.broadcast_to(np.hypot(np.asarray(bx) - ax, np.asarray(by) - ay), self.shape)
 
     def affine(self, quantity: Measure) -> Affine:
-        """A quantity over the positions that count for it."""
+        """Return a quantity as an affine function, over the positions that its measure includes."""
         machine, rows = self.moving.machine, quantity.rows(np.asarray(self.moving.motion.crank_angle, dtype=float))
         pivot = self.moving.position(machine.mechanism.crank.start)
         offset = measured(quantity, machine, *self._given, self.shape, pivot, self.about)
@@ -278,7 +318,7 @@ class Effects:
 
 
 def _difference(one: Reactions, other: Reactions) -> Reactions:
-    """Reactions of one case less those of another; of guides the normal force alone."""
+    """Difference of two sets of reactions; for guides only of the normal force."""
     pins = {point: {body: minus(force, other.pins[point][body]) for body, force in on.items()} for point, on in one.pins.items()}
     guides = {name: replace(force, normal=force.normal - other.guides[name].normal) for name, force in one.guides.items()}
     return Reactions(one.torque - other.torque, pins, guides, one.rows)

@@ -1,4 +1,4 @@
-"""Speed fluctuation in the steady state, and the flywheel that keeps it small."""
+"""Speed fluctuation in the steady state, and flywheel sizing."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ POSITIONS = 2880
 
 @dataclass(frozen=True)
 class Flywheel:
-    """What it takes to run evenly under a constant driving torque.
+    """Result of flywheel sizing for a constant driving torque.
 
     `mean_torque` [N m] balances the loads over a revolution at the mean speed [rad/s]; `fluctuation` is (largest - least) / mean
-    speed without a flywheel, `allowed` the one that is asked for, `inertia` the flywheel's [kg m^2] that just keeps it.
+    speed without a flywheel, `allowed` the permitted one, `inertia` the least moment of inertia of the flywheel [kg m^2] that
+    satisfies it.
     """
 
     mean_speed: float
@@ -48,12 +49,14 @@ class SpeedCurve:
 
 
 class Fluctuation:
-    """Energy of a machine over a revolution, from which its speed follows.
+    """Energy of a machine over a revolution, which determines its speed.
 
-    The work that feeds the motion is that of a constant torque minus what loads and gravity take. It is found at the mean speed,
-    so loads that depend on the speed are taken as they are there.
+    The kinetic energy changes by the work of a constant torque minus the work of loads and gravity. This work is computed at the
+    mean speed, so speed-dependent loads have their values at that speed.
 
-    Source: energy equation of a machine with one degree of freedom (Wittenbauer): (I + J) w^2 / 2 changes by the work done.
+    References
+    ----------
+    Energy equation of a machine with one degree of freedom (Wittenbauer): (I + J) w^2 / 2 changes by the work done.
     """
 
     def __init__(self, machine: Machine, speed: float, start: float = 0.0) -> None:
@@ -66,11 +69,11 @@ class Fluctuation:
         moving = machine.moving(self.angles, speed)
         self.inertia = np.broadcast_to(2.0 * moving.kinetic / speed**2, self.angles.shape)  # reduced to the crank [kg m^2]
         kinetic = np.broadcast_to(moving.kinetic, self.angles.shape)
-        taken = work(self.angles) - kinetic  # what loads and gravity take: the drive's work without the kinetic energy it made
+        taken = work(self.angles) - kinetic  # work of loads and gravity: the drive's work minus the kinetic energy
         self.gain = self.mean_torque * (self.angles - start) - taken
 
     def curve(self, flywheel: float = 0.0) -> SpeedCurve:
-        """Speed over the revolution with a flywheel [kg m^2] at the crank, its mean the machine's mean speed.
+        """Return the speed over the revolution with a flywheel [kg m^2] at the crank; its mean is the machine's mean speed.
 
         NaN where the machine has too little energy at that speed: it would come to rest.
         """
@@ -94,17 +97,19 @@ class Fluctuation:
 
 
 def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0) -> Flywheel:
-    """The flywheel that keeps the fluctuation of the crank speed at `allowed` (share of the mean speed).
+    """Compute the flywheel that limits the fluctuation of the crank speed to `allowed` (share of the mean speed).
 
     Parameters
     ----------
+    machine : Machine
     speed : float [rad/s], mean
     allowed : float [-], for example 0.02
     start : float [rad]
+        Crank angle at which the revolution starts.
 
     Returns
     -------
-    Flywheel, inertia 0 if the machine runs evenly enough by itself
+    Flywheel, inertia 0 if the fluctuation is within the limit without one
     """
     balance = Fluctuation(machine, speed, start)
 

@@ -1,10 +1,12 @@
-"""Motion of a machine in time: one degree of freedom under a torque or motor curve, or at a constant speed.
+"""Forward dynamics of a machine: one degree of freedom under a torque or motor curve, or at a constant speed.
 
-The crank obeys I(phi) phi'' + I'(phi) phi'^2 / 2 = torque of the drive + what loads and gravity exert, reduced to the crank.
-Beside it the accelerations of all bodies are integrated twice, as a multibody code would do it; how far these positions part from
-the closed loops is the drift. Work of drive and loads is integrated too, and held against the energy of the bodies.
+The crank obeys I(phi) phi'' + I'(phi) phi'^2 / 2 = torque of the drive + torque of loads and gravity, reduced to the crank.
+In addition the accelerations of all bodies are integrated twice, as in a multibody code; the distance of these positions from
+the closed loops is the drift. The work of drive and loads is integrated too, and compared with the energy of the bodies.
 
-Source: equation of motion of a machine with one degree of freedom (Eksergian's equation).
+References
+----------
+Equation of motion of a machine with one degree of freedom (Eksergian's equation).
 """
 
 from __future__ import annotations
@@ -29,15 +31,15 @@ from optlink.linkage.vector2d import Value
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
 RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances of the integrator
-STOP = 1e-6  # rad before a singular position at which a simulation ends
-EDGE = 1e-6  # share of a limited range, at its ends, that is not entered: speeds are infinite at a dead position
-LEAST, PATIENCE = 1e-4, 2000  # so many steps that bring the time on by a smaller share of the duration are a stall
-NEAR = 1e-9  # rad: a jump of a load nearer than this is behind us
+STOP = 1e-6  # rad: distance before a singular position at which a simulation ends
+EDGE = 1e-6  # share of a limited range excluded at each end: speeds are infinite at a dead position
+LEAST, PATIENCE = 1e-4, 2000  # least share of the duration per so many steps; less is a stall
+NEAR = 1e-9  # rad: a jump of a load nearer than this counts as passed
 STEADY = 1e-13  # share of the larger torque by which a resting machine may be out of balance and still stay at rest
 
 
 class Ending(enum.Enum):
-    """How a simulation ended. `text` is for people."""
+    """Reason for the end of a simulation; `text` describes it."""
 
     FINISHED = "finished"
     AT_REST = "at rest"
@@ -49,7 +51,7 @@ class Ending(enum.Enum):
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
+        """Description in one sentence."""
         return _TEXT[self]
 
 
@@ -66,7 +68,13 @@ _TEXT = {
 
 
 def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]:
-    """Inertia of the whole machine reduced to the crank [kg m^2], and its derivative over the crank angle [kg m^2/rad]."""
+    """Return the inertia reduced to the crank [kg m^2] and its derivative with respect to the crank angle [kg m^2/rad].
+
+    Parameters
+    ----------
+    machine : Machine
+    crank_angle : array (n,) [rad]
+    """
     with np.errstate(all="ignore"):
         moving = machine.moving(crank_angle, 1.0)
         weightless = required(moving, gravity=False, loads=False)
@@ -75,7 +83,14 @@ def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]
 
 
 def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | None]:
-    """Torque that the drive must exert on the crank for a motion [N m]; reactions too where friction makes them necessary."""
+    """Return the torque on the crank that a motion requires [N m], and the reactions if friction requires them (else None).
+
+    Parameters
+    ----------
+    moving : Moving
+    geared : Moving
+        The same positions at a crank speed of 1 rad/s.
+    """
     if moving.machine.friction:
         found = reactions(moving)
         return found.torque, found
@@ -83,14 +98,15 @@ def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | 
 
 
 def crank_acceleration(machine: Machine, crank_angle: Array, speed: Value, torque: Value, direction: Value = None) -> Array:
-    """Forward dynamics: angular acceleration of the crank [rad/s^2] under a driving torque [N m]; elementwise.
+    """Compute the angular acceleration of the crank [rad/s^2] under a driving torque, elementwise (forward dynamics).
 
     Parameters
     ----------
+    machine : Machine
     crank_angle : array (n,) [rad]
     speed, torque : float or array (n,) [rad/s], [N m]
     direction : +1 or -1, optional
-        Sense in which the crank turns, or is about to turn.
+        Sense in which the crank turns, or is about to turn. Default: that of the speed, +1 at rest.
     """
     geared = machine.moving(crank_angle, 1.0)
     way = np.where(np.asarray(speed) < 0.0, -1.0, 1.0) if direction is None else direction
@@ -116,10 +132,10 @@ def _forward(geared: Moving, speed: Value, torque: Value, direction: Value) -> V
 
 @dataclass(frozen=True)
 class Run:
-    """A machine in time: crank angle [rad], speed, acceleration, driving torque [N m] and works [J] at times (n,) [s].
+    """Simulated motion of a machine: crank angle [rad], speed, acceleration, driving torque [N m], works [J] at times (n,) [s].
 
-    `works`: of the drive, of each load, of friction; `energy`: kinetic + of gravity. `drift` [m]: largest distance between the
-    twice integrated and the closed positions of the bodies; `imbalance` [J]: largest error of the energy account.
+    `works`: of the drive, of each load, of friction; `energy`: kinetic + gravity. `drift` [m]: largest distance between the
+    twice integrated and the closed-loop positions of the bodies; `imbalance` [J]: largest error of the energy balance.
     """
 
     time: Array
@@ -140,13 +156,13 @@ class Run:
 
     @property
     def turnover(self) -> float:
-        """Largest energy or work in the account [J]: what the imbalance is measured by."""
+        """Largest energy or work in the balance [J], the reference for the imbalance."""
         every = [self.energy, *self.works.values()]
         return max(float(np.max(np.abs(values), initial=0.0)) for values in every)
 
 
 class _Plant:
-    """The right-hand side: state = crank angle, speed, works, then position and velocity of every body."""
+    """Right-hand side of the equations; state = crank angle, speed, works, then position and velocity of every body."""
 
     def __init__(self, machine: Machine, torque: Magnitude | None) -> None:
         self.machine, self.drive = machine, torque
@@ -157,7 +173,7 @@ class _Plant:
         self.evaluations = 0
 
     def geared(self, angle: Value) -> Moving:
-        """The machine at one crank angle and 1 rad/s: plain floats, which are much faster than arrays of one, or symbols."""
+        """The machine at one crank angle and 1 rad/s, with plain floats (much faster than arrays of length one) or symbols."""
         pose = self.machine.mechanism.at(self.machine.sizes, Jet(angle, 1.0))
         return Moving(self.machine, Motion(self.machine.mechanism, self.machine.sizes, angle, 1.0, pose), 1, self.direction)
 
@@ -203,7 +219,7 @@ class _Plant:
         return [alpha, *powers, *self.accelerations(moving)]
 
     def traced(self, crank: Array) -> Array:
-        """The rates at a crank angle and speed, 30 times faster: the formulas of `rates`, passed through once with symbols."""
+        """The rates at a crank angle and speed, 30 times faster: the formulas of `rates` compiled from symbols."""
         if self.direction not in self.functions:
             import casadi
 
@@ -217,8 +233,8 @@ class _Plant:
     def __call__(self, time: float, state: Array) -> Array:
         self.evaluations += 1
         angle, speed, count = float(state[0]), float(state[1]), 3 * len(self.bodies)
-        # friction is solved for step by step, where the crank rests the sense of every motion is looked up, near change
-        # points there are series: not for symbols
+        # symbols do not support the iteration for friction, the choice of the sense of motion at rest, and the series near
+        # change points
         by_numbers = bool(self.machine.friction) or speed == 0.0 or self.machine.mechanism.followed
         rates = _flat(self.rates(angle, speed)) if by_numbers else self.traced(state[:2])
         return np.concatenate([[speed], rates[:-count], state[-count:], rates[-count:]])
@@ -238,25 +254,26 @@ def run(
     progress: Callable[[float], None] | None = None,
     singular: Sequence[float] = (),
 ) -> Run:
-    """Move a machine in time.
+    """Simulate the motion of a machine.
 
     Parameters
     ----------
     machine : Machine
     times : array (n,) [s], rising from 0
-        Where the result is wanted; the integrator chooses its own steps.
+        Times of the output; the integrator chooses its own steps.
     angle, speed : float [rad], [rad/s]
-        Start of the crank.
+        Initial crank angle and speed.
     torque : function of phi and omega to a torque [N m], optional
-        Of the drive; without one the speed stays constant.
+        Driving torque. Default: constant speed.
     limits : pair of float [rad], optional
         Reachable range of the crank angle, where it cannot turn fully.
-    progress : function of the share that is done, optional
-    singular : crank angles [rad] at which the motion ends because it is not determined beyond, repeated every cycle
+    progress : function of the completed share, optional
+    singular : sequence of float [rad]
+        Crank angles at which the motion ends because it is not determined beyond, repeated every cycle.
 
     Returns
     -------
-    Run; shorter than asked for where the machine cannot go on (`ending`)
+    Run; shorter than requested where the machine stops (`ending`)
     """
     journey = _Journey(_Plant(machine, torque), times, angle, speed, limits, np.array(singular))
     with np.errstate(all="ignore"):
@@ -265,7 +282,7 @@ def run(
 
 
 class _Journey:
-    """A simulation on its way: leg by leg, each from one event to the next."""
+    """A simulation in progress, integrated from event to event."""
 
     def __init__(
         self, plant: _Plant, times: Array, angle: float, speed: float, limits: tuple[float, float] | None, singular: Array
@@ -279,7 +296,7 @@ class _Journey:
         self.steps, self.mark, self.ending = 0, 0.0, Ending.FINISHED
 
     def travel(self, progress: Callable[[float], None] | None) -> None:
-        """Go on until the end, or until the machine cannot."""
+        """Integrate until the end of the duration, or until the machine stops."""
         if self.state[1] == 0.0 and self.plant.drive is not None and not _set_off(self.plant, float(self.state[0])):
             self.ending = Ending.AT_REST
         if any(abs(at - float(self.state[0])) <= 2.0 * STOP for _, at in self.stops()):
@@ -291,7 +308,7 @@ class _Journey:
             self.ending = Ending.INTERRUPTED
 
     def stops(self) -> list[tuple[str, float]]:
-        """The nearest singular position on either side, a little before it."""
+        """The nearest singular position on either side, with a small margin."""
         angle = float(self.state[0])
         return [
             ("singular", at + way * STOP)
@@ -303,7 +320,7 @@ class _Journey:
         from scipy.integrate import DOP853
 
         end = float(self.times[-1])
-        if not np.all(np.isfinite(self.plant(self.time, self.state))):  # the integrator would look for a first step for ever
+        if not np.all(np.isfinite(self.plant(self.time, self.state))):  # the integrator would search a first step forever
             self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
             return
         solver = DOP853(self.plant, self.time, self.state, end, rtol=RELATIVE, atol=ABSOLUTE)
@@ -334,7 +351,7 @@ class _Journey:
                 self.ending = Ending.AT_REST
 
     def crawls(self, time: float) -> bool:
-        """Whether the last `PATIENCE` steps brought no progress to speak of."""
+        """Whether the last `PATIENCE` steps made no significant progress."""
         if self.steps % PATIENCE:
             return False
         slow = time - self.mark < LEAST * float(self.times[-1])
@@ -342,7 +359,7 @@ class _Journey:
         return slow
 
     def result(self) -> Run:
-        """What was found."""
+        """Return the result so far."""
         count = len(self.kept)
         return _result(
             self.plant, self.times[:count], np.array(self.kept), np.array(self.ways), self.steps, self.ending, self.time
@@ -350,7 +367,7 @@ class _Journey:
 
 
 def _set_off(plant: _Plant, angle: float) -> bool:
-    """In which sense a resting machine starts to turn; whether it does."""
+    """Set the sense in which a resting machine starts to turn; return whether it starts."""
     torque = float(np.asarray(plant.torque(angle, 0.0)).ravel()[0])
     for direction in (plant.direction, -plant.direction):
         geared = plant.geared(angle)
@@ -378,7 +395,7 @@ def _nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> li
 
 
 def _ahead(angle: float, switches: Array, cycle: float, limits: tuple[float, float] | None) -> list[tuple[str, float]]:
-    """Crank angles at which the integration is begun anew, or ends: the nearest on either side."""
+    """Crank angles at which the integration restarts or ends: the nearest on either side."""
     found = [("switch", at) for at in _nearest(angle, switches, cycle, NEAR)]
     if limits is not None:
         edge = EDGE * (limits[1] - limits[0])
@@ -387,7 +404,7 @@ def _ahead(angle: float, switches: Array, cycle: float, limits: tuple[float, flo
 
 
 def _event(curve: Any, start: float, end: float, direction: float, ahead: list[tuple[str, float]]) -> tuple[float, str | None]:
-    """The first event within a step, and its time: an angle that is reached, or the crank at rest; else the end of the step."""
+    """The first event within a step (an angle is reached, or the crank stops) and its time, else the end of the step."""
     from scipy.optimize import brentq
 
     found: list[tuple[float, str]] = []

@@ -1,4 +1,4 @@
-"""Mass properties of a body, and the wrench that its motion needs, linear in them.
+"""Mass properties of a body, and the wrench that its motion requires, linear in them.
 
 A body's parameters are its mass m, its first moments m*c (c: centroid in the body's own axes) and its moment of inertia about
 the start of the body; the wrench that moves it is their linear function, so a regressor is the wrench of unit parameters.
@@ -22,7 +22,15 @@ class Wrench(NamedTuple):
     moment: Value
 
     def about(self, start: Vector, point: Vector) -> Value:
-        """Moment about another point [N m]."""
+        """Return the moment about another point [N m].
+
+        Parameters
+        ----------
+        start : pair of Value [m]
+            Start of the body, to which `moment` refers.
+        point : pair of Value [m]
+            The new reference point.
+        """
         return self.moment + cross((start[0] - point[0], start[1] - point[1]), self.force)
 
     def __add__(self, other: Wrench) -> Wrench:  # type: ignore[override]
@@ -31,7 +39,7 @@ class Wrench(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """What the wrench is linear in: mass [kg], first moments [kg m], moment of inertia about the start [kg m^2]."""
+    """Inertial parameters of a body: mass [kg], first moments [kg m], moment of inertia about the start [kg m^2]."""
 
     mass: Value
     along: Value
@@ -50,13 +58,13 @@ class Inertia:
 
     @property
     def parameters(self) -> Parameters:
-        """The same about the start of the body (Steiner)."""
+        """The inertial parameters about the start of the body (Steiner)."""
         square = self.along * self.along + self.across * self.across
         return Parameters(self.mass, self.mass * self.along, self.mass * self.across, self.moment + self.mass * square)
 
 
 class State(NamedTuple):
-    """How a body moves: its start [m, m/s, m/s^2], its x axis (unit vector), angular velocity and acceleration."""
+    """Motion of a body: its start [m, m/s, m/s^2], its x axis (unit vector), angular velocity and acceleration."""
 
     start: Vector
     velocity: Vector
@@ -66,7 +74,7 @@ class State(NamedTuple):
     alpha: Value
 
     def at(self, point: Vector) -> tuple[Vector, Vector]:
-        """Velocity and acceleration of the point of the body that is there now [m/s, m/s^2]."""
+        """Velocity and acceleration of the body's point at a position [m/s, m/s^2]."""
         x, y = point[0] - self.start[0], point[1] - self.start[1]
         square = self.omega * self.omega
         velocity = self.velocity[0] - self.omega * y, self.velocity[1] + self.omega * x
@@ -78,18 +86,34 @@ class State(NamedTuple):
 
 
 def moved(start: tuple[Triple, Triple], axis: tuple[Triple, Triple]) -> State:
-    """State of a body from its start [m] and x axis, x and y of each with their first and second time derivatives."""
+    """Return the state of a body from the motion of its start and of its x axis.
+
+    Parameters
+    ----------
+    start : pair of Triple [m, m/s, m/s^2]
+        x and y of the start, each with its first and second time derivative.
+    axis : pair of Triple [-, 1/s, 1/s^2]
+        x and y of the unit vector of the x axis, likewise.
+    """
     (x, y), (c, s) = start, axis
     way = (c[0], s[0])
     return State((x[0], y[0]), (x[1], y[1]), (x[2], y[2]), way, cross(way, (c[1], s[1])), cross(way, (c[2], s[2])))
 
 
 def wrench(parameters: Parameters, state: State, gravity: Vector) -> Wrench:
-    """Force and moment (about the start of the body) that all joints and loads together must exert for this motion.
+    """Compute the force and moment (about the start of the body) that joints and loads together exert on a body in motion.
 
-    Gravity counts as an acceleration of the whole scene: pass (0, 0) for the inertia alone.
+    Gravity counts as an acceleration of the frame of reference: pass (0, 0) for the inertia alone.
 
-    Source: Newton and Euler, with the Steiner term.
+    Parameters
+    ----------
+    parameters : Parameters
+    state : State
+    gravity : pair of Value [m/s^2]
+
+    References
+    ----------
+    Newton-Euler equations, with the Steiner term.
     """
     ax, ay = state.acceleration[0] - gravity[0], state.acceleration[1] - gravity[1]
     rx, ry = turn((parameters.along, parameters.across), state.axis)
@@ -106,7 +130,13 @@ UNITS = tuple(Parameters(*(float(i == k) for i in range(4))) for k in range(4))
 
 
 def kinetic(parameters: Parameters, state: State) -> Value:
-    """Kinetic energy [J]."""
+    """Return the kinetic energy [J] of a body.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    state : State
+    """
     first = turn((parameters.along, parameters.across), state.axis)
     square = dot(state.velocity, state.velocity)
     return (
@@ -117,6 +147,13 @@ def kinetic(parameters: Parameters, state: State) -> Value:
 
 
 def potential(parameters: Parameters, state: State, gravity: Vector) -> Value:
-    """Potential energy in the field of gravity [J], zero at the origin."""
+    """Return the potential energy of a body in the field of gravity [J], zero at the origin.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    state : State
+    gravity : pair of Value [m/s^2]
+    """
     first = turn((parameters.along, parameters.across), state.axis)
     return -(parameters.mass * dot(gravity, state.start) + dot(gravity, first))

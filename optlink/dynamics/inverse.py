@@ -1,9 +1,11 @@
-"""Inverse dynamics: all joint reactions and the driving torque of a machine in motion, dyad by dyad from the last to the crank.
+"""Inverse dynamics: joint reactions and driving torque of a machine in motion, dyad by dyad from the last to the crank.
 
-Every dyad has one pin force that two balances determine (a moment about a joint, or a force along a guide); the rest follows.
-Everything is elementwise: angles, batches of designs, symbols.
+Every dyad has one pin force that two balances determine (a moment about a joint, or a force along a guide); the other forces
+follow. Everything is elementwise: angles, batches of designs, symbols.
 
-Source: kinetostatics of Assur groups; each balance is Newton's and Euler's law of one or both bodies of the group.
+References
+----------
+Kinetostatics of Assur groups; each balance is the Newton-Euler equation of one or both bodies of the group.
 """
 
 from __future__ import annotations
@@ -29,9 +31,9 @@ NOTHING = Wrench((0.0, 0.0), 0.0)
 
 @dataclass(frozen=True)
 class GuideForce:
-    """What a guide exerts on its slider: `normal` to the left of the line and `friction` along it [N], acting at `point`.
+    """Force of a guide on its slider: `normal` to the left of the line and `friction` along it [N], acting at `point`.
 
-    `moment` [N m] is that about the point. Positive normal: the slider is pushed to the left of the line.
+    `moment` [N m] is the moment about that point. Positive normal: the slider is pushed to the left of the line.
     """
 
     normal: Value
@@ -45,8 +47,8 @@ class GuideForce:
 class Reactions:
     """Joint reactions and torque of a machine in motion.
 
-    `pins`: point -> body -> force that the pin exerts on that body [N] (they sum to zero); `guides` by name; `torque` of the
-    driver on the crank [N m]; `jammed` where friction locks a guide; `rows`: the directions of the two balances of each group.
+    `pins`: point -> body -> force of the pin on that body [N] (they sum to zero); `guides` by name; `torque` of the
+    drive on the crank [N m]; `jammed` where friction locks a guide; `rows`: the directions of the two balances of each group.
     """
 
     torque: Value
@@ -57,23 +59,30 @@ class Reactions:
 
     @cached_property
     def singularity(self) -> dict[str, Value]:
-        """How far each group is from a singular position: sine of the angle between its rows, -1 ... 1.
+        """Sine of the angle between the two rows of each group, -1 ... 1; zero at a singular position.
 
-        For an RRR group that is the sine of the transmission angle.
+        For an RRR group it is the sine of the transmission angle.
         """
         with np.errstate(all="ignore"):
             return {joint: cross(a, b) / np.sqrt(dot(a, a) * dot(b, b)) for joint, (a, b) in self.rows.items()}
 
     def pin(self, machine: Machine, point: str) -> Vector:
-        """The reaction that is told for a pin [N]: on the body that `on` names."""
+        """Return the reported reaction at a pin [N]: the force on the body of `reported_on`.
+
+        Parameters
+        ----------
+        machine : Machine
+        point : str
+            Name of the pin.
+        """
         return self.pins[point][reported_on(machine)[point]]
 
 
 def reported_on(machine: Machine) -> dict[str, str]:
-    """For every pin the body on which its reaction is told.
+    """Return the body on which the reaction of each pin is reported.
 
-    The crank at its pivot; a body that a group adds at its outer joint (what is placed before acts on it); the first of the two
-    at the inner joint of a group - unless the machine says otherwise.
+    This is the crank at its pivot; at an outer joint of a group the body that the group adds; at the inner joint of a group the
+    first of its two bodies; `machine.reported` overrides this.
     """
     mechanism = machine.mechanism
     found = {mechanism.crank.start: mechanism.crank.body}
@@ -86,7 +95,7 @@ def reported_on(machine: Machine) -> dict[str, str]:
 
 
 def acting_on(machine: Machine) -> dict[str, tuple[str, str]]:
-    """(by, on) of the reaction that is reported for every pin; "pin" where three or more bodies meet."""
+    """Return the (acting, loaded) bodies of the reported reaction of each pin; "pin" acts where three or more bodies meet."""
     on, found = reported_on(machine), {}
     for point, bodies in machine.mechanism.pins.items():
         others = [body for body in bodies if body != on[point]]
@@ -105,7 +114,18 @@ def _outer_pins(group: Group) -> list[tuple[str, str]]:
 
 
 def required(moving: Moving, *, inertia: bool = True, gravity: bool = True, loads: bool = True) -> dict[str, Wrench]:
-    """What the joints and the driver together must exert on each body (about its start)."""
+    """Compute the wrench (about its start) that joints and drive together exert on each body.
+
+    Parameters
+    ----------
+    moving : Moving
+    inertia, gravity, loads : bool
+        Contributions to include.
+
+    Returns
+    -------
+    mapping of body to Wrench
+    """
     machine = moving.machine
     found = dict.fromkeys(machine.mechanism.bodies, NOTHING)
     for body, mass in machine.inertias.items():
@@ -123,18 +143,18 @@ def required(moving: Moving, *, inertia: bool = True, gravity: bool = True, load
 
 
 def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Reactions:
-    """All reactions and the driving torque.
+    """Compute all reactions and the driving torque.
 
     Parameters
     ----------
     moving : Moving
     needed : mapping of body to Wrench, optional
-        What the joints must exert on each body; that of inertia, gravity and loads together if left out.
+        Wrench that the joints exert on each body. Default: that of inertia, gravity and loads together.
 
     Returns
     -------
     Reactions; infinite or NaN at a singular position of a group, where `singularity` is zero. The torque of a mechanism that is
-    led through singular positions is finite there.
+    continued through singular positions is finite there.
     """
     wrenches = required(moving) if needed is None else needed
     with np.errstate(all="ignore"):
@@ -145,7 +165,14 @@ def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Rea
 
 
 def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
-    """Torque at the crank that wrenches on the bodies need [N m], by virtual power."""
+    """Compute the driving torque that corresponds to wrenches on the bodies [N m], by the principle of virtual power.
+
+    Parameters
+    ----------
+    wrenches : mapping of body to Wrench
+        Force [N] and moment about the start [N m] for each body.
+    moving : Moving
+    """
     source, power = moving.turning, 0.0
     for body, (force, moment) in wrenches.items():
         state = source.state(body)
@@ -154,13 +181,19 @@ def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
 
 
 def two(row: Vector, right: Value, other: Vector, other_right: Value) -> Vector:
-    """Solve row . x = right, other . x = other_right."""
+    """Solve row . x = right, other . x = other_right for the vector x.
+
+    Parameters
+    ----------
+    row, other : pair of Value
+    right, other_right : Value
+    """
     inverse = 1.0 / cross(row, other)
     return (right * other[1] - other_right * row[1]) * inverse, (row[0] * other_right - other[0] * right) * inverse
 
 
 def _moment_row(lever: Vector) -> Vector:
-    """row . force = moment of the force at that lever."""
+    """Row vector with row . force = moment of the force at the lever."""
     return -lever[1], lever[0]
 
 
@@ -174,7 +207,7 @@ class _Solved:
 
 
 class _Balance:
-    """The wrenches still to be found, group by group."""
+    """The remaining wrenches, solved group by group."""
 
     def __init__(self, moving: Moving, needed: Mapping[str, Wrench]) -> None:
         self.moving, self.mechanism = moving, moving.machine.mechanism
@@ -196,7 +229,7 @@ class _Balance:
     # --- one group -------------------------------------------------------------------------------------------------
 
     def with_friction(self, group: Group) -> _Solved:
-        """Solve a group; where its guides have friction, with the sign of the normal force that is consistent."""
+        """Solve a group; with guide friction, for the consistent signs of the normal forces."""
         solver: Callable[..., _Solved] = _SOLVERS[type(group)]
         rough = [guide for guide in _guides(group) if guide.name in self.moving.machine.friction]
         if not rough:
@@ -211,7 +244,7 @@ class _Balance:
             for guide, sign in zip(rough, signs, strict=True):
                 fits = np.logical_and(fits, sign * self._normal(trial, guide) >= least)
             found.append((fits, trial))
-        # where no signs are consistent friction locks the guide; where several are, and differ, no one can tell (Painleve)
+        # no consistent signs: friction locks the guide; several that differ: the solution is not unique (Painleve paradox)
         chosen = _each(found[0][1], lambda x: np.nan * x)
         settled: Value = False
         torn: Value = False
@@ -239,7 +272,7 @@ class _Balance:
         return self.moving.machine.friction[guide.name] * sense
 
     def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
-        """Direction in which a guide exerts no force: its line, tilted by friction."""
+        """Direction in which a guide exerts no force: its line, rotated by the friction angle."""
         x, y = self.moving.line(guide.name)
         if guide.name not in tilts:
             return x, y
@@ -251,18 +284,18 @@ class _Balance:
         return self.moving.position(guide.at or self.mechanism.bodies[guide.slider].start)
 
     def about(self, link: Link, point: Vector) -> Value:
-        """Moment that the joints must exert on a body about a point."""
+        """Moment about a point that the joints exert on a body."""
         return self.needed[link.body].about(self.moving.state(link.body).start, point)
 
     def total(self, group: Group) -> Vector:
-        """Force that the outer joints must exert on both bodies of a group."""
+        """Force that the outer joints exert on both bodies of a group."""
         first, second = (self.needed[link.body].force for link in group.links)
         return plus(first, second)
 
-    # --- what goes on ----------------------------------------------------------------------------------------------
+    # --- transmitted forces ----------------------------------------------------------------------------------------
 
     def commit(self, group: Group, solved: _Solved) -> None:
-        """Note the forces of a group, and hand their counterparts on to the bodies that carry it."""
+        """Store the forces of a group and apply their counterparts to the bodies that carry it."""
         first, second = (link.body for link in group.links)
         for point, body, force in solved.pins:
             if point == group.joint:
@@ -286,13 +319,13 @@ class _Balance:
         return next(body for body in self.mechanism.pins[point] if self.order[body] < first)
 
     def exert(self, point: str, body: str, force: Vector, by: str) -> None:
-        """At a pin one body exerts a force on another."""
+        """Add the force of one body on another at a pin."""
         forces = self.pins.setdefault(point, {})
         forces[body] = plus(forces[body], force) if body in forces else force
         forces[by] = minus(forces[by], force) if by in forces else (-force[0], -force[1])
 
     def carry(self, body: str, point: Vector, force: Vector, moment: Value) -> None:
-        """A body must be given what it hands on."""
+        """Add a transmitted force and moment to the wrench that a body requires."""
         if body != FRAME:
             start = self.moving.state(body).start
             self.needed[body] = self.needed[body] + Wrench(force, moment + cross(minus(point, start), force))
@@ -413,11 +446,18 @@ def _prp(balance: _Balance, group: PRP, tilts: Mapping[str, Value]) -> _Solved:
 _SOLVERS: dict[type, Callable[..., _Solved]] = {RRR: _rrr, RRP: _rrp, RPR: _rpr, RPP: _rpp, PRP: _prp}
 
 
-# --- what is made of them ----------------------------------------------------------------------------------------------
+# --- derived quantities ------------------------------------------------------------------------------------------------
 
 
 def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Value]:
-    """Driving torque [N m] split into what inertia, gravity and loads need; friction counts among the loads."""
+    """Split the driving torque [N m] into the parts of inertia, gravity and loads; friction counts among the loads.
+
+    Parameters
+    ----------
+    moving : Moving
+    whole : Reactions, optional
+        Reactions of this motion, if already computed.
+    """
     smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
     inertia = reactions(smooth, required(smooth, gravity=False, loads=False)).torque
     gravity = reactions(smooth, required(smooth, inertia=False, loads=False)).torque
@@ -426,11 +466,13 @@ def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Va
 
 
 def shaking(moving: Moving) -> Wrench:
-    """Shaking force [N] and shaking moment about the crank pivot [N m]: what the inertia of the machine does to its frame.
+    """Compute the shaking force [N] and shaking moment about the crank pivot [N m] that the inertia exerts on the frame.
 
-    Minus the rate of the momentum, and of the angular momentum about the crank pivot; gravity and loads are not in it.
+    They are minus the rates of the momentum and of the angular momentum about the crank pivot, without gravity and loads.
 
-    Source: R. S. Berkof, G. G. Lowen, A new method for completely force balancing simple linkages, 1969.
+    References
+    ----------
+    R. S. Berkof, G. G. Lowen, A new method for completely force balancing simple linkages, 1969.
     """
     needed = required(moving, gravity=False, loads=False)
     pivot = moving.position(moving.machine.mechanism.crank.start)
@@ -443,9 +485,9 @@ def shaking(moving: Moving) -> Wrench:
 
 
 def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:
-    """Reactions and torque per unit of each inertial parameter, by body: mass, first moments along and across, moment of inertia.
+    """Return reactions and torque per unit of each inertial parameter, by body: mass, two first moments, moment of inertia.
 
-    With `Inertia.parameters` of all bodies they sum to the part of every reaction that inertia and gravity need.
+    Multiplied by `Inertia.parameters` of all bodies they sum to the part of every reaction due to inertia and gravity.
     """
     smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
     nothing = dict.fromkeys(moving.machine.mechanism.bodies, NOTHING)

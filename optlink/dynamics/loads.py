@@ -1,7 +1,7 @@
-"""What acts on a machine beside inertia and gravity: forces, torques, springs, dampers.
+"""Loads on a machine in addition to inertia and gravity: forces, torques, springs, dampers.
 
-A load is a small object that says what it exerts on a machine in motion. Forces may be constant, follow a table or expression,
-oppose the motion, or act in one stroke only; which stroke that is, is found from the motion.
+A load is an object that returns the forces it exerts on a machine in motion. Forces may be constant, follow a table or
+expression, oppose the motion, or act in one stroke only; the stroke is determined from the motion.
 """
 
 from __future__ import annotations
@@ -34,42 +34,42 @@ class Acting(NamedTuple):
     torque: Value
 
     def wrench(self, state: State) -> Wrench:
-        """The same about the start of the body."""
+        """The force and torque as a wrench about the start of the body."""
         return Wrench(self.force, self.torque + cross(minus(self.point, state.start), self.force))
 
     def power(self, state: State) -> Value:
-        """What it feeds into the machine [W]."""
+        """Power fed into the machine [W]."""
         return dot(self.force, state.at(self.point)[0]) + self.torque * state.omega
 
 
 class Load(Protocol):
-    """What every load can say."""
+    """Protocol of all loads."""
 
     @property
     def name(self) -> str:
-        """Its name in the problem file."""
+        """Name in the problem file."""
         ...
 
     @property
     def switching(self) -> bool:
-        """Whether it jumps where a motion reverses."""
+        """Whether the load jumps where a motion reverses."""
         ...
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """What it exerts, body by body."""
+        """Forces and torques of the load, body by body."""
         ...
 
     def reversing(self, moving: Moving) -> tuple[Value, Value] | None:
-        """The velocity at whose reversal it jumps, and its acceleration."""
+        """The velocity at whose reversal the load jumps, and the corresponding acceleration."""
         ...
 
     def potential(self, moving: Moving) -> Value:
-        """Its potential energy [J]; zero for what is no spring."""
+        """Potential energy [J]; zero except for springs."""
         ...
 
 
 def _sense(load: Force | Torque, moving: Moving) -> Value:
-    """Factor of the magnitude: -1 against a positive velocity where it opposes, 0 in the other stroke."""
+    """Factor of the magnitude: -1 against a positive velocity if the load opposes motion, 0 in the other stroke."""
     opposing, stroke = load.opposing, load.stroke
     if not opposing and stroke == "both":
         return 1.0
@@ -83,7 +83,7 @@ def _sense(load: Force | Torque, moving: Moving) -> Value:
 
 @dataclass(frozen=True)
 class _Process:
-    """What forces and torques share: they may oppose the motion, act in one stroke, and push against another body."""
+    """Base class of forces and torques: they may oppose the motion, act in one stroke, and react on another body."""
 
     opposing: bool = field(default=False, kw_only=True)
     stroke: Stroke = field(default="both", kw_only=True)
@@ -94,11 +94,11 @@ class _Process:
 
     @property
     def switching(self) -> bool:
-        """Whether it jumps where the motion reverses."""
+        """Whether the load jumps where the motion reverses."""
         return self.opposing or self.stroke != "both"
 
     def potential(self, moving: Moving) -> Value:
-        """None is kept."""
+        """Return zero: the load stores no energy."""
         return 0.0
 
 
@@ -117,7 +117,7 @@ class Force(_Process):
         return moving.line(self.direction) if isinstance(self.direction, str) else unit(self.direction)
 
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
-        """Velocity and acceleration along the direction, against the body that feels the opposite."""
+        """Velocity and acceleration along the direction, relative to the body that takes the reaction."""
         if isinstance(self.direction, str):
             return moving.slides[self.direction][1:]
         way, (velocity, acceleration) = (
@@ -135,7 +135,7 @@ class Force(_Process):
             known = {**known, "s": s, "v": v}
         size = self.magnitude(known) * _sense(self, moving)
         x, y = self.along(moving)
-        at, force = moving.position(self.point, self.body), (size * x + 0.0, size * y + 0.0)  # + 0.0: no minus before a zero
+        at, force = moving.position(self.point, self.body), (size * x + 0.0, size * y + 0.0)  # + 0.0: avoids -0.0
         yield Acting(self.body, at, force, 0.0)
         if self.against != FRAME:
             yield Acting(self.against, at, (-force[0], -force[1]), 0.0)
@@ -150,7 +150,7 @@ class Torque(_Process):
     magnitude: Magnitude
 
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
-        """Angular velocity and acceleration of the body against the other."""
+        """Angular velocity and acceleration of the body relative to the other."""
         state, other = moving.state(self.body), moving.state(self.against)
         return state.omega - other.omega, state.alpha - other.alpha
 
@@ -165,12 +165,12 @@ class Torque(_Process):
 
 
 class _Steady:
-    """What does not jump."""
+    """Base class of loads without jumps."""
 
     switching = False
 
     def reversing(self, moving: Moving) -> None:
-        """Nothing."""
+        """Return None: the load does not jump."""
         return
 
 
@@ -193,14 +193,14 @@ class Spring(_Steady):
         return length, along, dot(along, minus(moving.velocity(q, other), moving.velocity(p, one)))
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """Pull on both ends."""
+        """Pull of the spring on both ends."""
         length, (x, y), rate = self._stretch(moving)
         pull = self.stiffness * (length - self.free) + self.damping * rate
         for (body, point), sign in zip(self.ends, (1.0, -1.0), strict=True):
             yield Acting(body, moving.position(point, body), (sign * pull * x, sign * pull * y), 0.0)
 
     def potential(self, moving: Moving) -> Value:
-        """Energy of the spring."""
+        """Energy stored in the spring [J]."""
         stretch = self._stretch(moving)[0] - self.free
         return 0.5 * self.stiffness * stretch * stretch
 
@@ -209,8 +209,8 @@ class Spring(_Steady):
 class TorsionSpring(_Steady):
     """A torsion spring and damper between two bodies: `stiffness` [N m/rad], `free` angle [rad], `damping` [N m s/rad].
 
-    `middle` [rad]: an angle of the body against the other in the midst of its swing, at most half a turn from `free`: from there
-    the deflection is counted, so that no swing of less than a turn meets a branch.
+    `middle` [rad]: relative angle of the bodies near the middle of the swing, at most half a revolution from `free`; the
+    deflection is measured from there, so a swing of less than a revolution crosses no branch cut.
     """
 
     name: str
@@ -226,14 +226,14 @@ class TorsionSpring(_Steady):
         return self.middle - self.free + angle_from(turn(other, unit(self.middle)), axis)
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """Twist both bodies."""
+        """Torque of the spring on both bodies."""
         one, two = moving.state(self.body), moving.state(self.against)
         torque = -self.stiffness * self._deflection(moving) - self.damping * (one.omega - two.omega)
         yield Acting(self.body, one.start, (0.0, 0.0), torque)
         yield Acting(self.against, two.start, (0.0, 0.0), -torque)
 
     def potential(self, moving: Moving) -> Value:
-        """Energy of the spring."""
+        """Energy stored in the spring [J]."""
         deflection = self._deflection(moving)
         return 0.5 * self.stiffness * deflection * deflection
 
@@ -250,7 +250,7 @@ class SlideDamper(_Steady):
     damping: Value
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """Resist on the slider, push on what carries the line."""
+        """Damping force on the slider, and its reaction on the body that carries the line."""
         x, y = moving.line(self.guide)
         force = -self.damping * moving.slides[self.guide][1]
         point = moving.position(self.point, self.slider)
@@ -259,5 +259,5 @@ class SlideDamper(_Steady):
             yield Acting(self.on, point, (-force * x, -force * y), 0.0)
 
     def potential(self, moving: Moving) -> Value:
-        """None is kept."""
+        """Return zero: the damper stores no energy."""
         return 0.0

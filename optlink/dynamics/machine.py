@@ -1,4 +1,4 @@
-"""A machine: a mechanism of given sizes with masses, gravity, loads and friction; and a machine in motion."""
+"""Machines: a mechanism with sizes, masses, gravity, loads and friction; and a machine in motion."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ NOISE = 1e-13
 
 
 def parts(x: Value) -> tuple[Value, Value, Value]:
-    """Value, rate and acceleration of what may be a jet."""
+    """Return value, rate and acceleration of a quantity that may be a jet."""
     return (x.value, x.rate, x.acceleration) if isinstance(x, Jet) else (x, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A mechanism with everything that makes forces.
+    """A mechanism with its masses, loads and friction.
 
-    `inertias` by body (a body that is not named has no mass), `gravity` [m/s^2], `loads`, `friction` coefficients by guide,
-    `reported`: the body on which the reaction at a pin is told, where that is not the usual one.
+    `inertias` by body (a body without an entry has no mass), `gravity` [m/s^2], `loads`, `friction` coefficients by guide,
+    `reported`: body on which the reaction at a pin is reported, where it differs from the default (`inverse.reported_on`).
     """
 
     mechanism: Mechanism
@@ -51,34 +51,34 @@ class Machine:
     def moving(
         self, crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0, side: int = 1, direction: Value = None
     ) -> Moving:
-        """The machine at these crank angles.
+        """Return the machine in motion at crank angles.
 
         Parameters
         ----------
         crank_angle : array (angles,) [rad]
         speed, acceleration : float or array (angles,) [rad/s], [rad/s^2]
         side : int
-            Where a load jumps, at the reversal of what it opposes: +1 the value just after, -1 just before.
+            Where a load jumps, at the reversal of the motion that it opposes: +1 the value just after, -1 just before.
         direction : +1 or -1, optional
-            Sense of the crank's rotation; that of the speed if left out, positive where the crank stands still.
+            Sense of crank rotation. Default: that of the speed, positive where the crank is at rest.
         """
         return Moving(self, sweep(self.mechanism, self.sizes, crank_angle, speed, acceleration), side, direction)
 
     def with_(self, **changes: object) -> Machine:
-        """The same machine with other fields."""
+        """Return the machine with some fields replaced."""
         return replace(self, **changes)  # type: ignore[arg-type]
 
     def kinetic(self, state: Callable[[str], State]) -> Value:
-        """Kinetic energy [J] where `state` tells how each body moves."""
+        """Return the kinetic energy [J]; `state` maps a body to its State."""
         return sum(kinetic(inertia.parameters, state(body)) for body, inertia in self.inertias.items())
 
     def weight(self, state: Callable[[str], State]) -> Value:
-        """Potential energy of gravity [J]."""
+        """Return the potential energy of gravity [J]; `state` maps a body to its State."""
         return sum(potential(inertia.parameters, state(body), self.gravity) for body, inertia in self.inertias.items())
 
     @cached_property
     def size(self) -> Value:
-        """Sum of the lengths of its links [m]: what its motion is measured by."""
+        """Sum of the link lengths [m], the reference length of the motion."""
         lengths = [link.length for link in self.mechanism.links if link.end]
         found: Value = 0.0
         for length in lengths:
@@ -87,14 +87,14 @@ class Machine:
 
     @cached_property
     def switching(self) -> bool:
-        """Whether some force jumps where a motion reverses."""
+        """Whether a force jumps where a motion reverses."""
         return bool(self.friction) or any(load.switching for load in self.loads)
 
 
 class Moving:
-    """A machine in motion: states of the bodies, found once and shared by inertia, loads and reactions.
+    """A machine in motion: states of the bodies, computed once and shared by inertia, loads and reactions.
 
-    Where the crank stands still, senses of motion are those of a crank that is about to turn in `direction`.
+    Where the crank is at rest, the senses of motion are those of a crank that is about to turn in `direction`.
     """
 
     def __init__(self, machine: Machine, motion: Motion, side: int = 1, direction: Value = None) -> None:
@@ -108,23 +108,44 @@ class Moving:
         return self.motion.pose
 
     def position(self, point: str, body: str = "") -> Vector:
-        """Where a point is [m]; the same on all bodies that share it."""
+        """Return the position of a point [m].
+
+        Parameters
+        ----------
+        point : str
+        body : str
+            Not used: the point has the same position on all bodies that share it.
+        """
         x, y = self.pose.points[point]
         return parts(x)[0], parts(y)[0]
 
     def velocity(self, point: str, body: str = "") -> Vector:
-        """Velocity of a point [m/s]."""
+        """Return the velocity of a point [m/s].
+
+        Parameters
+        ----------
+        point : str
+        body : str
+            Not used, see `position`.
+        """
         x, y = self.pose.points[point]
         return parts(x)[1], parts(y)[1]
 
     def acceleration(self, point: str, body: str = "") -> Vector:
-        """Acceleration of a point [m/s^2]."""
+        """Return the acceleration of a point [m/s^2].
+
+        Parameters
+        ----------
+        point : str
+        body : str
+            Not used, see `position`.
+        """
         x, y = self.pose.points[point]
         return parts(x)[2], parts(y)[2]
 
     @property
     def variables(self) -> dict[str, Value]:
-        """What every load may depend on: crank angle [rad] and speed [rad/s]."""
+        """Variables available to every load: crank angle [rad] and speed [rad/s]."""
         return {"phi": self.motion.crank_angle, "omega": self.motion.speed}
 
     def axis(self, body: str) -> Vector:
@@ -150,7 +171,7 @@ class Moving:
         return {guide.name: parts(self.pose.slide(guide)) for guide in self.machine.mechanism.guides}
 
     def state(self, body: str) -> State:
-        """How a body moves."""
+        """Return the motion of a body."""
         if body not in self._states:
             if body == FRAME:
                 nothing = (0.0, 0.0)
@@ -161,12 +182,13 @@ class Moving:
         return self._states[body]
 
     def sense(self, of: Callable[[Moving], tuple[Value, Value]], size: Value = 1.0) -> Value:
-        """Sign of a velocity; where it reverses, the sign just after (or before); zero for what is rounding.
+        """Return the sign of a velocity; where it reverses, the sign just after (or before); zero for rounding errors.
 
         Parameters
         ----------
-        of : function of a machine in motion to the velocity in question and its acceleration
-        size : of the machine [m] for the velocity of a point, 1 for an angular velocity
+        of : function of a machine in motion to a velocity and its acceleration
+        size : Value
+            Size of the machine [m] for the velocity of a point, 1 for an angular velocity.
         """
         source = self.turning
         rate, acceleration = of(source)
@@ -174,27 +196,35 @@ class Moving:
         first = rate / speed  # per crank rotation, as is the second
         second = (acceleration - first * turning) / (speed * speed)
         ahead = first + (self.side * INSTANT) * self.direction * second
-        moves = sign(sign(magnitude(first) + INSTANT * magnitude(second) - NOISE * size) + 1.0)  # 0: it does not move at all
+        moves = sign(sign(magnitude(first) + INSTANT * magnitude(second) - NOISE * size) + 1.0)  # 0: no motion
         return self.direction * sign(ahead) * moves
 
     @property
     def turning(self) -> Moving:
-        """The same positions with a crank that turns."""
+        """The same positions with the crank in motion."""
         return self._geared if self._still else self
 
     @cached_property
     def _still(self) -> bool:
-        """Whether the crank stands still anywhere."""
+        """Whether the crank is at rest at any position."""
         speed = self.motion.speed
         return isinstance(speed, float | int | np.ndarray | np.generic) and bool(np.any(np.asarray(speed) == 0.0))
 
     @cached_property
     def _geared(self) -> Moving:
-        """The same positions with a crank that turns at 1 rad/s."""
+        """The same positions at a crank speed of 1 rad/s."""
         return self.machine.moving(self.motion.crank_angle, self.direction, 0.0, self.side, self.direction)
 
     def scaled(self, speed: Value, acceleration: Value, direction: Value) -> Moving:
-        """The same positions at another crank speed and acceleration; this motion must be that of an even 1 rad/s."""
+        """Return the motion at another crank speed and acceleration; this motion must have a constant speed of 1 rad/s.
+
+        Parameters
+        ----------
+        speed : Value [rad/s]
+        acceleration : Value [rad/s^2]
+        direction : Value
+            Sense of crank rotation, +1 or -1.
+        """
         return Moving(self.machine, self.motion.scaled(speed, acceleration), self.side, direction)
 
     @cached_property

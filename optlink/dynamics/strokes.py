@@ -1,4 +1,4 @@
-"""Working and return stroke: in which crank ranges the loads of a machine act, and which stroke of an output is the slow one."""
+"""Working and return strokes: the crank ranges in which loads act, and the slow stroke of an output."""
 
 from __future__ import annotations
 
@@ -23,14 +23,16 @@ SAME = 1e-6  # rad; crank angles that near to one another are one
 
 
 def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[float, float]]]:
-    """Crank ranges [rad] of a cycle in which the motion of a load is forward and backward, the crank turning counter-clockwise.
+    """Return the crank ranges [rad] of a cycle in which the motion of a load is forward and backward.
+
+    The crank turns counter-clockwise.
 
     Parameters
     ----------
     machine : Machine
-        Whose crank turns fully.
+        Its crank turns fully.
     load : Load
-        One that depends on the direction of a motion.
+        Load that depends on the direction of a motion.
     """
 
     def rates(angles: Array) -> Array:
@@ -54,7 +56,15 @@ def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[flo
 
 
 def slow_stroke_of(machine: Machine, load: Load) -> Direction | None:
-    """Which stroke of a load's motion is the slow one for a crank that turns counter-clockwise; None where neither is."""
+    """Return the slow stroke of a load's motion for a crank that turns counter-clockwise; None if both are equally long.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its crank turns fully.
+    load : Load
+        Load that depends on the direction of a motion.
+    """
     return _slow(load_strokes(machine, load))
 
 
@@ -65,10 +75,10 @@ def _slow(ranges: Mapping[Direction, list[tuple[float, float]]]) -> Direction | 
 
 @dataclass(frozen=True)
 class Acting:
-    """A load that acts in one stroke alone.
+    """A load that acts in one stroke only.
 
-    `stroke`: "forward" or "backward" along the load's own direction, as the crank turns; `ranges`: the crank ranges [rad] in
-    which it acts, for a crank that turns counter-clockwise; `pace` of this stroke: "slow", "quick" or "equal".
+    `stroke`: "forward" or "backward" along the load's own direction, for the actual sense of crank rotation; `ranges`: the crank
+    ranges [rad] in which it acts, for a crank that turns counter-clockwise; `pace` of this stroke: "slow", "quick" or "equal".
     """
 
     load: str
@@ -79,7 +89,15 @@ class Acting:
 
 
 def acting_loads(machine: Machine, speed: float) -> tuple[Acting, ...]:
-    """The loads that act in one stroke alone, in a machine whose crank turns fully."""
+    """Return the loads that act in one stroke only.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its crank turns fully.
+    speed : float
+        Speed of the crank; only its sign is used.
+    """
     return tuple(_acting(machine, speed))
 
 
@@ -94,15 +112,16 @@ def _acting(machine: Machine, speed: float) -> Iterator[Acting]:
 
 
 def working_stroke(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> tuple[Direction | None, tuple[str, ...]]:
-    """The working stroke of an output and the loads that make it so.
+    """Return the working stroke of an output and the loads that define it.
 
-    It is the stroke in which loads of the same dead centres act; None where no load is limited to one, or loads act in both.
+    It is the stroke in which loads of the same dead centres act; None where no load is limited to one stroke, or loads act in
+    both.
 
     Parameters
     ----------
     travel : Travel
     speed : float
-        Speed of the crank; only its sign counts.
+        Speed of the crank; only its sign is used.
     acting : tuple of Acting
     """
     found: dict[Direction, list[str]] = {}
@@ -124,9 +143,10 @@ def _same(one: tuple[float, float], other: tuple[float, float]) -> bool:
 def travels_by_use(
     machine: Machine, swings: Mapping[str, Travel], strokes: Mapping[str, Travel]
 ) -> tuple[dict[str, Travel], dict[str, Travel]]:
-    """Slides and swings named by what moves ("ram slides", "rocker swings"): those of the outputs, and the others.
+    """Return slides and swings by label ("ram slides", "rocker swings"): first those of the outputs, then the others.
 
-    Outputs are the bodies on which forces or torques act, where these move to and fro; else the last output of the mechanism.
+    Outputs are the bodies with limited motion on which forces or torques act; if there are none, the last output of the
+    mechanism.
 
     Parameters
     ----------
@@ -144,12 +164,13 @@ def travels_by_use(
 
 
 def last_output(machine: Machine, swings: Collection[str], strokes: Collection[str]) -> tuple[str, bool]:
-    """The last slider on the frame that moves to and fro and True, else the last body that swings (or turns) and False.
+    """Return the last reciprocating slider on the frame and True, else the last body that swings (or turns) and False.
 
     Parameters
     ----------
     machine : Machine
-    swings, strokes : bodies that swing, and sliders that move to and fro
+    swings, strokes : collection of str
+        Names of the bodies that swing, and of the sliders with a limited stroke.
     """
     names = slider_names(machine)
     for guide in reversed(machine.mechanism.guides):
@@ -160,5 +181,12 @@ def last_output(machine: Machine, swings: Collection[str], strokes: Collection[s
 
 
 def use_of(stroke: StrokeRange, working: Direction | None) -> str:
-    """What a stroke is for: "working", "return", or nothing where that is open."""
+    """Return the use of a stroke: "working", "return", or an empty string if there is no working stroke.
+
+    Parameters
+    ----------
+    stroke : StrokeRange
+    working : "forward", "backward" or None
+        Name of the working stroke.
+    """
     return "" if working is None else "working" if stroke.name == working else "return"

@@ -1,4 +1,4 @@
-"""Work of the drive over the crank angle, by Gauss's quadrature between the angles where a load jumps."""
+"""Work of the drive over the crank angle, by Gauss quadrature between the angles at which a load jumps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,13 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 def jumps(machine: Machine, low: float, high: float) -> Array:
-    """Crank angles [rad] between `low` and `high` at which a load or friction may jump, rising."""
+    """Return the crank angles [rad] between `low` and `high` at which a load or friction may jump, rising.
+
+    Parameters
+    ----------
+    machine : Machine
+    low, high : float [rad]
+    """
     found: list[Array] = []
     switching = [load for load in machine.loads if load.switching]
     if switching or machine.friction:
@@ -32,7 +38,15 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
 
 
 def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
-    """Crank angles [rad] at which a load or friction has a corner: the rows of its table, and where a normal force is zero."""
+    """Return the crank angles [rad] at which a load or friction has a corner: rows of its table, and zeros of a normal force.
+
+    Parameters
+    ----------
+    machine : Machine
+    low, high : float [rad]
+    speed : float [rad/s]
+        Crank speed, which affects the normal forces.
+    """
     found: list[Array] = []
     turns = np.arange(np.floor(low / (2.0 * np.pi)) - 1.0, np.ceil(high / (2.0 * np.pi)) + 1.0) * 2.0 * np.pi
     rows: list[tuple[str, float]] = []
