@@ -1,4 +1,4 @@
-"""Analysis of a machine over its cycle: what `optlink analyze`, notebooks and reports call."""
+"""Analyse a machine over its cycle: motion, reactions, torque and work at constant crank speed."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ Array = NDArray[np.float64]
 SCHEMA = "optlink/analysis/1"
 MAX_POINTS = 1_000_000
 GRID = 720  # positions among which extremes are bracketed
-ROUNDED = 1e-5  # rad from a change point that is passed: reactions there have lost their digits
-BESIDE = 1e-6  # rad from a singular position: rates and forces there are rounding
-MARGIN = 1e-3  # share of a limited range that is left out at either end: speeds are infinite at a dead position
+ROUNDED = 1e-5  # rad from a passed change point: reactions are inaccurate there
+BESIDE = 1e-6  # rad from a singular position: rates and forces are rounding errors there
+MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
 
 
 class Extreme(NamedTuple):
-    """Least and largest value of a column over the motion, and the crank angles [rad] at which they are met.
+    """Least and largest value of a column over the motion, and the crank angles [rad] at which they occur.
 
-    Where the crank turns fully they lie from 0 to below the cycle, a revolution; else within the range.
+    If the crank turns fully, the angles lie within one cycle from 0 on; otherwise within the range.
     """
 
     least: float
@@ -52,11 +52,11 @@ class Extreme(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Analysis(Summary):
-    """A machine over its cycle.
+    """Result of the analysis of a machine over its cycle.
 
-    `columns` by name (unit at the end), each an array over the sampled crank angles; `meanings` of them; `extremes` refined to
-    their exact crank angles, one-sided where a load jumps; `unbounded`: columns of reactions that grow without bound towards
-    change points which the motion is led through; `swings` of bodies and `strokes` of sliders (by slider name).
+    `columns` by name (unit at the end), each an array over the sampled crank angles; `meanings` describe them; `extremes` are
+    refined to their exact crank angles, one-sided at load jumps; `unbounded`: columns of reactions that grow without bound
+    towards change points through which the motion is continued; `swings` of bodies and `strokes` of sliders (by slider name).
     """
 
     problem: ProblemFile
@@ -94,13 +94,13 @@ class Analysis(Summary):
 
     @property
     def extent(self) -> str:
-        """What works and strokes are counted over, in words."""
+        """Interval over which works and strokes are counted, in words."""
         if not self.full:
             return "over the range"
         return "per revolution" if self.cycle == TURN else "per cycle"
 
     def _within(self, crank_angles: Array) -> list[float]:
-        """Crank angles [deg], each once within the cycle if the crank turns fully."""
+        """Return crank angles [deg], without duplicates, reduced to one cycle if the crank turns fully."""
         angles = [within_cycle(at, self.cycle) if self.full else float(at) for at in crank_angles]
         return sorted({round(math.degrees(at), 9) for at in angles})
 
@@ -111,7 +111,7 @@ class Analysis(Summary):
 
     @property
     def status(self) -> str:
-        """The verdict in a few words."""
+        """Short verdict."""
         if self.ranges.singular:
             return "motion not determined beyond a singular position"
         if not self.sound:
@@ -120,7 +120,7 @@ class Analysis(Summary):
 
     @property
     def figures(self) -> dict[str, float]:
-        """The figures that sum it up, by name: extremes, strokes, swings, time ratios, work."""
+        """Summary figures by name: extremes, strokes, swings, time ratios, work."""
         found = {}
         for name, extreme in self.extremes.items():
             found[f"{name}.min"], found[f"{name}.max"] = extreme.least, extreme.largest
@@ -135,7 +135,7 @@ class Analysis(Summary):
 
     @cached_property
     def acting(self) -> tuple[Acting, ...]:
-        """The loads that act in one stroke alone; none where the crank cannot turn fully."""
+        """Loads that act in one stroke only; empty if the crank cannot turn fully."""
         return acting_loads(self.machine, self.speed) if self.full else ()
 
     def _travel(self, travel: Travel, unit: str) -> dict[str, Any]:
@@ -151,7 +151,7 @@ class Analysis(Summary):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """The analysis as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        """Return the analysis as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
         mechanism = self.machine.mechanism
         deg = math.degrees
         document = {
@@ -195,15 +195,15 @@ class Analysis(Summary):
 
 
 def stroke_records(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> dict[str, Any]:
-    """The working, slow, forward and backward stroke of an output as JSON, with crank ranges in the sense of the crank.
+    """Return the working, slow, forward and backward stroke of an output as JSON, with crank ranges in the direction of rotation.
 
     Parameters
     ----------
     travel : Travel
-    speed : float
-        Speed of the crank; only its sign counts.
+    speed : float [rad/s]
+        Crank speed; only its sign matters.
     acting : tuple of Acting
-        The loads that act in one stroke alone.
+        Loads that act in one stroke only.
     """
     working, loads = working_stroke(travel, speed, acting)
     strokes = travel.strokes(speed)
@@ -225,22 +225,22 @@ def stroke_records(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> 
 
 
 def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel]]:
-    """Slides and swings of a machine whose crank turns fully: those of the outputs, and the others, by what moves."""
+    """Return travels of the outputs and of the other bodies and sliders of a machine whose crank turns fully, by name."""
     swings, strokes = travels(machine.mechanism, machine.sizes, 0.0, TURN, True)
     names = slider_names(machine)
     return travels_by_use(machine, swings, {names[guide]: travel for guide, travel in strokes.items()})
 
 
 def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] | None = None) -> dict[str, Any]:
-    """The working, slow, forward and backward stroke of every output of a machine whose crank turns fully, as JSON.
+    """Return the strokes of every output of a machine whose crank turns fully, as JSON.
 
     Parameters
     ----------
     machine : Machine
-    speed : float
-        Speed of the crank; only its sign counts.
+    speed : float [rad/s]
+        Crank speed; only its sign matters.
     acting : tuple of Acting, optional
-        What works in one stroke alone; the loads of the machine if left out.
+        Loads that act in one stroke only. Default: the loads of the machine.
     """
     acting = acting_loads(machine, speed) if acting is None else acting
     return {
@@ -251,7 +251,13 @@ def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] |
 
 
 def turning(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None:
-    """The machine of a design [SI] whose crank turns fully; None where there is none."""
+    """Return the machine of a design if its crank turns fully, else None.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : mapping of str to float [SI]
+    """
     if not all(math.isfinite(value) for value in design.values()):
         return None
     try:
@@ -262,7 +268,7 @@ def turning(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None
 
 
 def reactions_told(machine: Machine) -> dict[str, str]:
-    """For every joint which body acts on which, as columns tell it."""
+    """Return for every joint which body acts on which, as defined for the columns."""
     found = {}
     for point, (by, on) in acting_on(machine).items():
         bodies = machine.mechanism.pins[point]
@@ -276,11 +282,18 @@ def reactions_told(machine: Machine) -> dict[str, str]:
 
 
 def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) -> Machine:
-    """The machine that a problem states, of a given design (else its fixed values and starts).
+    """Return the machine of a problem at a given design.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : mapping of str to float or array [SI], optional
+        Design variables. Default: fixed values and starting values of the file.
 
     Raises
     ------
     InputError
+        If the machine cannot be built.
     """
     try:
         return problem.model.machine(design)
@@ -289,12 +302,12 @@ def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) 
 
 
 def crank_speed(problem: ProblemFile) -> float:
-    """The constant speed of the crank [rad/s].
+    """Return the constant speed of the crank [rad/s].
 
     Raises
     ------
     InputError
-        where it is zero, as in a file that is simulated from rest.
+        If it is zero, as in a file that is simulated from rest.
     """
     speed = problem.model.drive.speed
     if speed.value == 0.0:
@@ -304,11 +317,17 @@ def crank_speed(problem: ProblemFile) -> float:
 
 
 def with_flywheel(machine: Machine, inertia: float) -> Machine:
-    """The machine with a flywheel [kg m^2] on its crank, balanced on the crank's pivot.
+    """Return the machine with a flywheel on its crank, balanced about the crank pivot.
+
+    Parameters
+    ----------
+    machine : Machine
+    inertia : float [kg m^2]
 
     Raises
     ------
     InputError
+        If the inertia is out of range.
     """
     if not 0.0 <= inertia < 1e12:
         raise InputError(Fault("out of range", "Give a moment of inertia from 0 to 1e12 kg*m^2", key="flywheel", value=inertia))
@@ -318,12 +337,22 @@ def with_flywheel(machine: Machine, inertia: float) -> Machine:
 
 
 def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[Ranges, float, float]:
-    """Where the crank can turn, and the range that holds `start` (a revolution from there if the crank turns fully).
+    """Return the reachable crank ranges, and the limits [rad] of the motion that contains `start`.
+
+    If the crank turns fully, the motion is one cycle from `start` on.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        Names the file in error messages.
+    machine : Machine
+    start : float [rad]
+        Crank angle.
 
     Raises
     ------
     InputError
-        when the mechanism cannot be assembled at the start.
+        If the mechanism cannot be assembled at the start.
     """
     ranges = reachable(machine.mechanism, machine.sizes)
     if ranges.full:
@@ -340,11 +369,20 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
 
 
 def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
-    """Refuse singular positions, followed or not: towards them reactions may grow without bound.
+    """Refuse mechanisms with singular positions, continued or not: reactions may grow without bound towards them.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        Names the file in error messages.
+    ranges : Ranges
+    what : str
+        End of the error message.
 
     Raises
     ------
     InputError
+        If there is a singular position.
     """
     positions = (*ranges.singular, *ranges.followed)
     if positions:
@@ -354,7 +392,23 @@ def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
 
 
 def sampled(start: float, low: float, high: float, speed: float, full: bool, points: int, step: float | None) -> Array:
-    """Crank angles [rad] of the table: from the start once round in the sense of the speed, or through the range."""
+    """Return the crank angles [rad] of the table: one cycle from the start in the direction of rotation, or through the range.
+
+    Parameters
+    ----------
+    start : float [rad]
+        First crank angle if the crank turns fully.
+    low, high : float [rad]
+        Limits of the motion. A limited range is shortened by `MARGIN` at either end.
+    speed : float [rad/s]
+        Crank speed; only its sign matters.
+    full : bool
+        Whether the crank turns fully.
+    points : int
+        Steps per revolution, or over the limited range.
+    step : float [rad], optional
+        Step instead of `points`.
+    """
     way = 1.0 if speed > 0.0 else -1.0
     if not full:
         edge = MARGIN * (high - low)
@@ -375,7 +429,7 @@ def analyze(
     speed: float | None = None,
     design: Mapping[str, float] | None = None,
 ) -> Analysis:
-    """Move a machine through its cycle at a constant crank speed: motion, reactions, torque, work.
+    """Analyse a machine over its cycle at constant crank speed: motion, reactions, torque, work.
 
     Parameters
     ----------
@@ -384,16 +438,16 @@ def analyze(
     points : int
         Steps of the table per revolution (or over the range); it has one row more.
     step : float [rad], optional
-        Instead of `points`.
+        Step instead of `points`.
     speed : float [rad/s], optional
-        Of the crank, negative clockwise; that of the problem if left out.
-    design : mapping of quantity to value [SI], optional
-        For problems with free quantities; their starts are taken if left out.
+        Crank speed, negative clockwise. Default: that of the problem.
+    design : mapping of str to float [SI], optional
+        Design variables. Default: their starting values.
 
     Raises
     ------
     InputError
-        when the mechanism cannot be assembled, or an argument is out of range.
+        If the mechanism cannot be assembled, or an argument is out of range.
     """
     model = problem.model
     speed = crank_speed(problem) if speed is None else speed
@@ -414,7 +468,7 @@ def analyze(
     swings: dict[str, Travel] = {}
     strokes: dict[str, Travel] = {}
     unbounded: tuple[str, ...] = ()
-    if ranges.singular:  # nothing is known of a whole motion that two branches continue
+    if ranges.singular:  # two branches continue the motion: it is not determined as a whole
         singular = _undetermined(columns, singular, ranges.singular, low, high)
     else:
         unbounded = unbounded_reactions(machine, ranges.followed, speed)
@@ -467,11 +521,11 @@ PLACES = ("_deg", "_rad", "_m", "time_s", "energy.potential_J")
 
 CONTINUED = 'assembly = "continue" (or ", continue" behind a mode)'
 FAULTS = ("singular", "jammed", "undefined")
-CHUNK = 20_000  # positions of the table that are worked on at a time
+CHUNK = 20_000  # positions of the table per block
 
 
 def _table(machine: Machine, angles: Array, speed: float, work: Work) -> tuple[dict[str, Array], dict[str, str], list[Array]]:
-    """Columns of the table, what they mean, and the positions without finite reactions (by `FAULTS`)."""
+    """Return the columns of the table, their meanings, and the positions without finite reactions (by `FAULTS`)."""
     parts = [Record(machine.moving(angles[k : k + CHUNK], speed)) for k in range(0, len(angles), CHUNK)]
     columns = {"crank_angle_deg": np.degrees(angles), "time_s": np.abs(angles - angles[0]) / abs(speed)}
     meanings = {"crank_angle_deg": "crank angle", "time_s": "time since the first row"}
@@ -486,7 +540,7 @@ def _table(machine: Machine, angles: Array, speed: float, work: Work) -> tuple[d
 
 
 def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[Aligned], low: float, high: float) -> Array:
-    """Take out of the table what singular positions leave without a meaning; return their crank angles [rad] in the motion."""
+    """Remove values without a meaning at singular positions from the table; return the crank angles [rad] of these positions."""
     angles = np.radians(columns["crank_angle_deg"])
     exact = np.array([low + (position.crank_angle - low) % TURN for position in positions])
     exact = np.where(exact - low > TURN - BESIDE, low, exact)
@@ -502,14 +556,14 @@ def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[Al
 
 
 def _beyond(rows: Array, positions: Iterable[Aligned], cycle: float) -> Array:
-    """Crank angles [rad] of rows without finite reactions that are no position through which the motion is led."""
+    """Return crank angles [rad] of rows without finite reactions other than positions through which the motion is continued."""
     for position in positions:
         rows = rows[np.abs(np.remainder(rows - position.crank_angle + 0.5 * cycle, cycle) - 0.5 * cycle) > BESIDE]
     return rows
 
 
 def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: float, work: Work) -> dict[str, Extreme]:
-    """Least and largest of every column over the motion, one-sided where a load jumps."""
+    """Return the least and largest value of every column over the motion, one-sided at load jumps."""
     pins, full, cycle = pin_columns(machine), ranges.full, machine.mechanism.cycle
     passed = np.array([position.crank_angle for position in ranges.followed])
 
@@ -531,7 +585,7 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
     names = [name for name in first.columns if not name.endswith(".angle_rad")]
     names += [name for name, _, _ in pins]
     count = GRID * (max(1, round(cycle / TURN)) if full else 1)
-    step, seam = (high - low) / count, int(full)  # a whole turn has no ends: one step further on either side
+    step, seam = (high - low) / count, int(full)  # a full rotation is periodic: one further step on either side
     even = low + step * np.arange(-seam, count + 1 + seam)
     grid = np.unique(np.concatenate([even, work.jumps]))
     at, best = extremes(values, grid, tuple(work.jumps), [name.rpartition("_")[2] for name in names])
@@ -561,7 +615,15 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
 
 
 def quick_stroke_notes(problem: ProblemFile, machine: Machine, speed: float) -> list[str]:
-    """A note for every load that acts in the quick stroke although the file does not say "quick"."""
+    """Return a note for every load that acts in the quick stroke although the file does not specify "quick".
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    machine : Machine
+    speed : float [rad/s]
+        Crank speed.
+    """
     notes = []
     for item in acting_loads(machine, speed):
         if item.pace == "quick" and problem.model.loads[item.load].stroke != "quick":
@@ -625,7 +687,7 @@ def _notes(
 
 
 def _followed_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]) -> Iterator[str]:
-    """How the motion is led through change points, and what that leaves open."""
+    """Yield notes on the continuation of the motion through change points, and on what it leaves undetermined."""
     turns = round(machine.mechanism.cycle / TURN)
     if ranges.followed:
         yield f"the motion is followed smoothly through the change points at crank angle {listed(ranges.followed)}"
@@ -640,7 +702,7 @@ def _followed_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]
 
 
 def _near(machine: Machine, position: Aligned) -> str:
-    """Where a joint that comes near alignment makes forces peak."""
+    """Return a note on a joint whose near-alignment causes force peaks."""
     joint, amount = position.group.joint, f"{math.degrees(position.angle):.3g} deg"
     where = f"at crank angle {math.degrees(position.crank_angle):.6g} deg"
     name = f"{joint}.transmission_rad"

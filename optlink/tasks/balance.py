@@ -1,4 +1,4 @@
-"""Balancing of a machine with a proof: what `optlink balance`, notebooks and reports call."""
+"""Optimise the balancing of a machine by a convex programme, with an optimality proof."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Progress = Callable[[float], None]
 
 
 class _Task:
-    """A problem made ready: the machine at its positions, what may be added, the programme."""
+    """A prepared problem: the machine at its positions, the possible counterweights and springs, the convex programme."""
 
     def __init__(self, problem: ProblemFile) -> None:
         section = problem.model.balance
@@ -68,7 +68,7 @@ class _Task:
         ranges, low, high = motion_range(self.problem, self.machine, start)
         check_regular(self.problem, ranges, "nothing can be balanced")
         angles = sampled(start, low, high, self.speed, ranges.full, count, None)
-        return angles[:-1] if ranges.full else angles  # the last of a revolution is the first again
+        return angles[:-1] if ranges.full else angles  # the last position of a revolution equals the first
 
     def _check_finite(self) -> None:
         record = Record(self.moving, ())
@@ -85,11 +85,11 @@ class _Task:
             )
 
     def affine(self, measure: Measure) -> Affine:
-        """A quantity as a function of what is added."""
+        """Return a quantity as an affine function of the parameters."""
         return self.effects.affine(measure)
 
     def parts(self, x: Array) -> tuple[tuple[Added, ...], tuple[Fitted, ...]]:
-        """Counterweights and springs of scaled parameters; what is next to nothing is left out."""
+        """Return counterweights and springs of scaled parameters; omit those of negligible size."""
         values = x * self.programme.scales
         added = tuple(
             Added(weight, Parameters(*(float(v) for v in values[4 * k : 4 * k + 4])))
@@ -105,7 +105,7 @@ class _Task:
         return added, springs
 
     def parameters(self, added: Sequence[Added], springs: Sequence[Fitted]) -> Array:
-        """The same as parameters [SI], zero for what was left out."""
+        """Return parameters [SI] of counterweights and springs, zero for omitted ones."""
         found = np.zeros(self.effects.count)
         for k, weight in enumerate(self.counterweights):
             for one in added:
@@ -119,7 +119,7 @@ class _Task:
         return found
 
 
-# --- the answer ---------------------------------------------------------------------------------------------------------------
+# --- the result ---------------------------------------------------------------------------------------------------------------
 
 
 def balance(
@@ -130,24 +130,26 @@ def balance(
     progress: Progress | None = None,
     design: Mapping[str, float] | None = None,
 ) -> Balance:
-    """Choose the counterweights (and springs) of a machine so that a measure is least, and prove it.
+    """Choose counterweights and springs that minimise a measure of a machine, and prove optimality.
 
     Parameters
     ----------
     problem : ProblemFile
         With a section [balance].
     minimise : str, optional
-        A measure, for example "rms shaking force" or "largest reaction at D", in place of that of the problem.
+        Measure, for example "rms shaking force" or "largest reaction at D". Default: that of the problem.
     trade : str, optional
-        Two measures, for example "force,torque": the curve on which neither can be made smaller without making the other
-        larger, at so many `points`.
-    design : mapping of quantity to value [SI], optional
-        For problems with free quantities; their starts are taken if left out.
+        Two measures, for example "force,torque", whose Pareto front is computed.
+    points : int
+        Number of points of the Pareto front, 3 to 1000.
+    progress : function of the completed fraction of the Pareto front, optional
+    design : mapping of str to float [SI], optional
+        Design variables. Default: their starting values.
 
     Raises
     ------
     InputError
-        whatever is wrong with the problem or the arguments.
+        If the problem or an argument is not valid.
     """
     begin = time.perf_counter()
     importlib.import_module("cvxpy")
@@ -175,7 +177,7 @@ def balance(
     added, springs = task.parts(best)
     after = search.evaluate(programme, goal, best)
     scale = before if len(goal) == 1 else 1.0
-    size = max(found.value, 1e-3)  # a value of next to nothing is measured by the given machine
+    size = max(found.value, 1e-3)  # a negligible value is related to the given machine
     gap, slack = max(found.gap, 0.0) / size, max(after - found.value, 0.0) / size
     status = "stalled" if gap > GAP else "relaxed" if slack > GAP else "optimal"
     begin = time.perf_counter()
@@ -232,7 +234,7 @@ def _pair(text: str, task: _Task) -> tuple[Measure, Measure]:
 
 
 def _check(task: _Task, goal: Sequence[tuple[Measure, float]], pair: Sequence[Measure], points: int) -> None:
-    """What is zero already cannot be made less, and no share of it can be told."""
+    """Refuse measures that are zero already: they cannot be reduced, and no relative value is defined."""
     if not 3 <= points <= 1000:
         raise InputError(Fault("out of range", "Give a number from 3 to 1000", key="--points", value=points))
     if len(pair) == 2 and pair[0] == pair[1]:
@@ -257,7 +259,16 @@ def _before(task: _Task, goal: Sequence[tuple[Measure, float]]) -> float:
 
 
 def written(problem: ProblemFile, machine: Machine, added: Sequence[Added], springs: Sequence[Fitted]) -> ProblemFile:
-    """The problem with the counterweights in its bodies and the springs among its loads, as a file would state it."""
+    """Return the problem with the counterweights in its bodies and the springs among its loads.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    machine : Machine
+        Machine without counterweights.
+    added : sequence of Added
+    springs : sequence of Fitted
+    """
     changes: dict[str, object] = {"balance": None}
     for one in added:
         whole = joined(machine.inertias.get(one.body, Inertia()), one.parameters)
@@ -279,7 +290,7 @@ def written(problem: ProblemFile, machine: Machine, added: Sequence[Added], spri
 def _verified(
     task: _Task, added: Sequence[Added], springs: Sequence[Fitted]
 ) -> tuple[ProblemFile, Machine, tuple[Row, ...], float]:
-    """The balanced problem, its machine, all measures before and after by inverse dynamics, and the programme's disagreement."""
+    """Return the balanced problem, its machine, measures before and after by inverse dynamics, and the disagreement."""
     balanced = written(task.problem, task.machine, added, springs)
     machine = machine_of(balanced)
     asked = quantities(task.machine)
@@ -294,7 +305,7 @@ def _verified(
 
 
 def _disagreement(task: _Task, asked: Sequence[Measure], now: Sequence[Array], parameters: Array) -> float:
-    """Largest difference of the affine functions from the inverse dynamics, over the largest amount that meets there."""
+    """Return the largest difference of the affine functions from the inverse dynamics, relative to the largest contribution."""
     worst = 0.0
     for quantity, amount in zip(asked, now, strict=True):
         affine = task.affine(quantity)
@@ -388,7 +399,7 @@ def _trade(task: _Task, first: Measure, second: Measure, count: int, progress: P
 
 
 def _heavier(machine: Machine, added: Sequence[Added], springs: Sequence[Fitted]) -> Machine:
-    """The machine with counterweights and springs."""
+    """Return the machine with counterweights and springs."""
     inertias = dict(machine.inertias)
     for one in added:
         inertias[one.body] = joined(inertias.get(one.body, Inertia()), one.parameters)
@@ -430,7 +441,7 @@ def _notes(
 
 
 def _between(task: _Task, goal: Sequence[tuple[Measure, float]], heavier: Machine) -> list[str]:
-    """What lies between the positions that count, where the largest amount is made small or limited."""
+    """Return notes on higher values between the positions, for largest amounts that are minimised or limited."""
     largest = [m for m in (*(m for m, _ in goal), *(m for m, _ in task.limits.measures)) if m.of == "largest"]
     if not largest:
         return []

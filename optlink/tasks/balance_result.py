@@ -1,4 +1,4 @@
-"""The result of balancing a machine: what was added, what it changes, what its limits cost, the trade-off; as data and JSON."""
+"""Result of balancing: counterweights and springs, measures before and after, shadow prices, trade-off; as data and JSON."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ACTIVE = 1e-6
 
 @dataclass(frozen=True)
 class Added:
-    """A counterweight that was found: what it adds, in the axes of its body [SI]."""
+    """A counterweight of the result: its inertia parameters in the axes of its body [SI]."""
 
     asked: Counterweight
     parameters: Parameters
@@ -79,7 +79,7 @@ class Added:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A spring that was found: stiffness [N/m], free length [m]."""
+    """A spring of the result: stiffness [N/m], free length [m]."""
 
     asked: FreeSpring
     stiffness: float
@@ -96,13 +96,13 @@ class Row:
 
     @property
     def change(self) -> float:
-        """Of its value before; -0.3: by 30 per cent less."""
+        """Relative change; -0.3 is a reduction by 30 per cent."""
         return self.after / self.before - 1.0 if self.before > 0.0 else math.nan
 
 
 @dataclass(frozen=True)
 class Held:
-    """A limit at the optimum; `buys`: share of the objective that one more `step` of it saves, to first order."""
+    """A limit at the optimum; `buys`: first-order share of the objective saved by relaxing it by one `step`."""
 
     name: str
     sense: str
@@ -117,7 +117,7 @@ class Held:
 
 @dataclass(frozen=True)
 class Relaxed:
-    """A limit that cannot hold with the others [people's unit]: what it would have to be, alone (infinite: never) or together."""
+    """A limit that conflicts with others [display unit]: value required if relaxed alone (infinite: never) or together."""
 
     name: str
     sense: str
@@ -129,7 +129,7 @@ class Relaxed:
 
 @dataclass(frozen=True)
 class TradePoint:
-    """A point of the trade-off [SI]: `gap` relative; `made`: both measures by inverse dynamics, with discs that can be made."""
+    """A point of the trade-off [SI]: `gap` relative; `made`: both measures by inverse dynamics, with realisable discs."""
 
     first: float
     second: float
@@ -144,7 +144,7 @@ class TradePoint:
 class Trade:
     """The trade-off between two measures.
 
-    `knee`: the number of the point that bulges furthest from the chord of the ends; None if the curve is as good as straight.
+    `knee`: index of the point farthest from the chord of the ends; None if the curve is practically straight.
     """
 
     first: Measure
@@ -157,24 +157,24 @@ class Trade:
 
     @property
     def ratio(self) -> float:
-        """Time of a further point over that of the first: what the parametrised programme saves."""
+        """Solution time of a further point over that of the first, which the parametrised programme saves."""
         return self.further_seconds / self.first_seconds
 
     @property
     def monotone(self) -> bool:
-        """Whether the first rises and the second falls from point to point."""
+        """Whether the first measure rises and the second falls from point to point."""
         one, other = (np.array([getattr(p, key) for p in self.points]) for key in ("first", "second"))
         return bool(np.all(np.diff(one) >= -AGREES * self.before[0]) and np.all(np.diff(other) <= AGREES * self.before[1]))
 
 
 @dataclass(frozen=True, repr=False)
 class Balance(Summary):
-    """A balanced machine, or the limits that stand against it.
+    """A balanced machine, or the limits that conflict.
 
-    `status`: "optimal", "relaxed" (discs come near the proven bound, not to it), "infeasible" or "stalled". `objective` and
-    `before` in the unit of the measure, or as weighted shares of the given machine; `lower`: what no choice can be below;
-    `gap`: the duality gap, relative; `slack`: by how much what can be made exceeds the bound, relative.
-    `disagreement` of the programme from the inverse dynamics of `balanced`, the problem with the new bodies.
+    `status`: "optimal", "relaxed" (discs come near the proven bound without reaching it), "infeasible" or "stalled". `objective`
+    and `before` in the unit of the measure, or as weighted shares of the given machine; `lower`: proven lower bound; `gap`:
+    relative duality gap; `slack`: relative excess of the realisable design over the bound. `disagreement`: difference of the
+    programme from the inverse dynamics of `balanced`, the problem with the new bodies.
     """
 
     problem: ProblemFile
@@ -207,29 +207,29 @@ class Balance(Summary):
 
     @property
     def unit(self) -> str:
-        """Of the objective."""
+        """Unit of the objective."""
         return self.goal[0][0].unit if len(self.goal) == 1 else ""
 
     @property
     def measure(self) -> str:
-        """What was made small, in words."""
+        """The minimised measure, in words."""
         if len(self.goal) == 1:
             return str(self.goal[0][0])
         return " + ".join(f"{weight:g} {measure}" for measure, weight in self.goal)
 
     @property
     def verified(self) -> bool:
-        """Whether the inverse dynamics of the balanced machine agrees."""
+        """Whether the inverse dynamics of the balanced machine agrees with the programme."""
         return self.disagreement <= AGREES and all(p.disagreement <= AGREES for p in (self.trade.points if self.trade else ()))
 
     @property
     def proven(self) -> bool:
-        """Whether nothing that was allowed can be better."""
+        """Whether the design is proven to be the optimum."""
         return self.status == "optimal"
 
     @property
     def valid(self) -> bool:
-        """Whether it is a design: found, within the limits, and true."""
+        """Whether there is a design that satisfies all limits and is verified."""
         return self.status in ("optimal", "relaxed") and self.verified and self.excess <= ACTIVE
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Thousands of designs of one machine in one call: chosen columns of the analysis, in portions that stay in the cache."""
+"""Analyse thousands of designs of one machine in one call: selected columns of the analysis, in cache-sized blocks."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SAMPLES = 360
 
 
 class Columns(dict[str, Array]):
-    """Columns by name, arrays (designs, points); `singular`: why the motion of a design is not determined, by its number."""
+    """Columns by name, arrays (designs, points); `singular`: message by design index where the motion is not determined."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,31 +54,32 @@ def analyze_batch(
     points: int = 360,
     speed: float | None = None,
 ) -> Columns:
-    """Columns of the analysis for many designs at once.
+    """Return columns of the analysis for many designs at once.
 
     Parameters
     ----------
     problem : ProblemFile
     designs : mapping of quantity (see `optlink show`) to array (designs,) [SI]
-        What is not named keeps its value.
-    columns : names as in `Analysis.columns`
+        Quantities that are not named keep their value.
+    columns : sequence of str
+        Names as in `Analysis.columns`.
     points : int
-        Crank angles per revolution, from the start of the problem on, the last one step before the first. A mechanism that is
-        led through change points gets as many revolutions as the longest cycle of all designs has.
+        Crank angles per revolution, from the start of the problem, the last one a step before the first. A mechanism that is
+        continued through change points gets as many revolutions as the longest cycle of all designs.
     speed : float [rad/s], optional
-        Of the crank; that of the problem if left out.
+        Crank speed. Default: that of the problem.
 
     Returns
     -------
-    columns by name, arrays (designs, points of all revolutions); NaN where a design cannot be assembled, or has no slow
-    stroke in which a load should act, and for designs whose motion is not determined beyond a singular position (`singular` says
-    at which crank angle).
-    Memory beside these arrays does not grow with the number of designs.
+    Columns
+        Arrays (designs, points of all revolutions) by name; NaN where a design cannot be assembled, or has no slow stroke
+        in which a load acts, and for designs whose motion is not determined beyond a singular position (`singular` gives the
+        crank angle). Memory beside these arrays does not grow with the number of designs.
 
     Raises
     ------
     InputError
-        unknown quantities or columns, arrays of different length, values that are not finite.
+        For unknown quantities or columns, arrays of different length, or values that are not finite.
     """
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
@@ -112,7 +113,7 @@ def analyze_batch(
 
 
 def _singular(machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[int, str]:
-    """Why the motion of some of these designs is not determined, by their numbers."""
+    """Return for designs whose motion is not determined, by index, the reason."""
     suspects = near_singular(sweep(machine.mechanism, machine.sizes, angles).pose, angles)
     found = {}
     for k in np.flatnonzero(suspects):
@@ -124,12 +125,12 @@ def _singular(machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[i
 
 
 def _designs(arrays: Mapping[str, Array], part: NDArray[np.intp], *, alone: bool) -> dict[str, Value]:
-    """Quantities of a portion of the designs, arrays (designs, 1), or numbers of its only design."""
+    """Return the quantities of a block of designs as arrays (designs, 1), or as numbers of its only design."""
     return {name: float(values[part[0]]) if alone else values[part, None] for name, values in arrays.items()}
 
 
 def _most_turns(problem: ProblemFile, arrays: Mapping[str, Array]) -> int:
-    """Revolutions of the longest cycle of all designs."""
+    """Return the number of revolutions of the longest cycle of all designs."""
     model, count = problem.model, len(next(iter(arrays.values())))
     sizes, start = sizes_of(model.mechanism.quantities), model.drive.start.value
     each = ({**sizes, **_designs(arrays, np.array([k]), alone=True)} for k in range(count))
@@ -139,7 +140,7 @@ def _most_turns(problem: ProblemFile, arrays: Mapping[str, Array]) -> int:
 def _alike(
     problem: ProblemFile, arrays: Mapping[str, Array], part: NDArray[np.intp], *, alone: bool
 ) -> Iterator[tuple[NDArray[np.intp], bool]]:
-    """The designs of a portion in groups whose slow strokes are the same, and whether every load that needs one has one."""
+    """Group the designs of a block by the direction of their slow strokes, with whether every load that needs one has one."""
     if not any(load.by_pace for load in problem.model.loads.values()):
         yield part, True
         return
@@ -153,26 +154,27 @@ def _alike(
 def batch_extremes(
     problem: ProblemFile, designs: Mapping[str, ArrayLike], columns: Sequence[str]
 ) -> tuple[dict[str, Array], NDArray[np.bool_]]:
-    """Exact extremes of columns over the revolution for many designs at once, as those of `optlink.analyze`.
+    """Return exact extremes of columns over the revolution for many designs at once, as those of `optlink.analyze`.
 
     Parameters
     ----------
     problem : ProblemFile
         Its machine has no loads that jump (`Machine.switching`).
     designs : mapping of quantity to array (designs,) [SI]
-        What is not named keeps its value.
-    columns : names as in `Analysis.columns`, or `B.f_N` for the magnitude of a reaction; no angles of bodies
+        Quantities that are not named keep their value.
+    columns : sequence of str
+        Names as in `Analysis.columns`, or `B.f_N` for the magnitude of a reaction; no angles of bodies.
 
     Returns
     -------
     extremes : arrays (designs, 2) by name, the least and the largest value
     clear : array (designs,) of bool
-        Which designs keep clear of every singular position. The extremes of the others mean nothing.
+        Designs that are clear of singular positions. The extremes of the others are meaningless.
 
     Raises
     ------
     InputError
-        as `analyze_batch`.
+        As `analyze_batch`.
     """
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
@@ -201,12 +203,12 @@ def batch_extremes(
 
 
 def reaction_parts(name: str) -> tuple[str, ...]:
-    """The columns whose root sum square a column is: the components of the magnitude of a reaction, else itself."""
+    """Return the columns whose root sum square is the named column: reaction components, else the column itself."""
     return (f"{name[:-4]}.fx_N", f"{name[:-4]}.fy_N") if name.endswith(".f_N") else (name,)
 
 
 def _column(machine: Machine, speed: float, name: str, angles: Array) -> Array:
-    """A column of a batch of designs at crank angles (1, n) or (designs, n)."""
+    """Return a column of a batch of designs at crank angles (1, n) or (designs, n)."""
     record = Record(machine.moving(angles, speed), reaction_parts(name))
     values = [record[part] for part in reaction_parts(name)]
     return values[0] if len(values) == 1 else np.hypot(*values)

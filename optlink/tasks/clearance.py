@@ -1,4 +1,4 @@
-"""Simulation of a machine with clearance in its joints: what `optlink simulate`, notebooks and reports call."""
+"""Simulate a machine with joint clearance over revolutions of the crank."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ COARSER = 30.0
 
 @dataclass(frozen=True, repr=False)
 class LooseSimulation(Summary):
-    """A machine with clearance in time.
+    """Simulation of a machine with joint clearance.
 
-    `columns` by name over the rows of the last revolutions (all, up to `KEPT`), `meanings` of them; `turns`: figures of each
-    revolution, (revolutions,) arrays; `impacts` in the order of their ends, those that last at the end of all; `section`: a row
-    of each revolution's end.
+    `columns` by name over the rows of the retained revolutions, `meanings` describe them; `turns`: figures of each
+    revolution, (revolutions,) arrays; `impacts` ordered by their ends, those still in contact last; `section`: one row per
+    revolution, at its end.
     """
 
     problem: ProblemFile
@@ -90,7 +90,7 @@ class LooseSimulation(Summary):
         return int(self.figures["revolutions"])
 
     def to_dict(self) -> dict[str, Any]:
-        """The simulation as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        """Return the simulation as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
         predicted = self.prediction
         return finite(  # type: ignore[no-any-return]
             {
@@ -121,7 +121,7 @@ class LooseSimulation(Summary):
 
 @dataclass(frozen=True)
 class _Setting:
-    """Everything that one run is made of."""
+    """All settings of one run."""
 
     file: ProblemFile
     machine: Machine
@@ -130,12 +130,12 @@ class _Setting:
     control: Control
     servo: Servo | None
     start: float
-    speed: float  # at the beginning
+    speed: float  # initial
     nominal: float
     points: int
 
     def plant(self, tolerance: float) -> Plant:
-        """A machine at the beginning, with its controller."""
+        """Return the machine in its initial state, with its controller."""
         section = self.file.model.control
         sampled = self.control.fed_back and section is not None
         try:
@@ -165,7 +165,7 @@ class _Setting:
 
     @cached_property
     def drive(self) -> Drive:
-        """What moves the crank."""
+        """Drive of the crank."""
         if self.servo is None:
             return Drive(torque=self.file.model.drive.torque)
         section = self.file.model.control
@@ -180,7 +180,7 @@ class _Setting:
 
     @property
     def regularisation(self) -> float:
-        """Of the inverse [m/rad, 1]: what the file says, else a tenth of the output's largest rate per crank angle."""
+        """Regularisation of the inverse [m/rad, 1]: that of the file, else a tenth of the largest output rate per crank angle."""
         section = self.file.model.control
         if section is not None and section.regularisation is not None:
             return section.regularisation.value
@@ -205,44 +205,48 @@ def simulate_clearance(
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
     resume: Mapping[str, Any] | None = None,
 ) -> LooseSimulation:
-    """Move a machine whose joints have clearance, from the state that it would have without.
+    """Simulate a machine with joint clearance from the state of the machine without clearance.
 
     Parameters
     ----------
     problem : ProblemFile
         From `optlink.load`; at least one joint has a clearance.
     revolutions : int
-        Of the nominal speed.
+        Duration in revolutions at the nominal speed.
     points : int
         Rows per revolution.
     speed : float [rad/s], optional
-        Nominal speed of the crank; that of the problem if left out.
+        Nominal crank speed. Default: that of the problem.
     control : str
         "none", "inverse", "pid" or "inverse+pid"; all but the first need `[drive] servo` and `[control]`.
     start : float [rad], optional
-        Crank angle at the beginning; that of the problem if left out.
+        Initial crank angle. Default: that of the problem.
+    design : mapping of str to float [SI], optional
+        Design variables. Default: their starting values.
     flywheel : float [kg m^2]
-        Further inertia at the crank.
+        Additional inertia at the crank.
     tolerance : float
-        Relative, of the integrator; absolute a thousandth of it (SI).
+        Relative tolerance of the integrator; the absolute one is a thousandth of it (SI).
     twin : bool
-        Whether a second run of a coarser tolerance shows how long the motion can be predicted.
-    progress : function of the share that is done, optional
+        Whether a second run at a coarser tolerance determines how long the motion is predictable.
+    progress : function of the completed fraction, optional
     stream : function of the rows of a revolution, optional
-        Called with every revolution as it is done; memory does not grow with their number.
+        Called after every revolution; memory does not grow with their number.
     checkpoint : function of a document, optional
-        Called every few seconds, and when the work breaks off, with all that `resume` needs; plain numbers, fit for JSON.
+        Called every few seconds and on termination with all data that `resume` needs, JSON compatible.
     resume : mapping, optional
-        Such a document: the run goes on from there, to the same digits as one that was never interrupted. The rows of before are
-        not in it.
+        Such a document: the run continues from there, with results identical to an uninterrupted run. It does not contain the
+        earlier rows.
 
     Returns
     -------
-    LooseSimulation; where the integration stalls or is interrupted, what was computed until then.
+    LooseSimulation
+        If the integration stalls or is interrupted, the results until then.
 
     Raises
     ------
     InputError
+        If such a simulation is not possible, or the checkpoint belongs to another run.
     """
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)
@@ -346,7 +350,7 @@ def simulate_clearance(
 
 
 def counted(revolutions: int) -> int:
-    """How many of the revolutions of a run the statistics count: the last ones."""
+    """Return the number of last revolutions of a run that the statistics include."""
     return revolutions - SETTLED if revolutions > 2 * SETTLED else revolutions
 
 
@@ -360,7 +364,7 @@ def checked_output(
     speed: float | None = None,
     design: Mapping[str, float] | None = None,
 ) -> Output:
-    """The output whose deviation a simulation with these options measures.
+    """Check the options of a simulation, and return the output whose deviation it measures.
 
     Parameters
     ----------
@@ -370,7 +374,7 @@ def checked_output(
     Raises
     ------
     InputError
-        when such a simulation is not possible.
+        If such a simulation is not possible.
     """
     setting = _setting(problem, points, speed, control, None, design, 0.0)
     _check(revolutions, points, tolerance)
@@ -380,7 +384,7 @@ def checked_output(
 
 @contextlib.contextmanager
 def _interruptible(plants: Sequence[Plant]) -> Iterator[None]:
-    """Let an interrupt from the keyboard end the work after the present call of the integrator; a second one at once."""
+    """End the work after the present integrator call on a keyboard interrupt; at once on a second one."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not (
         signal.default_int_handler
     ):
@@ -404,7 +408,7 @@ def _interruptible(plants: Sequence[Plant]) -> Iterator[None]:
 
 
 def _check_resume(resume: Mapping[str, Any], label: Mapping[str, Any], revolutions: int) -> None:
-    """Go on only with what was begun."""
+    """Refuse a checkpoint of other options, or a damaged one."""
     for name, value in label.items():
         if resume.get(name) != value:
             message = f"the checkpoint is that of another run: its {name} is {resume.get(name)!r}, not {value!r}"
@@ -493,7 +497,7 @@ def _check(revolutions: int, points: int, tolerance: float) -> None:
 
 
 def _state(plant: Plant) -> str:
-    """Coordinates and their rates, for people."""
+    """Return the coordinates and their rates as text."""
     cut, state = plant.equations.cut, plant.integration.state
     units = {"angle": "rad", "x": "m", "y": "m", "slide": "m"}
     pairs = zip(cut.coordinates, state[: plant.equations.size], state[plant.equations.size :], strict=True)

@@ -1,4 +1,4 @@
-"""What control makes of clearance: all kinds of control from several starts in one table, and the tuning of its parameters."""
+"""Compare kinds of clearance control from several starts, and tune controller parameters."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ KINDS = tuple(str(kind) for kind in Control)
 
 @dataclass(frozen=True)
 class Trials:
-    """One kind of control from several starts: root mean square and peak of the error [m, rad], correction, torque; (starts,).
+    """One kind of control from several starts: rms and peak of the error [m, rad], correction, torque; arrays (starts,).
 
-    `correction` [rad] and `torque` [N m]: root mean squares, what the control costs.
+    `correction` [rad] and `torque` [N m] are root mean squares of the control effort.
     """
 
     rms: Array
@@ -41,20 +41,20 @@ class Trials:
 
     @property
     def mean(self) -> float:
-        """Mean of the root mean squares."""
+        """Mean of the rms errors."""
         return float(np.mean(self.rms))
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the root mean squares."""
+        """Standard deviation of the rms errors."""
         return float(np.std(self.rms, ddof=1)) if len(self.rms) > 1 else 0.0
 
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Summary):
-    """What control makes of clearance: `trials` by kind of control, from crank angles `starts` (starts,) [rad].
+    """Comparison of control: `trials` by kind of control, from initial crank angles `starts` (starts,) [rad].
 
-    `examples`: the simulations from the first start, for pictures.
+    `examples`: the simulations from the first start, for figures.
     """
 
     problem: ProblemFile
@@ -71,11 +71,11 @@ class Comparison(Summary):
         return all(trials.finished for trials in self.trials.values())
 
     def gain(self, kind: str) -> float:
-        """Share of the uncompensated error (mean of the starts) that a kind of control takes away."""
+        """Return the fraction of the uncompensated error (mean over the starts) that a kind of control removes."""
         return 1.0 - self.trials[kind].mean / self.trials["none"].mean
 
     def to_dict(self) -> dict[str, Any]:
-        """The comparison as a JSON document (SI)."""
+        """Return the comparison as a JSON document (SI)."""
         return finite(  # type: ignore[no-any-return]
             {
                 **head(SCHEMA, self.problem, "finished" if self.finished else "stalled", self.seed),
@@ -88,11 +88,19 @@ class Comparison(Summary):
 
 
 def starts_of(count: int, seed: int) -> Array:
-    """Crank angles at the start [rad] (count,), drawn evenly from a revolution.
+    """Return uniformly distributed initial crank angles (count,) [rad].
+
+    Parameters
+    ----------
+    count : int
+        1 to 10,000.
+    seed : int
+        Seed of the random numbers, not negative.
 
     Raises
     ------
     InputError
+        If an argument is out of range.
     """
     if not 1 <= count <= 10_000:
         raise InputError(Fault("out of range", "Give a number from 1 to 10,000", key="starts", value=count))
@@ -102,7 +110,7 @@ def starts_of(count: int, seed: int) -> Array:
 
 
 def _trials(runs: Sequence[Ran]) -> Trials:
-    """One kind of control from its runs."""
+    """Return the figures of one kind of control from its runs."""
     unit = runs[0].unit
     names = (f"rms_{unit}", f"peak_{unit}", "correction_rms_rad", "torque_rms_Nm")
     rms, peak, correction, torque = np.array([[run.figures[name] for name in names] for run in runs]).T
@@ -125,33 +133,44 @@ def compare(
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
     resume: Mapping[str, Any] | None = None,
 ) -> Comparison:
-    """Run every kind of control from several random starts of the crank.
+    """Run every kind of control from several random initial crank angles.
 
     Parameters
     ----------
     problem : ProblemFile
         With clearance, a servo and a controller.
     revolutions : int
-        Of each run; the first five are left out of its statistics where there are more than ten.
-    starts, seed : int
-        Number of crank angles at the start, and the seed that they are drawn with.
+        Revolutions per run; statistics omit the first five of more than ten.
+    starts : int
+        Number of initial crank angles.
+    seed : int
+        Seed of the initial crank angles.
     kinds : sequence of str
-        Which kinds of control.
+        Kinds of control.
+    speed : float [rad/s], optional
+        Nominal crank speed. Default: that of the problem.
+    points : int
+        Rows per revolution.
+    tolerance : float
+        Relative tolerance of the integrator.
+    design : mapping of str to float [SI], optional
+        Design variables. Default: their starting values.
     workers : int, optional
-        Processes to begin, which share the runs; left out: this process does all. Results are the same for any number. A script
-        that begins processes must keep its own work below `if __name__ == "__main__":`.
-    progress : function of the share that is done, optional
-        All kinds run from the first start first, so that what is left takes about as long as the share says.
+        Number of processes that share the runs. Default: the present process only. Results do not depend on it. A script
+        that starts processes must guard its code by `if __name__ == "__main__":`.
+    progress : function of the completed fraction, optional
+        All kinds run from the first start first, so that the fraction predicts the remaining time.
     checkpoint : function of a document, optional
-        Called after every run with all that are complete; plain numbers, fit for JSON.
+        Called after every run with all complete runs, JSON compatible.
     resume : mapping, optional
-        Such a document: runs that are in it are not repeated.
+        Such a document: runs contained in it are not repeated.
 
     Raises
     ------
     InputError
+        If such simulations are not possible, or the checkpoint belongs to other options.
     KeyboardInterrupt
-        when it is interrupted; the last checkpoint has what is complete.
+        On interruption; the last checkpoint contains all complete runs.
     """
     angles = starts_of(starts, seed)
     common: dict[str, Any] = {
@@ -165,7 +184,7 @@ def compare(
     label["design"] = None if design is None else dict(design)
     _check_options(problem, kinds, common)
     kept = {} if resume is None else _kept(resume, label)
-    # start by start, so that what is done says how long the rest takes; pictures need the first start of each kind whole
+    # ordered by start, so that the progress predicts the remaining time; figures need the whole first run of each kind
     order = [(kind, k) for k in range(starts) for kind in kinds]
     runs: dict[tuple[str, int], Ran] = {key: kept[key] for key in order if key in kept and key[1] > 0}
     todo = [key for key in order if key not in runs]
@@ -191,7 +210,7 @@ def compare(
 
 
 def _check_options(problem: ProblemFile, kinds: Sequence[str], options: Mapping[str, Any]) -> None:
-    """Refuse what no run can be made of before any process is begun."""
+    """Refuse options that no run accepts, before any process starts."""
     for kind in kinds:
         checked_output(problem, control=kind, **options)
 
@@ -202,12 +221,12 @@ def _document(key: tuple[str, int], ran: Ran) -> dict[str, Any]:
 
 
 def _kept(resume: Mapping[str, Any], label: Mapping[str, Any]) -> dict[tuple[str, int], Ran]:
-    """The runs of a checkpoint.
+    """Return the runs of a checkpoint.
 
     Raises
     ------
     InputError
-        when it is damaged, or that of other options.
+        If the checkpoint is damaged or belongs to other options.
     """
     _same(resume, label)
     try:
@@ -246,11 +265,11 @@ RANGES: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True, repr=False)
 class Tuning(Summary):
-    """A search for the parameters of a controller: `tried` values by name (evaluations,), their costs and scatters [m, rad].
+    """Tuning of controller parameters: `tried` values by name (evaluations,), their costs and scatters [m, rad].
 
-    `problem`: the one with the `best` values, which are empty where its own were better. A cost is the mean root mean square of
-    the error over the starts; of two costs that differ by less than the scatter neither is better. It is infinite where a run
-    stalled, or was stopped because its error alone made the mean exceed the best so far.
+    `problem`: the problem with the `best` values, which are empty if its own were better. The cost is the mean rms
+    error over the starts; costs that differ by less than the scatter are equivalent. It is infinite if a run
+    stalled, or was stopped because its error alone raised the mean above the best so far.
     """
 
     problem: ProblemFile
@@ -268,7 +287,7 @@ class Tuning(Summary):
     unit: str = "m"
 
     def to_dict(self) -> dict[str, Any]:
-        """The search as a JSON document (SI)."""
+        """Return the tuning as a JSON document (SI)."""
         return finite(  # type: ignore[no-any-return]
             {
                 **head(TUNING, self.problem, "finished", self.seed),
@@ -302,11 +321,11 @@ def tune(
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
     resume: Mapping[str, Any] | None = None,
 ) -> Tuning:
-    """Find parameters of a controller that make the mean error over several starts small.
+    """Minimise the mean error over several starts with respect to controller parameters.
 
-    Half of the evaluations are Sobol points over `RANGES`, the others draw nearer and nearer to the best so far: the cost of a
-    chaotic machine is noisy, so no slope is trusted. Every value is compared from the same starts. A run stops as soon as its
-    error alone makes the mean exceed the best so far. Where none is better than the problem's own parameters, these stay.
+    Half of the evaluations are Sobol points over `RANGES`, the others contract around the best so far: the cost of a
+    chaotic machine is noisy, so no derivatives are used. All values are compared from the same starts. A run stops as soon as its
+    error alone raises the mean above the best so far. If none is better than the parameters of the problem, these remain.
 
     Parameters
     ----------
@@ -315,17 +334,28 @@ def tune(
     control : str
         Kind of control: "inverse", "pid" or "inverse+pid".
     names : sequence of str
-        Of `RANGES`.
-    evaluations, starts, revolutions : int
-        What the search may cost: their product, in revolutions.
-    workers, progress, checkpoint, resume
-        As in `compare`; the checkpoint has every evaluation that is complete.
+        Parameters to tune, from `RANGES`.
+    evaluations : int
+        Number of parameter sets, 4 to 100,000.
+    starts : int
+        Number of initial crank angles.
+    seed : int
+        Seed of the initial crank angles and of the search.
+    revolutions : int
+        Revolutions per run.
+    speed, points, tolerance, design
+        As in `compare`.
+    workers, progress, resume
+        As in `compare`.
+    checkpoint : function of a document, optional
+        Called after every evaluation with all complete evaluations, JSON compatible.
 
     Raises
     ------
     InputError
+        If an argument is out of range, such simulations are not possible, or the checkpoint belongs to other options.
     KeyboardInterrupt
-        when it is interrupted; the last checkpoint has what is complete.
+        On interruption; the last checkpoint contains all complete evaluations.
     """
     from scipy.stats import qmc
 
@@ -349,7 +379,7 @@ def tune(
     label = {**common, "schema": TUNING, "problem_hash": problem.hash, "control": control, "names": list(names)}
     label |= {"evaluations": evaluations, "starts": starts, "seed": seed, "design": None if design is None else dict(design)}
     kept = [] if resume is None else _kept_costs(resume, label)
-    done: list[tuple[float, float]] = []  # cost and scatter: of the problem's own parameters, then of every evaluation
+    done: list[tuple[float, float]] = []  # cost and scatter: of the parameters of the problem, then of every evaluation
 
     def cost(changed: ProblemFile) -> float:
         if len(done) < len(kept):
@@ -402,7 +432,7 @@ def tune(
 
 
 def _kept_costs(resume: Mapping[str, Any], label: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """The costs and scatters of a checkpoint."""
+    """Return the costs and scatters of a checkpoint."""
     _same(resume, label)
     try:
         return [
@@ -414,7 +444,7 @@ def _kept_costs(resume: Mapping[str, Any], label: Mapping[str, Any]) -> list[tup
 
 
 def _sizes(problem: ProblemFile, output: Output, design: Mapping[str, float] | None) -> dict[str, float]:
-    """What the relative parameters are measured by [SI]."""
+    """Return the reference values of relative parameters [SI]."""
     servo = problem.model.drive.servo
     return {
         "regularisation": float(np.max(machine_of(problem, design).size)) if output.guide else 1.0,
@@ -423,7 +453,7 @@ def _sizes(problem: ProblemFile, output: Output, design: Mapping[str, float] | N
 
 
 def _values(names: Sequence[str], values: Array, size: Mapping[str, float], unit: str) -> dict[str, str | float]:
-    """Parameters as a problem file states them."""
+    """Return parameters in the form of a problem file."""
     units = {"regularisation": unit, "bandwidth": "rad/s"}
     found: dict[str, str | float] = {}
     for name, value in zip(names, values, strict=True):

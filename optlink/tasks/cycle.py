@@ -1,4 +1,4 @@
-"""From a machine and what its cycle shall cost to a proven design: build, search from many starts, follow the peaks, prove."""
+"""Optimise cycle quantities of a machine: build, multistart search, exchange of peak positions, validation."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 MAX_STARTS = 10_000
 ALIKE = 1e-6  # relative, of the objectives of two designs of one continuum
-MOST_NODES, EXACT = 400, 1e-7  # positions per revolution, and the share to which an integral must be that of the fine sweep
+MOST_NODES, EXACT = 400, 1e-7  # positions per revolution, and relative accuracy of integrals against the fine sweep
 
 
 def solve(
@@ -42,25 +42,25 @@ def solve(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> MachineDesign:
-    """Find the sizes that make the objective least within the limits, and prove them.
+    """Find the dimensions that minimise the objective within the limits, and validate them.
 
     Parameters
     ----------
     problem : ProblemFile
         From `optlink.load`, with an [objective].
     backend : "slsqp", "ipopt" or "both"
-        Both: each searches for itself, the better design is taken, and they must agree.
+        With "both" each solver searches separately, the better design is used, and the results must agree.
     starts : int, optional
-        The given sizes, and random ones that move alike; 8 if left out. A larger number contains those of a smaller one
-        and the best design of all is taken, so that more are never worse.
+        Number of starting points: the given dimensions, and random ones with the same order of reversals. Default: 8. A larger
+        number contains the starting points of a smaller one, so that more are never worse.
     seed : int
-        Of the random sizes.
-    progress : function of the share that is done, optional
+        Seed of the random dimensions.
+    progress : function of the completed fraction, optional
 
     Raises
     ------
     InputError
-        when nothing is free, or an argument is out of range.
+        If there are no design variables, or an argument is out of range.
     """
     from optlink.optimization.cycle_signals import Trace
     from optlink.solvers import multistart
@@ -71,7 +71,7 @@ def solve(
     task, count = task_of(problem), STARTS if starts is None else starts
     names = multistart.BACKENDS if backend == "both" else (backend,)
     for name in names:
-        multistart.backend(name)  # imports are nobody's solving time
+        multistart.backend(name)  # imports do not count as solving time
     clock = [time.perf_counter()]
     try:
         trace = Trace(task, slow=task.slow_assumed)
@@ -126,12 +126,12 @@ def solve(
 
 
 def _firsts(problem: ProblemFile, samples: Samples, count: int) -> list[Begin]:
-    """Where to search: sizes that move as the first ones in which every output with a stroke goes to and fro.
+    """Return starting points: dimensions that move like the first ones in which every output with a stroke reciprocates.
 
     Raises
     ------
     InputError
-        when in none of the sizes that turn fully such an output goes to and fro.
+        If such an output reciprocates in none of the dimensions that turn fully.
     """
     from optlink.solvers.cycle_search import begins
 
@@ -154,7 +154,7 @@ def _firsts(problem: ProblemFile, samples: Samples, count: int) -> list[Begin]:
 
 
 def _notes(problem: ProblemFile, result: Searched, winner: Solution, count: int, equal: Continuum | None) -> Iterator[str]:
-    """What a user should know of the search and of the design beside the figures."""
+    """Yield notes on the search and the design."""
     from optlink.solvers.cycle_search import SAMPLES
 
     task = task_of(problem)
@@ -172,7 +172,7 @@ def _notes(problem: ProblemFile, result: Searched, winner: Solution, count: int,
 
 
 def _continuum_note(equal: Continuum) -> str:
-    """That a continuum of designs is equally good, and how to pick one."""
+    """Return a note that a continuum of designs is equally good, and how to select one."""
     if equal.scale:
         return f"all lengths may be scaled together: the objective and the limits stay the same; fix one, for example {equal.fix}"
     changes = ", ".join(f"{name} {share:+.3g}" for name, share in equal.changes.items() if name != equal.fix)
@@ -181,7 +181,7 @@ def _continuum_note(equal: Continuum) -> str:
 
 
 def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equal: Continuum | None) -> tuple[Optimum, ...]:
-    """Distinct proven designs, the answer first; a continuum of equally good ones counts as one."""
+    """Return distinct validated designs, the solution first; a continuum of equally good ones counts as one."""
     from optlink.solvers.multistart import SAME_DESIGN
 
     free = len(task.free)
@@ -199,7 +199,14 @@ def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equ
 
 
 def validate(problem: ProblemFile, values: Mapping[str, float]) -> MachineDesign:
-    """Prove given sizes [SI], or show where they fail; those that are not named are those of the file."""
+    """Validate given dimensions, or show where they fail.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    values : mapping of str to float [SI]
+        Design variables; those not named have their value in the file.
+    """
     task, begin = task_of(problem), time.perf_counter()
     own = {name: values.get(name, task.quantities[name].value) for name in task.free}
     proof = validate_cycle(task, own)
@@ -223,7 +230,7 @@ def _check(problem: ProblemFile, backend: str, starts: int | None, seed: int) ->
 
 
 def _strokeless(task: CycleProblem, trace: Trace, structure: Structure) -> tuple[str, Term, int] | None:
-    """A term of a stroke whose output has too few dead centres, with their number: a time ratio wants exactly two of them."""
+    """Return a stroke term whose output has too few dead centres, with their number: a time ratio requires exactly two."""
     placed: list[tuple[str, Term]] = [("objective", goal) for goal in task.goals]
     for key, term in [*placed, *((bound.key, bound.term) for bound in task.bounds)]:
         if term.ended:
@@ -234,7 +241,7 @@ def _strokeless(task: CycleProblem, trace: Trace, structure: Structure) -> tuple
 
 
 def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: float) -> MachineDesign:
-    """No sizes within the bounds were found with which the crank turns fully."""
+    """Return the result for a problem without dimensions within the bounds for which the crank turns fully."""
     from optlink.solvers.cycle_search import SAMPLES
 
     task = task_of(problem)
@@ -249,7 +256,7 @@ def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: float) -> Ma
 
 
 def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
-    """Double the positions until integrals are those that are measured, and search on from what was found."""
+    """Double the positions until integrals agree with those of the validation, and continue the search."""
     from optlink.optimization.cycle_nlp import NODES, build_cycle
     from optlink.solvers import multistart
     from optlink.solvers.semi_infinite import level, peaks
@@ -280,12 +287,12 @@ def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[st
 
 
 def _ends(bound: Bound) -> list[float]:
-    """What a figure is limited by [SI]; a millionth of nothing is no accuracy."""
+    """Return the limits of a figure [SI] other than zero, the reference of relative accuracy."""
     return [value for value in (bound.interval.low, bound.interval.high) if value] or [1e-300]
 
 
 def _agreement(found: Mapping[str, Solution]) -> tuple[Check, ...]:
-    """Both back ends found the same figure, and the same sizes unless several are equally good."""
+    """Check that both solvers found the same objective, and the same dimensions unless several are equally good."""
     from optlink.solvers.multistart import SAME_DESIGN, compare
 
     one, other = found.values()

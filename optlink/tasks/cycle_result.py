@@ -1,4 +1,4 @@
-"""The result of designing a machine by its cycle: the sizes with their proof, what they change, as data and JSON."""
+"""Result of optimising cycle quantities: dimensions with their validation, figures before and after, as data and JSON."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SCHEMA = "optlink/machine-design/1"
 
 @dataclass(frozen=True)
 class Told:
-    """A figure of the machine as people read it, of the given start and of the design found."""
+    """A figure in its display unit, of the initial design and of the result."""
 
     name: str
     words: str
@@ -45,9 +45,9 @@ class Told:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MachineDesign(Summary):
-    """A machine with its proof, or why there is none.
+    """A machine with its validation, or the reason why there is none.
 
-    `values`: free sizes [SI]; `objective`: what is minimised [SI], negative where a term shall be large.
+    `values`: design variables [SI]; `objective`: minimised value [SI], negative for a maximised term.
     """
 
     problem: ProblemFile
@@ -172,11 +172,11 @@ class MachineDesign(Summary):
         return Told(name, term.words, values[0], values[1], limit, unit)
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
-        """The result with further checks."""
+        """Return the result with further checks."""
         return replace(self, validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
         task = self.task
         document = heading(SCHEMA, self) | {
             "design": people(task, self._all(self.values)),
@@ -191,13 +191,20 @@ class MachineDesign(Summary):
 
 
 def task_of(problem: ProblemFile) -> CycleProblem:
-    """The model of a problem that designs a machine."""
+    """Return the model of a problem that optimises cycle quantities."""
     assert isinstance(problem.model, CycleProblem)
     return problem.model
 
 
 def measured(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None:
-    """A design in motion; None where it cannot be made."""
+    """Return a design in motion, or None if it cannot be built.
+
+    Parameters
+    ----------
+    task : CycleProblem
+    values : mapping of str to float [SI]
+        Quantities; those not named have their value in the file.
+    """
     try:
         return Cycle(task, values)
     except Unusable:
@@ -205,11 +212,24 @@ def measured(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None:
 
 
 def people_unit(task: CycleProblem, name: str) -> tuple[float, str]:
-    """Factor from SI, and unit, in which people read a quantity."""
+    """Return the factor from SI and the display unit of a quantity.
+
+    Parameters
+    ----------
+    task : CycleProblem
+    name : str
+        Name of a quantity.
+    """
     kind = task.quantities[name].kind
     return 1.0 / factor(KINDS[kind].people, kind), KINDS[kind].people
 
 
 def people(task: CycleProblem, values: Mapping[str, float]) -> dict[str, float]:
-    """Quantities in the units that their keys end in."""
+    """Return quantities in their display units, each unit appended to the key.
+
+    Parameters
+    ----------
+    task : CycleProblem
+    values : mapping of str to float [SI]
+    """
     return {f"{name}_{people_unit(task, name)[1]}": value * people_unit(task, name)[0] for name, value in values.items()}

@@ -1,10 +1,15 @@
-"""The error of a design against the size of its task, and the likely reasons where it is large.
+"""Grade the error of a design relative to the size of its task, with likely reasons for a poor fit.
 
-A transmission angle is graded by its least value: 45 deg and 40 deg, the least values that textbooks recommend.
+The transmission angle is graded by its least value: 45 deg and 40 deg, the least values that textbooks recommend.
 
-Source: R. L. Norton, Design of Machinery, McGraw-Hill, section on the transmission angle (about 40 deg); J. J. Uicker,
-G. R. Pennock, J. E. Shigley, Theory of Machines and Mechanisms, Oxford, section on the transmission angle (45 deg or 50 deg);
-survey: S. S. Balli, S. Chand, Transmission angle in mechanisms, Mechanism and Machine Theory 37 (2002) 175-195.
+References
+----------
+R. L. Norton, Design of Machinery, McGraw-Hill, section on the transmission angle (about 40 deg).
+
+J. J. Uicker, G. R. Pennock, J. E. Shigley, Theory of Machines and Mechanisms, Oxford, section on the transmission angle (45 deg
+or 50 deg).
+
+S. S. Balli, S. Chand, Transmission angle in mechanisms, Mechanism and Machine Theory 37 (2002) 175-195 (survey).
 """
 
 from __future__ import annotations
@@ -30,19 +35,19 @@ from optlink.validation.path import Deviations
 Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
 
-EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest shares of these grades; beyond, a fit is poor
+EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
 GOOD_ANGLE, FAIR_ANGLE = math.radians(45.0), math.radians(40.0)  # least transmission angles of these grades
-ROUNDING = 1e-6  # rad, below such an angle: an active limit of 40 deg is met but for rounding
-GAIN = 0.9  # share of the error that moving the linkage must undercut to be named a reason
-NEAR = 0.5  # share of the error within which the curve must pass for the crank angles to be named a reason
-PRICED = 1e-2  # of the objective: least price of a limit, times its bound, that is named a reason
+ROUNDING = 1e-6  # rad: rounding tolerance, so that an active limit of 40 deg counts as satisfied
+GAIN = 0.9  # fraction of the error below which a displaced linkage counts as a reason
+NEAR = 0.5  # fraction of the error below which the distance of the curve makes the crank angles a reason
+PRICED = 1e-2  # least share of a limit in the sum of multiplier times bound that counts as a reason
 ALONG = 721  # positions along a motion
-MOST = 2  # active limits that are named
+MOST = 2  # largest number of active limits given as reasons
 
 
 @dataclass(frozen=True)
 class Reason:
-    """Why a fit may be poor, measured on the design, and what to change."""
+    """A measured reason for a poor fit, and its remedy."""
 
     reason: str
     remedy: str
@@ -50,9 +55,9 @@ class Reason:
 
 @dataclass(frozen=True)
 class Fit:
-    """Root mean square error of a design against the size of its task.
+    """Root mean square error of a design relative to the size of its task.
 
-    `error` and `size` in `unit` (m, rad); `of` says what the size is; `reasons` where the fit is poor.
+    `error` and `size` in `unit` (m, rad); `of` names the size; `reasons` only for a poor fit.
     """
 
     error: float
@@ -76,13 +81,13 @@ class Fit:
 
     @property
     def text(self) -> str:
-        """The grade with the figure that it rests on."""
+        """The grade with its figure."""
         if self.grade == "exact":
             return "exact fit"
         return f"{self.grade} fit: rms error is {100.0 * self.share:.2g} % of {self.of}"
 
     def to_dict(self) -> dict[str, Any]:
-        """As a JSON object [m, rad]."""
+        """Return the fit as a JSON object [m, rad]."""
         reasons = [vars(each) | {} for each in self.reasons]
         return {**{k: getattr(self, k) for k in ("grade", "share", "error", "size", "unit", "of")}, "reasons": reasons}
 
@@ -104,7 +109,7 @@ class TransmissionFit(Fit):
 
     @property
     def text(self) -> str:
-        """The grade with the figure that it rests on."""
+        """The grade with its figure."""
         advised = f", below {math.degrees(FAIR_ANGLE):.0f} deg" if self.grade == "poor" else ""
         return f"{self.grade} transmission: least transmission angle is {_degrees(self.angle)}{advised}"
 
@@ -112,16 +117,18 @@ class TransmissionFit(Fit):
 def transmission_fit(
     least: float, quantities: Mapping[str, Quantity], values: Mapping[str, float], limits: Sequence[LimitState] = ()
 ) -> TransmissionFit | None:
-    """Grade of a design whose transmission angle is optimised; None where it has no transmission angle.
+    """Grade a design whose transmission angle is optimised; return None if it has no transmission angle.
 
     Parameters
     ----------
-    least : float
-        Least distance of the transmission angle from 0 and 180 deg over the motion [rad].
-    quantities : mapping of the sizes to Quantity
-    values : mapping of every quantity [m, rad]
+    least : float [rad]
+        Least distance of the transmission angle from 0 and 180 deg over the motion.
+    quantities : mapping of str to Quantity
+        Dimensions.
+    values : mapping of str to float [m, rad]
+        All quantities.
     limits : sequence of LimitState
-        Of the optimum, with their prices; none of a given design.
+        Limits of the optimum with their multipliers; empty for a given design.
     """
     if not math.isfinite(least):
         return None
@@ -143,17 +150,18 @@ def path_fit(
     measured: Deviations,
     limits: Sequence[LimitState] = (),
 ) -> Fit | None:
-    """Fit of a path, motion or function design; None for the transmission (see `transmission_fit`) or a task without any size.
+    """Grade a path, motion or function design; return None for transmission (see `transmission_fit`) or a task of size zero.
 
     Parameters
     ----------
     task : GenerationProblem
-    values : mapping of every quantity [m, rad]
+    values : mapping of str to float [m, rad]
+        All quantities.
     crank_angles : array (points,) [rad]
     measured : Deviations
-        Of the design at these crank angles.
+        Deviations of the design at these crank angles.
     limits : sequence of LimitState
-        Of the optimum, with their prices; none of a given design.
+        Limits of the optimum with their multipliers; empty for a given design.
     """
     wanted, distances = task.data.columns, measured.distances
     if task.requirement.kind == "transmission" or not np.all(np.isfinite(distances)):
@@ -185,16 +193,17 @@ def path_fit(
 def law_fit(
     task: DesignProblem, values: Mapping[str, float], error: Array, wanted: Array, limits: Sequence[LimitState] = ()
 ) -> Fit | None:
-    """Fit of a function of a four-bar; None where its output has no range.
+    """Grade a function design of a four-bar; return None if its output has no range.
 
     Parameters
     ----------
     task : DesignProblem
-    values : mapping of the quantities of the design [m, rad]
-    error, wanted : arrays (positions,) [rad]
+    values : mapping of str to float [m, rad]
+        Quantities of the design.
+    error, wanted : array (positions,) [rad]
         Error and prescribed angle of the output.
     limits : sequence of LimitState
-        Of the optimum, with their prices; none of a given design.
+        Limits of the optimum with their multipliers; empty for a given design.
     """
     size = float(np.ptp(np.unwrap(wanted)))
     if not np.all(np.isfinite(error)) or size <= 0.0:
@@ -207,7 +216,7 @@ def law_fit(
 
 
 def _diameter(places: NDArray[np.complex128]) -> float:
-    """Largest distance of two points."""
+    """Return the largest distance of two points."""
     return max(float(np.max(np.abs(places - place))) for place in places)
 
 
@@ -220,18 +229,18 @@ def _rotation(task: GenerationProblem) -> float:
 
 
 def _motion_angles(task: GenerationProblem, crank_angles: Array) -> Array:
-    """Crank angles over the whole motion of a design (positions,) [rad]."""
+    """Return crank angles (positions,) [rad] over the whole motion of a design."""
     end = crank_angles[0] + TURN if task.limits.crank != "span" else crank_angles[-1]
     return np.linspace(float(crank_angles[0]), float(end), ALONG)
 
 
 def _four_bar(task: GenerationProblem, values: Mapping[str, float]) -> str:
-    """Kind of a four-bar by Grashof; empty for other mechanisms."""
+    """Return the Grashof type of a four-bar; an empty text for other mechanisms."""
     return grashof(*(values[n] for n in LENGTHS)).inversion.value if isinstance(task.mechanism, FourBarSection) else ""
 
 
 def _rotating(task: GenerationProblem, values: Mapping[str, float]) -> Iterator[Reason]:
-    """Poses that turn farther than the body does in its whole motion."""
+    """Detect poses that rotate farther than the body over its whole motion."""
     if task.requirement.kind != "motion" or task.limits.crank == "span":
         return
     angle = np.asarray(sweep(task.linkage, values, np.linspace(0.0, TURN, ALONG)).body_angle(task.body).value, dtype=float)
@@ -246,7 +255,7 @@ def _rotating(task: GenerationProblem, values: Mapping[str, float]) -> Iterator[
 
 
 def _timed(task: GenerationProblem, values: Mapping[str, float], angles: Array, measured: Deviations) -> Iterator[Reason]:
-    """A curve that passes the points, but at other crank angles than those prescribed."""
+    """Detect a curve that passes the points, but at crank angles other than those prescribed."""
     if task.requirement.kind != "path" or task.data.offsets is None:
         return
     curve = sweep(task.linkage, values, _motion_angles(task, angles)).position(task.requirement.point)
@@ -258,7 +267,7 @@ def _timed(task: GenerationProblem, values: Mapping[str, float], angles: Array, 
 
 
 def _crowded(task: GenerationProblem, angles: Array) -> Iterator[Reason]:
-    """Points in an order that the curve does not follow: several are met at all but the same crank angle."""
+    """Detect an order of points that the curve does not follow: several occur at nearly the same crank angle."""
     if task.data.offsets is not None or not task.pointed:
         return
     close = np.flatnonzero(np.abs(np.diff(angles)) <= 2.0 * STEP)
@@ -269,7 +278,7 @@ def _crowded(task: GenerationProblem, angles: Array) -> Iterator[Reason]:
 
 
 def _placed(task: GenerationProblem, values: Mapping[str, float], measured: Deviations) -> Iterator[Reason]:
-    """A frame that is fixed where the linkage, moved as a whole, would come nearer to the points."""
+    """Detect a fixed frame where a rigid displacement of the linkage would reduce the error."""
     if not isinstance(task.mechanism, FourBarSection) or not task.pointed:
         return
     free = set(task.free)
@@ -291,7 +300,7 @@ def _placed(task: GenerationProblem, values: Mapping[str, float], measured: Devi
 
 
 def active_reasons(limits: Sequence[LimitState]) -> Iterator[Reason]:
-    """The active limits with the largest prices for their size."""
+    """Yield the active limits with the largest shadow prices relative to their size."""
 
     def weight(limit: LimitState) -> float:
         return abs(limit.multiplier) * max(abs(limit.bound), abs(limit.value))
@@ -310,7 +319,15 @@ def active_reasons(limits: Sequence[LimitState]) -> Iterator[Reason]:
 
 
 def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float]) -> Iterator[Reason]:
-    """Sizes that are fixed."""
+    """Yield the fixed dimensions as a reason.
+
+    Parameters
+    ----------
+    quantities : mapping of str to Quantity
+        Dimensions.
+    values : mapping of str to float [m, rad]
+        Quantities of the design.
+    """
     fixed = [name for name, quantity in quantities.items() if not quantity.free]
     if fixed:
         shown = ", ".join(
@@ -321,14 +338,14 @@ def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float
 
 
 def _quantities(task: GenerationProblem) -> dict[str, Quantity]:
-    """The sizes of a mechanism, with the place of a four-bar's frame where the file leaves it out."""
+    """Return the dimensions of a mechanism, including the default frame position of a four-bar."""
     nowhere = {f"A.{axis}": Quantity(0.0, "coordinate", "mm") for axis in "xy"} | {"direction": Quantity(0.0, "angle", "deg")}
     own = task.mechanism.quantities
     return own if not (task.pointed and isinstance(task.mechanism, FourBarSection)) else nowhere | own
 
 
 def _kind(task: GenerationProblem, values: Mapping[str, float]) -> Iterator[Reason]:
-    """All four-bars of one kind."""
+    """Detect a restriction to four-bars of one kind."""
     kind, crank = _four_bar(task, values), task.limits.crank
     if kind and crank != "span":
         other = "full rotation" if crank == "double-crank" else "double-crank"

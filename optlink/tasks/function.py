@@ -1,4 +1,4 @@
-"""From a problem to a result: build, search, prove. What the command line, notebooks and scripts call."""
+"""Solve function synthesis problems of a four-bar: build, search and validate."""
 
 from __future__ import annotations
 
@@ -40,20 +40,27 @@ Start = NDArray[np.float64]
 SCHEMA = "optlink/result/1"
 MAX_STARTS = 100_000
 SAME_DESIGN = 1e-6  # of the frame
-LEVEL = 0.99  # share of the largest error that counts as reaching it
-FLAT = 1e-7  # least curvature, for an objective scaled to 1, that singles out one design
+LEVEL = 0.99  # fraction of the largest error that counts as an extreme value
+FLAT = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
 PEOPLE = {"length": (1e3, "mm"), "angle": (math.degrees(1.0), "deg")}
 
 
 def people(name: str, value: float) -> tuple[float, str]:
-    """A quantity of a design in the unit that people read: mm or deg."""
+    """Return a quantity of a design in its display unit (mm or deg), and the unit.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity.
+    value : float [m, rad]
+    """
     factor, unit = PEOPLE["angle" if name in ("phi0", "psi0") else "length"]
     return value * factor, unit
 
 
 @dataclass(frozen=True, repr=False)
 class Result(Summary):
-    """A design with its proof, or why there is none."""
+    """A design with its validation, or the reason why there is none."""
 
     problem: ProblemFile
     status: Status
@@ -75,7 +82,7 @@ class Result(Summary):
 
     @property
     def valid(self) -> bool:
-        """Whether the design is proven (and found to be an optimum, if one was searched)."""
+        """Whether the design is validated, and optimal if it was searched."""
         return proven(self.status, self.validation)
 
     @property
@@ -92,7 +99,7 @@ class Result(Summary):
 
     @property
     def evidence(self) -> Evidence | None:
-        """What the random starts of the search tell about optima that it did not find; None where there were none."""
+        """Evidence of the random starts on optima not found; None without random starts."""
         return evidence(self.counts) if self.counts else None
 
     @property
@@ -111,9 +118,9 @@ class Result(Summary):
         return {name: self.design[name] for name in LENGTHS}
 
     def error(self, offsets: ArrayLike | None = None) -> NDArray[np.float64]:
-        """Wanted minus generated rocker angle [rad], in (-pi, pi], at crank rotations [rad] from the start.
+        """Return target minus actual rocker angle [rad], in (-pi, pi], at crank rotations [rad] from the start.
 
-        At the design positions if no `offsets` are given.
+        Default: at the design positions.
         """
         problem = self.problem.spec
         at = problem.law.offsets if offsets is None else np.asarray(offsets, dtype=float)
@@ -121,7 +128,7 @@ class Result(Summary):
 
     @property
     def fit(self) -> Fit | None:
-        """Its error at the design positions against the range of the output; None where there is no error to measure."""
+        """Error at the design positions relative to the output range; None if there is no error to measure."""
         problem = self.problem.spec
         wanted = problem.law.curve(problem.law.offsets, self.design["phi0"], self.design["psi0"])
         limits = self.solution.limits if self.solution else ()
@@ -129,9 +136,9 @@ class Result(Summary):
 
     @property
     def alternations(self) -> int:
-        """How many times in a row the error (with what tolerances add to it) reaches its largest size with the other sign.
+        """Number of successive alternations of the error (including tolerances) between its extreme values.
 
-        A minimax optimum of k free quantities has k + 1 of them where no limit holds it.
+        A minimax optimum of k design variables has k + 1 of them if no limit is active.
         """
         begin, end = self.problem.spec.law.offsets[[0, -1]]
         error = judged(self.problem.spec)(self.design, np.linspace(begin, end, ALONG))
@@ -140,7 +147,7 @@ class Result(Summary):
 
     @property
     def measure(self) -> str:
-        """Name of the objective's measure, in words: with what tolerances add to it, if they count."""
+        """Name of the error measure, including the effect of tolerances if considered."""
         task = self.problem.spec.requirement
         return task.measure if task.robust is None else task.robust.named(task.measure)
 
@@ -150,11 +157,11 @@ class Result(Summary):
         return MEASURES[self.problem.spec.requirement.measure].unit
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
-        """The result with further checks."""
+        """Return the result with further checks."""
         return replace(self, validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
         document = heading(SCHEMA, self) | {
             "design": _design(self.design),
             "assembly": self.assembly,
@@ -198,31 +205,31 @@ def solve(
     track: bool = False,
     begin: Mapping[str, float] | None = None,
 ) -> Result:
-    """Find the design and prove it.
+    """Find the optimal design and validate it.
 
     Parameters
     ----------
     problem : ProblemFile
         From `optlink.load`.
     backend : "slsqp", "ipopt" or "both"
-        Both: each searches for itself, the better design is taken, and they must agree.
+        With "both" each solver searches separately, the better design is used, and the results must agree.
     starts : int, optional
-        Number of starts per assembly mode; the starts of a smaller number are the first ones of a larger one, so that more are
-        never worse. Of a law: the start given in the problem, then Sobol points over the bounds; left out: 1. Of a function: the
-        convex first steps (`optlink.synthesis.function_starts`) and the given start, always, then fits at random start
-        angles; left out: until the estimated chance of a missed better optimum is small (`optlink.tasks.function_search`).
+        Number of starting points per assembly mode; a larger number contains those of a smaller one, so that more are
+        never worse. Law: the start in the problem, then Sobol points over the bounds; default 1. Function: always the
+        convex first designs (`optlink.synthesis.function_starts`) and the start in the problem, then fits at random start
+        angles; default: until the estimated chance of a missed better optimum is small (`optlink.tasks.function_search`).
     seed : int
-        Of the Sobol points.
-    progress : function of the share that is done, optional
+        Seed of the Sobol points.
+    progress : function of the completed fraction, optional
     track : bool
         Keep the iterates of the first search.
-    begin : mapping of free quantities [SI], optional
-        Search from this design alone.
+    begin : mapping of str to float [SI], optional
+        Design variables of the only starting point.
 
     Raises
     ------
     InputError
-        when nothing is free, or an argument is out of range.
+        If there are no design variables, or an argument is out of range.
     """
     from optlink.optimization.nlp import build
     from optlink.solvers import multistart
@@ -249,7 +256,7 @@ def solve(
         return _merged(found)
     names = multistart.BACKENDS if backend == "both" else (backend,)
     for name in names:
-        multistart.backend(name)  # imports are nobody's solving time
+        multistart.backend(name)  # imports do not count as solving time
     clock = [time.perf_counter()]
     nlp = build(problem.spec)
     for name in names:
@@ -261,7 +268,7 @@ def solve(
     count, interrupted = starts, False
     for k, one in enumerate(searches.values()):
         if one.run(points, count, lambda: reason()[0], _part(progress, k, len(searches))):
-            count, interrupted = one.starts, True  # the other back end then searches from as many
+            count, interrupted = one.starts, True  # the other solver then uses as many starting points
     conflict: Conflict = ((), ())
     chosen = min(searches.values(), key=lambda one: one.result.rank)
     winner = chosen.result
@@ -300,7 +307,7 @@ def solve(
 
 
 def _part(progress: Callable[[float], None] | None, k: int, count: int) -> Callable[[float], None] | None:
-    """Progress of the k-th of several searches."""
+    """Return the progress function of the k-th of several searches."""
     return None if progress is None else lambda share: progress((k + share) / count)
 
 
@@ -308,7 +315,7 @@ Conflict = tuple[tuple[Relaxed, ...], tuple[Relaxed, ...]]
 
 
 def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conflict]:
-    """Where no start led to a feasible design: a feasible point, or the nearest design and the limits that conflict."""
+    """Return a feasible point, or the nearest design and the conflicting limits, if no start led to a feasible design."""
     from optlink.solvers import multistart
     from optlink.solvers.infeasibility import Explanation, explain
 
@@ -322,18 +329,18 @@ def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conf
 
 
 def _variants(problem: ProblemFile) -> list[ProblemFile]:
-    """The problem with each assembly mode that it leaves open."""
+    """Return the problem with each assembly mode that it leaves open."""
     changes = problem.model.mechanism.variants(problem.model.linkage)
     return [problem.override(change) if change else problem for change in changes]
 
 
 def _better(result: Result) -> tuple[bool, bool, float]:
-    """Valid before not valid before infeasible, then by objective."""
+    """Return a sort key: valid before invalid before infeasible, then by objective."""
     return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective
 
 
 def _merged(found: list[Result]) -> Result:
-    """The best of the assembly modes, with the evidence of all."""
+    """Return the best result over the assembly modes, with the evidence of all."""
     best = min(found, key=_better)
     optima = sorted((optimum for result in found for optimum in result.optima), key=lambda optimum: optimum.objective)
     return replace(
@@ -347,7 +354,7 @@ def _merged(found: list[Result]) -> Result:
 
 
 def _agreement(agreement: Agreement) -> tuple[Check, ...]:
-    """Both back ends found the same figure, and the same design unless several are equally good."""
+    """Check that both solvers found the same objective, and the same design unless several are equally good."""
     one = agreement.design <= SAME_DESIGN
     words = "" if one or not agreement.same else " (two of equal value)"
     return (
@@ -357,12 +364,13 @@ def _agreement(agreement: Agreement) -> tuple[Check, ...]:
 
 
 def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
-    """Prove a given design, or show where it fails; where the file leaves the assembly mode open, in the better one.
+    """Validate a given design, in the better assembly mode if the file leaves it open.
 
     Parameters
     ----------
     problem : ProblemFile
-    design : mapping of every free quantity to its value [m, rad]; see `read_design`
+    design : mapping of str to float [m, rad]
+        All design variables; see `read_design`.
     """
     begin = time.perf_counter()
     results = []
@@ -375,7 +383,7 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
 
 
 def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, object]]:
-    """KEY=VALUE as one assignment; a result.json as one for each quantity (phi0 and psi0 only where they are not derived)."""
+    """Return KEY=VALUE as one assignment, a result.json as one per quantity (phi0 and psi0 only if not derived)."""
     if not text.endswith(".json"):
         return [parse_assignment(text, "--design")]
     try:
@@ -390,12 +398,24 @@ def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, obj
 
 
 def read_design(problem: ProblemFile, assignments: list[str], varied: Collection[str] = ()) -> dict[str, float]:
-    """Read a design given as texts such as "coupler=412.26 mm", or as the name of a result.json; `varied` need not be given.
+    """Read a design from texts such as "coupler=412.26 mm", or from the name of a result.json.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    assignments : list of str
+        "NAME=VALUE", or the path of a result.json.
+    varied : collection of str
+        Design variables that need no value.
+
+    Returns
+    -------
+    mapping of str to float [m, rad]
 
     Raises
     ------
     InputError
-        unknown or missing names, values that are no quantities.
+        For unknown or missing names, or values that are no quantities.
     """
     quantities = problem.model.quantities
     given: dict[str, float] = {}

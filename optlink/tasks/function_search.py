@@ -1,7 +1,7 @@
-"""Multistart search for a motion law or a function: every start to a validated local optimum, the best valid one kept.
+"""Multistart search for a motion law or a function: each start leads to a validated local optimum, the best valid one is kept.
 
-The starts of N are the first ones of M > N, and what a start brings never depends on later ones: the answer of more starts is
-never worse.
+The first N of M starts equal those of a search with N starts, and the result of a start does not depend on later ones: more
+starts are never worse.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from optlink.validation import validate as prove
 Array = NDArray[np.float64]
 Progress = Callable[[float], None] | None
 
-ROUND, MOST = 24, 144  # random starts after which the evidence is judged again, and at most, where no number is given
-MISSED = 0.025  # estimated chance of a missed better optimum at which a search of its own accord ends
-NEARBY = 2.0  # times the best objective, up to which an optimum at the design positions is levelled over the whole range
+ROUND, MOST = 24, 144  # random starts between evaluations of the evidence, and their largest number by default
+MISSED = 0.025  # estimated chance of a missed better optimum at which a search ends by default
+NEARBY = 2.0  # times the best objective, up to which an optimum at the design positions is refined over the whole range
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where a local search begins: `x`, whether it was drawn at random, and whether it is close to an optimum already."""
+    """Starting point `x` of a local search, whether it is random, and whether it is close to an optimum."""
 
     x: Array
     drawn: bool
@@ -55,7 +55,7 @@ class Candidate:
 
     @property
     def rank(self) -> tuple[int, float]:
-        """Valid before not valid before infeasible; then by objective, or violation."""
+        """Sort key: valid before invalid before infeasible; then by objective, or violation."""
         solution = self.solution
         if not solution.usable:
             return (3 if solution.status is Status.NON_FINITE else 2), solution.violation
@@ -64,9 +64,9 @@ class Candidate:
 
 @dataclass
 class Distinct:
-    """A distinct optimum of the programme at the design positions, and what it became over the whole range.
+    """A distinct optimum at the design positions, and the resulting candidate over the whole range.
 
-    `count`: searches that ended there; `drawn`: those of them that began at random.
+    `count`: searches that ended there; `drawn`: those of them with a random start.
     """
 
     coarse: Solution
@@ -77,7 +77,7 @@ class Distinct:
 
 @dataclass(frozen=True)
 class Starts:
-    """The first starts of a search, always complete, then random ones without end; `step` is the best convex first step."""
+    """The first starts, always complete, then an unlimited sequence of random ones; `step` is the best convex first design."""
 
     first: list[Start]
     rest: Callable[[], Iterator[Start]]
@@ -85,7 +85,17 @@ class Starts:
 
 
 def starts_of(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[str, float] | None) -> Starts:
-    """The sequence of starts: convex first steps of a function and the given start; then fits of a function, and Sobol points."""
+    """Return the sequence of starts: convex first designs and the given start; then random fits of a function and Sobol points.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    nlp : NLP
+    seed : int
+        Seed of the Sobol points.
+    begin : mapping of str to float [SI], or None
+        Design variables of the only starting point.
+    """
     if begin is not None:
         return Starts([Start(nlp.x_of(dict(begin)), drawn=False, close=False)], lambda: iter(()), None)
     given = Start(multistart.starts(nlp, 1, seed)[0], drawn=False, close=False)
@@ -107,7 +117,7 @@ def starts_of(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[str, f
 
 
 def _alike(one: Solution, other: Solution) -> bool:
-    """Whether two solutions are one design: up to whole turns of its angles, and up to its size where only ratios matter."""
+    """Return whether two solutions are one design, up to whole turns of its angles, and up to scale if only ratios matter."""
     if not (other.usable and multistart.compare(one, other).same):
         return False
     away = one.x - other.x
@@ -121,7 +131,7 @@ def _alike(one: Solution, other: Solution) -> bool:
 
 
 class Search:
-    """The search with one back end: distinct `optima` in the order in which they were found, and the `best` candidate."""
+    """Search with one solver: distinct `optima` in the order of their discovery, and the `best` candidate."""
 
     def __init__(self, problem: DesignProblem, nlp: NLP, backend: str, *, track: bool = False) -> None:
         self.problem, self.nlp, self.backend, self.track = problem, nlp, backend, track
@@ -131,7 +141,7 @@ class Search:
         self.validating = 0.0  # s
 
     def advance(self, start: Start) -> None:
-        """Search from a start, level and validate what it brings."""
+        """Search from a start; refine the solution over the whole range and validate it."""
         nlp = self.nlp
         nlp.roam(np.zeros(nlp.roaming))
         method = self._method(start)
@@ -157,7 +167,7 @@ class Search:
             progress(min(self.starts / total, 1.0))
 
     def judge(self, solution: Solution) -> Candidate:
-        """A solution with its validation."""
+        """Return a solution with its validation."""
         begin = time.perf_counter()
         design = self.problem.design(solution.design)
         proof = prove(self.problem, design, solution.objective)
@@ -166,13 +176,13 @@ class Search:
         return candidate
 
     def _method(self, start: Start) -> str:
-        """IPOPT near a close start; before SLSQP too, which takes long over the many rows of a largest error."""
+        """Return the solver: IPOPT near a close start, also before SLSQP, which is slow with the many rows of a largest error."""
         if start.close and (self.backend == "ipopt" or (start.drawn and self.problem.everywhere)):
             return multistart.CLOSE
         return self.backend
 
     def _followed(self, found: Solution) -> Candidate | None:
-        """The candidate that a new solution becomes; None where it is no match for the best one."""
+        """Return the candidate of a new solution; None if it is clearly worse than the best one."""
         best = self.best
         if not found.usable:
             return None if best is not None and best.solution.usable else self.judge(found)
@@ -185,7 +195,7 @@ class Search:
 
     @property
     def result(self) -> Candidate:
-        """The best candidate of a search that was run."""
+        """The best candidate of a completed search."""
         assert self.best is not None
         return self.best
 
@@ -195,7 +205,7 @@ class Search:
         return any(one.drawn for one in self.optima)
 
     def listed(self, assembly: str) -> tuple[Optimum, ...]:
-        """Distinct optima over the whole range, best first; those far above the best are not among them."""
+        """Return distinct optima over the whole range, best first, without those far above the best."""
         found: list[tuple[Candidate, int]] = []
         for candidate, count in sorted(
             ((c, one.count) for one in self.optima if (c := one.candidate)), key=lambda one: one[0].rank
@@ -215,7 +225,7 @@ class Search:
 
     @property
     def counts(self) -> list[int]:
-        """Random starts that ended at each value of the objective, the best design's own first; 1 where none did.
+        """Random starts that ended at each objective value, that of the best design first; at least 1 each.
 
         Designs of equal value count as one: where only ratios matter there are as many designs as starts.
         """
@@ -232,13 +242,21 @@ class Search:
         return [max(1, drawn) for _, drawn, _ in groups]
 
     def run(self, starts: Starts, count: int | None, rescue: Callable[[], Array | None], progress: Progress) -> bool:
-        """Search from the first starts and random ones, `count` in all, or until the evidence is enough.
+        """Search from the first starts and random ones.
 
-        `rescue` finds a feasible point where none of the first starts led to one, or None.
+        Parameters
+        ----------
+        starts : Starts
+        count : int, optional
+            Total number of starts. Default: until the evidence suffices.
+        rescue : function
+            Returns a feasible point (n,) if no first start led to one, or None.
+        progress : function of the completed fraction, optional
 
         Returns
         -------
-        whether it was interrupted (Ctrl-C); what is complete by then is kept, if there is anything
+        bool
+            Whether it was interrupted (Ctrl-C); complete searches are kept, if there are any.
         """
         function = isinstance(self.problem.requirement.law, Function)
         total = count or len(starts.first) + (MOST if function else 0)
@@ -262,7 +280,7 @@ class Search:
         return False
 
     def _enough(self, drawn: int, first: int, count: int | None) -> bool:
-        """Whether so many random starts are enough: as many as prescribed, else by the evidence (a law needs none)."""
+        """Return whether so many random starts suffice: the prescribed number, else by the evidence (a law needs none)."""
         if count is not None:
             return drawn >= count - first
         if not isinstance(self.problem.requirement.law, Function) or drawn >= MOST:

@@ -1,6 +1,6 @@
-"""Many simulations with clearance at once: in processes of this machine, each the same as alone.
+"""Run many clearance simulations in parallel processes.
 
-A run depends on its job only, so results are the same to the bit for any number of processes. Ctrl-C ends the processes at once.
+A run depends on its job only, so results are bit-identical for any number of processes. Ctrl-C ends the processes at once.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from optlink.tasks.analyze import machine_of
 from optlink.tasks.clearance import LooseSimulation, counted, simulate_clearance
 
 Array = NDArray[np.float64]
-WAIT = 0.2  # s, how often an interrupt is looked for
+WAIT = 0.2  # s, polling interval for interrupts
 MOST = 256  # processes
 
 
 class Hopeless(Exception):
-    """The error of a run exceeds its limit, whatever the revolutions to come are like."""
+    """The error of a run exceeds its limit, whatever the remaining revolutions give."""
 
 
 @dataclass(frozen=True)
@@ -43,17 +43,17 @@ class Job:
     Parameters
     ----------
     raw, name, file, folder
-        Of the problem, as `optlink.problem.file.read` takes them.
+        Problem, as in `optlink.problem.file.read`.
     control : str
     start : float [rad]
     revolutions, points : int
     tolerance : float
     speed : float [rad/s], optional
-    design : mapping, optional
+    design : mapping of str to float [SI], optional
     limit : float [m, rad]
-        Root mean square of the error from which on the run is of no use and stops.
+        Rms error above which the run stops.
     whole : bool
-        Whether the whole simulation is wanted, not its figures alone.
+        Whether to return the whole simulation, not only its figures.
     """
 
     raw: Mapping[str, Any]
@@ -73,7 +73,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Ran:
-    """What became of a run: its figures, whether it was finished, whether it was stopped as hopeless; all its parts if wanted."""
+    """Outcome of a run: figures, whether it finished or exceeded the error limit; optionally the whole simulation."""
 
     figures: Mapping[str, float]
     unit: str
@@ -82,24 +82,40 @@ class Ran:
     parts: Mapping[str, Any] | None = None
 
     def simulation(self, problem: ProblemFile, design: Mapping[str, float] | None) -> LooseSimulation:
-        """The whole simulation."""
+        """Return the whole simulation.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+            Problem of the run.
+        design : mapping of str to float [SI], optional
+            Design of the run.
+        """
         assert self.parts is not None
         return LooseSimulation(problem=problem, machine=machine_of(problem, design), **self.parts)
 
 
 def job_of(problem: ProblemFile, **options: Any) -> Job:
-    """A run of a problem; `options` are those of `Job`."""
+    """Return a run of a problem.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    **options
+        Further fields of `Job`.
+    """
     return Job(problem.raw, problem.name, problem.file, problem.folder, **options)
 
 
 def perform(job: Job) -> Ran:
-    """Do a run.
+    """Perform a run.
 
     Raises
     ------
     InputError
+        If the simulation is not possible.
     KeyboardInterrupt
-        when it is interrupted.
+        On interruption.
     """
     problem = read(job.raw, job.name, job.file, job.folder)
     count, seen, square = counted(job.revolutions), 0, 0.0
@@ -132,13 +148,13 @@ def perform(job: Job) -> Ran:
 
 
 def perform_all(jobs: Sequence[Job], workers: int | None = None) -> Iterator[tuple[int, Ran]]:
-    """Do runs; give each with its number as it is done.
+    """Perform runs, and yield each with its index on completion.
 
     Parameters
     ----------
     jobs : sequence of Job
     workers : int, optional
-        Processes to begin for it; left out: this process does all. A script that begins processes must keep its own work below
+        Number of processes. Default: the present process only. A script that starts processes must guard its code by
         `if __name__ == "__main__":`.
 
     Raises
@@ -171,11 +187,11 @@ def perform_all(jobs: Sequence[Job], workers: int | None = None) -> Iterator[tup
 
 
 def cores() -> int:
-    """Processor cores that this process may use."""
+    """Return the number of processor cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _quiet() -> None:
-    """A process of the pool leaves Ctrl-C to who began it."""
+    """Ignore Ctrl-C in a process of the pool: the parent handles it."""
     with contextlib.suppress(ValueError):
         signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""From points or poses to valid designs: rounds of starts, polished with all limits, until a better design is unlikely."""
+"""Solve path and motion synthesis problems: rounds of starts, refined with all limits, until a better design is unlikely."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ MAX_STARTS = 1_000_000
 MOST_DESIGNS = 50
 SMALL = 0.02  # estimated chance that a better design was missed at which a search ends
 LEAST_ROUNDS, MOST_ROUNDS = 3, 20
-FAR_ROUNDS = 40  # at most, while the best design fits poorly
-COMPOUND_ROUNDS = 3  # of a linkage of several dyads, whose starts and limits take longer
+FAR_ROUNDS = 40  # largest number, while the best design fits poorly
+COMPOUND_ROUNDS = 3  # largest number for a linkage of several dyads, whose starts and limits take longer
 PART_STARTS = 400  # of the four-bar that a linkage contains
 NO_FOUR_BAR = "{} cannot trace the coupler curves of a four-bar within this linkage: the search had random starts only"
 FOUR_BAR_BETTER = (
@@ -36,11 +36,11 @@ FOUR_BAR_BETTER = (
     "coupler curve was found within all limits, and no other design is as good"
 )
 MOST_IN_VAIN = 12  # rounds without a valid design
-OFTEN = 3  # starts per exact design after which a search expects no other one
+OFTEN = 3  # starts per exact design after which no other one is expected
 
 
 def variants_of(problem: ProblemFile) -> list[ProblemFile]:
-    """The problem with definite assembly modes: one for each combination that the file leaves open."""
+    """Return the problem with definite assembly modes, one for each combination that the file leaves open."""
     changes = problem.model.mechanism.variants(problem.model.linkage)
     return [problem.override(change) if change else problem for change in changes]
 
@@ -53,25 +53,26 @@ def solve(
     designs: int = 3,
     progress: Callable[[float], None] | None = None,
 ) -> Generation:
-    """Find linkages that pass the points or take the poses, and prove them.
+    """Find linkages that pass the points or poses, and validate them.
 
     Parameters
     ----------
     problem : ProblemFile
         From `optlink.load`, with a requirement of the kind "path" or "motion".
     backend : "slsqp" or "ipopt"
-        Polishes what the batch finds, with every limit; `optlink.solvers.minimax` does where the largest deviation counts.
+        Solver that refines the batch results with all limits; a minimax solver is used where the largest deviation counts.
     starts : int, optional
-        Least number, made up to whole rounds; if not given, rounds follow until a better design is unlikely.
+        Least number of starts, rounded up to whole rounds. Default: rounds until a better design is unlikely.
     seed : int
+        Seed of the random starts.
     designs : int
-        Distinct designs that are wanted.
-    progress : function of the share that is done, optional
+        Number of distinct designs.
+    progress : function of the completed fraction, optional
 
     Raises
     ------
     InputError
-        when nothing is free, or an argument is out of range.
+        If there are no design variables, or an argument is out of range.
     """
     from optlink.solvers import multistart as local
 
@@ -122,7 +123,7 @@ def solve(
 
 
 class _Search:
-    """Rounds of starts, each followed by polishing, until enough is found."""
+    """Rounds of starts, each followed by refinement, until the stopping criterion holds."""
 
     def __init__(self, problem: ProblemFile, backend: str, seed: int, requested: int) -> None:
         from optlink.synthesis.batch_search import Searcher
@@ -133,10 +134,10 @@ class _Search:
         self.requested, self.interrupted = requested, False
         self.problem, self.backend, self.seed = problem, backend, seed
         self.notes: list[str] = []
-        self.better: Design | None = None  # the best four-bar, if no linkage that repeats its curve meets all limits
+        self.better: Design | None = None  # the best four-bar, if no linkage that repeats its curve satisfies all limits
 
     def run(self, starts: int | None, progress: Callable[[float], None] | None) -> None:
-        """Search until `starts` are made; without a number, until a better design is unlikely."""
+        """Search until `starts` are complete; without a number, until a better design is unlikely."""
         found, exact = self.searcher.found, -1
         try:
             while found.starts < starts if starts else not self._enough(exact):
@@ -152,9 +153,9 @@ class _Search:
             self.interrupted = True
 
     def conflict(self, seed: int) -> Explanation | None:
-        """Limits of the linkage that cannot hold together; None where some linkage meets them, whatever it misses.
+        """Return limits of the linkage that conflict; None if some linkage satisfies them, whatever its deviations.
 
-        The order of the points and their tolerances hold while limits give way.
+        The order of the points and their tolerances are kept while limits are relaxed.
         """
         from optlink.solvers.infeasibility import Explanation, explain
 
@@ -165,7 +166,7 @@ class _Search:
         return found if isinstance(found, Explanation) and found.conflict else None
 
     def _grow(self) -> None:
-        """Add designs that begin as the best four-bars that the linkage contains."""
+        """Add designs derived from the best four-bars that the linkage contains."""
         from optlink.synthesis.growth import contained
         from optlink.tasks.path_growth import grow
 
@@ -182,7 +183,7 @@ class _Search:
 
     @property
     def _most(self) -> int:
-        """Rounds at most, if no number of starts is prescribed."""
+        """Largest number of rounds, if no number of starts is prescribed."""
         if compound(model(self.problem)) and not self.collection.exact:
             return COMPOUND_ROUNDS
         if not self.collection.designs:
@@ -190,7 +191,7 @@ class _Search:
         return FAR_ROUNDS if self.collection.far else MOST_ROUNDS
 
     def _enough(self, exact: int) -> bool:
-        """Whether to stop; `exact` is the number of exact designs before the latest round."""
+        """Return whether to stop; `exact` is the number of exact designs before the latest round."""
         rounds, collection = self.searcher.found.rounds, self.collection
         if collection.exact:
             often = collection.evidence().hits >= OFTEN * collection.exact
@@ -201,12 +202,13 @@ class _Search:
 
 
 def validate(problem: ProblemFile, given: Mapping[str, float]) -> Generation:
-    """Prove a given design, or show where it fails; where the timing is free, at the crank angles at which it passes best.
+    """Validate a given design; with free timing, at the crank angles with the least deviation.
 
     Parameters
     ----------
     problem : ProblemFile
-    given : mapping of every free quantity [m, rad]; others may be given too and replace what the file says
+    given : mapping of str to float [m, rad]
+        All design variables; further quantities replace those of the file.
     """
     from optlink.validation.timing import passing
 

@@ -1,4 +1,4 @@
-"""Designs of a linkage that begin as designs of the four-bar within it, so that none is worse than the best four-bar."""
+"""Designs of a linkage derived from designs of its inner four-bar, so that none is worse than the best four-bar."""
 
 from __future__ import annotations
 
@@ -17,23 +17,25 @@ from optlink.tasks.path_result import Design
 from optlink.tasks.path_search import Polisher, as_good, feasible
 
 STARTS = 12  # per design of the four-bar and combination of assembly modes
-POLISHED = 4  # of what they lead to, all together
+POLISHED = 4  # candidates refined, in total
 STEPS = 120
 
 
 def grow(part: Contained, four_bars: Sequence[Design], polisher: Polisher, seed: int) -> list[Design]:
-    """Valid designs that began as designs of the four-bar, best first; empty where its curve cannot be repeated.
+    """Return valid designs derived from designs of the four-bar, best first; empty if its curve cannot be repeated.
 
-    Where no local search ends at an optimum that is as good as the best four-bar, the starts themselves and the feasible designs
-    at which the searches stalled take part.
+    If no local search ends at an optimum as good as the best four-bar, the starts themselves and the feasible designs
+    at which the searches stalled are included.
 
     Parameters
     ----------
     part : Contained
-    four_bars : valid designs of `part.file`
+    four_bars : sequence of Design
+        Valid designs of `part.file`.
     polisher : Polisher
-        Of the whole linkage.
+        For the whole linkage.
     seed : int
+        Seed of the random dimensions.
     """
     files = polisher.files
     rng = np.random.default_rng([seed, len(files)])

@@ -1,4 +1,4 @@
-"""What a search for points, poses, a function or transmission brought: designs with their proofs, as data and JSON."""
+"""Result of path, motion, function or transmission synthesis: designs with their validation, as data and JSON."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from optlink.validation.check import Check, Validation
 from optlink.validation.path import Deviations, deviations, transmission_angles
 
 SCHEMA = "optlink/generation/1"
-DISTINCT = 1e-2  # least difference of two designs, as a share of their size
+DISTINCT = 1e-2  # least relative difference of two distinct designs
 LEVEL = 1e-9  # of the size: root of a sum of squares below which a design passes the points
 
 Array = NDArray[np.float64]
@@ -39,10 +39,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Design(Summary):
-    """One design with its proof.
+    """One design with its validation.
 
-    `problem` has definite assembly modes; `values` are all quantities [m, rad], `crank_angles` (points,) [rad] those at which
-    the points are met; `objective` in the unit of the measure, SI.
+    `problem` has definite assembly modes; `values` are all quantities [m, rad], `crank_angles` (points,) [rad] those of
+    the points; `objective` in the SI unit of the measure.
     """
 
     problem: ProblemFile
@@ -61,24 +61,24 @@ class Design(Summary):
 
     @property
     def valid(self) -> bool:
-        """Whether the design is proven, and an optimum if one was searched."""
+        """Whether the design is validated, and optimal if it was searched."""
         return proven(self.status, self.validation)
 
     @cached_property
     def measured(self) -> Deviations:
-        """Generated points and how far they miss the wanted ones."""
+        """Generated points and their deviations from the targets."""
         return deviations(self.task, self.values, self.crank_angles)
 
     @cached_property
     def fit(self) -> Fit | None:
-        """Its error against the size of the task, or its least transmission angle; None where there is nothing to measure."""
+        """Error relative to the size of the task, or least transmission angle; None if there is nothing to measure."""
         if self.task.requirement.kind == "transmission":
             return transmission_fit(self.least_transmission, self.task.mechanism.quantities, self.values, self.limits)
         return path_fit(self.task, self.values, self.crank_angles, self.measured, self.limits)
 
     @property
     def exact(self) -> bool:
-        """Whether it passes everything but for rounding."""
+        """Whether it satisfies all targets within rounding."""
         return self.error <= self.level
 
     @property
@@ -88,11 +88,11 @@ class Design(Summary):
 
     @property
     def level(self) -> float:
-        """Error up to which a design passes everything but for rounding [m, rad or 1]."""
+        """Largest error of an exact design [m, rad or 1]."""
         return LEVEL * self.task.whole
 
     def alike(self, other: Design) -> bool:
-        """Whether two designs differ by less than anybody would call another design."""
+        """Return whether two designs are practically the same."""
         if self.assembly != other.assembly:
             return False
         gaps = []
@@ -111,11 +111,11 @@ class Design(Summary):
 
     @cached_property
     def least_transmission(self) -> float:
-        """How far the worst transmission angle of the needed motion is from 0 and 180 deg [rad]; NaN if there is none."""
+        """Least distance of the transmission angle from 0 and 180 deg over the required motion [rad]; NaN if there is none."""
         begin, end = (0.0, TURN) if self.turns else sorted((float(self.crank_angles[0]), float(self.crank_angles[-1])))
         groups = [group for group in self.task.linkage.groups if isinstance(group, RRR)]
 
-        def cosines(angles: Array) -> Array:  # smooth, other than the angles, which turn back sharply near 0 and pi
+        def cosines(angles: Array) -> Array:  # smooth, unlike the angles, which have corners at 0 and pi
             gamma = transmission_angles(sweep(self.task.linkage, self.values, angles), self.task.linkage)
             return np.cos(gamma).T
 
@@ -126,7 +126,7 @@ class Design(Summary):
 
     @cached_property
     def cognates(self) -> tuple[Cognate, ...]:
-        """The other four-bars with the same coupler curve, those whose crank turns fully first; none of other mechanisms."""
+        """The other four-bars with the same coupler curve, fully turning cranks first; none for other mechanisms."""
         linkage = self.coupler_linkage
         if linkage is None:
             return ()
@@ -153,7 +153,7 @@ class Design(Summary):
         return self.problem.raw["mechanism"].get("assembly", "left")
 
     def to_dict(self) -> dict[str, Any]:
-        """The design as a JSON object: SI, or the unit that a key ends in."""
+        """Return the design as a JSON object: SI, or the unit that ends the key."""
         measured, task = self.measured, self.task
         point: dict[str, Any] = {"crank_deg": np.degrees(self.crank_angles).tolist()}
         if task.pointed:
@@ -188,7 +188,7 @@ class Design(Summary):
 
     @property
     def limits(self) -> tuple[LimitState, ...]:
-        """Every bound and limit as people read it."""
+        """All bounds and limits in display units."""
         return self.solution.limits if self.solution is not None else ()
 
 
@@ -201,13 +201,27 @@ def _cognate(cognate: Cognate) -> dict[str, Any]:
 
 
 def people_unit(task: GenerationProblem, name: str) -> tuple[float, str]:
-    """Factor from SI and unit in which people read a quantity of a design."""
+    """Return the factor from SI and the display unit of a quantity.
+
+    Parameters
+    ----------
+    task : GenerationProblem
+    name : str
+        Name of a quantity.
+    """
     unit = KINDS[task.quantities[name].kind].people
     return 1.0 / factor(unit, task.quantities[name].kind), unit
 
 
 def people_design(task: GenerationProblem, values: Mapping[str, float]) -> dict[str, float]:
-    """A design in the units of `people_unit`."""
+    """Return a design in display units.
+
+    Parameters
+    ----------
+    task : GenerationProblem
+    values : mapping of str to float [m, rad]
+        All quantities.
+    """
     return {name: values[name] * people_unit(task, name)[0] for name in task.quantities}
 
 
@@ -216,7 +230,7 @@ OUTPUT = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
 
 
 def objective_unit(task: GenerationProblem) -> str:
-    """SI unit of the objective."""
+    """Return the SI unit of the objective."""
     return f"{task.unit}^2" if task.measure == "sum of squares" and task.unit else task.unit
 
 
@@ -236,7 +250,7 @@ def _figures(design: Design) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Generation(Summary):
-    """What a search for points or poses brought: designs, best first, each proven; or the nearest miss and why it fails."""
+    """Result of a path or motion search: validated designs, best first; or the nearest miss and the reason of its failure."""
 
     problem: ProblemFile
     designs: tuple[Design, ...]
@@ -258,12 +272,12 @@ class Generation(Summary):
 
     @property
     def valid(self) -> bool:
-        """Whether a proven design was found."""
+        """Whether there is a validated design."""
         return bool(self.designs)
 
     @property
     def best(self) -> Design | None:
-        """The best proven design; the nearest miss if there is none; None if no linkage reaches the points at all."""
+        """The best validated design; the nearest miss if there is none; None if no linkage reaches the points at all."""
         return self.designs[0] if self.designs else self.nearest
 
     @property
@@ -278,7 +292,7 @@ class Generation(Summary):
 
     @property
     def solution(self) -> Solution | None:
-        """What the solver found for the best design."""
+        """Solver solution of the best design."""
         return None if self.best is None else self.best.solution
 
     @property
@@ -288,7 +302,7 @@ class Generation(Summary):
 
     @property
     def status(self) -> Status:
-        """How the search ended."""
+        """Status of the search."""
         return Status.INFEASIBLE if self.best is None else self.best.status
 
     @property
@@ -297,14 +311,14 @@ class Generation(Summary):
         return math.nan if self.best is None else self.best.objective
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
-        """The result with further checks of its designs, in order; designs that fail one are no longer valid."""
+        """Return the result with further checks of its designs, in order; designs that fail one are no longer valid."""
         flagged = [replace(d, validation=replace(d.validation, checks=(*d.validation.checks, *checks))) for d in self.designs]
         good = tuple(design for design in flagged if design.valid)
         nearest = next((design for design in flagged if not design.valid), self.nearest)
         return replace(self, designs=good, nearest=None if good else nearest)
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as a JSON document."""
+        """Return the result as a JSON document."""
         document = heading(SCHEMA, self) | {
             "starts_that_reached_the_best": self.hits,
             "evidence": vars(self.evidence) | {},

@@ -1,4 +1,4 @@
-"""Polish what the rounds of a search find, with every limit, and collect the distinct valid designs."""
+"""Refine the candidates of each search round with all limits, and collect distinct valid designs."""
 
 from __future__ import annotations
 
@@ -21,36 +21,44 @@ if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP
     from optlink.synthesis.batch_search import Candidate, Exploration
 
-TRIES = 6  # candidates of the first round that are polished per requested design, while too few are valid
-PER_ROUND = 10  # candidates polished in a later round
-REPAIRED = 2  # candidates of a round that were put in order, and those polished in vain, in a later round
-COMPOUND_TRIES = 4  # candidates of the first round that are polished in vain, of a linkage of several dyads: each takes seconds
-FAR_TRIES = 3  # candidates of a later round that are polished whatever they cost, and of the repaired ones, while the fit is poor
-COMPARABLE = 1.5  # error, as a multiple of the least one, up to which optima are counted: a better one would be among them
-SAME = 1e-6  # relative difference of two objectives that are the same
-ROUNDING = 1e-9  # the same of one coupler curve of two linkages
+TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
+PER_ROUND = 10  # candidates refined in a later round
+REPAIRED = 2  # reordered candidates of a round, and unsuccessful refinements of a later round
+COMPOUND_TRIES = 4  # unsuccessful refinements of the first round for a linkage of several dyads: each takes seconds
+FAR_TRIES = 3  # candidates and reordered candidates of a later round refined at any cost, while the fit is poor
+COMPARABLE = 1.5  # largest error of counted optima, relative to the least one: a better one would be among them
+SAME = 1e-6  # relative difference of equal objectives
+ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
 
 
 def model(file: ProblemFile) -> GenerationProblem:
-    """The model of a path or motion problem."""
+    """Return the model of a path or motion problem."""
     assert isinstance(file.model, GenerationProblem)
     return file.model
 
 
 def compound(task: GenerationProblem) -> bool:
-    """Whether a linkage has several dyads."""
+    """Return whether a linkage has several dyads."""
     return len(task.linkage.groups) > 1
 
 
 class Polisher:
-    """From candidates to designs: the programme with every limit, built once per assembly mode and direction of the crank."""
+    """Refines candidates to designs by the NLP with all limits, built once per assembly mode and crank direction."""
 
     def __init__(self, files: list[ProblemFile], backend: str) -> None:
         self.files, self.backend = files, backend
         self.programmes: dict[tuple[int, int], NLP] = {}
 
     def programme(self, variant: int, direction: int) -> NLP:
-        """The programme of a variant."""
+        """Return the NLP of a variant.
+
+        Parameters
+        ----------
+        variant : int
+            Index of the file with definite assembly modes.
+        direction : int
+            Crank direction, +1 or -1; ignored with prescribed timing.
+        """
         from optlink.optimization.path_nlp import build_generation
 
         key = (variant, direction if model(self.files[variant]).data.offsets is None else 1)
@@ -59,7 +67,14 @@ class Polisher:
         return self.programmes[key]
 
     def polish(self, candidate: Candidate, *, near: bool = False) -> Design:
-        """The nearest optimum with every limit, validated; `near` where the candidate itself keeps its limits everywhere."""
+        """Return the nearest local optimum with all limits, validated.
+
+        Parameters
+        ----------
+        candidate : Candidate
+        near : bool
+            Whether the candidate itself satisfies its limits everywhere.
+        """
         from optlink.solvers import multistart as local
         from optlink.solvers.path_exchange import search_everywhere
 
@@ -69,35 +84,44 @@ class Polisher:
         if minimax and solution.status is not Status.OPTIMAL:
             solution = local.best([solution, search_everywhere(task, start, self.backend, near=near)])
         if minimax and start.usable and solution.objective > start.objective * (1.0 + 1e-9):
-            solution = replace(solution, status=Status.STALLED)  # an optimum, but not the one beside the start
+            solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
         return proven(file, start.nlp, solution)
 
     def unpolished(self, candidate: Candidate) -> Design:
-        """The candidate itself, validated: a feasible design where it keeps its limits everywhere."""
+        """Return the candidate itself, validated: a feasible design if it satisfies its limits everywhere."""
         start = self._given(candidate)
         return feasible(proven(self.files[candidate.variant], start.nlp, start))
 
     def _given(self, candidate: Candidate) -> Solution:
-        """A candidate as a point of its programme."""
+        """Return a candidate as a point of its NLP."""
         from optlink.solvers import multistart as local
 
         nlp = self.programme(candidate.variant, candidate.direction)
         own = model(self.files[candidate.variant]).data.offsets is None
         x = np.concatenate([candidate.x, candidate.t]) if own else candidate.x
         if len(nlp.variables) > len(x):
-            x = np.append(x, 0.0)  # the largest deviation; `given` lifts it
+            x = np.append(x, 0.0)  # the largest deviation; `given` sets it
         return local.given(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
 
 
 def feasible(design: Design) -> Design:
-    """A design that is not proven to be an optimum, as one that need only meet all limits."""
+    """Return a design without an optimality proof as one that only has to satisfy all limits."""
     checks = tuple(check for check in design.validation.checks if check.name != OPTIMALITY_CHECK)
     proof = replace(design.validation, checks=checks)
-    return replace(design, status=Status.FEASIBLE, validation=proof, solution=None)  # its limits have no prices
+    return replace(design, status=Status.FEASIBLE, validation=proof, solution=None)  # no shadow prices without an optimum
 
 
 def proven(file: ProblemFile, nlp: NLP, solution: Solution) -> Design:
-    """A solution of the programme as a design with its proof."""
+    """Return a solution of the NLP as a validated design.
+
+    Parameters
+    ----------
+    file : ProblemFile
+        With definite assembly modes.
+    nlp : NLP
+    solution : Solution
+        Solution of `nlp`.
+    """
     task = model(file)
     values = {name: quantity.value for name, quantity in task.quantities.items()}
     values |= {name: solution.design[name] for name in task.free}
@@ -110,10 +134,10 @@ def proven(file: ProblemFile, nlp: NLP, solution: Solution) -> Design:
 
 
 class Collection:
-    """Distinct valid designs, best first, and the optima that every polished candidate led to.
+    """Distinct valid designs, best first, and the optima of all refined candidates.
 
-    Candidates are polished after every round, so that what a search of few rounds collects is a part of what a longer one with
-    the same seed does: more starts never give a worse design.
+    Candidates are refined after every round, so that a search of few rounds collects a subset of what a longer one with
+    the same seed collects: more starts never give a worse design.
 
     Parameters
     ----------
@@ -133,11 +157,11 @@ class Collection:
 
     @property
     def exact(self) -> int:
-        """Number of distinct designs that pass everything."""
+        """Number of distinct exact designs."""
         return sum(design.exact for design in self.designs)
 
     def add(self, found: Exploration) -> None:
-        """Polish what the latest round found."""
+        """Refine the candidates of the latest round."""
         vain = self._vain[0] if self._first else self._vain[1]
         far = FAR_TRIES if self.far and not self._first else 0
         self._follow(found.candidates, vain if self._first else self._tries, max(vain, far), far)
@@ -149,14 +173,14 @@ class Collection:
 
     @property
     def far(self) -> bool:
-        """Whether the best design fits poorly: the order of the points then decides, and costs without it say little."""
+        """Whether the best design fits poorly: the order of the points then dominates, and costs without it are uninformative."""
         if not self.designs or compound(self.designs[0].task):
             return False
         fit = self.designs[0].fit
         return fit is not None and fit.grade == "poor"
 
     def _follow(self, candidates: list[Candidate], tries: int, vain: int, dear: int = 0) -> None:
-        """Polish candidates in turn: `tries` at most, `vain` of them without a valid design, `dear` beyond the largest cost."""
+        """Refine candidates in order: `tries` at most, `vain` of them without a valid design, `dear` beyond the largest cost."""
         from optlink.synthesis.batch_search import PERFECT
 
         for candidate in candidates:
@@ -167,7 +191,7 @@ class Collection:
                 break
             dear -= beyond
             if self.exact and candidate.cost > PERFECT:
-                break  # beside a design that passes everything, no other one counts
+                break  # inexact candidates are irrelevant beside an exact design
             design = self._ends[candidate] = self.polisher.polish(candidate)
             tries -= 1
             if design.valid:
@@ -177,17 +201,17 @@ class Collection:
                 self.nearest = min(filter(None, (self.nearest, design)), key=_failing)
 
     def _dearest(self) -> float:
-        """Largest cost of a candidate that is worth polishing: limits only add to it."""
+        """Return the largest cost of a candidate worth refining: limits only increase it."""
         if len(self.designs) < self.requested:
             return math.inf
         return max(_cost(self.designs[0]) * COMPARABLE**2, _cost(self.designs[-1]))
 
     def no_worse(self, other: Design) -> bool:
-        """Whether the best design is as good as another design of the same curve, but for rounding."""
+        """Return whether the best design is as good as another design of the same curve, within rounding."""
         return any(as_good(design, other) for design in self.designs[:1])
 
     def insert(self, design: Design) -> None:
-        """Add a valid design, unless a better one is alike."""
+        """Add a valid design, unless a better one is practically the same."""
         alike = next((known for known in self.designs if design.alike(known)), None)
         if alike is not None:
             if _rank(design) >= _rank(alike):
@@ -198,9 +222,9 @@ class Collection:
         del self.designs[self.requested :]
 
     def evidence(self) -> Evidence:
-        """How many starts reached the best optimum, and how likely a better one was missed.
+        """Return how many starts reached the best optimum, and how likely a better one was missed.
 
-        Counted are the starts whose polished designs are valid and come near the best one (`COMPARABLE`): a better optimum would
+        Only starts whose refined designs are valid and come near the best one (`COMPARABLE`) are counted: a better optimum would
         be one of these.
         """
         ends = sorted(((d.error, c.count) for c, d in self._ends.items() if d.valid), key=lambda end: end[0])
@@ -211,7 +235,7 @@ class Collection:
         values: list[float] = []
         counts: list[int] = []
         if ends[0][0] > level * (1.0 + SAME) and not (best.exact and ends[0][0] <= best.level):
-            values, counts = [level], [1]  # no random start reached the best design: it was grown, from one start
+            values, counts = [level], [1]  # no random start reached the best design: it was derived from a four-bar
         for error, count in ends:
             value = 0.0 if best.exact and error <= best.level else error
             if value > COMPARABLE * level:
@@ -226,12 +250,19 @@ class Collection:
 
 
 def as_good(design: Design, other: Design) -> bool:
-    """Whether a design is no worse than another one for the same points, but for rounding."""
+    """Return whether a design is no worse than another one for the same points, within rounding.
+
+    Parameters
+    ----------
+    design : Design
+    other : Design
+        Reference.
+    """
     return design.exact or design.error <= other.error * (1.0 + ROUNDING)
 
 
 def _cost(design: Design) -> float:
-    """The cost of a candidate of the batch that has the error of a design, at most."""
+    """Return an upper bound of the batch cost of a candidate with the error of a design."""
     task = design.task
     share = (design.error / task.whole) ** 2
     return share if task.measure == "sum of squares" else share * len(task.data.columns)
@@ -242,6 +273,6 @@ def _failing(design: Design) -> tuple[int, float]:
 
 
 def _rank(design: Design) -> tuple[float, float]:
-    """By objective; those that pass the points exactly by their worst transmission angle, best first."""
+    """Return a sort key: the objective; exact designs by decreasing worst transmission angle."""
     transmission = design.least_transmission
     return (0.0 if design.exact else design.objective), -(transmission if math.isfinite(transmission) else 0.0)

@@ -1,4 +1,4 @@
-"""What every result of a search shares, whatever was sought: when it is valid, the checks of its search, its JSON document."""
+"""Common interface of search results: validity, optimality checks, JSON document."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OPTIMALITY_CHECK = "optimality (KKT residual)"  # name of a check
 
 @dataclass(frozen=True)
 class Optimum:
-    """A distinct optimum of a multistart search: design [SI], objective, number of searches that ended there, assembly mode."""
+    """A distinct optimum of a multistart search: design [SI], objective, number of converged searches, assembly mode."""
 
     design: Mapping[str, float]
     objective: float
@@ -31,7 +31,7 @@ class Optimum:
 
 @dataclass(frozen=True)
 class Relaxed:
-    """A limit that would have to give (see `optlink.solvers.infeasibility.Relaxation`)."""
+    """A limit that must be relaxed (see `optlink.solvers.infeasibility.Relaxation`)."""
 
     name: str
     key: str
@@ -44,11 +44,12 @@ class Relaxed:
 
 
 def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, ...]:
-    """Whether the bounds of a four-bar forbid its crank to turn fully: the shortest link cannot be the shortest.
+    """Return a message if the bounds of a four-bar prevent full rotation of the crank: the shortest link cannot be the shortest.
 
     Parameters
     ----------
-    quantities : mapping of the four lengths to Quantity
+    quantities : mapping of str to Quantity
+        The four lengths.
     crank : str
         `limits.crank` of the problem.
     """
@@ -67,65 +68,65 @@ def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, 
 
 
 class Sought(Protocol):
-    """A result of a search."""
+    """Interface of a search result."""
 
     @property
     def problem(self) -> ProblemFile:
-        """What was asked."""
+        """The problem."""
         ...
 
     @property
     def status(self) -> Status:
-        """How the search ended."""
+        """Status of the search."""
         ...
 
     @property
     def valid(self) -> bool:
-        """Whether the design is proven."""
+        """Whether the design is validated."""
         ...
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know beside the figures."""
+        """Notes for the user."""
         ...
 
     @property
     def backend(self) -> str:
-        """What searched."""
+        """The solver."""
         ...
 
     @property
     def seed(self) -> int | None:
-        """Of the starts."""
+        """Seed of the starts."""
         ...
 
     @property
     def starts(self) -> int:
-        """How many."""
+        """Number of starts."""
         ...
 
     @property
     def seconds(self) -> dict[str, float]:
-        """What took how long."""
+        """Wall time per stage [s]."""
         ...
 
 
 class Single(Sought, Protocol):
-    """A result that is one design."""
+    """Interface of a result with one design."""
 
     @property
     def validation(self) -> Validation:
-        """Its proof."""
+        """Its validation."""
         ...
 
     @property
     def solution(self) -> Solution | None:
-        """What the solver found; None where nothing was searched."""
+        """Solver solution; None without a search."""
         ...
 
     @property
     def backends(self) -> dict[str, Solution]:
-        """What each solver found."""
+        """Solution of each solver."""
         ...
 
     @property
@@ -135,22 +136,28 @@ class Single(Sought, Protocol):
 
     @property
     def conflict(self) -> Sequence[object]:
-        """Limits that cannot hold together."""
+        """Conflicting limits."""
         ...
 
     @property
     def together(self) -> Sequence[object]:
-        """The least relaxation of several at once."""
+        """Least simultaneous relaxation of several limits."""
         ...
 
 
 def proven(status: Status, validation: Validation) -> bool:
-    """Whether a design passes its validation, and is an optimum unless its status says otherwise."""
+    """Return whether a design passes its validation, and is optimal unless its status excludes that.
+
+    Parameters
+    ----------
+    status : Status
+    validation : Validation
+    """
     return status in (Status.OPTIMAL, Status.FEASIBLE, Status.NOT_SEARCHED) and validation.valid
 
 
 def optimality(solution: Solution) -> tuple[Check, ...]:
-    """What the programme itself says of an optimum."""
+    """Return the checks of feasibility and stationarity by the NLP."""
     return (
         Check("all limits met (scaled)", solution.violation <= FEASIBLE, solution.violation, f"<= {FEASIBLE:.0e}", ""),
         _stationary(solution),
@@ -158,7 +165,7 @@ def optimality(solution: Solution) -> tuple[Check, ...]:
 
 
 def _stationary(solution: Solution) -> Check:
-    """The first-order condition; where the residual alone does not decide, `limit` says what does."""
+    """Check the first-order condition; if the residual alone does not decide, `limit` names the criterion."""
     passed, small = solution.status is Status.OPTIMAL, solution.kkt <= STATIONARY
     limit = f"<= {STATIONARY:.0e}"
     if passed and not small:
@@ -169,7 +176,14 @@ def _stationary(solution: Solution) -> Check:
 
 
 def heading(schema: str, outcome: Sought) -> dict[str, Any]:
-    """What the JSON document of every search begins with."""
+    """Return the head of the JSON document of a search result.
+
+    Parameters
+    ----------
+    schema : str
+        Name and version of the schema.
+    outcome : Sought
+    """
     return head(schema, outcome.problem, outcome.status.value, outcome.seed) | {
         "message": outcome.status.text,
         "valid": outcome.valid,
@@ -181,7 +195,14 @@ def heading(schema: str, outcome: Sought) -> dict[str, Any]:
 
 
 def proof(outcome: Single, people: People) -> dict[str, Any]:
-    """What the JSON document of one design says of its limits, its proof, how it was found, and what stands against it."""
+    """Return the part of the JSON document on limits, validation, solvers, optima and conflicts.
+
+    Parameters
+    ----------
+    outcome : Single
+    people : function of a design [SI]
+        Converts a design to display units with the units in its keys.
+    """
     solution = outcome.solution
     document: dict[str, Any] = {
         "limits": [vars(limit) | {} for limit in solution.limits] if solution else [],

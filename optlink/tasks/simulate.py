@@ -1,4 +1,4 @@
-"""Simulation of a machine in time: what `optlink simulate`, notebooks and reports call."""
+"""Simulate the motion of a machine in time."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TURN = 2.0 * math.pi
 
 @dataclass(frozen=True, repr=False)
 class Simulation(Summary):
-    """A machine in time: `run` as integrated, `columns` by name over the times asked for, and what they mean."""
+    """Simulation in time: `run` as integrated, `columns` by name over the output times, and their meanings."""
 
     problem: ProblemFile
     machine: Machine
@@ -47,7 +47,7 @@ class Simulation(Summary):
 
     @property
     def figures(self) -> dict[str, float]:
-        """The figures that sum it up, by name (SI)."""
+        """Summary figures by name (SI)."""
         found = {
             "end.time_s": float(self.run.time[-1]),
             "end.crank_angle_rad": float(self.run.crank_angle[-1]),
@@ -74,7 +74,7 @@ class Simulation(Summary):
         return rows if len(rows) > 2 and turned[0] >= TURN else None
 
     def to_dict(self) -> dict[str, Any]:
-        """The simulation as a JSON document: SI, or the unit that the key ends in; null where there is no finite value."""
+        """Return the simulation as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
         return finite(  # type: ignore[no-any-return]
             {
                 **head(SCHEMA, self.problem, self.run.ending.value),
@@ -103,27 +103,28 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     flywheel: float = 0.0,
 ) -> Simulation:
-    """Move a machine in time, under the torque that the problem states, else at its constant speed.
+    """Simulate a machine in time, under the drive torque of the problem or at constant speed.
 
     Parameters
     ----------
     problem : ProblemFile
         From `optlink.load`.
     duration : float [s], optional
-        That of the problem if left out, else the time of one revolution at its speed.
+        Default: that of the problem, else the time of one revolution at its speed.
     rows : int
-        Steps of the table, evenly spaced in time; it has one row more. The integrator chooses its own steps.
+        Time steps of the table, evenly spaced; it has one row more. The integrator chooses its own steps.
     speed : float [rad/s], optional
-        At the start (constant without a torque); that of the problem if left out.
-    design : mapping of quantity to value [SI], optional
-    progress : function of the share that is done, optional
+        Initial crank speed (constant without a torque). Default: that of the problem.
+    design : mapping of str to float [SI], optional
+        Design variables. Default: their starting values.
+    progress : function of the completed fraction, optional
     flywheel : float [kg m^2]
-        Further inertia at the crank.
+        Additional inertia at the crank.
 
     Raises
     ------
     InputError
-        when the mechanism cannot be assembled, or an argument is out of range.
+        If the mechanism cannot be assembled, or an argument is out of range.
     """
     drive = problem.model.drive
     torque = drive.torque
@@ -147,7 +148,7 @@ def simulate(
             raise InputError(Fault(message, "Give the bodies masses", problem.file, "bodies"))
     limits = None if ranges.full else (low, high)
     singular = [position.crank_angle for position in ranges.singular]
-    if singular:  # the same motion up to there, without the rounding of formulas that are 0/0
+    if singular:  # same motion up to there, without the rounding errors of 0/0 expressions
         mechanism, cycle = follow(machine.mechanism, machine.sizes, start, every=True), machine.mechanism.cycle
         singular = [at + k * cycle for at in singular for k in range(round(mechanism.cycle / cycle))]
         machine = machine.with_(mechanism=mechanism)
@@ -173,7 +174,7 @@ def _check(duration: float, rows: int, speed: float, free: bool) -> None:
 
 
 def _columns(machine: Machine, found: Run) -> tuple[dict[str, Array], dict[str, str]]:
-    """The table: what `analyze` tells of every position, over time."""
+    """Return the table: the columns of `analyze` over time."""
     moving = machine.moving(found.crank_angle, found.speed, found.acceleration, direction=found.direction)
     record = Record(moving)
     crank = machine.mechanism.crank.body
