@@ -1,4 +1,4 @@
-"""A continuum of equally good designs: a flat direction at an optimum, confirmed by a search from a shifted design."""
+"""Continua of equally good designs: a flat direction at an optimum, confirmed by a search from a shifted design."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from optlink.solvers.solution import Solution
 
 Array = NDArray[np.float64]
 
-STRONG = 1e-9  # share of the largest multiplier, of a limit that holds the design
-FLAT = 1e-6  # share of the largest curvature, below which a direction is tried
-SHIFT = 0.05  # of the range of the quantity that changes most, by which the design is moved to confirm
-EQUAL = 1e-6  # relative, of two objectives
-MOVES = 1e-4  # scaled units, by which another quantity must have changed to be named
+STRONG = 1e-9  # share of the largest multiplier above which a limit counts as determining the design
+FLAT = 1e-6  # share of the largest curvature below which a direction is tried
+SHIFT = 0.05  # shift for the confirming search, as a share of the range of the quantity that changes most
+EQUAL = 1e-6  # relative difference of equal objectives
+MOVES = 1e-4  # scaled units: least change of a quantity that is reported
 
 
 @dataclass(frozen=True)
 class Continuum:
-    """Designs that are equally good.
+    """A one-parameter family of equally good designs.
 
-    `fix`: the quantity whose value picks one of them; `changes`: by quantity how much it changes per change of that one [SI per
-    SI]; `scale`: whether all lengths are scaled together.
+    `fix`: the design variable whose value selects one of them; `changes`: change of each design variable per change of that one
+    [SI per SI]; `scale`: whether all lengths are scaled together.
     """
 
     fix: str
@@ -36,16 +36,15 @@ class Continuum:
 
 
 def continuum(nlp: CycleNLP, solution: Solution, name: str) -> Continuum | None:
-    """The continuum of equally good designs through an optimum, if there is one.
+    """Return the continuum of equally good designs through an optimum; None if there is none.
 
     Parameters
     ----------
     nlp : CycleNLP
-        Its programme.
     solution : Solution
-        The optimum, its peaks followed.
-    name : name of a back end
-        Which searches from the shifted design.
+        The optimum, refined by the exchange method.
+    name : str
+        Back end that searches from the shifted design.
     """
     if solution.status is not Status.OPTIMAL:
         return None
@@ -61,7 +60,7 @@ def continuum(nlp: CycleNLP, solution: Solution, name: str) -> Continuum | None:
 
 
 def _flat(nlp: CycleNLP, solution: Solution) -> list[Array]:
-    """Directions in which no limit with a price and no curvature of the Lagrangian holds the design, flattest first."""
+    """Return directions with neither a curvature of the Lagrangian nor a priced limit, flattest first."""
     n, point = len(solution.x), nlp.at(solution.x, solution.p)
     multipliers = solution.proof.multipliers
     size = float(np.max(np.abs(multipliers), initial=0.0))
@@ -84,7 +83,7 @@ def _flat(nlp: CycleNLP, solution: Solution) -> list[Array]:
 
 
 def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solution | None:
-    """An equally good design with another value of one quantity; None where there is none."""
+    """Return an equally good design with a different value of one design variable; None if there is none."""
     low, high = float(nlp.x_low[lead]), float(nlp.x_high[lead])
     at = float(solution.x[lead])
     step = SHIFT * (high - low)
@@ -118,7 +117,7 @@ def _named(nlp: CycleNLP, solution: Solution, other: Solution, lead: int) -> Con
     quantities = nlp.traced.problem.quantities
     lengths = [name for name in nlp.free if quantities[name].kind in ("length", "coordinate")]
     sized = {name for name, quantity in quantities.items() if quantity.kind in ("length", "coordinate") and quantity.value != 0.0}
-    whole = sized <= set(lengths)  # what is fixed at zero scales too
+    whole = sized <= set(lengths)  # a length fixed at zero scales too
     own = [ratios.get(name, 1.0) for name in lengths if abs(solution.design[name]) > 1e-6 * nlp.scales[0]]
     scale = whole and set(changed) <= set(lengths) and bool(np.ptp(own) <= 1e-3 * abs(np.mean(own) - 1.0))
     return Continuum(nlp.free[lead], changed, scale)

@@ -1,7 +1,7 @@
-"""The search for a machine by its cycle: starting points in one sequence, one search per order of events and slow stroke.
+"""Multistart search of cycle optimisation: one NLP for each order of stroke reversals and slow stroke.
 
-More starting points never make the answer worse: those of a smaller number come first in the same sequence, every search starts
-from what the searches before it left, and the best of all designs is taken.
+A larger number of starting points never worsens the result: the starting points of a smaller number come first in the same
+sequence, every search starts from the state of the searches before it, and the best design is returned.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from optlink.solvers.solution import Solution
 
 Array = NDArray[np.float64]
 
-STARTS = 8  # starting points where no number is asked for
-SAMPLES = 64  # per start: random sizes, of which only those are searched from that move as the given machine does
-ORDERS = 2  # further orders of events that are searched while nothing feasible is known
-COARSE, TRIED = 24, 2  # positions per revolution, and starts, where a conflict is looked for
+STARTS = 8  # default number of starting points
+SAMPLES = 64  # random designs per starting point; only those with the structure of the initial design are used
+ORDERS = 2  # further orders of stroke reversals searched while no feasible design is known
+COARSE, TRIED = 24, 2  # positions per revolution, and starts, of the infeasibility analysis
 
 
 @dataclass(frozen=True)
 class Begin:
-    """Sizes [SI] to search from, whose motions reverse in one order and have one slow stroke: one programme holds for them."""
+    """Starting points [SI] with the same order of stroke reversals and the same slow strokes, for which one NLP is valid."""
 
     structure: Structure
     starts: tuple[Mapping[str, float], ...]
 
 
 class Samples:
-    """Sizes to search from, in one sequence whatever number is taken: those of the file, then random ones within the bounds."""
+    """A fixed sequence of starting points: the design of the file, then random ones within the bounds."""
 
     def __init__(self, trace: Trace, seed: int) -> None:
         self.trace, self._known = trace, list[tuple[Mapping[str, float], Structure | None]]()
@@ -52,7 +52,8 @@ class Samples:
         self._next = itertools.chain([given], _random(task, seed))
 
     def first(self, count: int) -> Iterator[tuple[Mapping[str, float], Structure | None]]:
-        """The sizes of the file and that many random ones, with how they move (None where the crank cannot turn fully)."""
+        """Iterate over the design of the file and `count` random ones, with their structure (None without full crank rotation).
+        """
         for k in range(count + 1):
             if k == len(self._known):
                 values = next(self._next)
@@ -61,7 +62,7 @@ class Samples:
 
 
 def _random(task: CycleProblem, seed: int) -> Iterator[dict[str, float]]:
-    """Random sizes within the bounds (scrambled Sobol points), without end."""
+    """Generate random designs within the bounds (scrambled Sobol points), without end."""
     from scipy.stats import qmc
 
     sobol = qmc.Sobol(len(task.free), rng=np.random.default_rng(seed))
@@ -72,18 +73,19 @@ def _random(task: CycleProblem, seed: int) -> Iterator[dict[str, float]]:
 
 
 def begins(samples: Samples, count: int, fits: Callable[[Structure], bool]) -> list[Begin]:
-    """Up to `count` sizes to search from that move as the first ones that fit, apart by which strokes are slow.
+    """Return up to `count` starting points per choice of slow strokes that share the structure of the first suitable one.
 
     Parameters
     ----------
     samples : Samples
     count : int
+        Greatest number of starting points of each Begin.
     fits : function of a Structure
-        Whether every output with a stroke goes to and fro.
+        Whether every output with a stroke oscillates.
 
     Returns
     -------
-    list of Begin, that of the first sizes first; empty where no sizes fit
+    list of Begin, that of the first starting point first; empty if none is suitable
     """
     order: Structure | None = None
     found: dict[tuple[bool, ...], Begin] = {}
@@ -102,7 +104,7 @@ def begins(samples: Samples, count: int, fits: Callable[[Structure], bool]) -> l
 def _sort_in(
     found: dict[tuple[bool, ...], Begin], choices: list[tuple[bool, ...]], values: Mapping[str, float], structure: Structure
 ) -> None:
-    """Add sizes to the begins of their slow strokes: to both where the strokes take equally long."""
+    """Add a starting point to the Begin of its slow strokes; to both if the strokes take equally long."""
     for slow in choices:
         if all(own is None or own == other for own, other in zip(structure.slow, slow, strict=True)):
             known = found.get(slow, Begin(replace(structure, slow=slow), ()))
@@ -110,7 +112,18 @@ def _sort_in(
 
 
 def others(samples: Samples, known: Sequence[Begin], count: int, fits: Callable[[Structure], bool]) -> list[Begin]:
-    """Where to search while nothing feasible is known: the slow strokes that no sizes had, and the next frequent orders."""
+    """Return further Begins for a search without a feasible design: missing slow strokes and the next most frequent orders.
+
+    Parameters
+    ----------
+    samples : Samples
+    known : sequence of Begin
+        Those searched already; the first one defines the order of stroke reversals.
+    count : int
+        Greatest number of starting points of each Begin.
+    fits : function of a Structure
+        Whether every output with a stroke oscillates.
+    """
     trace, first = samples.trace, known[0]
     choices = list(itertools.product((True, False), repeat=len(trace.paced)))
     missing = [slow for slow in choices if slow not in [own.structure.slow for own in known]]
@@ -128,7 +141,13 @@ def others(samples: Samples, known: Sequence[Begin], count: int, fits: Callable[
 
 
 def programme(trace: Trace, begin: Begin) -> CycleNLP:
-    """The programme of one order of events, its roaming positions where the first start has its peaks."""
+    """Return the NLP of one order of stroke reversals, with its roaming positions at the peaks of the first starting point.
+
+    Parameters
+    ----------
+    trace : Trace
+    begin : Begin
+    """
     slow = trace.slow_loads(begin.structure.slow) if begin.structure.slow else None
     if slow and slow != trace.slow:
         trace = Trace(trace.problem, slow=slow)
@@ -139,16 +158,16 @@ def programme(trace: Trace, begin: Begin) -> CycleNLP:
 
 @dataclass
 class OrderSearch:
-    """The searches of one programme, one starting point after the other.
+    """The searches of one NLP, one starting point after the other.
 
-    `runs`: by back end a solution for every starting point so far, its peaks followed; the positions that the programme knows
-    are those of the best design so far, so that a solution depends on the starting points before it alone.
+    `runs`: for each back end, one solution per starting point so far, refined by the exchange method. The roaming positions of
+    the NLP are those of the best design so far, so that a solution depends only on the starting points before it.
     """
 
     nlp: CycleNLP
     begin: Begin
     names: tuple[str, ...]
-    insists: bool = True  # whether its first search begins even where no feasible point is found beside the start
+    insists: bool = True  # whether the first search runs even without a feasible point near the start
     runs: dict[str, list[Solution]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -172,7 +191,7 @@ class OrderSearch:
                 self._places[name] = self._roaming()
 
     def _from(self, x: Array, name: str, *, insist: bool) -> Solution:
-        """A local search from a feasible point beside x; `insist`: from where one run of the back end ends if there is none."""
+        """Search locally from a feasible point near x; with `insist`, if there is none, from the end of a run of the back end."""
         nlp = self.nlp
         start = repair(nlp, x, nlp.p)
         if start is None and insist and math.isfinite(nlp.values(x, nlp.p)[0]):
@@ -184,20 +203,20 @@ class OrderSearch:
         return multistart.solve_from(nlp, start, name)
 
     def best(self, name: str) -> Solution | None:
-        """The best design of a back end so far."""
+        """Return the best design of a back end so far."""
         return min(self.runs[name], key=rank, default=None)
 
     @property
     def usable(self) -> bool:
-        """Whether a feasible design is known."""
+        """Whether a feasible design was found."""
         return any(solution.usable for run in self.runs.values() for solution in run)
 
 
 @dataclass(frozen=True)
 class Searched:
-    """What a search brought: the programme of the best design, by back end the best design of it, and every run.
+    """Result of a search: the NLP of the best design, the best design for each back end, and every run.
 
-    Or, where no design is feasible, the limits that conflict. `starts`: how many starting points were searched from.
+    If no design is feasible, the conflicting limits. `starts`: number of starting points.
     """
 
     nlp: CycleNLP
@@ -210,12 +229,12 @@ class Searched:
 
     @property
     def usable(self) -> bool:
-        """Whether a design meets all limits."""
+        """Whether a design satisfies all limits."""
         return any(solution.usable for solution in self.found.values())
 
     @property
     def begin(self) -> Begin:
-        """Where the search of the best design began."""
+        """The Begin of the best design."""
         return next(order.begin for order in self.orders if order.nlp is self.nlp)
 
     @property
@@ -231,18 +250,19 @@ def searched(
     done: Callable[[], None],
     further: Callable[[], Sequence[Begin]] = lambda: (),
 ) -> Searched:
-    """Search from every starting point with every back end, follow the peaks, reconcile the back ends.
+    """Search from every starting point with every back end, refine by the exchange method, reconcile the back ends.
 
     Parameters
     ----------
     trace : Trace
     firsts : sequence of Begin
-        Of the order of events of the given machine.
-    names : names of back ends
+        With the order of stroke reversals of the initial design.
+    names : sequence of str
+        Names of back ends.
     done : function
         Called after each starting point.
-    further : function that returns more begins
-        Where to search as well while nothing feasible is known.
+    further : function that returns a sequence of Begin
+        Searched as well while no feasible design is found.
     """
     own = tuple(names)
     orders = [OrderSearch(programme(trace, begin), begin, own) for begin in firsts]
@@ -276,9 +296,15 @@ def _round(orders: Sequence[OrderSearch], k: int) -> None:
 
 
 def settle(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
-    """Where two back ends ended in different optima, let the worse one search again from the better one's design.
+    """Where two back ends end at different optima, restart the worse one from the better one's design.
 
-    A true local optimum holds it there; if it does not, the two still disagree and the validation says so.
+    At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
+
+    Parameters
+    ----------
+    nlp : CycleNLP
+    found : dict of str to Solution
+        Best solution for each back end.
     """
     winner = min(found.values(), key=rank)
     return {
@@ -288,14 +314,21 @@ def settle(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
 
 
 def rank(solution: Solution) -> tuple[bool, bool, float]:
-    """What comes first is better: feasible, proven, low."""
+    """Return a sort key, best first: feasible, optimal, low objective."""
     return not solution.usable, solution.status is not Status.OPTIMAL, solution.objective
 
 
 def explained(found: Searched, names: Sequence[str]) -> Searched:
-    """Why no design is feasible, with the nearest one; or a feasible one after all.
+    """Return the conflicting limits and the nearest design of an infeasible problem, or a feasible design if one is found.
 
-    Which of the [limits] conflict is asked of a programme with fewer positions; the bounds of the sizes hold.
+    The conflict among [limits] is analysed on an NLP with fewer positions; the bounds of the design variables are kept.
+
+    Parameters
+    ----------
+    found : Searched
+        A search without a feasible design.
+    names : sequence of str
+        Names of back ends.
     """
     nlp, order = found.orders[0].nlp, found.orders[0]
     coarse = build_cycle(nlp.traced, nlp.structure, nlp.design(nlp.x_start), nodes=COARSE)

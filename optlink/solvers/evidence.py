@@ -1,4 +1,4 @@
-"""How likely a multistart search missed an optimum: capture-recapture over the distinct optima that it found."""
+"""Probability that a multistart search missed an optimum: capture-recapture over the distinct optima found."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a multistart search tells about the optima that it did not find.
+    """Statistical evidence of a multistart search about optima that it did not find.
 
     `starts`: local searches that ended at an optimum; `optima`: distinct ones; `hits`: searches that reached the best one.
     `unseen`: estimated probability that the next start ends at an optimum not found before.
@@ -23,12 +23,12 @@ class Evidence:
 
     @property
     def chance(self) -> str:
-        """The estimate `missed` in words."""
+        """The estimate `missed` as a sentence."""
         return f"chance that a better optimum was missed: {percent(self.missed)} (estimate)"
 
 
 def percent(share: float) -> str:
-    """A share of 0 ... 1 in percent, never rounded to none or all."""
+    """Format a share of 0 ... 1 in percent; only exact values are shown as 0 % or 100 %."""
     if share in (0.0, 1.0):
         return f"{100.0 * share:g} %"
     return "below 0.1 %" if share < 1e-3 else f"{min(100.0 * share, 99.9):.2g} %" if share < 0.995 else "over 99 %"

@@ -1,4 +1,4 @@
-"""An unusable start is repaired, not rejected: the smallest step that meets the limits, repeated (Gauss-Newton)."""
+"""Feasibility repair of a starting point by Gauss-Newton steps on the violated limits."""
 
 from __future__ import annotations
 
@@ -13,17 +13,27 @@ from optlink.solvers.solution import FEASIBLE, violation
 
 Array = NDArray[np.float64]
 
-INSIDE = 1e-3  # aim this far (scaled units) inside a limit: on the limit itself a dead centre may have no derivative
+INSIDE = 1e-3  # distance (scaled units) to aim for inside a limit: at the limit a dead centre may have no derivative
 MAX_STEPS = 60
 LONGEST_STEP = 0.5
 
 
 def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None:
-    """Move x until every limit is met and the objective has a value.
+    """Move x until every limit is satisfied and the objective is finite.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Starting point, scaled.
+    p : array
+        Parameters of the NLP.
+    inside : float
+        Distance inside the limits to aim for, scaled.
 
     Returns
     -------
-    The nearby usable x (x itself if it is usable), or None where the violation stops at a value above zero.
+    A nearby feasible x (x itself if it is feasible); None if the violation does not vanish
     """
     low, high = nlp.low, nlp.high
     inset = np.minimum(inside, 0.25 * (high - low))
@@ -48,7 +58,7 @@ def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None
 
 
 def _shortest(jacobian: Array, miss: Array, low: Array, high: Array) -> Array:
-    """Least-norm step with jacobian @ step = miss (least squares), components outside low ... high held at their bound."""
+    """Return the least-norm step with jacobian @ step = miss (least squares), components limited to low ... high."""
     step = np.zeros(jacobian.shape[1])
     free = np.ones(step.size, dtype=bool)
     while free.any():

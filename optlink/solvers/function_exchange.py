@@ -1,4 +1,4 @@
-"""Largest error of a function over its whole range: found between the design positions and levelled by exchange (E. Remez)."""
+"""Remez exchange for function synthesis: locate the error peaks between the design positions and level them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,22 @@ from optlink.solvers.solution import Solution
 
 Array = NDArray[np.float64]
 
-ALONG = 2001  # positions along the span at which an error curve is followed
-EXCHANGES, LEVELLED = 12, 1e-8  # rounds, and the share by which an error may exceed those that the programme knows
-APART = 1e-4  # rad; nearer than that two positions are one
+ALONG = 2001  # positions along the span at which the error is sampled
+EXCHANGES, LEVELLED = 12, 1e-8  # rounds, and the share by which an error may exceed those at the positions of the NLP
+APART = 1e-4  # rad; closer positions count as one
 
 
 def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array) -> Array:
-    """Prescribed minus generated rocker angle [rad], in (-pi, pi], at crank rotations [rad] from the start."""
+    """Return prescribed minus generated rocker angle [rad], in (-pi, pi].
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    design : mapping of str to float [m, rad]
+        Quantities by name, including `phi0` and `psi0`.
+    offsets : array (n,) [rad]
+        Crank rotations from the start.
+    """
     target = problem.law.curve(offsets, design["phi0"], design["psi0"])
     motion = sweep(problem.linkage, problem.sizes(design), design["phi0"] + offsets)
     angle = np.asarray(motion.body_angle("rocker").value, dtype=float)
@@ -32,7 +41,7 @@ def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array
 
 
 def judged(problem: DesignProblem) -> Callable[[Mapping[str, float], Array], Array]:
-    """Function of a design and crank rotations: the error, larger by what tolerances add to its size if they count [rad]."""
+    """Return the error [rad] as a function of design and crank rotations, enlarged by the tolerances for a robust requirement."""
     if problem.requirement.robust is None or problem.requirement.measure != "max":
         return lambda design, offsets: error_at(problem, design, offsets)
     from optlink.optimization.output_derivatives import Judge
@@ -47,14 +56,23 @@ def judged(problem: DesignProblem) -> Callable[[Mapping[str, float], Array], Arr
 
 
 def level(problem: DesignProblem, nlp: NLP, solution: Solution, backend: str) -> Solution:
-    """Add the largest errors between the design positions to the programme until none exceeds those it has.
+    """Add the largest errors between the design positions to the NLP until no error exceeds those at its positions.
 
-    Those of earlier rounds stay as long as there is room: where the error is flat, two designs would exceed each other's in turn.
-    The trust region of `optlink.solvers.minimax` stays at the optimum where it began; `backend` searches where it ends at none.
+    Positions of earlier rounds are kept as far as there is room: where the error is flat, two designs would otherwise alternate.
+    The trust-region method of `optlink.solvers.minimax` stays at the optimum where it started.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    nlp : NLP
+    solution : Solution
+        Optimum at the design positions.
+    backend : str
+        Back end used if the minimax method does not end at an optimum.
     """
     grid, error = np.sort(np.linspace(0.0, problem.span, ALONG)), judged(problem)
     known: list[float] = []
-    ends = [0.0, problem.span]  # are positions already
+    ends = [0.0, problem.span]  # already positions of the NLP
     for _ in range(EXCHANGES):
         if not solution.usable:
             break
@@ -74,7 +92,7 @@ def level(problem: DesignProblem, nlp: NLP, solution: Solution, backend: str) ->
 
 
 def _peaks(size: Callable[[Array], Array], grid: Array, most: int) -> list[tuple[float, float]]:
-    """Places and heights of the largest local peaks of a function of the crank rotation [rad]."""
+    """Return positions and heights of the largest local maxima of a function of the crank rotation [rad]."""
     heights = size(grid)
     tops = np.flatnonzero((heights >= np.append(heights[1:], 0.0)) & (heights >= np.insert(heights[:-1], 0, 0.0)))
     found = []
@@ -86,5 +104,5 @@ def _peaks(size: Callable[[Array], Array], grid: Array, most: int) -> list[tuple
 
 
 def _apart(at: float, others: list[float]) -> bool:
-    """Whether a position [rad] is none of the others."""
+    """Return whether a position [rad] differs from all others."""
     return min((abs(at - other) for other in others), default=math.inf) > APART

@@ -1,11 +1,13 @@
-"""Why no design is feasible: which limits conflict, and the least relaxation of each that would make the problem feasible.
+"""Infeasibility analysis: conflicting limits and the least relaxation of each that makes the problem feasible.
 
-An elastic programme gives every limit a slack of its own. Limits that give way are held one after the other until those that are
-held conflict (elastic filter); what can be taken out of them is (deletion filter); each of the rest is relaxed alone, in its own
-unit, while all other limits hold.
+An elastic programme adds a slack to every limit. Limits with positive slack are enforced one after the other until the enforced
+ones conflict (elastic filter); limits that are not needed for the conflict are removed (deletion filter); each of the rest is
+relaxed alone, in its own unit, with all other limits enforced.
 
-Source: J. W. Chinneck and E. W. Dravnieks, Locating minimal infeasible constraint sets in linear programs, ORSA J. Computing 3
-(1991) 157-168.
+References
+----------
+J. W. Chinneck and E. W. Dravnieks, Locating minimal infeasible constraint sets in linear programs, ORSA J. Computing 3 (1991)
+157-168.
 """
 
 from __future__ import annotations
@@ -28,19 +30,19 @@ from optlink.solvers.solution import key_of
 Array = NDArray[np.float64]
 
 MET = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible
-STARTS, LOOKED_AT = 6, 256  # points that are searched from: the first of so many where every limit has a value
+STARTS, LOOKED_AT = 6, 256  # starting points used, of those sampled: the first at which every limit is finite
 FREE = 1e3  # upper bound of a slack, in scaled units
-ENOUGH = 3  # searches that end at the same least slack: it is taken for the least of all
-AGREEING = 2  # the same for the amount of one limit of a large programme
-SAME = 1e-4  # relative, slacks that count as the same
-EXCHANGES, FOLLOWED = 5, 1e-4  # rounds of following the peaks of a point, and the miss (scaled) at its peaks that ends them
+ENOUGH = 3  # number of searches that end at the same least slack before it is accepted
+AGREEING = 2  # the same for the relaxation of one limit of a large NLP
+SAME = 1e-4  # relative difference of slacks that count as equal
+EXCHANGES, FOLLOWED = 5, 1e-4  # rounds of the exchange method, and the violation (scaled) at the peaks that ends them
 
 Follow = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
 class Side:
-    """One side of one limit: the rows (and the bounds) that share it."""
+    """One side of one limit: the rows (and bounds) that share it."""
 
     key: str
     name: str
@@ -53,10 +55,10 @@ class Side:
 
 @dataclass(frozen=True)
 class Relaxation:
-    """A limit that would have to give, in people's units: from `bound` to `relaxed`, which is `amount` further.
+    """A relaxed limit, in display units: from `bound` to `relaxed`, which differs by `amount`.
 
-    NaN where relaxing this limit alone does not make the problem feasible. The amount is the least that local searches found, not
-    proven to be the least; `approximate`: some limit may still be exceeded between the positions of the programme.
+    NaN if relaxing this limit alone does not make the problem feasible. The amount is the least found by local searches, not
+    proven to be the least; `approximate`: a limit may still be exceeded between the positions of the NLP.
     """
 
     key: str
@@ -71,9 +73,10 @@ class Relaxation:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why there is no design. `conflict`: limits that cannot hold together, each with its least relaxation alone (all other
-    limits of the problem held). `together`: the least relaxation when several may give at once (least sum, scaled), which the
-    design `x` needs.
+    """Reason for infeasibility.
+
+    `conflict`: limits that cannot be satisfied together, each with its least relaxation alone (all other limits enforced).
+    `together`: the least relaxation of several limits at once (least sum, scaled), which the design `x` needs.
     """
 
     x: Array
@@ -82,9 +85,9 @@ class Explanation:
 
 
 def sides(nlp: NLP) -> list[Side]:
-    """Every side of every limit that can conflict: rows of one limit and one side go together.
+    """Return every side of every limit that can conflict; rows of one limit and one side are combined.
 
-    The bounds of what no limit depends on cannot, nor can those that leave an angle all directions.
+    Bounds of variables without influence on any limit are left out, as are bounds of an angle over a full revolution.
     """
     found: dict[tuple[str, str, bool], list[int]] = {}
     for j, row in enumerate(nlp.rows):
@@ -109,15 +112,21 @@ def sides(nlp: NLP) -> list[Side]:
 
 
 def elastic(nlp: NLP, limits: list[Side]) -> NLP:
-    """minimise weights . s over x and slacks s >= 0, each limit relaxed by its s.
+    """Return the elastic programme: minimise weights . s over x and slacks s >= 0, each limit relaxed by its s.
 
-    Its parameters are the weights (k,), then those of the programme.
+    Its parameters are the weights (k,), followed by those of the NLP.
+
+    Parameters
+    ----------
+    nlp : NLP
+    limits : list of Side
+        The k limits to relax.
     """
     n, k = len(nlp.variables), len(limits)
     x, s = casadi.SX.sym("x", n), casadi.SX.sym("s", k)
     g = casadi.substitute(nlp.g_expression, nlp.x_symbol, x)
     weights = casadi.SX.sym("weights", k)
-    # a wanted value stays one equation, which may be missed to either side: two inequalities would have no inside
+    # a target value stays one equation with slack to either side: two inequalities would have no interior
     exact = {j: g[j] for side in limits for j in side.rows if nlp.rows[j].low == nlp.rows[j].high}
     for i, side in enumerate(limits):
         for j in exact.keys() & set(side.rows):
@@ -134,8 +143,8 @@ def elastic(nlp: NLP, limits: list[Side]) -> NLP:
     held = np.array([v.name in nlp.states or (bounded[i] and i not in giving) for i, v in enumerate(nlp.variables)])
     length = np.array([v.name in LENGTHS or v.name.endswith(".length") for v in nlp.variables])
     room = np.where(bounded, np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
-    lowest = np.where(length, 1e-3 * nlp.x_low, nlp.x_low - room)  # a length gives way towards zero, never beyond
-    # helpers keep their bounds, but for the largest error, which has no upper one
+    lowest = np.where(length, 1e-3 * nlp.x_low, nlp.x_low - room)  # a length may shrink towards zero, not below
+    # helpers keep their bounds, except the largest error, which has no upper bound
     lowest = np.where(held, nlp.x_low, np.where(bounded, lowest, np.where(np.isfinite(nlp.x_low), nlp.x_low, 0.0)))
     highest = np.where(held, nlp.x_high, np.where(bounded, nlp.x_high + room, np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)))
     return NLP(
@@ -156,10 +165,10 @@ def elastic(nlp: NLP, limits: list[Side]) -> NLP:
 
 
 class _Search:
-    """Least total slack of the limits that may give, the others hard, the dropped ones free.
+    """Searches for the least total slack: some limits are relaxed, others enforced, the rest dropped.
 
-    Both back ends are asked, so that the answer does not depend on which one the user chose. `follow` gives the parameters of the
-    programme with its roaming positions at the peaks of a point.
+    Both back ends are used, so that the result does not depend on the back end selected. `follow` returns the parameters of the
+    NLP with its roaming positions at the peaks of a point.
     """
 
     def __init__(
@@ -168,17 +177,17 @@ class _Search:
         self.follow, self.p = follow, nlp.p.copy()
         self.programme, self.n, self.k = elastic(nlp, limits), len(nlp.variables), len(limits)
         self.points = points
-        self.last: list[Array] = []  # where the search before ended
+        self.last: list[Array] = []  # end of the previous search
         self.solvers = [backend(name) for name in reversed(names)]
         self.enough, self.amount, self.settled = ENOUGH, False, True
 
     def least(self, weights: Array, loose: Array) -> tuple[float, Array]:
-        """The least weighted slack, and x with the slacks; `loose` (k,) are the upper bounds of the slacks.
+        """Return the least weighted slack, and x with the slacks; `loose` (k,) are the upper bounds of the slacks.
 
-        The roaming positions are moved to the peaks of what was found until it meets all limits there too (exchange): always
-        where it meets them without slack, else where the `amount` is asked for. `settled` says whether that ended.
+        The roaming positions are moved to the peaks of the solution until all limits hold there too (exchange method): always if
+        the solution needs no slack, else if the `amount` is required. `settled` says whether the exchange converged.
         """
-        self.programme.x_high[self.n :] = loose  # in place: what is compiled for the programme is kept
+        self.programme.x_high[self.n :] = loose  # in place: the compiled functions of the NLP are kept
         total, found = self._searched(weights, loose, self.enough)
         self.settled = self.follow is None
         for _ in range(EXCHANGES):
@@ -192,22 +201,22 @@ class _Search:
         return total, found
 
     def _missed(self, x: Array, weights: Array) -> float:
-        """By how much a point misses the relaxed limits (scaled)."""
+        """Return the violation of the relaxed limits at a point (scaled)."""
         nlp = self.programme
         g = nlp.at(x, np.concatenate([weights, self.p])).g
         return float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
 
     def _searched(self, weights: Array, loose: Array, enough: int) -> tuple[float, Array]:
-        """The least weighted slack with the roaming positions where they are; it ends when `enough` searches agree."""
+        """Return the least weighted slack for fixed roaming positions; the search ends when `enough` runs agree."""
         nlp, p = self.programme, np.concatenate([weights, self.p])
         best, found = math.inf, np.full(self.n + self.k, math.inf)
         ends: list[float] = []
         points = [*self.last, *self.points]
-        most = len(points)  # as many searches without an end that counts mean that there is none
+        most = len(points)  # after this many searches without a feasible end there is none
         turns = range(len(self.solvers))
         for point, solver in [(point, self.solvers[(i + k) % len(turns)]) for k in turns for i, point in enumerate(points)]:
             x = self._slackened(point, weights, loose)
-            for run in (None, solver):  # the point itself may do already
+            for run in (None, solver):  # the point itself may be feasible
                 end = x if run is None else run(nlp, x, p).x
                 total = float(weights @ end[self.n :]) if self._missed(end, weights) <= MET else math.inf
                 if total < best:
@@ -221,7 +230,7 @@ class _Search:
         return best, found
 
     def _slackened(self, point: Array, weights: Array, loose: Array) -> Array:
-        """A point with the slacks that it needs, as far as they may go."""
+        """Return a point with the slacks that it needs, up to their bounds."""
         nlp = self.programme
         x = np.concatenate([point, np.zeros(self.k)])
         here = nlp.at(x, np.concatenate([weights, self.p]))
@@ -233,23 +242,22 @@ class _Search:
 def explain(
     nlp: NLP, seed: int = 0, points: list[Array] | None = None, *, quick: bool = False, follow: Follow | None = None
 ) -> Explanation | Array:
-    """Name the conflict of an infeasible programme, or give the x of a feasible design where there is one after all.
+    """Identify the conflicting limits of an infeasible NLP; return the x of a feasible design if one is found.
 
-    Local searches from several starts by both back ends (from `points`, or the start and Sobol points): a proof only in the sense
-    that none of them found a design.
+    The analysis uses local searches from several starting points (`points`, or the start and Sobol points) by both back ends. It
+    proves infeasibility only in the sense that none of them found a feasible design.
 
     Parameters
     ----------
     nlp : NLP
     seed : int
-        Of the Sobol points.
+        Seed of the Sobol points.
     points : list of arrays (n,), optional
-        Where to search from.
+        Starting points.
     quick : bool
-        For large programmes: by the interior-point method alone, and after the first verdict by one search for each question,
-        by two for each amount.
+        For large NLPs: use the interior-point method alone, and after the first verdict one search per question, two per amount.
     follow : function, optional
-        Of a point x (n,): the parameters of the programme with its roaming positions at the peaks there.
+        Function of a point x (n,) that returns the parameters of the NLP with its roaming positions at the peaks there.
     """
     limits = sides(nlp)
     k = len(limits)
@@ -281,9 +289,9 @@ def _begin(nlp: NLP, seed: int) -> list[Array]:
 
 
 def _irreducible(search: _Search, free: Array, giving: NDArray[np.bool_]) -> list[int]:
-    """Indices of limits that cannot hold together while every part of them can; `giving` (k,): those that gave way at first."""
+    """Return indices of an irreducible infeasible set of limits; `giving` (k,): limits with positive slack at first."""
     k = len(free)
-    for i in np.argsort(~giving, kind="stable").tolist():  # a limit that nothing can meet is the clearest of all conflicts
+    for i in np.argsort(~giving, kind="stable").tolist():  # a limit that is infeasible on its own is the simplest conflict
         if MET < search.least(np.eye(k)[i], free)[0] < math.inf:
             return [i]
     kept = _conflicting(search, free, giving)
@@ -295,7 +303,7 @@ def _irreducible(search: _Search, free: Array, giving: NDArray[np.bool_]) -> lis
 
 
 def _conflicting(search: _Search, free: Array, giving: NDArray[np.bool_]) -> Array:
-    """1 for limits that cannot hold together, 0 for the others (elastic filter); all of them where a search fails."""
+    """Return 1 for limits of an infeasible set, 0 for the others (elastic filter); 1 for all if a search fails."""
     held = np.where(giving, 1.0, 0.0)
     while search.least(held, free)[0] <= MET:
         _, x = search.least(1.0 - held, np.where(held > 0.0, 0.0, free))

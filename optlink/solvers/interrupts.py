@@ -1,4 +1,4 @@
-"""Ctrl-C: the first one stops the work in order, a second one at once; compiled code has two seconds to return."""
+"""Handling of Ctrl-C: the first one stops in order, the second one at once; compiled code has two seconds to return."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _pressed = False
 
 
 def listen() -> None:
-    """Let Ctrl-C end this process as described above; for the main thread of a command."""
+    """Install the handler of Ctrl-C; call it in the main thread of a command."""
     global _pressed  # noqa: PLW0603
     _pressed = False
     if threading.current_thread() is not threading.main_thread():
         return
     signal.signal(signal.SIGINT, _press)
-    if os.name == "posix":  # Python handles signals between its own instructions only; this pipe is written to at once
+    if os.name == "posix":  # Python handles signals only between its own instructions; this pipe is written at once
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
         signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
@@ -33,12 +33,12 @@ def listen() -> None:
 
 
 def interrupted() -> bool:
-    """Whether Ctrl-C was pressed."""
+    """Return whether Ctrl-C was pressed."""
     return _pressed
 
 
 def check() -> None:
-    """Raise the interrupt that compiled code has swallowed.
+    """Raise the interrupt that compiled code did not pass on.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def check() -> None:
 
 @contextlib.contextmanager
 def shielded() -> Iterator[None]:
-    """Processes that are begun within do not see Ctrl-C, not even while they start: who began them ends them."""
+    """Block Ctrl-C for processes started within, even while they start; the parent process ends them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -63,7 +63,7 @@ def shielded() -> Iterator[None]:
 
 
 def leave() -> NoReturn:
-    """End an interrupted process, its messages written, at once: Python itself would wait for the threads of process pools."""
+    """End an interrupted process at once after its messages are written: Python would wait for the threads of process pools."""
     if "multiprocessing" in sys.modules:
         for child in sys.modules["multiprocessing"].active_children():
             child.kill()
@@ -81,7 +81,7 @@ def _press(number: int, frame: FrameType | None) -> None:
 
 
 def _watch(signals: int) -> None:
-    """End the process where its main thread does not: two seconds after the first Ctrl-C, or at the second one."""
+    """End the process if its main thread does not: two seconds after the first Ctrl-C, or at the second one."""
     while os.read(signals, 1) != bytes([signal.SIGINT]):
         pass
     timer = threading.Timer(PATIENCE, _kill, ["interrupted while compiled code was running: no result was written"])
@@ -93,7 +93,7 @@ def _watch(signals: int) -> None:
 
 
 def _kill(message: str) -> None:
-    """End the process without tidying up: files are written under temporary names, so none is half written."""
+    """End the process without clean-up: files are written under temporary names, so none is incomplete."""
     with contextlib.suppress(OSError):
         os.write(2, f"\nError: {message}\n".encode())
     os._exit(EXIT_CODE)

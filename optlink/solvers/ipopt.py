@@ -1,4 +1,4 @@
-"""IPOPT (through casadi) behind the Backend contract: an interior-point method with exact first and second derivatives."""
+"""IPOPT (through casadi) as a Backend: an interior-point method with exact first and second derivatives."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OPTIONS: dict[str, Any] = {
     "show_eval_warnings": False,
     "calc_lam_x": False,
     "calc_lam_p": False,
-    "calc_multipliers": False,  # ours are recomputed from the programme
+    "calc_multipliers": False,  # multipliers are recomputed from the NLP
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
     "ipopt.tol": 1e-8,
@@ -29,12 +29,12 @@ OPTIONS: dict[str, Any] = {
     "ipopt.acceptable_iter": 0,
     "ipopt.max_iter": 300,
     "ipopt.mu_strategy": "adaptive",
-    # the systems here are tiny and well scaled: guesses of multipliers, scaling and refinement cost more than they save
+    # the systems are small and well scaled: multiplier estimates, scaling and refinement cost more than they save
     "ipopt.constr_mult_init_max": 0.0,
     "ipopt.min_refinement_steps": 0,
     "ipopt.mumps_scaling": 0,
     "ipopt.mumps_permuting_scaling": 0,
-    # bounds are kept as they are: by default they are widened by 1e-8, which would show in the sixth digit of a millimetre
+    # bounds are exact: by default IPOPT widens them by 1e-8, which shows in the sixth digit of a millimetre
     "ipopt.bound_relax_factor": 0.0,
     "ipopt.honor_original_bounds": "yes",
 }
@@ -45,7 +45,7 @@ NEAR = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-4}
 
 
 class _Recorder(casadi.Callback):
-    """Keeps the iterates."""
+    """Callback that records the iterates."""
 
     def __init__(self, nlp: NLP) -> None:
         casadi.Callback.__init__(self)
@@ -80,7 +80,16 @@ def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
 
 
 def compiled(nlp: NLP, tight: bool = False, close: bool = False) -> Any:
-    """The solver of a programme, made once."""
+    """Return the solver of an NLP, built once and cached in `nlp.cache`.
+
+    Parameters
+    ----------
+    nlp : NLP
+    tight : bool
+        Use convergence tolerances of 1e-11 instead of 1e-8.
+    close : bool
+        Start with a small barrier parameter, for a start near an optimum.
+    """
     key = f"ipopt, {tight}, {close}"
     if key not in nlp.cache:
         nlp.cache[key] = _solver(nlp, (TIGHT if tight else {}) | (NEAR if close else {}))
@@ -88,12 +97,40 @@ def compiled(nlp: NLP, tight: bool = False, close: bool = False) -> Any:
 
 
 def ipopt_close(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
-    """Minimise from an x that is nearly optimal, without leaving its neighbourhood for another optimum."""
+    """Minimise from a nearly optimal x without leaving its neighbourhood.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Starting point, scaled.
+    p : array
+        Parameters of the NLP.
+    track : bool
+        Record the iterates.
+    tight : bool
+        Use convergence tolerances of 1e-11 instead of 1e-8; without effect if `track` is set.
+    """
     return ipopt(nlp, x, p, track=track, tight=tight, close=True)
 
 
 def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False, close: bool = False) -> Attempt:
-    """Minimise from x; the compiled solver is kept as long as the programme lives."""
+    """Minimise from x with IPOPT; the compiled solver is cached in the NLP.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Starting point, scaled.
+    p : array
+        Parameters of the NLP.
+    track : bool
+        Record the iterates.
+    tight : bool
+        Use convergence tolerances of 1e-11 instead of 1e-8; without effect if `track` is set.
+    close : bool
+        Start with a small barrier parameter, for a start near an optimum.
+    """
     recorder = _Recorder(nlp) if track else None
     own = {"iteration_callback": recorder} | (NEAR if close else {})
     solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, own)

@@ -1,11 +1,13 @@
-"""The smallest largest deviation: a trust-region method whose every step is a second-order cone programme.
+"""Minimax optimisation: a trust-region method whose every step is a second-order cone programme.
 
-The largest of many distances |e_i(x)| has corners, where several points are equally far off. With the deviations linearised and
-their distances left as they are, |e_i + J_i d| <= t is a cone for each point: a step sees every corner at once. The curvature of
-the deviations enters with the multipliers of the step before. Limits are linearised; what a step cannot meet of them has a price.
-A step that brings less than it promised is corrected by what the deviations really are at its end, then shortened.
+The largest of many distances |e_i(x)| is not differentiable where several points are equally far. With the deviations linearised
+and their distances kept, |e_i + J_i d| <= t is a cone for each point, so a step accounts for every point at once. The curvature
+of the deviations enters with the multipliers of the previous step. Limits are linearised; their remaining violation is penalised.
+If a step decreases the merit too little, a second-order correction is tried, then the trust region is reduced.
 
-Sources: K. Madsen and H. Schjaer-Jacobsen, Linearly constrained minimax optimization, Math. Programming 14 (1978) 208-223;
+References
+----------
+K. Madsen and H. Schjaer-Jacobsen, Linearly constrained minimax optimization, Math. Programming 14 (1978) 208-223.
 R. Fletcher, Second order corrections for non-differentiable optimization, Lecture Notes in Mathematics 912 (1982) 85-114.
 """
 
@@ -26,19 +28,22 @@ from optlink.symbolic import Compiled
 Array = NDArray[np.float64]
 
 MOST_STEPS = 100
-FIRST_REACH, LEAST_REACH, MOST_REACH = 0.1, 1e-9, 1.0  # of a step, in scaled units
-GOOD, POOR = 0.75, 0.25  # share of the promised decrease from which the next step may be longer, and below which it is shorter
-TAKEN = 1e-3  # share of it from which a step is taken
-PRICE, DEAREST = 10.0, 1e6  # of a missed limit, in scaled units, against the largest deviation, which is 1 at the start
-SPARE = 4.0  # times its multipliers: a price that is high enough
-TOLERANCE = 1e-11  # of the cone programme
-MET = 1e-8  # scaled units: a limit that is missed by no more is met
-SETTLED = 1e-10  # promised decrease, as a share of the deviation, that ends the search
+FIRST_REACH, LEAST_REACH, MOST_REACH = 0.1, 1e-9, 1.0  # trust-region radius, in scaled units
+GOOD, POOR = 0.75, 0.25  # share of the predicted decrease above which the radius may grow, and below which it shrinks
+TAKEN = 1e-3  # share of the predicted decrease above which a step is accepted
+PRICE, DEAREST = 10.0, 1e6  # penalty of a violated limit (scaled) relative to the largest deviation, which is 1 at the start
+SPARE = 4.0  # times the multipliers: a sufficient penalty
+TOLERANCE = 1e-11  # tolerance of the cone programme
+MET = 1e-8  # scaled units: violation up to which a limit counts as satisfied
+SETTLED = 1e-10  # predicted decrease, as a share of the deviation, that ends the search
 
 
 @dataclass(frozen=True)
 class _Here:
-    """Deviations e (points, k) over the first largest one and limits g (m,) at an x, with their slopes by all but the last."""
+    """Deviations e (points, k), divided by the first largest one, and limits g (m,) at an x, with their derivatives.
+
+    Derivatives are with respect to all variables but the last.
+    """
 
     e: Array
     by_e: Array
@@ -52,13 +57,13 @@ class _Here:
         return float(np.max(np.linalg.norm(self.e, axis=1)))
 
     def merit(self, price: float) -> float:
-        """What is minimised."""
+        """Return the merit function: largest distance plus penalised violation."""
         return self.largest + price * self.missed
 
 
 @dataclass(frozen=True)
 class _Step:
-    """A step, what it promises, and its multipliers: of the deviations (points * k) and of the limits (m,)."""
+    """A step, its predicted merit and violation, and its multipliers: of the deviations (points * k) and of the limits (m,)."""
 
     d: Array
     merit: float
@@ -68,7 +73,7 @@ class _Step:
 
 
 class _View:
-    """A minimax programme as deviations and limits."""
+    """A minimax NLP in terms of deviations and limits."""
 
     def __init__(self, nlp: NLP, p: Array) -> None:
         self.nlp, self.p, self.width = nlp, p, nlp.measure.width
@@ -85,7 +90,7 @@ class _View:
         self.size = 1.0
 
     def at(self, y: Array) -> _Here:
-        """Everything at y: x without its last component."""
+        """Evaluate deviations, limits and derivatives at y, which is x without its last component."""
         e, by_e, g, by_g = self.first(np.append(y, 0.0), self.p)
         by_e, by_g = (slopes.reshape(len(y), -1).T for slopes in (by_e, by_g))
         finite = all(np.all(np.isfinite(a)) for a in (e, by_e, g, by_g))
@@ -93,11 +98,11 @@ class _View:
         return _Here(points, by_e / self.size, g, by_g, self.missed(g) if finite else math.inf)
 
     def missed(self, g: Array) -> float:
-        """By how much the worst limit is missed."""
+        """Return the largest violation of a limit."""
         return float(np.max([self.low - g, g - self.high], initial=0.0)) if len(g) else 0.0
 
     def bend(self, y: Array, step: _Step) -> Array:
-        """Curvature (n, n) of the deviations and limits, weighted with multipliers, as far as it is positive."""
+        """Return the positive semidefinite part (n, n) of the Hessian of deviations and limits, weighted with multipliers."""
         n = len(y)
         found = self.second(np.append(y, 0.0), self.p, step.by_e / self.size, step.by_g)[0].reshape(n, n)
         if not np.all(np.isfinite(found)):
@@ -107,7 +112,21 @@ class _View:
 
 
 def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
-    """Minimise the largest deviation from x, whose last component is that deviation; always as tightly as it can."""
+    """Minimise the largest deviation from x, whose last component is that deviation.
+
+    Parameters
+    ----------
+    nlp : NLP
+        NLP with the measure "max".
+    x : array (n,)
+        Starting point, scaled.
+    p : array
+        Parameters of the NLP.
+    track : bool
+        Without effect: iterates are not recorded.
+    tight : bool
+        Without effect: the tolerance is always tight.
+    """
     view, y = _View(nlp, p), x[:-1]
     here = view.at(y)
     if not math.isfinite(here.missed):
@@ -154,7 +173,7 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
 
 
 def _priced(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price: float, step: _Step) -> tuple[float, _Step]:
-    """A price at which a step does half of what it could do for missed limits, or a sufficient one; and the step."""
+    """Return a penalty weight that halves the reducible violation or is large enough, and the step for it."""
     if here.missed <= MET:
         return min(price, max(PRICE, SPARE * float(np.sum(np.abs(step.by_g))))), step
     if step.missed > 0.5 * here.missed:
@@ -167,12 +186,12 @@ def _priced(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], pri
 
 
 def _gained(here: _Here, there: _Here, price: float, promised: float) -> float:
-    """Share of the promised decrease."""
+    """Return the actual decrease of the merit as a share of the predicted one."""
     return (here.merit(price) - there.merit(price)) / promised if math.isfinite(there.missed) else -1.0
 
 
 def _step(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price: float) -> _Step | None:
-    """The best step within a box; None where the solver finds none."""
+    """Return the best step within a box; None if the solver finds none."""
     import clarabel
     from scipy.sparse import csc_matrix, triu
 

@@ -1,4 +1,4 @@
-"""From a programme and its starts to a solution: repair, back end, polish, proof; many starts; both back ends."""
+"""Local searches and multistart: feasibility repair, back end, Newton refinement, optimality check; comparison of back ends."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from optlink.solvers.solution import FEASIBLE, Attempt, Backend, Solution, exami
 Array = NDArray[np.float64]
 
 BACKENDS = ("slsqp", "ipopt")
-MINIMAX = "minimax"  # knows programmes of the largest of many deviations only
-CLOSE = "ipopt, close"  # IPOPT with a small barrier, which does not leave the neighbourhood of a start that is nearly optimal
+MINIMAX = "minimax"  # only for NLPs that minimise the largest of many deviations
+CLOSE = "ipopt, close"  # IPOPT with a small barrier parameter, for a start near an optimum
 SAME_OBJECTIVE = 1e-6  # relative
-SAME_ERROR = 1e-8  # rad; half a millionth of a degree is no difference
+SAME_ERROR = 1e-8  # rad; errors that differ by less count as equal
 SAME_DESIGN = 1e-5  # in scaled units
-CONTINUATIONS = 3  # an end that is no optimum is searched on from, more tightly
-NEARLY = 1e-3  # a violation up to this, in scaled units, is a solver's tolerance rather than another design
+CONTINUATIONS = 3  # number of restarts, with tighter tolerances, from an end that is not optimal
+NEARLY = 1e-3  # a violation up to this, in scaled units, is attributed to the solver's tolerance and repaired
 SOBOL_BLOCK = 64
-RESCALE = 1e-3  # an optimum this far below its start is searched again from there, on its own scale
+RESCALE = 1e-3  # if the objective fell below this share of its start, the search is repeated with a new scale
 
 
 def backend(name: str) -> Backend:
-    """The back end of that name; its library is imported only now."""
+    """Return the back end of that name; its library is imported on first use."""
     if name == "slsqp":
         from optlink.solvers.slsqp import slsqp
 
@@ -49,7 +49,14 @@ def backend(name: str) -> Backend:
 
 
 def prepare(nlp: NLP, name: str) -> None:
-    """Import and compile what a back end needs, so that the search itself is timed alone."""
+    """Import and compile what a back end needs, so that timings cover the search alone.
+
+    Parameters
+    ----------
+    nlp : NLP
+    name : str
+        Back end.
+    """
     backend(name)
     if name == "ipopt":
         from optlink.solvers.ipopt import compiled
@@ -61,19 +68,46 @@ def prepare(nlp: NLP, name: str) -> None:
 
 
 def scaled(nlp: NLP, x: Array) -> Array:
-    """Parameters with the objective scaled to 1 at x."""
+    """Return the parameters of the NLP with the objective scaled to 1 at x.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Scaled point.
+    """
     f = nlp.values(x, nlp.p)[0] * nlp.p[0]
     return np.array([max(abs(f), SMALLEST_SCALE) if math.isfinite(f) else 1.0, *nlp.p[1:]])
 
 
 def given(nlp: NLP, x: Array, message: str) -> Solution:
-    """A point that was not searched, as a solution."""
+    """Wrap a given design as a Solution without optimising.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Scaled point.
+    message : str
+        Message of the Solution.
+    """
     x = nlp.lifted(x)
     return examine(nlp, Attempt(x, 0, message), scaled(nlp, x))
 
 
 def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solution:
-    """One local search from x."""
+    """Run one local search from x.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Starting point, scaled.
+    name : str
+        Back end.
+    track : bool
+        Record the iterates.
+    """
     start = repair(nlp, x, nlp.p)
     if start is None and not math.isfinite(nlp.values(x, nlp.p)[0]):
         return replace(given(nlp, x, "the start could not be repaired"), status=Status.INFEASIBLE)
@@ -95,7 +129,7 @@ def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solutio
 
 
 def _ended(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
-    """What a back end brought back: put back onto a limit that it missed by a little, polished and examined."""
+    """Return the result of a back end as a Solution, after repair of a small violation and Newton refinement."""
     x = nlp.lifted(attempt.x)
     if FEASIBLE < violation(nlp, x, nlp.values(x, p)[1]) <= NEARLY:
         mended = repair(nlp, x, p, inside=0.0)
@@ -104,12 +138,28 @@ def _ended(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
 
 
 def starts(nlp: NLP, count: int, seed: int) -> list[Array]:
-    """The given start, then count - 1 Sobol points over the bounds (scrambled by the seed)."""
+    """Return the start of the NLP, followed by count - 1 Sobol points over the bounds.
+
+    Parameters
+    ----------
+    nlp : NLP
+    count : int
+        Number of starting points.
+    seed : int
+        Seed of the scrambling.
+    """
     return [nlp.lifted(x) for x in (np.clip(nlp.x_start, nlp.x_low, nlp.x_high), *itertools.islice(sobol(nlp, seed), count - 1))]
 
 
 def sobol(nlp: NLP, seed: int) -> Iterator[Array]:
-    """Sobol points over the bounds, without end, scrambled by the seed."""
+    """Generate scrambled Sobol points over the bounds, without end.
+
+    Parameters
+    ----------
+    nlp : NLP
+    seed : int
+        Seed of the scrambling.
+    """
     from scipy.stats import qmc
 
     points = qmc.Sobol(len(nlp.variables), rng=np.random.default_rng(seed))
@@ -120,14 +170,20 @@ def sobol(nlp: NLP, seed: int) -> Iterator[Array]:
 
 @dataclass(frozen=True)
 class Cluster:
-    """A distinct optimum: its best solution and how many starts ended there."""
+    """A distinct optimum: its best solution and the number of starts that ended there."""
 
     solution: Solution
     count: int
 
 
 def cluster(nlp: NLP, solutions: list[Solution]) -> list[Cluster]:
-    """Distinct optima, best first; solutions that are not feasible are left out."""
+    """Return the distinct optima of feasible solutions, best first.
+
+    Parameters
+    ----------
+    nlp : NLP
+    solutions : list of Solution
+    """
     found: list[Cluster] = []
     for solution in sorted((s for s in solutions if s.usable), key=lambda s: s.objective):
         for i, known in enumerate(found):
@@ -147,7 +203,22 @@ def multistart(
     *,
     track: bool = False,
 ) -> list[Solution]:
-    """One solution per start, in the order of the starts; an interrupt (Ctrl-C) keeps those that are done, if there are any."""
+    """Return one solution per start, in the order of the starts.
+
+    An interrupt (Ctrl-C) keeps the solutions obtained so far, if there are any.
+
+    Parameters
+    ----------
+    nlp : NLP
+    name : str
+        Back end.
+    begin : list of arrays (n,)
+        Starting points, scaled.
+    progress : function of an int, optional
+        Called with the number of finished searches.
+    track : bool
+        Record the iterates of the first search.
+    """
     solutions: list[Solution] = []
     try:
         for k, x in enumerate(begin):
@@ -161,7 +232,7 @@ def multistart(
 
 
 def best(solutions: list[Solution]) -> Solution:
-    """The feasible solution with the least objective (optimal before stalled if they tie); else the least violated one."""
+    """Return the feasible solution with the least objective (ties: optimal before stalled), else the least infeasible one."""
     usable = [s for s in solutions if s.usable]
     if usable:
         return min(usable, key=lambda s: (s.objective, s.status is not Status.OPTIMAL))
@@ -170,10 +241,10 @@ def best(solutions: list[Solution]) -> Solution:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far two back ends are apart at the end.
+    """Difference between the results of two back ends.
 
-    `objective`: difference of the errors (for a sum of squares: of its root) over their size, differences below `SAME_ERROR`
-    counting as none; `design`: largest difference in scaled units.
+    `objective`: relative difference of the errors (for a sum of squares: of its root), where differences below `SAME_ERROR` count
+    as zero; `design`: largest difference in scaled units.
     """
 
     objective: float
@@ -181,12 +252,17 @@ class Agreement:
 
     @property
     def same(self) -> bool:
-        """Equal objective; where the designs differ all the same, several designs are equally good."""
+        """Whether the objectives agree; if the designs differ nevertheless, several designs are equally good."""
         return self.objective <= SAME_OBJECTIVE
 
 
 def compare(a: Solution, b: Solution) -> Agreement:
-    """Difference of two solutions."""
+    """Return the difference of two solutions; infinite if one is infeasible.
+
+    Parameters
+    ----------
+    a, b : Solution
+    """
     if not (a.usable and b.usable):
         return Agreement(math.inf, math.inf)
     root = math.sqrt if a.nlp.measure.name == "sum of squares" else float
@@ -196,9 +272,15 @@ def compare(a: Solution, b: Solution) -> Agreement:
 
 
 def reconcile(nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:
-    """Where two back ends ended in different optima, let the worse one search again from the better one's design.
+    """Where two back ends end at different optima, restart the worse one from the better one's design.
 
-    A true local optimum holds it there; if it does not, the two still disagree and the validation says so.
+    At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
+
+    Parameters
+    ----------
+    nlp : NLP
+    found : dict of str to Solution
+        Solution for each back end.
     """
     winner = best(list(found.values()))
     return {

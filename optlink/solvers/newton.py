@@ -1,7 +1,7 @@
-"""Newton's method on the optimality conditions, with exact second derivatives: the last digits of an optimum.
+"""Newton's method on the KKT system with exact second derivatives, to refine an optimum to rounding error.
 
-A back end stops within its tolerance of the optimum; from there two or three steps on the system of the active limits reach
-rounding error, which is what makes two back ends comparable to 1e-6 mm and multipliers exact.
+A back end stops within its tolerance of the optimum; two or three Newton steps on the system of the active limits reach rounding
+error, which makes two back ends comparable to 1e-6 mm and the multipliers exact.
 """
 
 from __future__ import annotations
@@ -16,17 +16,27 @@ from optlink.solvers.solution import FEASIBLE, Attempt, stationarity, violation
 
 Array = NDArray[np.float64]
 
-NEAR = 1e-4  # a limit this close (scaled units), with a multiplier of the right sign, is taken as active
+NEAR = 1e-4  # a limit this close (scaled units), with a multiplier of the right sign, counts as active
 MAX_STEPS = 6
-TRIES = 3  # active sets: a limit that is missed at the end joins the next
-LONGEST_STEP = 1e-2  # further away is no polishing but another search
+TRIES = 3  # active sets: a limit violated at the end is added to the next set
+LONGEST_STEP = 1e-2  # a longer step is rejected: it leaves the neighbourhood of the optimum
 CONVERGED = 1e-10
 ROUNDING = 1e-14
-NOISE = 1e-14  # of the largest second derivative: how exactly a gradient can vanish
+NOISE = 1e-14  # share of the largest second derivative: rounding error of the gradient
 
 
 def polish(nlp: NLP, attempt: Attempt, p: Array, near: float = NEAR) -> Attempt:
-    """Refine an attempt, limits that are `near` being active; one that does not become better is returned as it was."""
+    """Refine an attempt by Newton's method; return it unchanged if it does not improve.
+
+    Parameters
+    ----------
+    nlp : NLP
+    attempt : Attempt
+    p : array
+        Parameters of the NLP.
+    near : float
+        Distance at which a limit counts as active, scaled.
+    """
     x = attempt.x
     begin = nlp.at(x, p)
     if not begin.finite:
@@ -53,7 +63,7 @@ def polish(nlp: NLP, attempt: Attempt, p: Array, near: float = NEAR) -> Attempt:
 def _refined(
     nlp: NLP, x: Array, p: Array, begin: Point, active: NDArray[np.intp], multipliers: Array
 ) -> tuple[Array, Point, float] | None:
-    """The best of Newton's steps with an active set, what is there, and how far the residual can settle; None if it does not."""
+    """Return the best Newton iterate of an active set, its values, and the residual tolerance; None without convergence."""
     n, here = len(x), begin
     rows = active[active >= n] - n
     values = np.concatenate([x, begin.g])
@@ -66,7 +76,7 @@ def _refined(
         residual = np.concatenate([here.gradient + jacobian.T @ multipliers[active], missing])
         size = float(np.max(np.abs(residual), initial=0.0))
         worse = 0 if size < 0.5 * last else worse + 1
-        if worse > 1:  # once may be: along a curved valley every other step mends what the one before did to the limits
+        if worse > 1:  # one increase is allowed: along a curved valley every other step restores the limits
             break
         if worse == 0:
             last, best = size, (y, here)
@@ -89,7 +99,23 @@ def _refined(
 
 
 def newton(hessian: Array, jacobian: Array, residual: Array) -> Array | None:
-    """Step of the optimality system; least squares where limits depend on one another or the objective is flat."""
+    """Return the Newton step of the KKT system; None if the system is not finite.
+
+    A least-squares solution is used where limits are linearly dependent or the objective is flat.
+
+    Parameters
+    ----------
+    hessian : array (n, n)
+        Of the Lagrangian.
+    jacobian : array (k, n)
+        Of the active limits.
+    residual : array (n + k,)
+        Gradient of the Lagrangian, then the active limits minus their bounds.
+
+    Returns
+    -------
+    Step of the variables (n), then of the multipliers (k)
+    """
     k = len(jacobian)
     system = np.block([[hessian, jacobian.T], [jacobian, np.zeros((k, k))]])
     if not np.all(np.isfinite(system)):

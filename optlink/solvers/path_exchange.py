@@ -1,4 +1,4 @@
-"""Exchange method for limits that hold over a whole range: positions move to where a limit is exceeded, and the search resumes.
+"""Exchange method for limits over a whole range: roaming positions move to the violated positions, and the search resumes.
 
 References
 ----------
@@ -25,16 +25,16 @@ from optlink.solvers.solution import Solution
 
 Array = NDArray[np.float64]
 
-ALONG = 1441  # positions along the required motion at which limits are compared
-EXCEEDED = 2e-9  # of a limit in its row's own unit, by which it may be exceeded: less than the validator lets pass
+ALONG = 1441  # positions along the required motion at which limits are sampled
+EXCEEDED = 2e-9  # permitted excess over a limit, in the unit of its row: less than the validator's tolerance
 EXCHANGES = 16  # rounds
-RADIUS, SMALLEST = 0.3, 1e-3  # scaled units: how far the sizes may move in the first round; where the rounds end
-NEAR = 0.1  # in a row's own unit: a peak that is that much lower than its limit may exceed it in the next round
-CLOSE = 0.02  # the same for peaks whose places are unknowns of the programme
-REACH = 0.02  # of the motion, by which such a place may move in a round
-EDGE = 1e-3  # of the motion: a peak that near to its end may be there although its slope does not vanish
-APART = 1e-4  # of the motion; nearer than that two positions are one
-MISSED = 1e3  # what it costs to exceed a limit by one, in objectives
+RADIUS, SMALLEST = 0.3, 1e-3  # scaled units: trust-region radius of the first round, and the one that ends the rounds
+NEAR = 0.1  # in the unit of the row: a peak this far below its limit may exceed it in the next round
+CLOSE = 0.02  # the same for peaks whose positions are unknowns of the NLP
+REACH = 0.02  # share of the motion by which such a position may move in a round
+EDGE = 1e-3  # share of the motion: this close to its ends the derivative at a peak need not vanish
+APART = 1e-4  # share of the motion; closer positions count as one
+MISSED = 1e3  # penalty of exceeding a limit by one, in multiples of the objective
 
 
 @dataclass(frozen=True)
@@ -47,17 +47,20 @@ class Peak:
 
 
 def search_everywhere(task: GenerationProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
-    """The optimum near a start that keeps its limits also between the positions that the programme knows.
+    """Return an optimum near a start that satisfies its limits also between the positions of the NLP.
 
-    In every round the roaming positions move to where the limits are exceeded or nearly so, and the programme is solved
-    within a radius, in which these places hardly move; a step counts only if what is measured between all positions is better.
+    In every round the roaming positions move to where limits are exceeded or nearly so, and the NLP is solved within a radius, in
+    which these positions hardly move; a step is accepted only if the merit over all positions decreases.
 
     Parameters
     ----------
+    task : GenerationProblem
     start : Solution
-        A point of the programme.
+        Start; its `nlp` is solved.
+    backend : str
+        Back end.
     near : bool
-        Whether the start keeps its limits everywhere and the first search, too, stays within the radius.
+        Whether the start satisfies its limits everywhere, so that the first search stays within the radius too.
     """
     nlp = start.nlp
     if not nlp.roaming:
@@ -85,7 +88,7 @@ def search_everywhere(task: GenerationProblem, start: Solution, backend: str, *,
 
 
 def _followed(nlp: NLP, start: Solution, count: int, radius: float, backend: str, tops: list[Peak]) -> Solution:
-    """The optimum with the first `count` variables within a radius of a start, the places of active peaks among the unknowns."""
+    """Return the optimum with the first `count` variables within a radius, the positions of active peaks being unknowns."""
     chosen = [top for top in tops[: nlp.roaming] if top.height > -CLOSE and EDGE < top.at < 1.0 - EDGE]
     chosen.sort(key=lambda top: (top.row, top.at))
     rows = tuple(top.row for top in chosen)
@@ -110,18 +113,18 @@ def _followed(nlp: NLP, start: Solution, count: int, radius: float, backend: str
 
 
 def _merit(found: Solution, tops: list[Peak]) -> float:
-    """The objective, and what it costs that limits are exceeded, at the programme's positions or between them."""
+    """Return the objective plus a penalty on violated limits, at the positions of the NLP or between them."""
     missed = max(found.violation, tops[0].height, 0.0)
     return found.objective + MISSED * missed * abs(found.objective) if math.isfinite(missed) else math.inf
 
 
 def _tops(task: GenerationProblem, found: Solution) -> list[Peak]:
-    """Where limits are exceeded or nearly so, the worst first."""
+    """Return the peaks where limits are exceeded or nearly so, largest first."""
     return peaks(excess_over(task, found), np.linspace(0.0, 1.0, ALONG), NEAR) or [Peak(0.0, -math.inf, 0)]
 
 
 def _places(tops: list[Peak], count: int) -> Array:
-    """The first places, and others in between where there is room."""
+    """Return the positions of the first peaks, and evenly spaced ones where there is room."""
     chosen: list[float] = []
     for at in [*(top.at for top in tops if top.height > -NEAR), *((np.arange(count) + 0.5) / count).tolist()]:
         if len(chosen) < count and all(abs(at - other) > APART for other in chosen):
@@ -130,7 +133,14 @@ def _places(tops: list[Peak], count: int) -> Array:
 
 
 def excess_over(task: GenerationProblem, found: Solution) -> Function:
-    """By how much a design exceeds its limits, less what may be exceeded, at shares (n,) of the required motion."""
+    """Return the excess over the limits, minus the permitted one, as a function of shares (n,) of the required motion.
+
+    Parameters
+    ----------
+    task : GenerationProblem
+    found : Solution
+        The design.
+    """
     values = {name: quantity.value for name, quantity in task.quantities.items()} | found.design
     own = found.x[len(task.free) :][: len(task.data.columns)] if task.data.offsets is None else None
     begin, whole = required_motion(task, task.crank_angles(values, own))
@@ -138,12 +148,15 @@ def excess_over(task: GenerationProblem, found: Solution) -> Function:
 
 
 def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[Peak]:
-    """Local maxima of all rows, largest first; only those above -near.
+    """Return the local maxima of all rows above -near, largest first.
 
     Parameters
     ----------
-    heights : positions (n,) -> values (rows, n)
-    grid : (n,) float, rising
+    heights : function of positions (n,) that returns values (rows, n)
+    grid : array (n,)
+        Positions, increasing.
+    near : float
+        Depth below zero down to which maxima are returned, in the unit of the rows.
     """
     values = heights(grid)
     padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)

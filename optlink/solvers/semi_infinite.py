@@ -1,4 +1,4 @@
-"""Peaks between the positions that a machine's programme knows: found, followed, and levelled (E. Remez; local reduction)."""
+"""Exchange method for semi-infinite constraints: maxima over the cycle between the positions of the NLP."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from optlink.solvers.solution import FEASIBLE, STATIONARY, Attempt, Solution, ex
 
 Array = NDArray[np.float64]
 
-ALONG = 241  # positions per stroke at which a peak is looked for
-EXCHANGES, LEVELLED = 40, 1e-10  # rounds, and the share by which a peak may exceed those that the programme knows
-SETTLED = 1e-8  # the same where the rounds are over
+ALONG = 241  # sampled positions per stroke
+EXCHANGES, LEVELLED = 40, 1e-10  # rounds, and the share by which a peak may exceed the values at the positions of the NLP
+SETTLED = 1e-8  # the same after the last round
 PEAK = "place of a peak"
-REACH = 0.25  # of a stroke, by which such a place may move in one round
-EDGE = 1e-6  # of a stroke: a peak that near to its end is there by the jump of a force, not by a vanishing slope
-CLOSE = 0.05  # share of its level by which a peak whose place is an unknown may be lower
-RADIUS, SMALLEST = 0.1, 1e-7  # scaled units: how far the sizes may move in the first round; where it ends
-MISSED = 100.0  # what missing a limit by its own size costs, in objectives
-SAME = 1e-9  # of a stroke: two peaks that near to one another are one
+REACH = 0.25  # share of a stroke by which the position of a peak may move in one round
+EDGE = 1e-6  # share of a stroke: a peak this close to its end is due to a jump of a force, not a vanishing derivative
+CLOSE = 0.05  # share of its level by which a peak may be lower and its position still be an unknown
+RADIUS, SMALLEST = 0.1, 1e-7  # scaled units: trust-region radius of the first round, and the one that ends the rounds
+MISSED = 100.0  # penalty of a limit violated by its own size, in multiples of the objective
+SAME = 1e-9  # share of a stroke: closer peaks count as one
 EXACTLY = 1e-9  # scaled units: distance at which a row counts as active in the proof
-SHARP = (1e-4, 1e-7, 1e-9)  # scaled units: distances at which rows may count as active in the last steps of Newton
-ALLOWED = 1e2 * FEASIBLE  # violation of the programme with moving peaks, whose equations are steep
-BESIDE = 0.02  # of a stroke: other positions keep away from peaks, beside which they would seem to hold the sizes too
-NEAR = 0.3  # share of its level by which a local peak may be lower and yet be followed
+SHARP = (1e-4, 1e-7, 1e-9)  # scaled units: active-set distances of the final Newton steps
+ALLOWED = 1e2 * FEASIBLE  # permitted violation of the NLP with moving peaks, whose equations are steep
+BESIDE = 0.02  # share of a stroke: distance of other positions from peaks, so that they do not count as active too
+NEAR = 0.3  # share of its level by which a local peak may be lower and still be tracked
 
 
 @dataclass(frozen=True)
 class Peaks:
-    """Where terms are largest along every stroke.
+    """Maxima of the terms along every stroke.
 
-    `shares` (slots,): positions within the strokes, 0 at the begin and 1 at the end, for the roaming positions. `excess`: by
-    which share of its level the worst peak exceeds it. `inner`: (slot, index of what is watched) of peaks inside a stroke.
-    `tops`: the largest value of everything that is watched, in its own scale; -inf where it is far below what counts.
+    `shares` (slots,): positions within the strokes, 0 at the begin and 1 at the end, for the roaming positions. `excess`:
+    relative excess of the worst peak over its level. `inner`: (slot, index of the watched term) of peaks inside a stroke. `tops`:
+    largest value of every watched term, in its own scale; -inf if it is far below its level.
     """
 
     shares: Array
@@ -56,14 +56,22 @@ class Peaks:
 
 
 def level(nlp: CycleNLP, solution: Solution) -> Solution:
-    """Move the roaming positions to the peaks, and search on, until no peak exceeds what the programme knows.
+    """Move the roaming positions to the peaks and continue the search until no peak exceeds the values at those positions.
 
-    With its positions held a programme does not see that a peak gives way as the sizes change: where limits alone do not settle
-    the design, steps overshoot to and fro. So the places of the peaks become unknowns too, the sizes move within a radius, and a
-    step counts only if what is measured at the peaks becomes better. These small steps, whichever back end found the design, are
-    those of SLSQP, which goes on from where it stands.
+    With fixed positions the NLP does not account for the shift of a peak with the design: where the limits alone do not determine
+    the design, steps overshoot alternately. Therefore the positions of the peaks are unknowns too, the design variables move
+    within a radius, and a step is accepted only if the merit at the peaks decreases. These steps use SLSQP for every back end.
 
-    Source: R. Hettich, K. O. Kortanek, Semi-infinite programming, SIAM Review 35 (1993) 380-429: exchange; local reduction.
+    Parameters
+    ----------
+    nlp : CycleNLP
+    solution : Solution
+        Optimum at the positions of the NLP.
+
+    References
+    ----------
+    R. Hettich, K. O. Kortanek, Semi-infinite programming: theory, methods, and applications, SIAM Review 35 (1993) 380-429:
+    exchange; local reduction.
     """
     if not solution.usable:
         return solution
@@ -93,7 +101,16 @@ def level(nlp: CycleNLP, solution: Solution) -> Solution:
 
 
 def held(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
-    """Where a back end goes from a levelled design: an optimum holds it."""
+    """Restart a back end from a levelled design; a true optimum does not move.
+
+    Parameters
+    ----------
+    nlp : CycleNLP
+    solution : Solution
+        The levelled design.
+    name : str
+        Back end.
+    """
     found = peaks(nlp, solution.x)
     nlp.roam(found.shares)
     near = _followed(nlp, nlp.lifted(solution.x), found, RADIUS, name)
@@ -101,7 +118,7 @@ def held(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
 
 
 def _merit(nlp: CycleNLP, x: Array, found: Peaks) -> float:
-    """The objective as measured at the peaks, and what it costs that limits are missed there."""
+    """Return the objective measured at the peaks plus a penalty on limits violated there."""
     x, missed = x.copy(), 0.0
     for watched, top in zip(nlp.watched, found.tops, strict=True):
         if watched.level is None:
@@ -113,15 +130,15 @@ def _merit(nlp: CycleNLP, x: Array, found: Peaks) -> float:
 
 
 def _distance(nlp: CycleNLP, x: Array, other: Array) -> float:
-    """Largest difference of the free sizes, scaled."""
+    """Return the largest difference of the design variables, scaled."""
     count = len(nlp.free)
     return float(np.max(np.abs(x[:count] - other[:count])))
 
 
 def _examined(nlp: CycleNLP, attempt: Attempt) -> Solution:
-    """A point with its proof, in which only rows count that hold the sizes exactly.
+    """Return a point with its optimality proof, in which only exactly active rows count.
 
-    Beside a peak a second position is all but active too: were both to count, they would seem to hold what can still move.
+    A second position beside a peak is nearly active too; counting both would overstate the number of active constraints.
     """
     p = multistart.scaled(nlp, attempt.x)
     found = examine(nlp, attempt, p)
@@ -132,13 +149,13 @@ def _examined(nlp: CycleNLP, attempt: Attempt) -> Solution:
 
 
 def _polished(nlp: CycleNLP, x: Array, found: Peaks, radius: float) -> Solution | None:
-    """The optimum with the positions held, by a few steps of Newton; None where there is none near."""
+    """Return the optimum for fixed positions by a few Newton steps; None if there is none nearby."""
     near = _examined(nlp, polish(nlp, Attempt(x, 0, "peaks followed"), multistart.scaled(nlp, x)))
     return near if near.status is Status.OPTIMAL and _distance(nlp, near.x, x) <= radius else None
 
 
 def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = "slsqp") -> Solution | None:
-    """The optimum within a radius, the places of the peaks among the unknowns; None where there is none."""
+    """Return the optimum within a radius, the positions of the peaks being unknowns; None if there is none."""
     n, count = len(nlp.variables), len(nlp.free)
     moving, start = _moving(nlp, x, found)
     low, high = np.maximum(nlp.x_low, x - radius), np.minimum(nlp.x_high, x + radius)
@@ -161,7 +178,14 @@ def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = 
 
 
 def sharpened(nlp: CycleNLP, solution: Solution) -> Solution:
-    """The same optimum to its last digits, by Newton's method with the places of the peaks among the unknowns."""
+    """Refine an optimum by Newton's method with the positions of the peaks as unknowns.
+
+    Parameters
+    ----------
+    nlp : CycleNLP
+    solution : Solution
+        The optimum; it is returned unchanged if the refined point is not optimal.
+    """
     n, found = len(nlp.variables), peaks(nlp, solution.x)
     nlp.roam(found.shares)
     moving, start = _moving(nlp, nlp.lifted(solution.x), found)
@@ -176,7 +200,7 @@ def sharpened(nlp: CycleNLP, solution: Solution) -> Solution:
 
 
 def _moving(nlp: CycleNLP, x: Array, found: Peaks) -> tuple[NLP, Array]:
-    """The programme with the places of inner peaks as unknowns, made once for each set of them, and where it begins."""
+    """Return the NLP with the positions of inner peaks as unknowns (cached), and its starting point."""
     key = f"following {found.inner}"
     if key not in nlp.cache:
         nlp.cache[key] = following(nlp, found.inner)
@@ -189,18 +213,28 @@ def _moving(nlp: CycleNLP, x: Array, found: Peaks) -> tuple[NLP, Array]:
 
 
 def following(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> NLP:
-    """The programme with the places of inner peaks as unknowns: each where the slope of what is watched vanishes."""
+    """Return the NLP with the positions of inner peaks as unknowns: each where the derivative of its watched term vanishes.
+
+    Parameters
+    ----------
+    nlp : CycleNLP
+    inner : tuple of (int, int)
+        Slot and index of the watched term for each inner peak.
+    """
     return with_places(nlp, nlp.slots, {slot: nlp.watched[index].height(nlp.roamed[slot]) for slot, index in inner})
 
 
 def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
-    """A programme with some of its roaming positions as unknowns, which come last: each where the slope of a height vanishes.
+    """Return an NLP with some roaming positions as additional unknowns: each where the derivative of a height vanishes.
 
     Parameters
     ----------
     nlp : NLP
         Its last `slots` parameters are the roaming positions.
-    heights : mapping of the number of a roaming position to a casadi expression of the programme's x and p
+    slots : int
+        Number of roaming positions.
+    heights : mapping of int to casadi expression
+        For the number of a roaming position, the height as a function of x and p of the NLP.
     """
     n, first, count = len(nlp.variables), len(nlp.p) - slots, len(heights)
     x = casadi.SX.sym("x", n + count)
@@ -234,11 +268,18 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
 
 
 def peaks(nlp: CycleNLP, x: Array) -> Peaks:
-    """Where terms are largest along every stroke."""
+    """Return the maxima of the watched terms along every stroke.
+
+    Parameters
+    ----------
+    nlp : CycleNLP
+    x : array (n,)
+        Scaled point.
+    """
     trace, edges, slots = nlp.traced, nlp.edges(x), nlp.slots // nlp.strokes
     known = trace.known(nlp.design(x))
     grid = np.linspace(0.0, 1.0, ALONG)
-    shares = nlp.p[len(nlp.p) - nlp.slots :].copy()  # what was a peak before stays as long as there is room
+    shares = nlp.p[len(nlp.p) - nlp.slots :].copy()  # earlier peaks are kept as far as there is room
     worst, tops, inner = -math.inf, [-math.inf] * len(nlp.watched), []
     for j in range(nlp.strokes):
         begin, span = edges[j], edges[j + 1] - edges[j]
@@ -276,7 +317,7 @@ def peaks(nlp: CycleNLP, x: Array) -> Peaks:
 def _local(
     watched: Watched, least: float, whole: Array, grid: Array, signals: Callable[[Array], Array]
 ) -> Iterator[tuple[float, float]]:
-    """Local peaks (height, place) of a term along a stroke that are at least so high, closed in on."""
+    """Generate the refined local maxima (height, position) of a term along a stroke that are at least `least` high."""
     score = watched.score(whole)
     left, right = np.insert(score[:-1], 0, -np.inf), np.append(score[1:], -np.inf)
     for k in np.flatnonzero((score >= left) & (score > right) & (score >= least)).tolist():

@@ -1,4 +1,4 @@
-"""SciPy's SLSQP behind the Backend contract: sequential least-squares quadratic programming with exact first derivatives."""
+"""SciPy's SLSQP as a Backend: sequential least-squares quadratic programming with exact first derivatives."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from optlink.solvers.solution import Attempt
 
 Array = NDArray[np.float64]
 
-# SLSQP has no notion of a point without a value: a very bad finite one makes its line search step back
+# SLSQP cannot handle undefined values: a very large finite one makes its line search step back
 UNDEFINED = 1e20
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """The programme at one x in SLSQP's terms: f, c_eq = 0, c_in >= 0, everything finite."""
+    """The NLP at one x in SLSQP's form: f, c_eq = 0, c_in >= 0, everything finite."""
 
     f: float
     gradient: Array
@@ -32,11 +32,11 @@ class _Seen:
 
 
 class _View:
-    """The programme as SLSQP wants it, each x evaluated once although SciPy asks for its parts one by one."""
+    """Adapter of the NLP for SLSQP that evaluates each x once."""
 
     def __init__(self, nlp: NLP, x: Array, p: Array) -> None:
         self.nlp, self.p = nlp, p
-        self.size = np.ones(len(x))  # the largest error of a minimax programme is tiny beside all other variables
+        self.size = np.ones(len(x))  # the largest error of a minimax NLP is small compared with all other variables
         if nlp.variables[-1].name == EPIGRAPH:
             self.size[-1] = p[0]
         low, high = nlp.low, nlp.high
@@ -46,13 +46,13 @@ class _View:
         self.inside = np.concatenate([below, above])
         self.sign = np.concatenate([np.ones(below.size), -np.ones(above.size)])
         self.bound = np.concatenate([low[below], -high[above]])
-        # SLSQP takes the unit matrix as its first Hessian: measured in the largest true curvature its first step is no leap
+        # SLSQP starts from a unit Hessian: scaling by the largest true curvature keeps its first step short
         bend = np.linalg.norm(nlp.hessian(x, p, np.zeros(len(low))), 2) if nlp.at(x, p).finite else 1.0
         self.weight = float(1.0 / bend) if math.isfinite(bend) and bend > 0.0 else 1.0
         self.key, self.seen = b"", self._look(x)
 
     def at(self, y: Array) -> _Seen:
-        """Everything at x = size * y, derivatives by y."""
+        """Evaluate the NLP at x = size * y, with derivatives with respect to y."""
         x = y * self.size
         key = x.tobytes()
         if key != self.key:
@@ -79,7 +79,20 @@ class _View:
 
 
 def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
-    """Minimise from x. Iterations stop where the objective no longer changes in its last digits."""
+    """Minimise from x with SLSQP until the objective changes only in its last digits.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Starting point, scaled.
+    p : array
+        Parameters of the NLP.
+    track : bool
+        Record the iterates.
+    tight : bool
+        Use an objective tolerance of 1e-16 instead of 1e-11.
+    """
     view = _View(nlp, x, p)
     constraints = []
     if view.equal.size:

@@ -1,6 +1,6 @@
-"""A solution proves itself: multipliers, stationarity and violation are recomputed from the programme.
+"""Solutions with their optimality proof: multipliers, stationarity and violation are recomputed from the NLP.
 
-The solver's own flag and message are recorded, not believed.
+The solver's own flag and message are recorded but not relied on.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-FEASIBLE = 1e-8  # largest violation, in scaled units, that counts as met
+FEASIBLE = 1e-8  # largest violation, in scaled units, that counts as satisfied
 STATIONARY = 1e-6  # largest KKT residual, for an objective scaled to 1 at the start, that counts as optimal
 NEXT_TO = 1e-9  # scaled units
 STEEPEST = 1e-3
@@ -34,7 +34,7 @@ ACTIVE = 1e-6  # distance, in scaled units, at which a limit counts as active
 
 @dataclass(frozen=True)
 class Attempt:
-    """What a back end brings back: its last x, and what it says of it. `path` (k, n) holds the iterates if asked for."""
+    """Result of a back end: its last x, its iteration count and message. `path` (k, n) are the iterates if recorded."""
 
     x: Array
     iterations: int
@@ -43,16 +43,16 @@ class Attempt:
 
 
 class Backend(Protocol):
-    """The whole contract of a solver: from a programme and a start to an attempt. It must not raise for a hard problem."""
+    """Interface of a solver: minimise an NLP from a start and return an Attempt. It must not raise for a hard problem."""
 
     def __call__(self, nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
-        """Minimise from x with parameters p; `track` keeps the iterates, `tight` asks for the last digits."""
+        """Minimise from x with parameters p; `track` records the iterates, `tight` requests the tightest tolerances."""
         ...
 
 
 @dataclass(frozen=True)
 class LimitState:
-    """One limit at a design, in people's units.
+    """State of one limit at a design, in display units.
 
     `multiplier`: change of the optimal objective per unit by which the bound is raised (zero if inactive).
     `slack`: distance to the bound, negative where it is violated.
@@ -71,7 +71,7 @@ class LimitState:
 
 @dataclass(frozen=True)
 class Stationarity:
-    """First-order proof at x: `multipliers` of bounds (n) then rows, `active` of these, KKT residual."""
+    """First-order optimality proof at x: `multipliers` of bounds (n) then rows, `active` indices of these, KKT residual."""
 
     multipliers: Array
     active: list[int]
@@ -80,7 +80,7 @@ class Stationarity:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Summary):
-    """A point of the programme with its proof. `x` scaled, `design` and `objective` in SI.
+    """A point of the NLP with its optimality proof. `x` is scaled, `design` and `objective` are in SI units.
 
     `price` converts multipliers (of bounds, then rows) from the scaled objective to that of `objective`.
     """
@@ -102,28 +102,28 @@ class Solution(Summary):
 
     @cached_property
     def curvature(self) -> float:
-        """Least eigenvalue of the Lagrangian's Hessian along the active limits; see `curvature`."""
+        """Least eigenvalue of the reduced Hessian of the Lagrangian; see `curvature`."""
         point = self.nlp.at(self.x, self.p)
         return curvature(self.nlp, self.x, self.p, point, self.proof) if point.finite else math.nan
 
     @cached_property
     def limits(self) -> tuple[LimitState, ...]:
-        """Every bound and limit as people read it."""
+        """State of every bound and limit, in display units."""
         least = LEAST_PRICE * abs(self.nlp.values(self.x, self.p)[0])
         residuals = np.abs(self.nlp.residuals(self.x))
-        met = bool(np.max(residuals, initial=0.0) <= self.nlp.exact)  # nothing is left to gain
+        met = bool(np.max(residuals, initial=0.0) <= self.nlp.exact)  # no improvement is possible
         multipliers = self.proof.multipliers
         kept = np.where(met | (np.abs(multipliers) <= least), 0.0, multipliers)
         return tuple(_limit_states(self.nlp, self.x, self.g, kept, self.price))
 
     @property
     def usable(self) -> bool:
-        """Feasible and finite."""
+        """Whether the solution is feasible and finite."""
         return self.status in (Status.OPTIMAL, Status.STALLED)
 
 
 def key_of(variable: str) -> str:
-    """Key of a quantity, or of a tolerance, in the problem file."""
+    """Return the key of a quantity or of a tolerance in the problem file."""
     if variable.startswith("tolerances."):
         return variable
     return {"phi0": "requirement.from", "psi0": "requirement.psi0", "start": "requirement.start", "mark": "requirement.mark"}.get(
@@ -132,13 +132,30 @@ def key_of(variable: str) -> str:
 
 
 def violation(nlp: NLP, x: Array, g: Array) -> float:
-    """Largest distance by which a row or bound is missed, in scaled units; infinite where a row has no value."""
+    """Return the largest violation of a row or bound, in scaled units; infinite if a row is not finite.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Scaled point.
+    g : array (m,)
+        Rows at x.
+    """
     values = np.concatenate([x, g])
     return float(np.max([nlp.lower - values, values - nlp.upper, 0.0 * values])) if np.all(np.isfinite(g)) else math.inf
 
 
 def examine(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
-    """Turn an attempt into a solution by recomputing everything from the programme at its x."""
+    """Turn an attempt into a Solution by recomputing everything from the NLP at its x.
+
+    Parameters
+    ----------
+    nlp : NLP
+    attempt : Attempt
+    p : array
+        Parameters of the NLP.
+    """
     x = attempt.x
     point = nlp.at(x, p)
     residuals = nlp.residuals(x)
@@ -174,10 +191,20 @@ def examine(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
 
 
 def stationarity(nlp: NLP, x: Array, point: Point, within: float = ACTIVE) -> Stationarity:
-    """Multipliers of the active bounds and rows by least squares, and the KKT residual that they leave.
+    """Return multipliers of the active bounds and rows by least squares, and the remaining KKT residual.
 
-    A multiplier is positive where the upper side holds x back, negative at the lower side; one of the wrong sign is dropped,
-    worst first, and the rest solved again (an active-set non-negative least squares).
+    A multiplier is positive at an upper bound and negative at a lower bound; multipliers of the wrong sign are dropped, worst
+    first, and the rest solved again (an active-set nonnegative least-squares method).
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Scaled point.
+    point : Point
+        The NLP at x.
+    within : float
+        Distance at which a limit counts as active, scaled.
     """
     values = np.concatenate([x, point.g])
     low, high = nlp.lower, nlp.upper
@@ -201,9 +228,22 @@ def stationarity(nlp: NLP, x: Array, point: Point, within: float = ACTIVE) -> St
 
 
 def curvature(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity) -> float:
-    """Least eigenvalue of the Lagrangian's Hessian along the active limits: positive proves a strict local optimum.
+    """Return the least eigenvalue of the reduced Hessian of the Lagrangian; a positive one proves a strict local optimum.
 
-    NaN if no direction is left (a vertex, which needs no curvature).
+    The Hessian is reduced to the null space of the active limits. NaN if this space is empty (a vertex, which needs no
+    curvature).
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Scaled point.
+    p : array
+        Parameters of the NLP.
+    point : Point
+        The NLP at x.
+    proof : Stationarity
+        Active limits and multipliers at x.
     """
     n = len(x)
     basis = np.eye(n)
@@ -218,10 +258,10 @@ def curvature(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity) -
 
 
 def _optimal(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity, residuals: Array) -> bool:
-    """Whether no small change of the design improves the objective by anything that could be measured.
+    """Return whether no small change of the design measurably improves the objective.
 
-    Either the KKT residual vanishes; or the law is met to rounding, so that nothing is left to improve; or the objective is so
-    strongly curved that the stationary point is less than `NEXT_TO` away although the residual, in its steep scale, is not tiny.
+    One of three conditions holds: the KKT residual vanishes; the residuals vanish to rounding; or the objective is so strongly
+    curved that the stationary point is less than `NEXT_TO` away although the KKT residual is not tiny.
     """
     if proof.kkt <= STATIONARY or float(np.max(np.abs(residuals), initial=0.0)) <= nlp.exact:
         return True
@@ -229,7 +269,7 @@ def _optimal(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity, re
 
 
 def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float) -> list[LimitState]:
-    """Every finite bound of the free quantities and every limit as people read it.
+    """Return every finite bound of the design variables and every limit in display units.
 
     Rows that share a limit and a label are one limit: the tightest of them is shown, with the sum of their multipliers.
     """
