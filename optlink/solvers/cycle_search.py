@@ -52,8 +52,7 @@ class Samples:
         self._next = itertools.chain([given], _random(task, seed))
 
     def first(self, count: int) -> Iterator[tuple[Mapping[str, float], Structure | None]]:
-        """Iterate over the design of the file and `count` random ones, with their structure (None without full crank rotation).
-        """
+        """Iterate over the design of the file and `count` random ones, with their structure (None if the crank cannot rotate)."""
         for k in range(count + 1):
             if k == len(self._known):
                 values = next(self._next)
