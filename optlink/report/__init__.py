@@ -1,1 +1,1 @@
-"""Reports: tables, pictures, pages, drawings."""
+"""Reports: tables, figures, HTML pages and drawings."""

@@ -1,4 +1,4 @@
-"""A mechanism in motion as a film: the moving picture, and a curve with a running mark."""
+"""Animation of a mechanism beside a curve with a moving marker."""
 
 from __future__ import annotations
 
@@ -35,17 +35,19 @@ def film(
     ----------
     sketch : Sketch
     steps : Motion
-        The positions, one picture each.
-    curve : function that draws the curve and its labels into axes
-    marks : array (pictures, 2)
-        Where the mark stands on the curve; no mark where it is NaN.
+        The positions, one frame each.
+    curve : callable
+        Draws the curve and its labels into axes.
+    marks : array (frames, 2)
+        Position of the marker in the axes of the curve; NaN for no marker.
     title : str
-    more : function, optional
-        Draws what else stands still beside the mechanism.
+    more : callable or None, optional
+        Draws further fixed parts into the axes of the mechanism.
 
     Returns
     -------
-    Pictures in one palette.
+    list of Image
+        Frames with a common palette.
     """
     flat = sketch.ratio < WIDE
     if flat:
@@ -82,7 +84,17 @@ def film(
 
 
 def there_and_back(low: float, high: float, count: int) -> Array:
-    """Crank angles that swing smoothly through a range and back."""
+    """Return crank angles that swing smoothly through a range and back.
+
+    Parameters
+    ----------
+    low : float [rad]
+        First angle.
+    high : float [rad]
+        Opposite end of the range.
+    count : int
+        Number of angles.
+    """
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     steps: Array = middle - half * np.cos(np.linspace(0.0, 2.0 * np.pi, count, endpoint=False))
     return steps

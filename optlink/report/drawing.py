@@ -1,6 +1,6 @@
-"""The one way to draw a mechanism: any chain of dyads, in any position, on its ground.
+"""Drawing of any chain of dyads in any position, with its ground.
 
-Bodies keep their shape, so each is made once of a few parts in its own axes - bars, plates, blocks, slots - and then only placed.
+Bodies keep their shape, so each is built once from parts in its own axes (bars, plates, blocks, slots) and then placed.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ SHARE = 0.035  # of the mechanism's extent: the height of a ground pivot
 
 
 class Sketch:
-    """How a mechanism is drawn: one scale, one size of symbols, one set of colours for all its positions.
+    """Drawing of a mechanism with one scale, symbol size and set of colours for all its positions.
 
     Parameters
     ----------
     motion : Motion
-        The whole motion of one design: it gives the extent, the traces, and how far sliders travel.
+        The whole motion of a design; it determines extent, traces and slider strokes.
     machine : Machine, optional
         Its centroids and springs are drawn too.
     """
@@ -65,11 +65,11 @@ class Sketch:
     # --- where things are --------------------------------------------------------------------------------------------
 
     def _points(self, motion: Motion, factor: float) -> Array:
-        """Every named point over a motion, (points, positions, 2)."""
+        """Return every named point over a motion, shape (points, positions, 2)."""
         return np.array([motion.position(name) * factor for name in self.names])
 
     def _near(self, motion: Motion) -> NDArray[np.bool_]:
-        """Positions in which no point has gone to where the rest cannot be seen (two lines that become parallel)."""
+        """Return the positions in which no point is so far away (parallel lines) that the others would vanish."""
         points = self._points(motion, 1.0)
         crank = motion.position(self.mechanism.crank.start)
         away = np.where(np.isfinite(points).all(axis=-1), np.linalg.norm(points - crank, axis=-1), 0.0).max(axis=0)
@@ -77,11 +77,26 @@ class Sketch:
         return near
 
     def position(self, motion: Motion, name: str) -> Array:
-        """Where a point is, in the unit that is shown, (positions, 2)."""
+        """Return the positions of a point in the display unit, shape (positions, 2).
+
+        Parameters
+        ----------
+        motion : Motion
+        name : str
+            Joint name.
+        """
         return motion.position(name) * self.scale.factor
 
     def placed(self, motion: Motion, body: str, outline: Array) -> Array:
-        """Where an outline of a body is, (positions, corners, 2)."""
+        """Return the positions of an outline that moves with a body, shape (positions, corners, 2).
+
+        Parameters
+        ----------
+        motion : Motion
+        body : str
+        outline : array (corners, 2)
+            Coordinates along and across the body from its start point, in the display unit.
+        """
         shape = motion.crank_angle.shape
         with np.errstate(all="ignore"):  # at a dead position of a group its rates are infinite or NaN
             way = motion.pose.direction(body)
@@ -95,7 +110,7 @@ class Sketch:
         return np.array([float(parts(part)[0]) for part in vector]) * self.scale.factor
 
     def _own(self, body: str) -> Array:
-        """The named points of a body in its own axes, those that coincide once."""
+        """Return the named points of a body in its own axes, without duplicates."""
         pose = self.motion.pose
         found: list[Array] = []
         for point, bodies in self.mechanism.owners.items():
@@ -117,7 +132,7 @@ class Sketch:
     # --- the shapes of bodies ------------------------------------------------------------------------------------------
 
     def _is_rod(self, guide: Guide) -> bool:
-        """Whether the slider is a rod along the line, and what carries the line is small: then that is drawn as the block."""
+        """Return whether the slider is a rod along the line in a small guide, which is then drawn as the block."""
         if guide.on == FRAME or len(self._own(guide.on)) > 1:
             return False
         own, (point, way) = self._own(guide.slider), self._line(guide, guide.slider)
@@ -158,7 +173,7 @@ class Sketch:
     # --- the ground ------------------------------------------------------------------------------------------------------
 
     def _ground_lines(self) -> list[tuple[Array, float, bool]]:
-        """Ground pivots and rails: (line, width, filled white)."""
+        """Return the ground pivots and rails as (line, width, filled white)."""
         found: list[tuple[Array, float, bool]] = []
         middle = np.mean(finite(self._points(self.motion, self.scale.factor)[:, self.near]), axis=0)
         s = self.size
@@ -190,7 +205,7 @@ class Sketch:
     # --- how far everything reaches --------------------------------------------------------------------------------------
 
     def _extent(self) -> tuple[Array, Array]:
-        """Least and largest coordinates of everything that is ever drawn."""
+        """Return the least and largest coordinates of everything that is drawn."""
         corners = [
             finite(self._points(self.motion, self.scale.factor)[:, self.near]),
             *(finite(line) for line, _, _ in self.ground),
@@ -202,14 +217,14 @@ class Sketch:
         return np.min(together, axis=0), np.max(together, axis=0)
 
     def widen(self, points: Array) -> None:
-        """Make room for what else is shown, (n, 2)."""
+        """Extend the drawing to further points (n, 2), in the display unit."""
         known = finite(points)
         if known.size:
             self.low, self.high = np.minimum(self.low, known.min(axis=0)), np.maximum(self.high, known.max(axis=0))
 
     @property
     def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Limits of x and of y with a margin all around, never thinner than a fifth of their length."""
+        """Limits of x and y with a margin; the aspect ratio is limited."""
         size = self.high - self.low
         room = 0.07 * float(np.max(size))
         widths = np.maximum(size + 2.0 * room, 0.22 * float(np.max(size)))
@@ -219,14 +234,21 @@ class Sketch:
 
     @property
     def ratio(self) -> float:
-        """Height over width."""
+        """Height divided by width."""
         (x0, x1), (y0, y1) = self.limits
         return (y1 - y0) / (x1 - x0)
 
     # --- drawing -----------------------------------------------------------------------------------------------------------
 
     def stage(self, axes: Axes, *, traces: bool = True) -> None:
-        """What stands still: equal scales that hold everything, the ground with its rails, the traces of the moving points."""
+        """Draw the fixed parts: equal scales, ground with rails, traces of the moving points.
+
+        Parameters
+        ----------
+        axes : Axes
+        traces : bool, optional
+            Draw the traces.
+        """
         for line, width, filled in self.ground:
             if filled:
                 axes.add_patch(Polygon(line, closed=True, facecolor="white", edgecolor=GROUND, linewidth=width, zorder=2))
@@ -244,7 +266,15 @@ class Sketch:
         axes.set_aspect("equal")
 
     def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
-        """Draw the k-th position of a motion; every body's artists carry its name as their gid."""
+        """Draw position `k` of a motion and return the artists; the gid of each is its body, point or spring.
+
+        Parameters
+        ----------
+        axes : Axes
+        motion : Motion
+        k : int, optional
+            Index of the position.
+        """
         found: list[Artist] = []
         for body, own in self.parts.items():
             color = self.colours[body]
@@ -285,7 +315,7 @@ class Sketch:
             yield Line2D(xy[:, 0], xy[:, 1], color=QUIET, linewidth=1.2, zorder=2.9, gid=spring.name)
 
     def _markers(self, motion: Motion, k: int) -> Iterable[Line2D]:
-        """Pins as rings, free points as dots in their body's colour, centroids as rings with a cross."""
+        """Yield pins as rings, free points as dots in the colour of their body, and centroids as rings with a cross."""
         for body, own in self.centroids.items():
             at = self.placed(motion, body, own)[k, 0]
             points = finite(np.array([self.position(motion, name)[k] for name in self.names]))
@@ -304,14 +334,22 @@ class Sketch:
         )
 
     def legend(self) -> tuple[list[Any], list[str]]:
-        """Handles and labels of a legend: every body in its colour, and what the sign of a centroid means."""
+        """Return handles and labels of a legend: bodies by colour, and the centroid symbol."""
         handles: list[Any] = [Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.parts]
         if self.centroids:
             handles.append(tuple(_centroid(GROUND)))
         return handles, [*self.parts, "centroid"][: len(handles)]
 
     def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
-        """The names of all points, for `labels.settle`."""
+        """Return labels with the names of all points, for `labels.settle`.
+
+        Parameters
+        ----------
+        axes : Axes
+        motion : Motion
+        k : int, optional
+            Index of the position.
+        """
         return [
             Label(axes, (float(x), float(y)), name, GROUND, clear=2.5)
             for name in self.names
@@ -319,7 +357,18 @@ class Sketch:
         ]
 
     def arrows(self, motion: Motion, k: int, names: Sequence[str], longest: float) -> dict[str, tuple[Array, Array]]:
-        """Velocity arrows (begin, end) at points; the quickest point's is `longest` long."""
+        """Return velocity arrows (begin, end) by point name; slow points are left out.
+
+        Parameters
+        ----------
+        motion : Motion
+        k : int
+            Index of the position.
+        names : sequence of str
+            Points.
+        longest : float
+            Length of the arrow of the fastest point, in the display unit.
+        """
         speeds = {name: motion.velocity(name)[k] for name in names}
         top = max((float(np.linalg.norm(v)) for v in speeds.values() if np.all(np.isfinite(v))), default=0.0)
         found = {}
@@ -331,7 +380,19 @@ class Sketch:
 
 
 def arrow(axes: Axes, begin: Array, end: Array, colour: str = WANTED, gid: str = "") -> FancyArrowPatch:
-    """Draw an arrow from point to point."""
+    """Draw an arrow.
+
+    Parameters
+    ----------
+    axes : Axes
+    begin : array (2,)
+        In the unit of the axes.
+    end : array (2,)
+        In the unit of the axes.
+    colour : str, optional
+    gid : str, optional
+        Identifier of the artist.
+    """
     ends = (float(begin[0]), float(begin[1])), (float(end[0]), float(end[1]))
     drawn = FancyArrowPatch(*ends, arrowstyle="-|>", mutation_scale=9.0, linewidth=1.4, color=colour, shrinkA=0.0, shrinkB=0.0)
     drawn.set(zorder=6, gid=gid)
@@ -340,5 +401,5 @@ def arrow(axes: Axes, begin: Array, end: Array, colour: str = WANTED, gid: str =
 
 
 def _centroid(colour: str) -> list[Line2D]:
-    """The sign of a centroid: a ring and a cross."""
+    """Return the centroid symbol: a ring and a cross."""
     return [Line2D([], [], linestyle="none", marker=m, markersize=5.5, mfc="white", mec=colour, mew=0.9) for m in ("o", "+")]

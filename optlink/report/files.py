@@ -1,4 +1,4 @@
-"""Tables and checkpoints as files."""
+"""Result files: CSV tables, designs and checkpoints."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["Stream", "checkpoint", "folder", "stream", "whole", "write_csv", "wr
 
 
 def write_design(directory: Path, machine: ProblemFile, comment: str) -> list[Path]:
-    """Write a design as design.toml, and beside it the files that it refers to, so that the directory can be moved.
+    """Write a design as design.toml with copies of the files that it refers to, so that the folder is portable.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def write_design(directory: Path, machine: ProblemFile, comment: str) -> list[Pa
     Raises
     ------
     InputError
-        when a file cannot be read or written.
+        If a file cannot be read or written.
     """
     try:
         moved, files = portable(machine)
@@ -47,12 +47,28 @@ def write_design(directory: Path, machine: ProblemFile, comment: str) -> list[Pa
 
 
 def verdict(status: str, valid: bool, reason: str) -> str:
-    """First line of a design's file; `reason` why it is not valid."""
+    """Return the first line of a design file.
+
+    Parameters
+    ----------
+    status : str
+        Status of the solver.
+    valid : bool
+    reason : str
+        Why the design is not valid.
+    """
     return f"{status}, valid" if valid else f"NOT VALID: {reason}"
 
 
 def write_csv(path: Path, columns: Mapping[str, Iterable[float]]) -> None:
-    """Write columns under their names, every digit of a number, nothing where there is no finite value."""
+    """Write columns with a header in full precision; values that are not finite give empty cells.
+
+    Parameters
+    ----------
+    path : Path
+    columns : mapping of str to iterable of float
+        All of the same length.
+    """
     with whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
@@ -65,13 +81,13 @@ def _write_rows(writer: Any, columns: Mapping[str, Iterable[float]]) -> None:
 
 
 class Stream:
-    """A CSV file that is written revolution by revolution, and stands under its name once all is done."""
+    """CSV file that is written in portions and replaces the target once it is complete."""
 
     def __init__(self, file: Any, *, begun: bool = False) -> None:
         self._writer, self._begun = csv.writer(file, lineterminator="\n"), begun
 
     def __call__(self, columns: Mapping[str, Iterable[float]]) -> None:
-        """Write rows; the names of their columns come first."""
+        """Append rows; the first call also writes the header."""
         if not self._begun:
             self._writer.writerow(columns)
             self._begun = True
@@ -80,13 +96,20 @@ class Stream:
 
 @contextlib.contextmanager
 def stream(path: Path, keep: int = 0) -> Iterator[Stream]:
-    """Write a CSV file in portions; the first `keep` rows of one that is there already are kept, if it has them."""
+    """Open a CSV file for writing in portions, starting with rows of the existing file.
+
+    Parameters
+    ----------
+    path : Path
+    keep : int, optional
+        Number of rows to keep, if the existing file has them.
+    """
     with whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         yield Stream(file, begun=bool(keep) and _copied(path, file, keep))
 
 
 def _copied(path: Path, file: Any, rows: int) -> bool:
-    """Copy the head and so many rows, if there are so many."""
+    """Copy the header and `rows` rows; return False if there are fewer."""
     if not path.is_file():
         return False
     with path.open(encoding="utf-8") as old:
@@ -98,12 +121,12 @@ def _copied(path: Path, file: Any, rows: int) -> bool:
 
 
 def checkpoint(out: Path | None) -> dict[str, Any]:
-    """The checkpoint of an output folder.
+    """Read the checkpoint of an output folder.
 
     Raises
     ------
     InputError
-        when there is none that can be read.
+        If no folder is given or its checkpoint cannot be read.
     """
     if out is None:
         raise InputError(Fault("which run is to go on is not said", "Name its folder: --out DIR", key="--resume"))

@@ -1,4 +1,4 @@
-"""Labels that stand clear: of lines, of one another, and inside their axes."""
+"""Placement of labels clear of lines and of one another."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STEP = 3.0  # [pixel] at which lines are looked at
 
 @dataclass(frozen=True)
 class Label:
-    """A text beside a point (data coordinates): `clear` [pt] is the radius of what is there, `prefer` a direction (x, y)."""
+    """Text beside a point (data coordinates); `clear` [pt] is the radius to keep free, `prefer` a preferred direction (x, y)."""
 
     axes: Axes
     at: tuple[float, float]
@@ -35,7 +35,14 @@ class Label:
 
 
 def settle(figure: Figure, labels: Iterable[Label]) -> None:
-    """Lay the figure out for good, and put every label where it hides least and is not cut off."""
+    """Finish the layout of a figure and place every label where it hides least.
+
+    Parameters
+    ----------
+    figure : Figure
+    labels : iterable of Label
+        Those outside their axes are left out.
+    """
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     by_axes: dict[Axes, list[Label]] = {}
@@ -97,7 +104,7 @@ def _within(boxes: Array, points: Array, room: float) -> NDArray[np.bool_]:
 
 
 def _crowd(axes: Axes, inside: Array, point: float) -> tuple[Array, Array]:
-    """Pixels that lines, outlines and markers pass; and how much it matters not to hide them."""
+    """Return pixels covered by lines, outlines and markers, with weights for hiding them."""
     found, weights = [np.empty((0, 2))], [np.empty(0)]
 
     def add(points: Array, weight: float) -> None:
@@ -122,7 +129,7 @@ def _crowd(axes: Axes, inside: Array, point: float) -> tuple[Array, Array]:
 
 
 def _dense(path: Array, inside: Array) -> Array:
-    """Points every few pixels along a line, which may have gaps."""
+    """Return points every few pixels along a line with gaps."""
     near = np.clip(path, inside[:2] - 50.0, inside[2:] + 50.0)  # far outside nothing is labelled
     lengths = np.linalg.norm(np.diff(near, axis=0), axis=1)
     known = np.isfinite(lengths)

@@ -1,4 +1,4 @@
-"""What a report or a drawing is about: a problem with its answer, and the machine that came out, over its cycle."""
+"""Model of a report or drawing: a problem with its result and the resulting machine over its cycle."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ Outcome = Result | Generation | MachineDesign | Analysis
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A problem with its answer.
+    """A problem with its result.
 
-    `cycle`: the machine found (or given) over its whole motion, from where its task begins; None where it cannot be assembled
-    there, and `unmoved` says why. `limits`: those with their prices that a result file recorded, which only the
-    search can compute. `notes`: what a reader should know of where the answer comes from. `answers`: how the optimum answers to
-    what is given, where that is what was asked.
+    `cycle` is the analysis of the resulting machine over its whole motion from the start of its task; it is None if the machine
+    cannot
+    be assembled, with the reason in `unmoved`. `limits` are constraint states with shadow prices read from a result file. `notes`
+    inform the reader about the origin of the result. `answers` are the sensitivities of the optimum, if they were requested.
     """
 
     problem: ProblemFile
@@ -45,17 +45,17 @@ class Subject:
 
     @property
     def valid(self) -> bool:
-        """Whether the design is proven; of a mere analysis, whether all positions have finite reactions."""
+        """Whether the design is valid; for an analysis, whether all reactions are finite."""
         return self.outcome.sound if isinstance(self.outcome, Analysis) else self.outcome.valid
 
     @property
     def objective(self) -> float:
-        """What was minimised [SI]; NaN of an analysis."""
+        """Value of the objective [SI]; NaN for an analysis."""
         return math.nan if isinstance(self.outcome, Analysis) else self.outcome.objective
 
     @property
     def forces(self) -> bool:
-        """Whether the machine has masses or loads, so that there are forces."""
+        """Whether the machine has masses or loads."""
         return self.cycle is not None and bool(self.cycle.machine.inertias or self.cycle.machine.loads)
 
 
@@ -66,12 +66,26 @@ def answered(
     seed: int = 0,
     given: Mapping[str, float] | None = None,
 ) -> Outcome:
-    """Answer a problem: search where something is wanted and no design is `given`, else check the design, else analyse.
+    """Solve a problem, validate a given design of it, or analyse it.
+
+    An analysis or balancing problem is analysed. Any other problem is solved, or validated if a design is given.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    backend : str, optional
+        Solver to use.
+    starts : int or None, optional
+        Number of starting points; None for the default of the problem kind.
+    seed : int, optional
+        Seed of the starting points.
+    given : mapping of str to float or None [m, rad], optional
+        Design to validate or analyse; None to search.
 
     Raises
     ------
     InputError
-        as `solve`, `validate` and `analyze` do.
+        If `solve`, `validate` or `analyze` raises it.
     """
     if problem.task in ("analysis", "balance"):
         return analyze(problem, design=given)
@@ -83,7 +97,17 @@ def answered(
 def subject_of(
     problem: ProblemFile, outcome: Outcome, limits: tuple[LimitState, ...] = (), notes: tuple[str, ...] = ()
 ) -> Subject:
-    """The subject of an answered problem."""
+    """Return the report model of a solved problem.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    outcome : Outcome
+    limits : tuple of LimitState, optional
+        Constraint states with shadow prices.
+    notes : tuple of str, optional
+        Notes on the origin of the result.
+    """
     if isinstance(outcome, Analysis):
         return Subject(problem, outcome, outcome, limits=limits, notes=notes)
     try:
@@ -95,14 +119,14 @@ def subject_of(
 
 
 def machine_found(outcome: Result | Generation | MachineDesign) -> ProblemFile | None:
-    """The machine of an answer with every size fixed, its crank where the task begins and turning as the task wants.
+    """Return the resulting machine with all dimensions fixed; its crank starts and turns as the task requires.
 
-    None where a search found none.
+    None if the search found no design.
 
     Raises
     ------
     InputError
-        when its sizes are none of a linkage.
+        If the dimensions do not form a linkage.
     """
     if isinstance(outcome, MachineDesign):
         return outcome.machine
@@ -116,7 +140,7 @@ def machine_found(outcome: Result | Generation | MachineDesign) -> ProblemFile |
 
 
 def _begun(machine: ProblemFile, begin: float, way: float) -> ProblemFile:
-    """The machine with its crank at `begin` [rad]."""
+    """Return the machine with its crank at `begin` [rad], turning in the direction of `way`."""
     if not math.isfinite(begin):
         return machine
     speed = math.copysign(machine.model.drive.speed.value, way) if way else machine.model.drive.speed.value

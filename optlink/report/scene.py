@@ -1,6 +1,6 @@
-"""A mechanism in motion as numbers [mm, deg]: outlines of its bodies, and where they are at every crank angle of the motion.
+"""Geometry of a mechanism in motion [mm, deg]: outlines of its bodies and their poses over the crank angle.
 
-The y axis points down, as in SVG, and angles turn with it; what is drawn of it is right way up.
+The y axis points down, as in SVG, and angles turn with it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PLACES = 6  # significant digits of a place, beside the extent of the whole
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A body: its outlines in its own axes, its centroid there if it has a mass, and its poses (positions, x y angle)."""
+    """A body: outlines in its own axes, centroid there if it has a mass, and poses (positions, 3) as x, y, angle."""
 
     name: str
     colour: str
@@ -41,10 +41,12 @@ class Body:
 class Scene:
     """A mechanism over its motion.
 
-    `angles` (positions,) [deg] in the order of the motion; `closed`: whether the last position is the first one again; `points`
-    by name (positions, 2); `moving`, `free`, `pins`: names of them; `ground`: lines, widths and whether they are filled;
-    `springs`: names with the two points that each joins (positions, 2, 2); `size`: the height of a ground pivot; `box`: x, y,
-    width and height of everything.
+    `angles` (positions,) [deg] follow the motion; `closed` says whether the last position equals the first; `points` are
+    coordinates
+    (positions, 2) by name; `moving`, `free` and `pins` are names of points; `ground` contains lines, widths and whether they are
+    filled; `springs` are the two end points (positions, 2, 2) by name; `size` is the height of a ground pivot; `box` is x, y,
+    width
+    and height of the drawing.
     """
 
     angles: Array
@@ -67,11 +69,11 @@ class Scene:
 
     @property
     def decimals(self) -> int:
-        """Decimals that places are told with."""
+        """Number of decimals of coordinates."""
         return max(0, PLACES - 1 - math.floor(math.log10(max(self.box[2], self.box[3]))))
 
     def to_dict(self) -> dict[str, Any]:
-        """What a script needs to move the drawing."""
+        """Return the data that a script needs to animate the drawing."""
 
         def columns(table: Array, names: str) -> dict[str, list[float]]:
             return {name: np.round(table[:, k], self.decimals).tolist() for k, name in enumerate(names)}
@@ -90,9 +92,17 @@ class Scene:
 
 
 def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene:
-    """The motion of an analysed machine, from its start in the sense of its speed; or one position `at` a crank angle [rad].
+    """Return the scene of an analysed machine over its motion, or at one position.
 
-    The extent and the outlines are those of the whole motion in either case.
+    Extent and outlines are those of the whole motion in either case.
+
+    Parameters
+    ----------
+    cycle : Analysis
+    steps : int, optional
+        Number of positions per revolution.
+    at : float [rad] or None, optional
+        Crank angle of the position; None for the whole motion.
     """
     machine = cycle.machine
     way = math.copysign(1.0, cycle.speed)
@@ -107,7 +117,13 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene
 
 
 def through(cycle: Analysis, angles: Array) -> Scene:
-    """An analysed machine at crank angles (positions,) [rad] in any order, drawn as large as its whole motion."""
+    """Return the scene of an analysed machine at arbitrary crank angles, with the extent of its whole motion.
+
+    Parameters
+    ----------
+    cycle : Analysis
+    angles : array (positions,) [rad]
+    """
     machine = cycle.machine
     whole = sweep(machine.mechanism, machine.sizes, np.radians(cycle["crank_angle_deg"]), cycle.speed)
     return _scene(Sketch(whole, machine), sweep(machine.mechanism, machine.sizes, angles, cycle.speed), closed=False)
@@ -147,5 +163,5 @@ def _scene(sketch: Sketch, motion: Motion, *, closed: bool) -> Scene:
 
 
 def _owner(bodies: Sequence[str], crank: str) -> str:
-    """The body in whose colour the trace of a point is drawn."""
+    """Return the body whose colour the trace of a point takes."""
     return bodies[0] if bodies[0] == crank else bodies[-1]

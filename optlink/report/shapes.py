@@ -1,4 +1,4 @@
-"""The shapes that bodies and the ground are drawn with, as plain points."""
+"""Shapes of bodies and ground as plain points."""
 
 from __future__ import annotations
 
@@ -14,31 +14,59 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Part:
-    """A piece of a body in the body's own axes, in the unit that is shown: a line of two points, or an outline."""
+    """Part of a body in the axes of the body and the display unit: a line of two points, or an outline."""
 
     kind: Literal["bar", "plate", "block", "slot"]
     outline: Array
 
 
 def finite(points: Array) -> Array:
-    """All points (n, 2) that are finite."""
+    """Return the points (n, 2) that are finite."""
     flat = points.reshape(-1, 2)
     return flat[np.all(np.isfinite(flat), axis=1)]
 
 
 def spread(points: Array) -> Array:
-    """Width and height of a cloud of points."""
+    """Return width and height of a set of points."""
     return np.ptp(points, axis=0) if len(points) else np.zeros(2)
 
 
 def rectangle(point: Array, way: Array, low: float, high: float, half: float) -> Array:
-    """Corners of a rectangle along a line, from `low` to `high` on it."""
+    """Return the corners of a rectangle along a line, shape (4, 2).
+
+    Parameters
+    ----------
+    point : array (2,)
+        Point on the line.
+    way : array (2,)
+        Unit vector along the line.
+    low : float
+        Coordinate of the first end along the line.
+    high : float
+        Coordinate of the second end along the line.
+    half : float
+        Half width.
+    """
     left = np.array([-way[1], way[0]])
     return np.array([point + a * way + b * half * left for a, b in ((low, -1.0), (high, -1.0), (high, 1.0), (low, 1.0))])
 
 
 def hatching(begin: Array, way: Array, length: float, depth: float, spacing: float) -> Array:
-    """Slanting strokes below a line, as one line with gaps."""
+    """Return slanted strokes beside a line, as one line with gaps.
+
+    Parameters
+    ----------
+    begin : array (2,)
+        Start of the line.
+    way : array (2,)
+        Unit vector along the line.
+    length : float
+        Length of the line.
+    depth : float
+        Depth of the strokes, positive to the left of the line.
+    spacing : float
+        Distance between strokes.
+    """
     left, gap = np.array([-way[1], way[0]]), np.full(2, np.nan)
     slant = abs(depth) * 0.75
     count = max(2, math.floor((length - slant) / spacing) + 1)
@@ -47,7 +75,15 @@ def hatching(begin: Array, way: Array, length: float, depth: float, spacing: flo
 
 
 def stem(own: Array, ends: Array) -> Array:
-    """The shortest line from one of the points to a segment."""
+    """Return the shortest line from one of several points to a segment, shape (2, 2).
+
+    Parameters
+    ----------
+    own : array (n, 2)
+        Points.
+    ends : array (2, 2)
+        End points of the segment.
+    """
     along = ends[1] - ends[0]
     shares = np.clip((own - ends[0]) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
     feet = ends[0] + shares[:, None] * along
@@ -56,7 +92,7 @@ def stem(own: Array, ends: Array) -> Array:
 
 
 def hull(points: Array) -> Array:
-    """Corners of the convex hull, counter-clockwise."""
+    """Return the corners of the convex hull, counter-clockwise."""
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
 
     def chain(run: Array) -> list[Array]:

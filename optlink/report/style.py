@@ -1,4 +1,4 @@
-"""The house's style: colours, figures, units that suit the size of what is shown, and how a picture gets onto the disk."""
+"""Figure style: colours, fonts, display units and saving of figures."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ LARGEST = 1_500_000  # bytes of a film
 
 @contextlib.contextmanager
 def house() -> Iterator[None]:
-    """The house's style, whatever the caller's is; a letter that no font has is drawn as a box without a word."""
+    """Apply the style of the project, independent of the settings of the caller; missing glyphs give no warning."""
     with mpl.rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
         yield
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
-    """Let a function draw in the house's style."""
+    """Decorate a function to draw in the style of the project."""
 
     @functools.wraps(draw)
     def inside(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -64,14 +64,28 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 
 
 def figure(width: float, height: float) -> Figure:
-    """An empty figure [inch] that no window shows."""
+    """Return an empty figure without a window.
+
+    Parameters
+    ----------
+    width : float [inch]
+    height : float [inch]
+    """
     made = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(made)
     return made
 
 
 def heading(text: str, width: float, size: float = 11.0) -> str:
-    """A title broken into lines that fit into a width [inch]."""
+    """Break a title into lines that fit a width.
+
+    Parameters
+    ----------
+    text : str
+    width : float [inch]
+    size : float [pt], optional
+        Font size.
+    """
     wide = any(unicodedata.east_asian_width(letter) in "WF" for letter in text)
     return textwrap.fill(text, max(16, int(72.0 * width / ((1.0 if wide else 0.58) * size))))
 
@@ -80,14 +94,14 @@ def heading(text: str, width: float, size: float = 11.0) -> str:
 
 
 class Scale(NamedTuple):
-    """How a quantity in SI is shown: times `factor`, in `unit`; `decimals` show the largest value to five digits."""
+    """Display unit of a quantity: values in SI times `factor` in `unit`; `decimals` shows the largest value with five digits."""
 
     factor: float
     unit: str
     decimals: int = 3
 
     def text(self, value: float) -> str:
-        """A value [SI] with its unit."""
+        """Format a value [SI] with its unit."""
         size = abs(value * self.factor)
         decimals = min(self.decimals, max(0, 4 - math.floor(math.log10(size)))) if size >= 1.0 else self.decimals
         shown = f"{value * self.factor:.{decimals}f}" if size < 1e7 else f"{value * self.factor:.3e}"
@@ -96,7 +110,7 @@ class Scale(NamedTuple):
 
 
 def degrees(angle: float) -> str:
-    """An angle [rad] in degrees."""
+    """Format an angle [rad] in degrees."""
     return scale(0.0, "deg").text(angle)
 
 
@@ -118,7 +132,15 @@ PREFIXED = {"m": LENGTH, "m/s": OTHER[3:], "m/s²": OTHER[3:], "N": OTHER, "N m"
 
 
 def scale(largest: float, unit: str) -> Scale:
-    """The scale in which quantities up to `largest` [SI] are read best; angles [rad] are shown in degrees."""
+    """Return the display unit for quantities up to a value; angles are shown in degrees.
+
+    Parameters
+    ----------
+    largest : float [SI]
+        Largest absolute value; infinite or NaN counts as zero.
+    unit : str
+        SI unit, or "deg" for an angle in rad.
+    """
     largest = abs(largest) if math.isfinite(largest) else 0.0
     if unit == "deg":
         return Scale(math.degrees(1.0), unit, 2)
@@ -134,13 +156,25 @@ def scale(largest: float, unit: str) -> Scale:
 
 
 def save(drawn: Figure, path: Path) -> None:
-    """Write a picture."""
+    """Write a figure as PNG.
+
+    Parameters
+    ----------
+    drawn : Figure
+    path : Path
+    """
     with whole(path) as temporary, house():
         drawn.savefig(temporary, dpi=150)
 
 
 def save_film(pictures: Sequence[Image.Image], path: Path) -> None:
-    """Write pictures of one palette as a film that repeats; fewer of them where the file would be large."""
+    """Write frames of a common palette as a repeating GIF; frames are dropped if the file would be large.
+
+    Parameters
+    ----------
+    pictures : sequence of Image
+    path : Path
+    """
     with whole(path) as temporary:
         for every in (1, 2, 3):
             shown = pictures[::every]
@@ -150,7 +184,14 @@ def save_film(pictures: Sequence[Image.Image], path: Path) -> None:
 
 
 def one_palette(pictures: Sequence[NDArray[np.uint8]], colours: int = 160) -> list[Image.Image]:
-    """Pictures (height, width, 3) in one palette, so that no colour flickers: the most frequent colours as they are."""
+    """Convert frames to a common palette, in which the most frequent colours are exact.
+
+    Parameters
+    ----------
+    pictures : sequence of array of uint8 (height, width, 3)
+    colours : int, optional
+        Size of the palette.
+    """
     packed = [(p[..., 0].astype(np.int32) << 16) | (p[..., 1].astype(np.int32) << 8) | p[..., 2] for p in pictures]
     asked, counts = np.unique(np.concatenate([p.ravel() for p in packed[:: max(1, len(packed) // 6)]]), return_counts=True)
     order = np.argsort(-counts, kind="stable")

@@ -1,1 +1,1 @@
-"""Designs for other programs: DXF, SVG, CSV, JSON."""
+"""Export of designs as DXF, SVG, CSV and JSON."""

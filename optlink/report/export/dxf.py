@@ -1,7 +1,7 @@
-"""Drawings for the workshop: every link as a block with its holes at the true distances, and the assembly at a crank angle.
+"""DXF drawings: every link as a block with holes at exact distances, and the assembly at a crank angle.
 
-Distances of holes are those of the design, to the last digit. Outlines, hole sizes and slots are a proposal: how wide a link must
-be, and which links pass above which, are questions of strength and of room that nobody has asked yet.
+Hole distances are exact. Outlines, hole diameters and slots are a proposal: strength and interference of links are not
+considered.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ COLOURS = (1, 5, 3, 30, 6, 4, 34, 200, 52, 8)
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """A link as it may be cut, in its own axes [mm]: holes and marks by name, slots (from, to), outline."""
+    """A link as a plate in its own axes [mm]: holes and marks by name, slots (from, to), outline."""
 
     body: str
     holes: Mapping[str, Array]
@@ -57,18 +57,20 @@ class Plate:
 
 
 def write_dxf(cycle: Analysis, path: Path, at: float, title: str, hole: float | None = None, width: float | None = None) -> None:
-    """Write the drawing.
+    """Write a DXF drawing.
 
     Parameters
     ----------
     cycle : Analysis
     path : Path
     at : float [rad]
-        Crank angle of the assembly, one that can be reached.
+        Crank angle of the assembly, within the reachable range.
     title : str
-        Kept in the file's properties.
-    hole, width : float [m], optional
-        Diameter of the holes, width of the links; suited to the extent if left out.
+        Stored in the properties of the file.
+    hole : float [m] or None, optional
+        Diameter of the holes; default: according to the extent.
+    width : float [m] or None, optional
+        Width of the links; default: according to the hole diameter.
     """
     drawing = document(cycle, at, title, hole, width)
     with whole(path) as temporary:
@@ -76,7 +78,20 @@ def write_dxf(cycle: Analysis, path: Path, at: float, title: str, hole: float | 
 
 
 def document(cycle: Analysis, at: float, title: str, hole: float | None = None, width: float | None = None) -> Drawing:
-    """The drawing; see `write_dxf`."""
+    """Return the DXF document.
+
+    Parameters
+    ----------
+    cycle : Analysis
+    at : float [rad]
+        Crank angle of the assembly, within the reachable range.
+    title : str
+        Stored in the properties of the file.
+    hole : float [m] or None, optional
+        Diameter of the holes; default: according to the extent.
+    width : float [m] or None, optional
+        Width of the links; default: according to the hole diameter.
+    """
     from ezdxf import units
     from ezdxf.filemanagement import new
 
@@ -105,7 +120,7 @@ def document(cycle: Analysis, at: float, title: str, hole: float | None = None, 
 
 
 def usual_hole(extent: float) -> float:
-    """A diameter [mm] that suits a mechanism of that extent [mm]: 1, 1.5, 2, 3, 4, 5, 6, 8 or 10 times a power of ten."""
+    """Return a hole diameter [mm] for a mechanism of an extent [mm], from the series 1, 1.5, 2, 3, 4, 5, 6, 8, 10, ..."""
     size = HOLE * extent
     power = 10.0 ** math.floor(math.log10(size))
     return power * max(step for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0) if step * power <= size * (1.0 + 1e-9))
@@ -115,7 +130,16 @@ def usual_hole(extent: float) -> float:
 
 
 def plates(cycle: Analysis, here: Motion, radius: float) -> Iterator[Plate]:
-    """Every link as a plate whose edge keeps `radius` [mm] from its holes; last the frame, which has no edge."""
+    """Yield every link as a plate, and finally the frame, which has no outline.
+
+    Parameters
+    ----------
+    cycle : Analysis
+    here : Motion
+        Position of the assembly.
+    radius : float [mm]
+        Distance of the outline from the hole centres.
+    """
     mechanism, pose = cycle.machine.mechanism, here.pose
     travel = {guide.name: travelled(cycle, guide) for guide in mechanism.guides}
     for body in (*mechanism.bodies, FRAME):
@@ -128,12 +152,18 @@ def plates(cycle: Analysis, here: Motion, radius: float) -> Iterator[Plate]:
 
 
 def _vector(vector: tuple[object, object]) -> Array:
-    """A vector of plain numbers in millimetres."""
+    """Convert a vector [m] to an array [mm]."""
     return np.array([1e3 * float(part) for part in vector])  # type: ignore[arg-type]
 
 
 def travelled(cycle: Analysis, guide: Guide) -> tuple[float, float]:
-    """From where to where a slider goes along its line [m], counted from where the guide counts it."""
+    """Return the least and largest slide [m] of a slider along its guide.
+
+    Parameters
+    ----------
+    cycle : Analysis
+    guide : Guide
+    """
     slides = cycle[f"{slider_names(cycle.machine)[guide.name]}.s_m"]
     known = slides[np.isfinite(slides)]
     travel = cycle.strokes.get(slider_names(cycle.machine)[guide.name])
@@ -143,16 +173,21 @@ def travelled(cycle: Analysis, guide: Guide) -> tuple[float, float]:
 
 
 def _slot(here: Motion, guide: Guide, travel: tuple[float, float]) -> tuple[Array, Array]:
-    """Both ends of a slider's way, on the body that carries the guide."""
+    """Return both ends of the slider path on the body that carries the guide."""
     point, way = here.pose.local_line(guide, guide.on)
     begin, along = _vector(point), _vector(way) / 1e3
     return begin + 1e3 * travel[0] * along, begin + 1e3 * travel[1] * along
 
 
 def rounded(points: Array, radius: float) -> tuple[Vertex, ...]:
-    """The outline, counter-clockwise, of everything within `radius` of the convex hull of points (n, 2).
+    """Return the outline at a distance from the convex hull of points, counter-clockwise.
 
-    Straight edges and arcs alone: two vertices per corner, the arc between them as a bulge.
+    It consists of straight edges and arcs: two vertices per corner, with the arc between them as a bulge.
+
+    Parameters
+    ----------
+    points : array (n, 2) [mm]
+    radius : float [mm]
     """
     extent = float(np.max(np.ptp(points, axis=0)))
     corners = _distinct(points, SAME * max(extent, radius))
@@ -180,7 +215,7 @@ def _distinct(points: Array, near: float) -> Array:
 
 
 def _strict(corners: Array, near: float) -> Array:
-    """The corners of a hull of which none lies on the line of its neighbours; both ends if all lie on one line."""
+    """Return the two end points if all corners of a hull are collinear, otherwise the corners."""
     centre = corners[int(np.argmax(np.linalg.norm(corners - corners[0], axis=1)))]
     along = (centre - corners[0]) / np.linalg.norm(centre - corners[0])
     off = (corners - corners[0]) @ np.array([-along[1], along[0]])
@@ -212,7 +247,7 @@ def _cut(block: BlockLayout, plate: Plate, diameter: float, radius: float) -> No
 
 
 def _assemble(space: Modelspace, found: list[Plate], here: Motion) -> None:
-    """Put every plate where it is at the crank angle."""
+    """Insert every plate at its position in the assembly."""
     for plate in found:
         place, angle = (0.0, 0.0), 0.0
         if plate.body != FRAME:
@@ -223,7 +258,7 @@ def _assemble(space: Modelspace, found: list[Plate], here: Motion) -> None:
 
 
 def _lay_out(space: Modelspace, found: list[Plate], corner: tuple[float, float], radius: float, wide: float) -> None:
-    """Put the plates side by side below the assembly, each with its name, in rows about as wide as the assembly."""
+    """Arrange the plates with their names below the assembly, in rows about as wide as the assembly."""
     left, x, y, deep = corner[0], corner[0], corner[1] - 2.0 * radius, 0.0
     for plate in found:
         corners = np.array([*plate.holes.values(), *plate.marks.values(), *(end for slot in plate.slots for end in slot)])

@@ -1,4 +1,4 @@
-"""A design for other programs: DXF and SVG drawings at a crank angle, the motion as CSV, the geometry as JSON."""
+"""Export of a design: DXF and SVG drawings at a crank angle, motion as CSV, geometry as JSON."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FORCES = ("_N", "_Nm", "_J", "_W")
 
 @dataclass(frozen=True)
 class Options:
-    """How a design is drawn: crank angle `at` [rad], the start of its motion if not said; hole and width [m]; rows of a table."""
+    """Export options: crank angle `at` [rad] (default: start of the motion), hole and width [m], rows of the table."""
 
     at: float | None = None
     hole: float | None = None
@@ -42,12 +42,20 @@ class Options:
 
 
 def target(path: Path, endings: tuple[str, ...], example: str) -> Path:
-    """A file that can be written, checked before any work is done.
+    """Check that a file can be written and return its path.
+
+    Parameters
+    ----------
+    path : Path
+    endings : tuple of str
+        Permitted extensions with dot.
+    example : str
+        File name to suggest in messages.
 
     Raises
     ------
     InputError
-        unknown ending, a folder that does not exist or cannot be written to.
+        If the extension is unknown, or the folder does not exist or is not writable.
     """
     key = "-o"
     if len(os.fsencode(path.name)) > LONGEST:
@@ -66,12 +74,20 @@ def target(path: Path, endings: tuple[str, ...], example: str) -> Path:
 
 
 def export(subject: Subject, path: Path, options: Options | None = None) -> None:
-    """Write a design in the format of the file's ending.
+    """Write a design in the format of the file extension.
+
+    Parameters
+    ----------
+    subject : Subject
+    path : Path
+        Extension .dxf, .svg, .csv or .json.
+    options : Options or None, optional
+        Default: `Options()`.
 
     Raises
     ------
     InputError
-        when the ending is unknown, the design cannot be assembled or an option is out of range; then no file is written.
+        If the extension is unknown, the design cannot be assembled or an option is out of range; then no file is written.
     """
     options = options or Options()
     target(path, tuple(FORMATS), "drawing.dxf")
@@ -89,12 +105,19 @@ def export(subject: Subject, path: Path, options: Options | None = None) -> None
 
 
 def place_of(subject: Subject, cycle: Analysis, at: float | None) -> float:
-    """A crank angle [rad] at which the mechanism can be assembled; the start of its motion if none is asked for.
+    """Return a crank angle [rad] at which the mechanism can be assembled.
+
+    Parameters
+    ----------
+    subject : Subject
+    cycle : Analysis
+    at : float [rad] or None
+        Requested angle; None for the start of the motion.
 
     Raises
     ------
     InputError
-        when the crank cannot get there, with the ranges that it can reach.
+        If the crank cannot reach the angle; the message contains the reachable ranges.
     """
     if at is None:
         return math.radians(float(cycle["crank_angle_deg"][0]))
@@ -123,7 +146,7 @@ def _svg(subject: Subject, cycle: Analysis, path: Path, options: Options) -> Non
 
 
 def _csv(subject: Subject, cycle: Analysis, path: Path, options: Options) -> None:
-    """The motion as a table, without columns of forces where there are none."""
+    """Write the motion as a table, without force columns if there are no masses and loads."""
     if not 1 <= options.points <= MAX_POINTS:
         remedy = f"Give a number from 1 to {MAX_POINTS:,}"
         raise InputError(Fault("out of range", remedy, key="--points", value=options.points))
@@ -137,7 +160,15 @@ def _json(subject: Subject, cycle: Analysis, path: Path, options: Options) -> No
 
 
 def geometry(subject: Subject, cycle: Analysis, at: float) -> dict[str, Any]:
-    """The linkage as a JSON document [SI]: bodies with their points in their own axes, and where all are at a crank angle."""
+    """Return the linkage as a JSON document [SI]: points of the bodies in their own axes, and all positions at a crank angle.
+
+    Parameters
+    ----------
+    subject : Subject
+    cycle : Analysis
+    at : float [rad]
+        Crank angle.
+    """
     machine = cycle.machine
     mechanism = machine.mechanism
     here = sweep(mechanism, machine.sizes, [at])

@@ -1,4 +1,4 @@
-"""A mechanism as SVG, to scale: one unit of the drawing is a millimetre. The report moves its groups; the export leaves them."""
+"""SVG drawing of a mechanism to scale, in millimetres, for reports and export."""
 
 from __future__ import annotations
 
@@ -20,19 +20,22 @@ LAYERS = ("slot", "plate", "bar", "block", "crank")
 
 
 def svg(scene: Scene, title: str, over: Scene | None = None, k: int = 0, *, traces: bool = True, names: bool = True) -> str:
-    """Draw the k-th position.
+    """Draw position `k` of a scene.
 
     Parameters
     ----------
     scene : Scene
     title : str
-        What a reader who cannot see it is told.
-    over : Scene, optional
-        The whole motion, where `scene` is one position of it: then it is a file of its own, in true size. Else it fills its place
-        in a page.
-    k : int
-    traces, names : bool
-        Whether the paths of the points, and their names, are drawn.
+        Accessible name of the drawing.
+    over : Scene or None, optional
+        Whole motion, if `scene` is one position of it: the drawing becomes a file in true size; None for a drawing that
+        fills its place in a page.
+    k : int, optional
+        Index of the position.
+    traces : bool, optional
+        Draw the paths of the points.
+    names : bool, optional
+        Draw the names of the points.
     """
     x, y, width, height = (_number(value, scene) for value in scene.box)
     true_size = f' xmlns="http://www.w3.org/2000/svg" width="{width}mm" height="{height}mm"' if over is not None else ""
@@ -68,12 +71,12 @@ def _number(value: float, scene: Scene) -> str:
 
 
 def _wide(points: float, scene: Scene) -> str:
-    """A width in typographic points."""
+    """Format a line width given in typographic points."""
     return f"{points * POINT * scene.size:.4g}"
 
 
 def _path(line: Array, scene: Scene, *, closed: bool = False) -> str:
-    """A line (n, 2), broken where it has no value."""
+    """Return the path data of a line (n, 2), with gaps at NaN."""
     told, pen = [], "M"
     for x, y in line:
         if math.isfinite(x) and math.isfinite(y):
@@ -100,13 +103,21 @@ def _traces(scene: Scene) -> Iterator[str]:
 
 
 def placed(pose: Array, scene: Scene) -> str:
-    """The transformation that brings a body to its pose."""
+    """Return the SVG transformation that places a body.
+
+    Parameters
+    ----------
+    pose : array (3,) [mm, mm, deg]
+        Coordinates of the start point and angle.
+    scene : Scene
+        Determines the number of decimals.
+    """
     x, y, angle = (float(value) for value in pose)
     return f"translate({_number(x, scene)} {_number(y, scene)}) rotate({round(angle, 5) + 0.0:g})"
 
 
 def _body(scene: Scene, body: Body, layer: str, k: int) -> Iterator[str]:
-    """The parts of a body that lie in a layer, in its own axes."""
+    """Yield the parts of a body in a layer, in its own axes."""
     crank = body is scene.bodies[0]
     shown = [part for part in body.parts if ("crank" if crank and part.kind == "bar" else part.kind) == layer]
     centroid = layer == LAYERS[-1] and body.centroid is not None
@@ -130,7 +141,7 @@ def _part(part: Part, colour: str, scene: Scene, *, crank: bool) -> str:
 
 
 def _centroid(at: Array, colour: str, scene: Scene) -> str:
-    """A ring with a cross."""
+    """Return a ring with a cross."""
     x, y, r = float(at[0]), float(at[1]), 0.35 * scene.size
     cross = _path(np.array([[x - r, y], [x + r, y], [np.nan, np.nan], [x, y - r], [x, y + r]]), scene)
     look = f'stroke="{colour}" stroke-width="{_wide(0.9, scene)}"'
@@ -139,7 +150,7 @@ def _centroid(at: Array, colour: str, scene: Scene) -> str:
 
 
 def zigzag(size: float) -> list[tuple[float, float]]:
-    """A spring from (0, 0) to (1, 0): shares of its length, and how far to the side [mm]."""
+    """Return a spring from (0, 0) to (1, 0): shares of its length and lateral offsets [mm]."""
     shares = [0.0, 0.18, *np.linspace(0.2, 0.8, 12).tolist(), 0.82, 1.0]
     sides = [0.0, 0.0, *(0.45 * size * (-1.0) ** i for i in range(12)), 0.0, 0.0]
     return list(zip(shares, sides, strict=True))
@@ -170,7 +181,7 @@ def _joints(scene: Scene, k: int) -> Iterator[str]:
 
 
 def _names(scene: Scene, k: int) -> Iterator[str]:
-    """Names of the points with a white rim: to the upper right of them, of those on the ground beside their support."""
+    """Yield the names of the points with a white outline, beside the points or their ground supports."""
     rim = _wide(2.2, scene)
     for name, places in scene.points.items():
         x, y = places[k]

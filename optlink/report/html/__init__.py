@@ -1,1 +1,1 @@
-"""HTML pages that need no network."""
+"""Self-contained HTML pages."""

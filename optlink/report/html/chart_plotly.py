@@ -1,4 +1,4 @@
-"""Figures of a report in plotly's own words: curves, axes, panels above one another. What they show is told by `charts`."""
+"""Building blocks of plotly charts: curves, axes, stacked panels."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ CRANK_ANGLE = "crank angle φ [deg]"
 
 @dataclass(frozen=True)
 class Picks:
-    """Points of a chart that can be picked: the figures of each as texts under common names, and where it is marked.
+    """Selectable points of a chart: quantities of each as text under common names, and their positions.
 
-    `what`: what one is called; `first`: the one that is shown at the beginning.
+    `what` names one point; `first` is the point shown at the beginning.
     """
 
     what: str
@@ -39,9 +39,9 @@ class Picks:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """A chart: its title, its figure, and whether its x axis is that of the slider, so that a cursor can follow.
+    """A chart: title, plotly figure, and whether its x axis is that of the slider, so that a cursor can follow.
 
-    `picks`: what can be picked in it; `remark`: what a reader should know of it.
+    `picks` are its selectable points; `remark` is a note to the reader.
     """
 
     title: str
@@ -53,7 +53,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves over a common x axis, with the name of their y axis; `share` is the height beside other panels."""
+    """Curves over a common x axis with the name of their y axis; `share` is the relative height."""
 
     name: str
     traces: Sequence[Trace]
@@ -61,7 +61,22 @@ class Panel:
 
 
 def line(x: Array, y: Array, name: str, colour: str, *, width: float = 2.0, dash: str = "solid", mode: str = "lines") -> Trace:
-    """A curve; broken where it has no value."""
+    """Return a curve or markers, with gaps at NaN.
+
+    Parameters
+    ----------
+    x : array (n,)
+    y : array (n,)
+    name : str
+        Entry in the legend.
+    colour : str
+    width : float [pixel], optional
+        Line width, or marker size in mode "markers".
+    dash : str, optional
+        Line style of plotly.
+    mode : str, optional
+        "lines", "markers" or "lines+markers".
+    """
     trace = {"type": "scatter", "mode": mode, "name": escape(name), "x": short(x), "y": short(y)}
     if mode == "markers":
         return trace | {"marker": {"color": colour, "size": width}}
@@ -69,14 +84,24 @@ def line(x: Array, y: Array, name: str, colour: str, *, width: float = 2.0, dash
 
 
 def short(values: Array) -> list[float | None]:
-    """Values to the digits of a chart; None where there is none."""
+    """Return the values rounded to the digits of a chart; None where they are not finite."""
     size = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
     decimals = DIGITS - math.floor(math.log10(size)) if size > 0.0 else DIGITS
     return finite(np.round(values, decimals))  # type: ignore[no-any-return]
 
 
 def stacked(panels: Sequence[Panel], x_name: str = CRANK_ANGLE, *, reversed_x: bool = False) -> dict[str, Any]:
-    """A figure of panels above one another that share the x axis."""
+    """Return a plotly figure of stacked panels with a common x axis.
+
+    Parameters
+    ----------
+    panels : sequence of Panel
+        From top to bottom.
+    x_name : str, optional
+        Label of the x axis.
+    reversed_x : bool, optional
+        Let x increase to the left.
+    """
     gap = 0.07
     heights = [panel.share for panel in panels]
     unit = (1.0 - gap * (len(panels) - 1)) / sum(heights)
@@ -102,7 +127,7 @@ def _span(traces: Sequence[Trace]) -> float:
 
 
 def axis(name: str) -> dict[str, Any]:
-    """An axis with its name."""
+    """Return the layout of an axis."""
     return {
         "title": {"text": escape(name), "font": {"size": 13}, "standoff": 8},
         "gridcolor": "#e7e9ec",
@@ -115,7 +140,7 @@ def axis(name: str) -> dict[str, Any]:
 
 
 def sheet(height: int) -> dict[str, Any]:
-    """The look of every chart [pixels]: white, a level legend above, figures of all curves under the pointer."""
+    """Return the common layout of all charts; `height` in pixels."""
     return {
         "height": height,
         "margin": {"l": 70, "r": 20, "t": 34, "b": 50},
@@ -129,13 +154,22 @@ def sheet(height: int) -> dict[str, Any]:
 
 
 def level(x: Array, value: float, words: str) -> Trace:
-    """A limit as a level line."""
+    """Return a limit as a horizontal line.
+
+    Parameters
+    ----------
+    x : array (n,)
+        Range of the line.
+    value : float
+    words : str
+        Entry in the legend.
+    """
     ends = np.array([np.nanmin(x), np.nanmax(x)])
     return line(ends, np.full(2, value), words, LIMIT, width=1.4, dash="dash")
 
 
 def filled(colour: str) -> Trace:
-    """What fills bars with a colour."""
+    """Return the trace attributes for bars of a colour."""
     return {"marker": {"color": colour}}
 
 
@@ -143,7 +177,7 @@ def filled(colour: str) -> Trace:
 
 
 def mark(picks: Picks) -> Trace:
-    """The mark of the picked point: always the last curve of a chart, where the script looks for it."""
+    """Return the marker of the selected point; the page script expects it as the last trace of a chart."""
     look = {"color": "rgba(0,0,0,0)", "size": 13.0, "line": {"color": WANTED, "width": 2.2}}
     at = {"x": [picks.x[picks.first]], "y": [picks.y[picks.first]]}
     return {"type": "scatter", "mode": "markers", "name": "", "showlegend": False, "hoverinfo": "skip", "marker": look} | at
@@ -153,7 +187,14 @@ def mark(picks: Picks) -> Trace:
 
 
 def thinned(x: Array, y: Array, most: int = 2000) -> tuple[Array, Array]:
-    """A long curve as at most about so many points: of each of its portions the least and the largest value, in their order."""
+    """Reduce a long curve to at most about `most` points, keeping the extremes of each portion.
+
+    Parameters
+    ----------
+    x : array (n,)
+    y : array (n,)
+    most : int, optional
+    """
     if len(x) <= most:
         return x, y
     edges = np.linspace(0, len(x), most // 2 + 1).astype(int)

@@ -1,4 +1,4 @@
-"""Charts of a report as plain plotly figures: what was asked for and what is done, motion, torque, reactions."""
+"""Plotly charts of a design report: requirement and result, motion, torque, reactions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PARTS = {"inertia": BODIES[0], "gravity": BODIES[1], "load": BODIES[2]}
 
 
 def charts(subject: Subject) -> list[Chart]:
-    """Every chart that a subject has something for."""
+    """Return the applicable charts of a report model."""
     outcome, found = subject.outcome, []
     course = None if subject.cycle is None else Course(subject.cycle)
     if isinstance(outcome, Result) and course is not None:
@@ -59,7 +59,7 @@ def charts(subject: Subject) -> list[Chart]:
 
 
 def _law(result: Result) -> list[Chart]:
-    """Wanted and generated rocker angle over the span, and the error."""
+    """Plot prescribed and generated rocker angle over the span, and the error."""
     task, design = result.problem.spec, result.design
     if not math.isfinite(design["phi0"]):
         return []
@@ -82,7 +82,7 @@ def _law(result: Result) -> list[Chart]:
 
 
 def _transmission(course: Course, result: Result | None = None) -> list[Chart]:
-    """Transmission angles of all two-link groups over the motion, with their limits."""
+    """Plot the transmission angles of all two-link groups over the motion, with their limits."""
     names = [name for name in course.columns if name.endswith(".transmission_rad")]
     if not names:
         return []
@@ -100,7 +100,7 @@ def _transmission(course: Course, result: Result | None = None) -> list[Chart]:
 
 
 def _over_cycle(panels: Sequence[Panel], course: Course) -> dict[str, Any]:
-    """A figure over the crank angle, to the right as time goes on."""
+    """Return a figure over the crank angle, with time increasing to the right."""
     return stacked(panels, reversed_x=course.way < 0.0)
 
 
@@ -121,7 +121,7 @@ def _generated(result: Generation) -> list[Chart]:
 
 
 def _path(track: Track) -> Chart:
-    """The curve of the point with the points that were wanted and those that it meets, on equal scales."""
+    """Plot the coupler curve with precision points and generated points, with equal scales."""
     unit = track.sketch.scale
     curve = track.position(track.motion) * unit.factor
     wanted, met = track.wanted * unit.factor, track.generated * unit.factor
@@ -141,7 +141,7 @@ def _path(track: Track) -> Chart:
 
 
 def _misses(track: Track) -> Chart:
-    """How far every point is missed, and by how much every pose is turned."""
+    """Plot the distance from every point, and the angular deviation of every pose."""
     measured = track.design.measured
     shown = Scale(1e3, "mm") if track.exact else scale(float(np.nanmax(measured.distances)), "m")
     number = np.arange(1.0, len(measured.distances) + 1.0)
@@ -162,7 +162,7 @@ def _misses(track: Track) -> Chart:
 
 
 def _output(track: Track) -> Chart:
-    """The output of a function beside what is wanted, or the transmission angles."""
+    """Plot the output of a function against the prescribed one, or the transmission angles."""
     shown = output(track)
     curves = [line(shown.crank, shown.found[:, k], name, BODIES[k % len(BODIES)]) for k, name in enumerate(shown.curves)]
     panels = [Panel(shown.name, curves, 1.5)]
@@ -178,7 +178,7 @@ def _output(track: Track) -> Chart:
 
 
 def _both(course: Course, given: Course | None, column: str, shown: Scale, name: str, colour: str) -> list[Trace]:
-    """A column, and in grey that of the machine that the search began from."""
+    """Return a column as a curve, with that of the initial machine in grey."""
     curves = [line(*course.line(column, shown.factor), name, colour)]
     if given is not None and column in given.columns:
         curves.insert(0, line(*given.line(column, shown.factor), f"{name}, given machine", QUIET, width=1.5, dash="dot"))
@@ -186,7 +186,7 @@ def _both(course: Course, given: Course | None, column: str, shown: Scale, name:
 
 
 def _motion(course: Course, given: Course | None) -> list[Chart]:
-    """Position, velocity and acceleration of what the machine moves."""
+    """Plot position, velocity and acceleration of the outputs."""
     found = []
     for k, out in enumerate(outputs(course)):
         words = ("position", "velocity", "acceleration") if out.slides else ("angle", "angular velocity", "angular acceleration")
@@ -203,7 +203,7 @@ def _motion(course: Course, given: Course | None) -> list[Chart]:
 
 
 def _torque(course: Course, given: Course | None) -> list[Chart]:
-    """The driving torque with what it goes into, and the work."""
+    """Plot the driving torque with its parts, and the work."""
     if not course.has("input.torque_Nm"):
         return []
     names = {part: f"input.torque_{part}_Nm" for part in PARTS}
@@ -221,7 +221,7 @@ def _torque(course: Course, given: Course | None) -> list[Chart]:
 
 
 def _reactions(course: Course) -> list[Chart]:
-    """Forces in the pins and in the guides; not those of a given machine, which would be more curves than anybody tells apart."""
+    """Plot the forces in pins and guides, without those of the initial machine."""
     mechanism = course.result.machine.mechanism
     pins = [name for name in course.columns if name.endswith(".f_N")]
     guides = [f"{guide.name}.normal_N" for guide in mechanism.guides]
@@ -239,7 +239,7 @@ def _reactions(course: Course) -> list[Chart]:
 
 
 def _shaking(course: Course, given: Course | None) -> list[Chart]:
-    """What shakes the frame."""
+    """Plot shaking force and shaking moment."""
     forces = ["frame.shaking_fx_N", "frame.shaking_fy_N"]
     if course.peak(*forces) <= NOTHING * course.peak("input.torque_Nm"):
         return []
@@ -262,7 +262,7 @@ def _shaking(course: Course, given: Course | None) -> list[Chart]:
 
 
 def tornado(found: Sensitivities) -> Chart:
-    """How much one step of everything that is given changes the objective, largest effect on top."""
+    """Plot the change of the objective by one step of every parameter, largest effect on top."""
     rows = found.moving[:BARS][::-1]
     base = found.solution.objective
     factor, unit = (100.0 / base, "%") if base > 0.0 else (1.0, found.unit)
@@ -286,7 +286,16 @@ def tornado(found: Sensitivities) -> Chart:
 
 
 def readouts(cycle: Analysis, angles: Array, *, forces: bool) -> list[Readout]:
-    """What a reader wants to know of every position, at crank angles [deg]."""
+    """Return the quantities shown beside the moving linkage: slides, transmission angles, and driving torque.
+
+    Parameters
+    ----------
+    cycle : Analysis
+    angles : array (positions,) [deg]
+        Crank angles.
+    forces : bool
+        Include the driving torque.
+    """
     machine = cycle.machine
     record = Record(machine.moving(np.radians(angles), cycle.speed))
     sliders = [f"{name}.s_m" for name in slider_names(machine).values()]

@@ -1,4 +1,4 @@
-"""A linkage in motion as a part of a page: the drawing, the slider that moves it, the figures that follow."""
+"""Animated linkage of an HTML page: drawing, slider and quantities that follow it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TICKS = (("traces", "paths of the points"), ("names", "names of the points"))
 
 @dataclass(frozen=True)
 class Readout:
-    """A figure that follows the slider: its name, its unit, its values in that unit over the positions of the scene."""
+    """A quantity that follows the slider: name, unit, and values in that unit at the positions of the scene."""
 
     name: str
     unit: str
@@ -29,24 +29,24 @@ class Readout:
 
     @property
     def shown_unit(self) -> str:
-        """The unit as a page writes it."""
+        """Unit as written in a page."""
         return "°" if self.unit == "deg" else self.unit
 
     @property
     def decimals(self) -> int:
-        """Decimals that tell it to four digits."""
+        """Number of decimals for four significant digits."""
         largest = max((abs(value) for value in self.values if value is not None), default=0.0)
         return 3 if largest < 10.0 else 2 if largest < 1000.0 else 1
 
     def text(self, k: int = 0) -> str:
-        """The k-th value for people."""
+        """Format value `k`."""
         value = self.values[k]
         return "–" if value is None else f"{value:.{self.decimals}f}".replace("-", "−")
 
 
 @dataclass(frozen=True, eq=False)
 class Stops:
-    """What the slider runs through: `values` (positions,) in `unit`; `turn` after which one is the first again, if any."""
+    """Positions of the slider: `values` (positions,) in `unit`; `turn` is the period of the values, if there is one."""
 
     name: str
     unit: str
@@ -55,25 +55,25 @@ class Stops:
     turn: float | None = None
 
     def text(self, k: int = 0) -> str:
-        """The k-th stop for people."""
+        """Format position `k`."""
         return f"{self.values[k]:.{self.decimals}f}{self.unit}".replace("-", "−")
 
 
 def crank_stops(scene: Scene) -> Stops:
-    """The crank angles of a scene [deg]."""
+    """Return the crank angles of a scene [deg] as slider positions."""
     return Stops("crank angle", "°", scene.angles, 1, 360.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A scene with its slider and the figures beside it."""
+    """A scene with its slider and the quantities beside it."""
 
     scene: Scene
     stops: Stops
     readouts: Sequence[Readout]
 
     def to_dict(self) -> dict[str, Any]:
-        """What a script needs to move it."""
+        """Return the data that the page script needs for the animation."""
         stops = self.stops
         values = np.round(stops.values, 9).tolist()
         slider = {"values": values, "unit": stops.unit, "decimals": stops.decimals, "turn": stops.turn}
@@ -81,7 +81,7 @@ class Moving:
         return self.scene.to_dict() | {"zigzag": zigzag(self.scene.size), "readouts": listed, "slider": slider}
 
     def html(self, title: str) -> str:
-        """The drawing with everything around it."""
+        """Return the drawing with its controls and quantities as HTML."""
         drawn, stops = self.scene, self.stops
         _, _, width, height = drawn.box
         flat = " flat" if height < FLAT * width else ""
@@ -106,11 +106,17 @@ class Moving:
 
 
 def even(count: int, most: int) -> NDArray[np.intp]:
-    """Numbers of at most so many of `count` rows, evenly spaced, the first and the last among them."""
+    """Return at most `most` evenly spaced indices of `count` rows, including the first and the last.
+
+    Parameters
+    ----------
+    count : int
+    most : int
+    """
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
 
 
 def decimals_of(values: Array) -> int:
-    """Decimals that tell neighbouring stops apart."""
+    """Return the number of decimals that distinguish neighbouring values."""
     step = float(np.min(np.abs(np.diff(values)), initial=math.inf))
     return min(6, max(0, math.ceil(-math.log10(step)))) if 0.0 < step < math.inf else 3

@@ -1,4 +1,4 @@
-"""The page of a design: figures, proof, what matters, charts, the moving linkage, sources."""
+"""HTML report of a design: linkage in motion, result and validation, sensitivities, charts, sources."""
 
 from __future__ import annotations
 
@@ -30,18 +30,23 @@ __all__ = ["LARGEST", "page", "sensitivities_of", "told", "verdict", "write_page
 
 
 def write_page(subject: Subject, path: Path) -> None:
-    """Write the report of a subject.
+    """Write the HTML report of a report model.
+
+    Parameters
+    ----------
+    subject : Subject
+    path : Path
 
     Raises
     ------
     InputError
-        when nothing can be written there; then no file is left behind.
+        If the file cannot be written; then no file is left behind.
     """
     write(page(subject), path)
 
 
 def page(subject: Subject) -> str:
-    """The report of a subject as HTML."""
+    """Return the HTML report of a report model."""
     answers = subject.answers or sensitivities_of(subject)
     return fitted(lambda steps: _sheet(subject, answers, steps))
 
@@ -60,7 +65,14 @@ def _sheet(subject: Subject, answers: Sensitivities | None, steps: int) -> Sheet
 
 
 def moved(subject: Subject, steps: int) -> Moving | None:
-    """The machine of a subject over its motion; None where it has none."""
+    """Return the animated machine of a report model; None if there is none.
+
+    Parameters
+    ----------
+    subject : Subject
+    steps : int
+        Number of positions per revolution.
+    """
     if subject.cycle is None:
         return None
     drawn = scene(subject.cycle, steps)
@@ -89,18 +101,21 @@ def _sections(subject: Subject, moving: Moving | None, answers: Sensitivities | 
 
 
 def _matters(answers: Sensitivities) -> Section:
-    """How the optimum answers to what is given."""
+    """Return the section of the sensitivities."""
     rest = [part for part in tables.flat(study_tables.sensitivities(answers)) if not _known(part)]
     return Section("What matters", (tornado(answers), cards(rest)))
 
 
 def _known(part: Table | Text) -> bool:
-    """Whether a part of the sensitivities has been told before: title and optimum."""
+    """Return whether a part of the sensitivities is shown elsewhere: title and optimum."""
     return str(part.title) == "Optimum" if isinstance(part, Table) else "bold" in str(part.style)
 
 
 def sensitivities_of(subject: Subject) -> Sensitivities | None:
-    """How the optimum answers to what is given; None where none was searched, or where nothing is left to gain."""
+    """Return the sensitivities of an optimum to its parameters.
+
+    None if there was no optimisation, no optimum, an exact solution, or no parameter with an effect.
+    """
     outcome = subject.outcome
     if isinstance(outcome, Result | MachineDesign):
         file, solution = outcome.problem, outcome.solution
@@ -115,7 +130,7 @@ def sensitivities_of(subject: Subject) -> Sensitivities | None:
 
 
 def verdict(subject: Subject) -> str:
-    """Whether the design is valid, and which checks failed."""
+    """Return the verdict: whether the design is valid, and which checks failed."""
     if isinstance(subject.outcome, Analysis):
         return f"{subject.outcome.status[0].upper()}{subject.outcome.status[1:]}"
     if subject.valid:
@@ -128,7 +143,7 @@ def verdict(subject: Subject) -> str:
 
 
 def _failed(subject: Subject) -> str:
-    """Names of the checks that failed."""
+    """Return the names of the failed checks."""
     outcome = subject.outcome
     if isinstance(outcome, Generation):
         proof = None if outcome.best is None else outcome.best.validation
@@ -139,7 +154,7 @@ def _failed(subject: Subject) -> str:
 
 
 def told(subject: Subject) -> RenderableType:
-    """What a terminal is told of the answer."""
+    """Return the terminal tables of the result."""
     outcome = subject.outcome
     if isinstance(outcome, Result):
         return function_tables.result(outcome)
@@ -151,7 +166,7 @@ def told(subject: Subject) -> RenderableType:
 
 
 def _status(subject: Subject) -> Iterator[str]:
-    """What the terminal says below the title; and what a recorded result adds."""
+    """Yield the lines below the title, and the notes of a stored result."""
     first = next(part for part in tables.flat(told(subject)) if isinstance(part, Text))
     for text in first.split("\n")[1:]:
         yield tables.paragraph(text, plain=True)
@@ -160,7 +175,7 @@ def _status(subject: Subject) -> Iterator[str]:
 
 
 def _result(subject: Subject) -> Iterator[Table | Text]:
-    """The tables of the answer, the active limits after the first of them if a result file recorded them."""
+    """Return the tables of the result, with the stored active constraints before the validation."""
     parts = list(tables.flat(told(subject)))[1:]
     if subject.limits and not _priced(subject.outcome):
         recorded = list(tables.flat(_recorded(subject)))
@@ -170,13 +185,13 @@ def _result(subject: Subject) -> Iterator[Table | Text]:
 
 
 def _priced(outcome: Outcome) -> bool:
-    """Whether the answer tells the prices of its limits itself."""
+    """Return whether the result has its own shadow prices."""
     found = outcome.best if isinstance(outcome, Generation) else outcome
     return getattr(found, "solution", None) is not None
 
 
 def _recorded(subject: Subject) -> RenderableType:
-    """Active limits with their prices as a result file recorded them, in the units that the terminal tells them in."""
+    """Tabulate the stored active constraints with their shadow prices in display units."""
     outcome, limits = subject.outcome, subject.limits
     if isinstance(outcome, Generation) and outcome.best is not None:
         best = outcome.best

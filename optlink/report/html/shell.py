@@ -1,4 +1,4 @@
-"""A page as a file: whatever it is about, one HTML document that needs nothing but a browser - no network, no other file."""
+"""HTML document of a report: one self-contained file without network access."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ASSETS = files("optlink.report").joinpath("assets")
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page under a heading: pieces of HTML and charts, in their order."""
+    """Part of a page under a heading: HTML fragments and charts in order."""
 
     name: str
     parts: Sequence[str | Chart]
@@ -40,7 +40,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Sheet:
-    """What a page says: `kind` above the title, the verdict and whether it is a good one, `status` as HTML below it."""
+    """Content of a page: `kind` above the title, the verdict and whether it is positive, `status` as HTML below it."""
 
     title: str
     kind: str
@@ -52,11 +52,11 @@ class Sheet:
 
     @cached_property
     def charts(self) -> tuple[Chart, ...]:
-        """The charts of all sections; a chart's number is its place among them."""
+        """Charts of all sections; charts are numbered in this order."""
         return tuple(part for section in self.sections for part in section.parts if isinstance(part, Chart))
 
     def html(self) -> str:
-        """The whole document."""
+        """Return the complete document."""
         script, plotly = _asset("page.js"), _plotly()
         parts = {
             "policy": _policy(plotly, script),
@@ -87,7 +87,7 @@ class Sheet:
 
 
 def fitted(made: Callable[[int], Sheet]) -> str:
-    """The document of a sheet that is made with so many positions of a revolution: as many as leave it below `LARGEST`."""
+    """Return the document of a sheet with the most positions per revolution that keep it below `LARGEST`."""
     for steps in STEPS:
         text = made(steps).html()
         if len(text.encode()) <= LARGEST:
@@ -98,10 +98,16 @@ def fitted(made: Callable[[int], Sheet]) -> str:
 def write(text: str, path: Path) -> None:
     """Write a page.
 
+    Parameters
+    ----------
+    text : str
+        HTML document.
+    path : Path
+
     Raises
     ------
     InputError
-        when nothing can be written there; then no file is left behind.
+        If the file cannot be written; then no file is left behind.
     """
     with whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -111,7 +117,7 @@ def write(text: str, path: Path) -> None:
 
 
 def cards(parts: Iterable[Table | Text]) -> str:
-    """Tables as cards, wide ones across the page, short ones never broken between sheets of paper; texts as paragraphs."""
+    """Return tables as cards and texts as paragraphs; wide tables span the page, short ones are not broken in print."""
     found = []
     for part in parts:
         if isinstance(part, Table):
@@ -125,7 +131,7 @@ def cards(parts: Iterable[Table | Text]) -> str:
 
 
 def facts(rows: Iterable[tuple[str, str]]) -> str:
-    """Names with what belongs to them."""
+    """Return names and values as a description list."""
     return f'<dl class="facts">{"".join(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in rows)}</dl>'
 
 
@@ -140,7 +146,7 @@ def _figure(chart: Chart, number: int) -> str:
 
 
 def _picked(picks: Picks, number: int) -> str:
-    """The figures of one point of a chart, and the slider that goes from point to point."""
+    """Return the quantities of the selected point of a chart, and the slider that selects it."""
     shown = picks.rows[picks.first]
     listed = "".join(
         f"<div><dt>{escape(name)}</dt><dd data-pick>{escape(text)}</dd></div>"
@@ -155,7 +161,7 @@ def _picked(picks: Picks, number: int) -> str:
 
 
 def _charted(chart: Chart) -> dict[str, Any]:
-    """A chart as the script reads it."""
+    """Return the data of a chart for the page script."""
     found: dict[str, Any] = {"figure": chart.figure, "cranked": chart.cranked}
     if chart.picks is not None:
         picks = chart.picks
@@ -167,13 +173,13 @@ def _charted(chart: Chart) -> dict[str, Any]:
 
 
 def _json(document: object) -> str:
-    """A document for a script element: nothing in it can end the element or begin another."""
+    """Serialise a document for a script element; characters that could end the element are escaped."""
     text = json.dumps(document, separators=(",", ":"), allow_nan=False)
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
 def _policy(*scripts: str) -> str:
-    """What the browser lets the page do: run these scripts and no others, and load nothing from anywhere."""
+    """Return the content security policy: only these scripts, no network access."""
     hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in scripts)
     rest = "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
     return f"default-src 'none'; script-src {hashes}; {rest}"
@@ -190,7 +196,7 @@ def _asset(name: str) -> str:
 
 @cache
 def _plotly() -> str:
-    """plotly.js: the one bundle that the Python package brings."""
+    """Return plotly.js as shipped with the Python package."""
     from plotly.offline import get_plotlyjs
 
     return get_plotlyjs()  # type: ignore[no-any-return]

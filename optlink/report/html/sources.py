@@ -1,4 +1,4 @@
-"""The end of every page: the problem in full, and where everything comes from."""
+"""Final sections of every page: the complete problem and the sources."""
 
 from __future__ import annotations
 
@@ -19,7 +19,14 @@ from optlink.version import VERSION
 
 
 def closing(file: ProblemFile, by: str) -> Iterable[Section]:
-    """What is wanted, in words and tables; sources, versions, and `by` what the answer was found."""
+    """Yield the section of the problem and the section of sources, versions and method.
+
+    Parameters
+    ----------
+    file : ProblemFile
+    by : str
+        Method by which the result was found.
+    """
     parts = [part for part in tables.flat(function_tables.problem(file)) if isinstance(part, Table)]
     about = "".join(f"<p>{escape(piece)}</p>" for piece in _paragraphs(file.model.about))
     yield Section("Problem", (f"{about}{cards(parts)}",))

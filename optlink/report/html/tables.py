@@ -1,4 +1,4 @@
-"""The tables and words of the terminal as HTML: one place says what is told, here is only how it looks in a page."""
+"""Conversion of terminal tables and texts to HTML."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CLASSES = {GOOD: "good", BAD: "bad", QUIET: "quiet", HEAD: "strong"}
 
 
 def flat(told: RenderableType) -> Iterator[Table | Text]:
-    """The texts and tables that something is made of, in their order."""
+    """Yield the texts and tables of a renderable in order."""
     if isinstance(told, Group):
         for part in told.renderables:
             yield from flat(part)
@@ -36,7 +36,14 @@ def flat(told: RenderableType) -> Iterator[Table | Text]:
 
 
 def paragraph(text: Text, *, plain: bool = False) -> str:
-    """A text, a line of it as a paragraph; nothing where there is none. `plain`: without the emphasis of the whole."""
+    """Return the lines of a text as HTML paragraphs.
+
+    Parameters
+    ----------
+    text : Text
+    plain : bool, optional
+        Drop the style that applies to the whole text.
+    """
     lines = [line for line in text.split("\n") if line.plain.strip()]
     for line in lines if plain else []:
         line.style = ""
@@ -44,7 +51,7 @@ def paragraph(text: Text, *, plain: bool = False) -> str:
 
 
 def table(told: Table) -> str:
-    """A table with its title above it and its remark below."""
+    """Return a table with its title and caption as HTML."""
     title = _inline(_text(told.title)).strip() if told.title else ""
     remark = f'<p class="quiet">{_inline(_text(told.caption))}</p>' if told.caption else ""
     columns = told.columns
@@ -64,7 +71,7 @@ def table(told: Table) -> str:
 
 
 def width(told: Table) -> int:
-    """How many letters wide a table must be: numbers and short texts are never broken, others between words."""
+    """Return the least width of a table in characters, with numbers and short texts unbroken."""
     found = 0
     for column in told.columns:
         cells = [line for cell in (column.header, *column.cells) for line in _text(cell).plain.split("\n")]
@@ -76,7 +83,7 @@ def width(told: Table) -> int:
 
 
 def _kept(text: Text) -> str:
-    """The class of a cell that is never broken."""
+    """Return the class attribute of a cell that must not be broken."""
     return ' class="whole"' if max(map(len, text.plain.split("\n"))) <= WHOLE else ""
 
 
@@ -89,7 +96,7 @@ def _lines(text: Text) -> str:
 
 
 def _inline(text: Text) -> str:
-    """A line with its emphases; whatever stands in it is text, never markup."""
+    """Return a line with its styles as HTML; its content is escaped."""
     plain = text.plain
     edges = sorted({0, len(plain), *(edge for span in text.spans for edge in (span.start, span.end) if edge <= len(plain))})
     found = []

@@ -1,1 +1,1 @@
-"""Result files, read strictly."""
+"""Strict reading of result files."""

@@ -1,4 +1,4 @@
-"""What a RESULT is: a result.json, or the folder that holds it, of any command that writes one."""
+"""Loading of results: a result.json of any command, or its folder."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ PAGELESS = {"optlink/output-sensitivity/1": "Slopes of an output stand in the se
 
 
 def is_result(text: str) -> bool:
-    """Whether an argument names a result file, or the folder of one, rather than a problem; shipped ones go first."""
+    """Return whether an argument names a result file or its folder; the name of a shipped problem takes precedence."""
     return text.endswith(".json") or (os.path.isdir(text) and text not in shipped())
 
 
 def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -> Subject | Studied:
-    """What a result file tells.
+    """Load a result file.
 
     Parameters
     ----------
     text : str
-        A result.json that --out wrote, or its folder.
-    problem : str, optional
-        Its problem; looked for by name if not said: shipped, beside the file, in the working directory.
-    changes : texts KEY=VALUE
-        With which the problem was changed (`--set`) when it was solved.
+        Path of a result.json or of its folder.
+    problem : str or None, optional
+        Its problem; default: searched by name among the shipped problems, beside the file and in the working directory.
+    changes : sequence of str, optional
+        Assignments KEY=VALUE with which the problem was changed (`--set`).
 
     Raises
     ------
     InputError
-        when the file is none that can be shown, is damaged, or its problem is not found or another one.
+        If the file cannot be shown or is damaged, or its problem is missing or a different one.
     """
     folder = os.path.isdir(text)
     path = Path(text) / RESULT if folder else Path(text)
@@ -75,7 +75,7 @@ def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -
 
 
 def _unknown(schema: object, path: Path) -> InputError:
-    """Why a document of that schema is not shown."""
+    """Return the error for a document of an unknown schema."""
     known = {**KNOWN, **{name: command for name, (command, _) in STUDIES.items()}}
     if not isinstance(schema, str) or not schema.startswith("optlink/"):
         return InputError(Fault("not a result of optlink", "Give a result.json that --out wrote", str(path), "schema", schema))

@@ -1,4 +1,4 @@
-"""The problem that a result file belongs to: the file names it and its hash, but does not hold it."""
+"""Lookup of the problem of a result file, which contains only its name and hash."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from optlink.tasks.path import variants_of
 
 
 def problem_of(record: Record, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
-    """The problem of a result, by its hash.
+    """Return the problem of a result, identified by its hash.
 
     Parameters
     ----------
     record : Record
-    problem : str, optional
-        Where it is; looked for by name if not said: shipped, beside the file, in the working directory.
-    changes : texts KEY=VALUE
-        With which the problem was changed (`--set`) when it was solved.
+    problem : str or None, optional
+        Path or name of the problem; default: searched by name among the shipped problems, beside the file and in the
+        working directory.
+    changes : sequence of str, optional
+        Assignments KEY=VALUE with which the problem was changed (`--set`).
 
     Raises
     ------
     InputError
-        when it is not found, or has another hash.
+        If the problem is not found or has a different hash.
     """
     name, wanted, path = record.text("problem"), record.text("problem_hash"), record.path
     places = [problem] if problem is not None else list(_places(name, path))
@@ -46,7 +47,7 @@ def problem_of(record: Record, problem: str | None = None, changes: Sequence[str
 
 
 def _places(name: str, path: Path) -> Iterator[str]:
-    """Where the problem of a result may be."""
+    """Yield the possible locations of the problem of a result."""
     if name in shipped():
         yield name
     for folder in (path.parent, path.parent.parent, Path()):

@@ -1,4 +1,4 @@
-"""A JSON document that may be damaged: every value is asked for by name and kind, or refused in a sentence."""
+"""Strict reader of JSON documents: every value is checked for presence and type."""
 
 from __future__ import annotations
 
@@ -19,34 +19,50 @@ LARGEST = 1e60  # beyond which nothing of a linkage lies, and before products of
 
 
 class Record:
-    """An object of a document: `path` of the file and `where` in it, for messages.
+    """Object of a JSON document; `path` of the file and `where` in it are used in messages.
 
     Raises
     ------
     InputError
-        by every method, where the key is missing or holds something else.
+        By every reading method, if the key is missing or has a value of another type.
     """
 
     def __init__(self, document: Mapping[str, Any], path: Path, where: str = "") -> None:
         self.document, self.path, self.where = document, path, where
 
     def fault(self, key: str, message: str, value: object = None) -> InputError:
-        """What is wrong with a key."""
+        """Return the error for a damaged value.
+
+        Parameters
+        ----------
+        key : str
+        message : str
+            What is wrong.
+        value : object, optional
+            The value found.
+        """
         return InputError(Fault(f"the result is damaged: {message}", AGAIN, str(self.path), self._key(key), value))
 
     def old(self, key: str, message: str) -> InputError:
-        """What the result of an earlier version does not have."""
+        """Return the error for a value that an earlier version did not write.
+
+        Parameters
+        ----------
+        key : str
+        message : str
+            What is missing.
+        """
         return InputError(Fault(message, "Run the command again with --out", str(self.path), self._key(key)))
 
     def _key(self, key: str) -> str:
         return f"{self.where}.{key}" if self.where else key
 
     def has(self, key: str) -> bool:
-        """Whether something is there, null apart."""
+        """Return whether a key exists and is not null."""
         return self.document.get(key) is not None
 
     def any(self, key: str) -> Any:
-        """Whatever is there; null too."""
+        """Return a value of any type, including null."""
         if key not in self.document:
             raise self.fault(key, "this is missing")
         return self.document[key]
@@ -58,22 +74,22 @@ class Record:
         return found
 
     def text(self, key: str) -> str:
-        """A text."""
+        """Return a string."""
         return str(self._of(key, str, "a text"))
 
     def flag(self, key: str) -> bool:
-        """True or false."""
+        """Return a boolean."""
         return bool(self._of(key, bool, "true or false"))
 
     def whole(self, key: str) -> int:
-        """A whole number."""
+        """Return an integer."""
         found = int(self._of(key, int, "a whole number"))
         if abs(found) > LARGEST:
             raise self.fault(key, "this is too large")
         return found
 
     def number(self, key: str) -> float:
-        """A finite number."""
+        """Return a finite number."""
         found = self._of(key, (int, float), "a number")
         if isinstance(found, float) and not math.isfinite(found):
             raise self.fault(key, "this is not finite", found)
@@ -82,11 +98,18 @@ class Record:
         return float(found)
 
     def maybe(self, key: str) -> float:
-        """A number; NaN for null."""
+        """Return a number, NaN for null."""
         return math.nan if self.any(key) is None else self.number(key)
 
     def numbers(self, key: str, count: int | None = None) -> Array:
-        """A list of numbers, NaN for null; `count` of them if it is said."""
+        """Return an array of numbers, NaN for null.
+
+        Parameters
+        ----------
+        key : str
+        count : int or None, optional
+            Required length.
+        """
         found = self._of(key, list, "a list")
         if not all(one is None or (isinstance(one, int | float) and not isinstance(one, bool)) for one in found):
             raise self.fault(key, "this is not a list of numbers")
@@ -97,30 +120,30 @@ class Record:
         return np.array([math.nan if one is None else float(one) for one in found])
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """A list of texts."""
+        """Return a list of strings."""
         found = self._of(key, list, "a list")
         if not all(isinstance(one, str) for one in found):
             raise self.fault(key, "this is not a list of texts")
         return tuple(found)
 
     def record(self, key: str) -> Record:
-        """An object below this one."""
+        """Return a nested object."""
         return Record(self._of(key, dict, "an object"), self.path, self._key(key))
 
     def records(self, key: str) -> list[Record]:
-        """A list of objects."""
+        """Return a list of objects."""
         found = self._of(key, list, "a list")
         if not all(isinstance(one, dict) for one in found):
             raise self.fault(key, "this is not a list of objects")
         return [Record(one, self.path, f"{self._key(key)}[{k}]") for k, one in enumerate(found)]
 
     def figures(self, key: str) -> dict[str, float]:
-        """An object of numbers by name; NaN for null."""
+        """Return an object of numbers by name, NaN for null."""
         below = self.record(key)
         return {name: below.maybe(name) for name in below.document}
 
     def columns(self, key: str) -> dict[str, Array]:
-        """A table: lists of numbers by name, all of one length."""
+        """Return a table: arrays of equal length by name."""
         below = self.record(key)
         found = {name: below.numbers(name) for name in below.document}
         if len({len(values) for values in found.values()}) > 1:
@@ -128,19 +151,25 @@ class Record:
         return found
 
     def column(self, columns: Mapping[str, Array], name: str) -> Array:
-        """A column that must be there."""
+        """Return a required column of a table.
+
+        Parameters
+        ----------
+        columns : mapping of str to array (n,)
+        name : str
+        """
         if name not in columns:
             raise self.fault(f"columns.{name}", "this is missing")
         return columns[name]
 
 
 def read(path: Path) -> Record:
-    """The document of a result file.
+    """Read a result file.
 
     Raises
     ------
     InputError
-        when it cannot be read, or is no JSON object.
+        If the file cannot be read or is not a JSON object.
     """
     try:
         found = json.loads(path.read_text(encoding="utf-8"))

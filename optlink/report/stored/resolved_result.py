@@ -1,4 +1,4 @@
-"""The optimum of a result file as a solution of its programme again, so that its prices and sensitivities can be told."""
+"""Re-solving of stored optima, to recover their shadow prices and sensitivities."""
 
 from __future__ import annotations
 
@@ -20,7 +20,13 @@ SAME = 1e-5  # scaled units: a search that moves a recorded optimum further than
 
 
 def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | None:
-    """The optimum of a motion law at a design [SI]; None where the design is none."""
+    """Return the optimum of a function synthesis at a design; None if the design is not an optimum.
+
+    Parameters
+    ----------
+    file : ProblemFile
+    design : mapping of str to float [m, rad]
+    """
     from optlink.optimization.nlp import build
     from optlink.solvers import multistart
     from optlink.tasks.function import solve
@@ -33,9 +39,15 @@ def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | No
 
 
 def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution | None:
-    """The optimum of a machine that is designed by its cycle, at free sizes [SI]; None where they are none.
+    """Return the optimum of a cycle optimisation at a design; None if the design is not an optimum.
 
-    The positions of its peaks belong to the programme: it is searched from the optimum, and must stay there.
+    The crank angles of the peaks are variables of the problem, so it is solved from the design, which must not move.
+
+    Parameters
+    ----------
+    file : ProblemFile
+    values : mapping of str to float [m, rad]
+        Design variables.
     """
     from optlink.optimization.cycle_nlp import CycleNLP
     from optlink.studies.cycle_parameters import CLOSE
@@ -52,7 +64,7 @@ def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution 
 
 
 def generated_optimum(design: Design) -> Design:
-    """A design for points, poses or a function with the solution that it is, if it is one."""
+    """Return a path, motion or function synthesis design with its solution, which is None if it is not an optimum."""
     from optlink.optimization.path_nlp import angle_name, build_generation
     from optlink.solvers import multistart
     from optlink.solvers.path_exchange import search_everywhere
@@ -66,7 +78,7 @@ def generated_optimum(design: Design) -> Design:
 
 
 def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
-    """The optimum at given values: as they are, else after a search that does not move them."""
+    """Return the optimum at given values, directly or after an optimisation that must not move them."""
     from optlink.solvers import multistart
 
     x = nlp.x_of(values)
@@ -77,7 +89,7 @@ def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
 
 
 def _same(found: Solution, x: Array) -> Solution | None:
-    """A solution, if it is an optimum and none other than the recorded one at x."""
+    """Return a solution if it is optimal and coincides with the stored one at `x`; None otherwise."""
     away = found.x - x
     angular = np.array([variable.scale.unit == "deg" for variable in found.nlp.variables])
     turns = TURN / np.array([variable.size for variable in found.nlp.variables])

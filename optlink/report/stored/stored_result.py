@@ -1,6 +1,6 @@
-"""Result files as subjects: the design is read, everything else is computed and proven again by the problem that it belongs to.
+"""Report models from result files: the design is read, everything else is recomputed and validated with its problem.
 
-A result file names its problem and its hash, but does not hold it. It is looked for by that name, and must have that hash.
+A result file contains only the name and hash of its problem, which is searched by name and must have that hash.
 """
 
 from __future__ import annotations
@@ -47,21 +47,21 @@ KNOWN = {RESULT: "solve", GENERATION: "solve", MACHINE: "solve", ANALYSIS: "anal
 
 
 def read_subject(path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> Subject:
-    """The subject of a result file.
+    """Return the report model of a result file.
 
     Parameters
     ----------
     path : Path
-        What `solve --out` or `analyze --out` wrote as result.json.
-    problem : str, optional
-        Its problem; looked for by name if not said: shipped, beside the file, in the working directory.
-    changes : texts KEY=VALUE
-        With which the problem was changed (`--set`) when it was solved.
+        The result.json of a solution, an analysis or a sensitivity study.
+    problem : str or None, optional
+        Its problem; default: searched by name among the shipped problems, beside the file and in the working directory.
+    changes : sequence of str, optional
+        Assignments KEY=VALUE with which the problem was changed (`--set`).
 
     Raises
     ------
     InputError
-        when the file is none that can be shown, or its problem is not found or another one.
+        If the file cannot be shown or is damaged, or its problem is missing or a different one.
     """
     record = read(path)
     document, schema = record.document, record.document.get("schema")
@@ -85,7 +85,7 @@ def read_subject(path: Path, problem: str | None = None, changes: Sequence[str] 
 
 
 def _solved(outcome: Outcome) -> Outcome:
-    """An outcome whose optimum is a solution of its programme again."""
+    """Return an outcome with the solution of its optimum restored."""
     if isinstance(outcome, Result) and outcome.status is Status.OPTIMAL:
         return replace(outcome, solution=law_optimum(outcome.problem, outcome.design))
     if isinstance(outcome, MachineDesign) and outcome.status is Status.OPTIMAL:
@@ -96,7 +96,7 @@ def _solved(outcome: Outcome) -> Outcome:
 
 
 def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Subject:
-    """The optimum of `study sensitivity`, its derivatives computed anew; what it searched again is as it was recorded."""
+    """Return the optimum of a sensitivity study with recomputed derivatives and stored checks."""
     units = record.record("design_units")
     values = {name: value * _size(file, units, name) for name, value in record.figures("design").items()}
     if missing := [name for name in file.model.free if name not in values]:
@@ -127,7 +127,7 @@ def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Sub
 
 
 def _size(file: ProblemFile, units: Record, name: str) -> float:
-    """One of a recorded unit of a quantity [SI]; 1 of what is no quantity of the problem."""
+    """Return the SI value of a stored unit of a quantity; 1 if the name is not a quantity of the problem."""
     quantity, unit = file.model.quantities.get(name), units.text(name)
     if quantity is None or not unit:
         return 1.0
@@ -138,12 +138,12 @@ def _size(file: ProblemFile, units: Record, name: str) -> float:
 
 
 def _optimum(found: Generation) -> Generation:
-    """Designs that were checked, as those that a search found."""
+    """Return validated designs with the status of optima."""
     return replace(found, designs=tuple(replace(design, status=Status.OPTIMAL) for design in found.designs))
 
 
 def _checked(record: Record) -> Resolved | None:
-    """Derivatives that were found by searching again, if they were asked for."""
+    """Return the derivatives that were found by solving again, if they were stored."""
     if not record.has("searched_again"):
         return None
     found = record.record("searched_again")
@@ -172,7 +172,7 @@ def _outcome(schema: str, document: Mapping[str, Any], path: Path, file: Problem
 
 
 def _relaxed(item: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a limit that would have to give."""
+    """Return the fields of a relaxed limit."""
     numbers = {key: _number(item[key]) for key in ("bound", "relaxed", "amount")}
     return {**{key: str(item[key]) for key in ("name", "key", "sense", "unit")}, **numbers}
 
@@ -185,7 +185,7 @@ def _analysis(document: Mapping[str, Any], file: ProblemFile) -> Analysis:
 
 
 def _generation(document: Mapping[str, Any], file: ProblemFile) -> Generation:
-    """The best design of a search for points, or its nearest miss, at the crank angles that were recorded."""
+    """Return the best design of a search, or its nearest miss, at the stored crank angles."""
     found = [_generated(item, file) for item in document["designs"]]
     miss = document.get("nearest_miss")
     nearest = _generated(miss, file) if isinstance(miss, dict) else None
@@ -222,7 +222,7 @@ def _generated(item: Mapping[str, Any], file: ProblemFile) -> Design:
 
 
 def _checks(document: Mapping[str, Any]) -> list[Check]:
-    """Checks that a result recorded."""
+    """Return the stored checks."""
     return [
         Check(str(c["name"]), bool(c["passed"]), _number(c["value"]), str(c["limit"]), str(c["unit"]))
         for c in document["validation"]
@@ -230,7 +230,7 @@ def _checks(document: Mapping[str, Any]) -> list[Check]:
 
 
 def _listed(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Limits of the design, of the best one if there are several."""
+    """Return the limits of the design, or of the best of several designs."""
     if document.get("designs"):
         document = document["designs"][0]
     elif isinstance(document.get("nearest_miss"), dict):
@@ -246,11 +246,11 @@ def _limit(item: Mapping[str, Any]) -> LimitState:
 
 
 def _optimal(outcome: Outcome) -> bool:
-    """Whether limits have prices at all."""
+    """Return whether the outcome is an optimum, so that its limits have shadow prices."""
     found = outcome.best if isinstance(outcome, Generation) else outcome
     return isinstance(found, Result | MachineDesign | Design) and found.status is Status.OPTIMAL
 
 
 def _number(value: object) -> float:
-    """A number of a document; null is none."""
+    """Convert a number of a document; null gives NaN."""
     return math.nan if value is None else float(value)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""A result that is shown as it was recorded: what a simulation, a balance or a study found, as a page."""
+"""Pages of stored simulations, balancing results and studies, which are shown as recorded."""
 
 from __future__ import annotations
 
@@ -27,11 +27,13 @@ from optlink.units import KINDS, factor
 
 @dataclass(frozen=True, eq=False)
 class Studied:
-    """What a recorded result says.
+    """Report of a stored result.
 
-    `kind`: what was done, in words; `status`: lines below the verdict; `sections` with their charts; `moving`: the linkage with
-    so many positions of a revolution, `drawn`: what is said above it, `after`: how many sections come before it; `by`: how it was
-    found.
+    `kind` describes the task; `status` are lines below the verdict; `sections` contain tables and charts; `moving` returns the
+    animated
+    linkage for a number of positions per revolution, `drawn` is its caption, `after` the number of sections before it; `by` is
+    the
+    method.
     """
 
     problem: ProblemFile
@@ -48,18 +50,23 @@ class Studied:
 
 
 def write_studied(studied: Studied, path: Path) -> None:
-    """Write the page of a recorded result.
+    """Write the page of a stored result.
+
+    Parameters
+    ----------
+    studied : Studied
+    path : Path
 
     Raises
     ------
     InputError
-        when nothing can be written there; then no file is left behind.
+        If the file cannot be written; then no file is left behind.
     """
     write(studied_page(studied), path)
 
 
 def studied_page(studied: Studied) -> str:
-    """The page of a recorded result as HTML."""
+    """Return the HTML page of a stored result."""
     return fitted(lambda steps: _sheet(studied, steps))
 
 
@@ -85,7 +92,7 @@ def _sheet(studied: Studied, steps: int) -> Sheet:
 
 
 def split(told: RenderableType) -> tuple[list[str], list[Table | Text]]:
-    """What a terminal is told: the lines below its title, and the tables and texts after them."""
+    """Split terminal output into the lines below its title and the tables and texts after them."""
     parts = list(tables.flat(told))
     first = parts[0]
     lines = first.plain.split("\n")[1:] if isinstance(first, Text) else []
@@ -93,14 +100,28 @@ def split(told: RenderableType) -> tuple[list[str], list[Table | Text]]:
 
 
 def figures_of(parts: Iterable[Table | Text], name: str = "Figures") -> Iterator[Section]:
-    """A section of tables, if there are any."""
+    """Yield a section of tables, if there are any.
+
+    Parameters
+    ----------
+    parts : iterable of Table or Text
+    name : str, optional
+        Heading of the section.
+    """
     listed = list(parts)
     if listed:
         yield Section(name, (cards(listed),))
 
 
 def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float]:
-    """Quantities of a problem [SI] from columns such as "coupler_mm"; other columns are left out."""
+    """Return the quantities of a problem [SI] from columns with unit suffix such as "coupler_mm".
+
+    Parameters
+    ----------
+    file : ProblemFile
+    columns : mapping of str to float
+        In display units; columns that are no quantity are ignored.
+    """
     found = {}
     for name, quantity in file.model.quantities.items():
         unit = KINDS[quantity.kind].people
@@ -111,7 +132,14 @@ def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float
 
 
 def cycle_of(file: ProblemFile, design: Mapping[str, float]) -> Analysis | None:
-    """The machine of a problem with a design [SI] over its motion; None where it cannot be assembled."""
+    """Analyse the machine of a problem with a design; None if it cannot be assembled.
+
+    Parameters
+    ----------
+    file : ProblemFile
+    design : mapping of str to float [m, rad]
+        Replaces dimensions of the problem.
+    """
     sizes = {**sizes_of(file.model.mechanism.quantities), **design}
     try:
         return analyze(settled(file, {name: sizes[name] for name in file.model.mechanism.quantities}))
@@ -120,7 +148,14 @@ def cycle_of(file: ProblemFile, design: Mapping[str, float]) -> Analysis | None:
 
 
 def turning(file: ProblemFile, design: Mapping[str, float]) -> Callable[[int], Moving | None]:
-    """The machine of a problem with a design [SI] over its motion, by the crank angle."""
+    """Return a function that animates the machine of a problem over its crank angle.
+
+    Parameters
+    ----------
+    file : ProblemFile
+    design : mapping of str to float [m, rad]
+        Replaces dimensions of the problem.
+    """
 
     def made(steps: int) -> Moving | None:
         cycle = cycle_of(file, design)
@@ -134,4 +169,4 @@ def turning(file: ProblemFile, design: Mapping[str, float]) -> Callable[[int], M
 
 
 def still(_: int) -> None:
-    """No linkage."""
+    """Return None: there is no linkage to animate."""

@@ -1,4 +1,4 @@
-"""A simulation with clearance revolution by revolution, folded onto the crank angle; and the axes that its pictures share."""
+"""Simulation with clearance by revolutions, folded onto the crank angle, and the axes shared by its figures."""
 
 from __future__ import annotations
 
@@ -30,9 +30,11 @@ TIMES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 
 
 class Turns:
-    """The rows that are kept of a simulation: which belong to which revolution, which are past the running-in.
+    """Stored rows of a simulation with clearance, assigned to revolutions.
 
-    Where it broke off, its last rows belong to no whole revolution; the last revolution is then what lies behind the last row.
+    If the simulation stopped early, its last rows belong to no complete revolution; "last revolution" then means the last period
+    of
+    rows.
     """
 
     def __init__(self, result: LooseSimulation) -> None:
@@ -55,30 +57,30 @@ class Turns:
 
     @property
     def angle(self) -> Array:
-        """Crank angle [deg], which goes on from revolution to revolution."""
+        """Crank angle [deg], continuous over revolutions."""
         return self.result["crank_angle_deg"]
 
     @property
     def free(self) -> bool:
-        """Whether the crank's speed follows from a torque: revolutions are then no more than periods of the nominal speed."""
+        """Whether the crank is driven by a torque; revolutions are then periods of the nominal speed."""
         return self.result.problem.model.drive.torque is not None
 
     @property
     def broken(self) -> bool:
-        """Whether the last rows belong to a revolution that broke off."""
+        """Whether the last rows belong to an incomplete revolution."""
         return self.whole < len(self.time)
 
     @property
     def shown(self) -> int:
-        """Revolutions past the running-in of which rows are kept."""
+        """Number of revolutions after the running-in with stored rows."""
         return max(1, min(self.kept, self.last - self.begin + 1 + self.broken))
 
     def rows(self, count: int) -> slice:
-        """The rows of the last revolutions, with the one before them as far as there is one."""
+        """Return the rows of the last revolutions and the row before them, if there is one."""
         return slice(max(0, len(self.time) - count * self.points - 1), len(self.time))
 
     def span(self, count: int) -> str:
-        """The last revolutions in words."""
+        """Describe the last revolutions."""
         count = min(count, self.kept)
         if self.broken:
             return "the last revolution" if count == 1 else f"the last {count} revolutions"
@@ -86,14 +88,14 @@ class Turns:
 
     @property
     def counted(self) -> str:
-        """The revolutions that the statistics count, in words."""
+        """Description of the revolutions that the statistics include."""
         return f"revolution {self.last}" if self.begin == self.last else f"revolutions {self.begin} to {self.last}"
 
     # --- what the machine does -----------------------------------------------------------------------------------------
 
     @property
     def output(self) -> Array:
-        """The output [m, rad], across no branch of an angle; an angle begins within the first turn."""
+        """Output [m, rad]; angles are unwrapped and start within the first turn."""
         values = self.result[self.result.output.column]
         if self.result.output.guide:
             return values
@@ -103,18 +105,18 @@ class Turns:
 
     @property
     def error(self) -> Array:
-        """Deviation of the output from the ideal machine's [m, rad]."""
+        """Deviation of the output from that of the ideal machine [m, rad]."""
         return self.result[f"{self.result.output.name}.error_{self.result.output.unit}"]
 
     @property
     def rms(self) -> float:
-        """Root mean square of that over the revolutions that count; over all where too few were simulated."""
+        """RMS deviation [m, rad] over the revolutions after the running-in, or over all if too few were simulated."""
         settled, unit = self.result.figures["settled_revolutions"], self.result.output.unit
         return self.result.figures[f"rms_{unit}" if settled else f"rms_from_start_{unit}"]
 
     @property
     def advance(self) -> float:
-        """By how much the output grows in every revolution of the crank [m, rad]: whole turns, for a body that turns fully."""
+        """Increase of the output in every crank revolution [m, rad]: whole turns for a body that turns fully."""
         if self.result.output.guide:
             return 0.0
         rows = self.rows(1)
@@ -122,11 +124,19 @@ class Turns:
         return 2.0 * math.pi * round(float(values[-1] - values[0]) / (2.0 * math.pi * (turned or 1.0)))
 
     def shares(self, largest: float) -> Scale:
-        """In what the output or its deviation is shown."""
+        """Return the display unit of the output or its deviation."""
         return scale(largest, "m" if self.result.output.guide else "deg")
 
     def peak(self, name: str, count: int) -> float:
-        """Largest torque's amount, normal force or penetration of the last revolutions, at the rows and between them."""
+        """Return the largest torque magnitude, normal force or penetration of the last revolutions, including peaks between rows.
+
+        Parameters
+        ----------
+        name : str
+            Column name.
+        count : int
+            Number of revolutions.
+        """
         values = self.result[name][self.rows(count)]
         found = float(np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0))
         stem, _, unit = name.rpartition("_")
@@ -137,19 +147,20 @@ class Turns:
     # --- the crank angle as abscissa -----------------------------------------------------------------------------------
 
     def fold(self, values: Array, rows: slice, advance: float = 0.0) -> tuple[Array, Array]:
-        """Crank angle within a revolution [deg] and values, with a gap wherever a new revolution begins.
+        """Return crank angles within a revolution [deg] and values, with NaN between revolutions.
 
         Parameters
         ----------
-        values : array (rows,)
+        values : array (n,)
+            Values at all rows.
         rows : slice
-        advance : float
-            What is taken away from the values for every whole turn of the crank.
+        advance : float, optional
+            Amount subtracted from the values for every whole turn of the crank.
         """
         return fold(self.angle[rows], values[rows], advance)
 
     def times(self, rows: slice) -> Scale:
-        """In what time is shown."""
+        """Return the display unit of time for the rows."""
         span = float(self.time[rows][-1] - self.time[rows][0])
         size, unit = next(((size, unit) for size, unit in TIMES if span >= 0.5 * size), TIMES[-1])
         return Scale(1.0 / size, unit)
@@ -157,7 +168,16 @@ class Turns:
     # --- words ---------------------------------------------------------------------------------------------------------
 
     def title(self, what: str, width: float, *more: str) -> str:
-        """The title of a picture: machine, what is shown; below, how it was driven, and whatever else it tells."""
+        """Compose the title of a figure: machine and subject, then speed, control and further lines.
+
+        Parameters
+        ----------
+        what : str
+            Subject of the figure.
+        width : float [inch]
+        *more : str
+            Addition to the second line, then further lines.
+        """
         result = self.result
         nominal, sense = "nominal " if self.free else "", "" if self.way > 0.0 else " clockwise"
         parts = [f"{nominal}{abs(result.speed) * 30.0 / math.pi:.5g} rpm{sense}"]
@@ -170,7 +190,16 @@ class Turns:
 
 
 def fold(angle: Array, values: Array, advance: float = 0.0) -> tuple[Array, Array]:
-    """Crank angles [deg] within a revolution and values, NaN between where a revolution ends and the next begins."""
+    """Return crank angles within a revolution [deg] and values, with NaN between revolutions.
+
+    Parameters
+    ----------
+    angle : array (n,) [deg]
+        Continuous crank angles.
+    values : array (n,)
+    advance : float, optional
+        Amount subtracted from the values for every whole turn of the crank.
+    """
     turn = np.floor(angle / FULL + 1e-9)
     x, y = angle - FULL * turn, values - advance * turn
     at = np.flatnonzero(np.diff(turn) != 0.0)
@@ -187,19 +216,26 @@ def fold(angle: Array, values: Array, advance: float = 0.0) -> tuple[Array, Arra
 
 
 def rough(value: float, unit: str) -> str:
-    """A value [SI] to four digits, with its unit."""
+    """Format a value with four significant digits and its unit.
+
+    Parameters
+    ----------
+    value : float [SI]
+    unit : str
+        SI unit, or "deg" for an angle in rad.
+    """
     shown = scale(value, unit)
     return f"{value * shown.factor:.4g}{'°' if unit == 'deg' else ' ' + shown.unit}"
 
 
 def runs(mask: Mask) -> list[tuple[int, int]]:
-    """Where a mask is true without a break: the first and the last index of each run."""
+    """Return the first and last index of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
 def round_below(value: float) -> float:
-    """The next lower of 1, 2, 3, 4, 5, 6, 8, 10, 20 ...; zero for what is not positive."""
+    """Return the next lower value of the series 1, 2, 3, 4, 5, 6, 8, 10, 20, ...; zero if the value is not positive."""
     if not 0.0 < value < math.inf:
         return 0.0
     power = 10.0 ** math.floor(math.log10(value))
@@ -207,12 +243,12 @@ def round_below(value: float) -> float:
 
 
 def named(gap: Gap) -> str:
-    """A gap in words."""
+    """Format the name of a joint with clearance."""
     return f"{gap.point}: {gap.journal} in {gap.bearing}"
 
 
 def beside(count: int) -> int:
-    """How many panels stand beside one another."""
+    """Return the number of panels in a row."""
     return 2 if count in (2, 4) else min(count, 3)
 
 
@@ -220,7 +256,15 @@ def beside(count: int) -> int:
 
 
 def crank_axis(axes: Axes, turns: Turns, *, named: bool = True) -> None:
-    """The crank angle of a revolution along x, to the right as time goes on."""
+    """Set up the crank angle within a revolution as the x axis, with time increasing to the right.
+
+    Parameters
+    ----------
+    axes : Axes
+    turns : Turns
+    named : bool, optional
+        Label the axis.
+    """
     axes.set_xlim((0.0, FULL) if turns.way > 0.0 else (FULL, 0.0))
     axes.xaxis.set_major_locator(MultipleLocator(60.0))
     if named:
@@ -228,7 +272,17 @@ def crank_axis(axes: Axes, turns: Turns, *, named: bool = True) -> None:
 
 
 def time_axis(axes: Axes, turns: Turns, rows: slice, *, named: bool = True) -> None:
-    """Time along x, and where revolutions end."""
+    """Set up time as the x axis and mark the ends of the revolutions.
+
+    Parameters
+    ----------
+    axes : Axes
+    turns : Turns
+    rows : slice
+        Rows to show.
+    named : bool, optional
+        Label the axis.
+    """
     unit = turns.times(rows)
     first, last = (float(turns.time[rows][k]) * unit.factor for k in (0, -1))
     axes.set_xlim(first, last)
@@ -243,7 +297,16 @@ def time_axis(axes: Axes, turns: Turns, rows: slice, *, named: bool = True) -> N
 
 
 def turn_axis(axes: Axes, first: float, last: float) -> None:
-    """Numbers of revolutions along x."""
+    """Set up revolution numbers as the x axis.
+
+    Parameters
+    ----------
+    axes : Axes
+    first : float [revolutions]
+        Lower limit.
+    last : float [revolutions]
+        Upper limit.
+    """
     axes.set_xlim(first, last)
     axes.xaxis.set_major_locator(MaxNLocator(10, integer=True, min_n_ticks=1, steps=STEPS))
     axes.set_xlabel("revolution")
@@ -252,7 +315,22 @@ def turn_axis(axes: Axes, first: float, last: float) -> None:
 def overlay(
     axes: Axes, turns: Turns, values: Array, unit: Scale, colour: str = FOUND, *, advance: float = 0.0, label: str = ""
 ) -> Line2D:
-    """Every revolution past the running-in as a thin line, the last one bold."""
+    """Draw every revolution after the running-in as a thin line and the last one bold; return the bold line.
+
+    Parameters
+    ----------
+    axes : Axes
+    turns : Turns
+    values : array (n,) [SI]
+        Values at all rows.
+    unit : Scale
+        Display unit of the axis.
+    colour : str, optional
+    advance : float [SI], optional
+        Amount subtracted from the values for every whole turn of the crank.
+    label : str, optional
+        Entry in the legend; empty for none.
+    """
     if turns.shown > 1:
         rows = turns.rows(turns.shown)
         x, y = turns.fold(values * unit.factor, slice(rows.start, turns.rows(1).start + 1), advance * unit.factor)
@@ -263,7 +341,18 @@ def overlay(
 
 
 def bands(axes: Axes, turns: Turns, contact: Array, rows: slice, label: str = "") -> None:
-    """Crank angles of these rows at which journal and bearing touch, shaded."""
+    """Shade the crank angles at which journal and bearing are in contact.
+
+    Parameters
+    ----------
+    axes : Axes
+    turns : Turns
+    contact : array (n,)
+        1 in contact, 0 apart, at all rows.
+    rows : slice
+    label : str, optional
+        Entry in the legend; empty for none.
+    """
     x, touching = turns.fold(contact, rows)
     for piece in np.split(np.arange(len(x)), np.flatnonzero(np.isnan(x))):
         own = piece[np.isfinite(x[piece])]
@@ -278,19 +367,38 @@ def bands(axes: Axes, turns: Turns, contact: Array, rows: slice, label: str = ""
 
 
 def zero(axes: Axes) -> None:
-    """A thin line at zero, if zero is in sight."""
+    """Draw a thin line at zero if zero is within the limits of y."""
     low, high = axes.get_ylim()
     if low < 0.0 < high:
         axes.axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
 
 
 def from_zero(axes: Axes, largest: float) -> None:
-    """Limits of y from zero to a little above the largest value."""
+    """Set the limits of y from zero to slightly above the largest value.
+
+    Parameters
+    ----------
+    axes : Axes
+    largest : float
+        In the unit of the axis.
+    """
     axes.set_ylim(0.0, 1.08 * largest if 0.0 < largest < math.inf else 1.0)
 
 
 def crown(axes: Axes, turns: Turns, values: Array, low: float = 0.0, high: float = 0.0) -> str:
-    """Limits of y that hold the last revolution and the bulk of the others, and `low` and `high`; says if some is cut off."""
+    """Set the limits of y to the last revolution and most of the others; return ", cut off" if values exceed them.
+
+    Parameters
+    ----------
+    axes : Axes
+    turns : Turns
+    values : array (n,)
+        Values at all rows, in the unit of the axis.
+    low : float, optional
+        Least value to include, in the unit of the axis.
+    high : float, optional
+        Largest value to include, in the unit of the axis.
+    """
     every = values[turns.rows(turns.shown)]
     top = max(high, float(np.max(values[turns.rows(1)])), float(np.percentile(every, BULK)))
     top = top if top > 0.0 else 1.0
@@ -299,7 +407,16 @@ def crown(axes: Axes, turns: Turns, values: Array, low: float = 0.0, high: float
 
 
 def hold(axes: Axes, *values: Array, least: float = 0.0) -> None:
-    """Limits of y that hold all finite values with a little room, at least so far apart as a share of their amount."""
+    """Set the limits of y to all finite values with a margin.
+
+    Parameters
+    ----------
+    axes : Axes
+    *values : array
+        In the unit of the axis.
+    least : float, optional
+        Smallest range, as a share of the largest absolute value.
+    """
     known = np.concatenate([value[np.isfinite(value)] for value in values])
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     width = max(high - low, least * max(abs(low), abs(high))) or 1.0
@@ -307,7 +424,16 @@ def hold(axes: Axes, *values: Array, least: float = 0.0) -> None:
 
 
 def legend(made: Figure, *axes: Axes, columns: int = 4) -> None:
-    """One legend below everything, of all labelled lines, as far as they fit beside one another; what is drawn twice once."""
+    """Draw one legend of all labelled artists below a figure; equal labels appear once.
+
+    Parameters
+    ----------
+    made : Figure
+    *axes : Axes
+        Axes with labelled artists.
+    columns : int, optional
+        Largest number of columns.
+    """
     found: dict[str, Artist] = {}
     for one in axes:
         for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
@@ -320,7 +446,16 @@ def legend(made: Figure, *axes: Axes, columns: int = 4) -> None:
 
 
 def square(axes: Axes, reach: float, unit: Scale) -> None:
-    """Equal scales for an eccentricity."""
+    """Set equal scales and axis labels for an eccentricity.
+
+    Parameters
+    ----------
+    axes : Axes
+    reach : float
+        Half width, in the unit of the axes.
+    unit : Scale
+        Display unit of the axes.
+    """
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel=f"e in x [{unit.unit}]", ylabel=f"e in y [{unit.unit}]")
     axes.set_aspect("equal")
     for side in (axes.xaxis, axes.yaxis):

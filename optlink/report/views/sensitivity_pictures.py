@@ -1,4 +1,4 @@
-"""Sensitivities as files: result.json, a table, and the tornado: the effect of everything that is given, largest on top."""
+"""Files and tornado chart of the sensitivities of an optimum to its fixed parameters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,14 @@ MANY, SEEN = 14, 1e-3  # bars, and the share of the longest that the shortest ha
 
 
 def write_all(result: Sensitivities, folder: Path) -> list[Path]:
-    """Write result.json, sensitivity.csv and the tornado (if anything moves the optimum); return the files."""
+    """Write result.json, sensitivity.csv and the tornado chart (if any parameter has an effect); return the paths.
+
+    Parameters
+    ----------
+    result : Sensitivities
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / "result.json", folder / "sensitivity.csv"]
     write_json(written[0], result.to_dict())
     write_table(result, written[1])
@@ -27,7 +34,14 @@ def write_all(result: Sensitivities, folder: Path) -> list[Path]:
 
 
 def write_table(result: Sensitivities, path: Path) -> None:
-    """Write one row for everything that is given, every digit of a number."""
+    """Write a CSV table with one row for each parameter, in full precision.
+
+    Parameters
+    ----------
+    result : Sensitivities
+    path : Path
+        File to write.
+    """
     import csv
 
     with whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
@@ -44,7 +58,7 @@ def write_table(result: Sensitivities, path: Path) -> None:
 
 @styled
 def tornado(result: Sensitivities) -> Figure:
-    """Bars of the change of the objective by one step of each parameter, up and down."""
+    """Draw bars of the change of the objective by one step of each parameter, up and down."""
     least = SEEN * max(abs(row.effect) for row in result.moving)
     rows = [row for row in result.moving if abs(row.effect) >= least][:MANY]
     base = result.solution.objective

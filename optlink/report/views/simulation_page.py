@@ -1,4 +1,4 @@
-"""The page of `simulate`: a machine in time, its drive, what it does, where the energy went."""
+"""HTML sections of a forward dynamics simulation: drive, output, reactions, energy."""
 
 from __future__ import annotations
 
@@ -38,12 +38,18 @@ VERDICTS = {Ending.FINISHED: "Finished", Ending.AT_REST: "Came to rest"}
 
 
 def studied(record: Record, file: ProblemFile) -> Studied:
-    """A recorded simulation.
+    """Build the report of a stored forward dynamics simulation.
+
+    Parameters
+    ----------
+    record : Record
+    file : ProblemFile
+        The problem that was simulated.
 
     Raises
     ------
     InputError
-        when the record is damaged.
+        If the record is damaged.
     """
     columns, figures = record.columns("columns"), record.figures("figures")
     time, crank = record.column(columns, "time_s"), record.column(columns, "crank_angle_deg")
@@ -116,7 +122,14 @@ def _drift(figures: Mapping[str, float]) -> str:
 
 
 def largest(columns: Columns, names: Iterable[str]) -> float:
-    """Largest amount in columns [SI]."""
+    """Return the largest absolute finite value in columns [SI].
+
+    Parameters
+    ----------
+    columns : mapping of str to array (n,)
+    names : iterable of str
+        Columns to consider.
+    """
     every = [np.abs(columns[name]) for name in names]
     return max((float(np.max(one, initial=0.0, where=np.isfinite(one))) for one in every), default=0.0)
 
@@ -124,19 +137,35 @@ def largest(columns: Columns, names: Iterable[str]) -> float:
 def timed(
     columns: Columns, name: str, shown: Scale | float, words: str, colour: str, dash: str = "solid", width: float = 2.0
 ) -> Trace:
-    """A column over time."""
+    """Return a column over time as a trace.
+
+    Parameters
+    ----------
+    columns : mapping of str to array (n,) [SI]
+        Contains "time_s".
+    name : str
+        Column name.
+    shown : Scale or float
+        Display unit, or factor from SI to it.
+    words : str
+        Entry in the legend.
+    colour : str
+    dash : str, optional
+        Line style of plotly.
+    width : float [pixel], optional
+    """
     factor = shown.factor if isinstance(shown, Scale) else shown
     x, y = thinned(columns["time_s"], columns[name] * factor)
     return line(x, y, words, colour, width=width, dash=dash)
 
 
 def _quiet(traces: list[Trace]) -> list[Trace]:
-    """Curves whose axis says what they are."""
+    """Return the traces without legend entries."""
     return [trace | {"showlegend": False} for trace in traces]
 
 
 def _drive(columns: Columns, body: str) -> list[Chart]:
-    """Crank speed and driving torque."""
+    """Plot crank speed and driving torque."""
     panels = []
     if f"{body}.omega_rad_s" in columns:
         rpm = 30.0 / math.pi
@@ -149,7 +178,7 @@ def _drive(columns: Columns, body: str) -> list[Chart]:
 
 
 def _output(columns: Columns, slider: str, body: str) -> list[Chart]:
-    """What the machine moves: the last slider, else the last body."""
+    """Plot position, velocity and acceleration of the last slider, otherwise of the last body."""
     words = ("position", "velocity", "acceleration") if slider else ("angle", "angular velocity", "angular acceleration")
     endings = (".s_m", ".v_m_s", ".a_m_s2") if slider else (".angle_rad", ".omega_rad_s", ".alpha_rad_s2")
     units = ("m", "m/s", "m/s²") if slider else ("deg", "rad/s", "rad/s²")
@@ -163,7 +192,7 @@ def _output(columns: Columns, slider: str, body: str) -> list[Chart]:
 
 
 def _reactions(columns: Columns, joints: Container[str]) -> list[Chart]:
-    """Amounts of the forces in the joints; a pin of three bodies has two."""
+    """Plot the magnitudes of the joint reactions; a pin of three bodies has two."""
     forces = {name: values for name, values in columns.items() if name.partition(".")[0] in joints}
     for name in [name for name in forces if name.endswith(".fx_N") and name.replace(".fx_N", ".fy_N") in forces]:
         forces[name.replace(".fx_N", ".f_N")] = np.hypot(forces[name], forces[name.replace(".fx_N", ".fy_N")])
@@ -187,7 +216,7 @@ def _reactions(columns: Columns, joints: Container[str]) -> list[Chart]:
 
 
 def _work(columns: Columns) -> list[Chart]:
-    """Work of the drive, and the energy that the machine holds."""
+    """Plot the work of the drive and the kinetic and potential energy."""
     names = {"input.work_J": ("work of the drive", CRANK), "energy.kinetic_J": ("kinetic energy", BODIES[0])}
     names["energy.potential_J"] = ("potential energy", BODIES[2])
     known = [name for name in names if name in columns and largest(columns, [name]) > 0.0]
@@ -202,7 +231,7 @@ def _work(columns: Columns) -> list[Chart]:
 
 
 def _sizes(record: Record, file: ProblemFile) -> dict[str, float]:
-    """Sizes [SI] of the machine that ran, those of the problem where none were recorded."""
+    """Return the dimensions [SI] of the simulated machine; those of the problem if none were stored."""
     machine, names = machine_of(file), file.model.mechanism.quantities
     if not record.has("sizes_SI"):
         return {name: float(np.asarray(machine.sizes[name])) for name in names}
@@ -213,7 +242,7 @@ def _sizes(record: Record, file: ProblemFile) -> dict[str, float]:
 
 
 def _moving(file: ProblemFile, columns: Columns, body: str, sizes: Mapping[str, float]) -> Callable[[int], Moving | None]:
-    """The linkage at rows of the simulation, if the recorded places are those of its sizes."""
+    """Return a function that animates the linkage at rows of the simulation, if the stored positions match its dimensions."""
 
     def made(steps: int) -> Moving | None:
         try:

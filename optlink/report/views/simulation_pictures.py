@@ -1,4 +1,4 @@
-"""Files and pictures of a simulation: speed and torque, what the machine does, where the energy goes."""
+"""Files and figures of a forward dynamics simulation: speed and torque, output, energy balance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,14 @@ Array = NDArray[np.float64]
 
 
 def write_all(result: Simulation, folder: Path) -> list[Path]:
-    """Write result.json, course.csv and every picture; return the files."""
+    """Write result.json, course.csv and the applicable figures; return the paths.
+
+    Parameters
+    ----------
+    result : Simulation
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / "result.json", folder / "course.csv"]
     write_json(written[0], result.to_dict())
     write_csv(written[1], result.columns)
@@ -40,7 +47,7 @@ def _curve(axes: Axes, time: Array, values: Array, unit: str, what: str, color: 
 
 @styled
 def drive(result: Simulation) -> Figure | None:
-    """Crank speed and driving torque over time; the mean speed of the last turn, if there is one."""
+    """Draw crank speed and driving torque over time, and the mean speed of the last revolution if it was completed."""
     if len(result.run.time) < 2:
         return None
     drawn = figure(7.2, 5.2)
@@ -74,7 +81,7 @@ def drive(result: Simulation) -> Figure | None:
 
 @styled
 def output(result: Simulation) -> Figure | None:
-    """Displacement and velocity of the last slider over time; angle and angular velocity of the last body if nothing slides."""
+    """Draw displacement and velocity of the last slider over time, or angle and angular velocity of the last body."""
     if len(result.run.time) < 2:
         return None
     names = list(slider_names(result.machine).values())
@@ -99,7 +106,7 @@ def output(result: Simulation) -> Figure | None:
 
 @styled
 def energy(result: Simulation) -> Figure | None:
-    """Works of drive, loads and friction and the energy gained over time; below, what the account leaves open."""
+    """Draw the work of drive, loads and friction and the energy gained over time; below, the imbalance of the energy account."""
     run = result.run
     if len(run.time) < 2 or run.turnover == 0.0:
         return None

@@ -1,4 +1,4 @@
-"""What-if studies as tables for people."""
+"""Terminal tables of parametric studies."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOVERS = 2  # of more sizes, those that are told
 
 
 def step(row: Sensitivity) -> str:
-    """The change by which effects are compared, in words."""
+    """Format the parameter change by which effects are compared."""
     p = row.parameter
     if p.unit == "deg":
         return "1 deg"
@@ -31,7 +31,7 @@ def step(row: Sensitivity) -> str:
 
 
 def sensitivities(result: Sensitivities) -> RenderableType:
-    """Everything that moves the optimum, largest effect first."""
+    """Summarise the sensitivities of an optimum to its fixed parameters, largest effect first."""
     names = list(result.units)
     title = Text(result.problem.model.title, style=HEAD)
     for note in result.notes:
@@ -69,7 +69,7 @@ def sensitivities(result: Sensitivities) -> RenderableType:
 
 
 def _movers(result: Sensitivities, row: Sensitivity) -> str:
-    """The sizes that answer most to a change, as shares of themselves."""
+    """Format the design variables with the largest relative response to a parameter."""
     sizes = {name: abs(result.values[name]) or 1.0 for name in row.design}
     order = sorted(row.design, key=lambda name: -abs(row.design[name]) / sizes[name])
     told = [
@@ -79,7 +79,7 @@ def _movers(result: Sensitivities, row: Sensitivity) -> str:
 
 
 def _prices(result: Sensitivities) -> Table:
-    """What one more unit does to the objective."""
+    """Tabulate the derivatives of the objective."""
     table = grid("Per unit", [("", "left"), ("", "right"), ("", "left")])
     for row in result.moving:
         p = row.parameter
@@ -115,7 +115,7 @@ def _signed(value: float) -> str:
 
 
 def outputs(found: OutputSensitivity) -> RenderableType:
-    """Derivatives of an output by every size, one row for each crank angle."""
+    """Tabulate the derivatives of an output with respect to every dimension, one row for each crank angle."""
     angular = found.unit == "rad"
     per = "deg per mm" if angular else "mm per mm"
     factor = math.degrees(1.0) / 1e3 if angular else 1.0
@@ -131,7 +131,7 @@ def outputs(found: OutputSensitivity) -> RenderableType:
 
 
 def sweep(result: Sweep) -> RenderableType:
-    """What a sweep found."""
+    """Summarise a parameter sweep."""
     title = Text(result.problem.model.title, style=HEAD)
     every = " x ".join(f"{len(axis.values):,}" for axis in result.grid.axes)
     title.append(f"\n{points(result.grid.count)}" + (f" ({every})" if len(result.grid.axes) > 1 else ""))
@@ -164,7 +164,7 @@ def sweep(result: Sweep) -> RenderableType:
 
 
 def _counted(result: Sweep) -> str:
-    """How many points have which outcome."""
+    """Count the points by outcome."""
     if not result.evaluated:
         if result.complete:
             return "every optimum proven"
@@ -176,7 +176,7 @@ def _counted(result: Sweep) -> str:
 
 
 def _rows(result: Sweep) -> list[RenderableType]:
-    """The first rows of a table of figures; of more rows than are shown also the least and largest of each figure."""
+    """Tabulate the first points of a sweep of analyses; for larger sweeps, the extremes of each quantity."""
     axes = result.grid.axes
     names = [name for name in result.names[len(axes) :] if name not in TEXT and name != "valid"]
     columns = result.columns
@@ -214,7 +214,7 @@ def _values(result: Sweep, point: int) -> list[str]:
 
 
 def _short(key: str, unit: str) -> str:
-    """A key without the sections that every size of a mechanism is in, its unit below."""
+    """Abbreviate a key by the section of its mechanism, with its unit below."""
     name = key.removeprefix("mechanism.").removeprefix("links.")
     return name.replace(".", ".\n") + (f"\n[{unit}]" if unit else "")
 

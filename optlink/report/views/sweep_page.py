@@ -1,4 +1,4 @@
-"""The page of `study sweep`: objective and designs over what was varied, where other limits begin to hold, the best point."""
+"""HTML sections of a parameter sweep: objective and designs over the parameters, active-set changes, best point."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FLAGS = ("valid", CHANGED)
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """A sweep as it was recorded: its `grid`, its table as texts by column, the `names` of objective (or figures) and designs."""
+    """A stored sweep: parameter grid, table as text by column, names of the objective (or quantities) and design variables."""
 
     grid: Grid
     evaluated: bool
@@ -48,16 +48,16 @@ class Swept:
     designs: tuple[str, ...]
 
     def numbers(self, name: str) -> Array:
-        """A column as numbers; NaN where there is none."""
+        """Return a column as numbers, NaN where a cell is empty."""
         return np.array([float(text) if text else np.nan for text in self.table[name]])
 
     def flags(self, name: str) -> NDArray[np.bool_]:
-        """A column of true and false; all false where there is no such column."""
+        """Return a column of booleans; all false if the column does not exist."""
         return np.array([text == "true" for text in self.table.get(name, [""] * self.grid.count)])
 
     @property
     def best(self) -> int | None:
-        """The place of the least objective that is proven, if there is one."""
+        """Index of the valid point with the least objective; None if there is none."""
         if self.evaluated:
             return None
         values = np.where(self.flags("valid"), self.numbers(self.figures[0]), np.nan)
@@ -68,12 +68,12 @@ class Swept:
 
 
 def read(record: Record) -> Swept:
-    """A recorded sweep and its table.
+    """Read a stored sweep and its table.
 
     Raises
     ------
     InputError
-        when the record is damaged, or its table is missing or another one.
+        If the record is damaged, or its table is missing or belongs to another sweep.
     """
     mode = record.text("mode")
     if mode not in ("analyse", "simulate", "optimise"):
@@ -108,7 +108,7 @@ def read(record: Record) -> Swept:
 
 
 def _table_of(record: Record) -> Path:
-    """The table: beside the result file, else where that says it was written."""
+    """Return the path of the table: beside the result file, otherwise where the record locates it."""
     beside = record.path.parent / TABLE
     if beside.is_file() or not record.has("table"):
         return beside
@@ -137,12 +137,18 @@ def _axis(record: Record, table: Mapping[str, list[str]]) -> Axis:
 
 
 def studied(record: Record, file: ProblemFile) -> Studied:
-    """A recorded sweep.
+    """Build the report of a stored sweep.
+
+    Parameters
+    ----------
+    record : Record
+    file : ProblemFile
+        The problem of the study.
 
     Raises
     ------
     InputError
-        when the record is damaged, or its table is missing or another one.
+        If the record is damaged, or its table is missing or belongs to another sweep.
     """
     found, mode = read(record), record.text("mode")
     valid = int(np.sum(found.flags("valid")))
@@ -182,7 +188,7 @@ def _and(axes: tuple[Axis, ...]) -> str:
 
 
 def _best(file: ProblemFile, found: Swept, best: int) -> tuple[ProblemFile, dict[str, float]]:
-    """The problem and the design [SI] of the best point."""
+    """Return the problem and the design [SI] of the best point."""
     there = file.override(found.grid.changes(best))
     return there, named_si(there, {name: float(found.table[name][best]) for name in found.designs})
 
@@ -214,19 +220,19 @@ def _tables(found: Swept, best: int | None) -> Iterator[Table]:
 
 
 def _columns(found: Swept) -> dict[str, str]:
-    """Columns with numbers and what people call them."""
+    """Return the numeric columns with their display names."""
     return {one.column: _varied(one) for one in found.grid.axes} | {
         name: named(name) for name in (*found.figures, *found.designs)
     }
 
 
 def _varied(one: Axis) -> str:
-    """A parameter with its unit."""
+    """Format a parameter with its unit."""
     return f"{one.key} [{one.unit}]" if one.unit else one.key
 
 
 def named(column: str) -> str:
-    """A column's name as people read it: its unit in brackets."""
+    """Return the display name of a column, with its unit in brackets."""
     stem, _, how = column.rpartition(".")
     if how in ENDS:
         return f"{ENDS[how]} {named(stem)}"
@@ -248,7 +254,7 @@ def _charts(found: Swept) -> Iterator[Chart]:
 
 
 def _kept(found: Swept) -> NDArray[np.intp]:
-    """Places of the points that are drawn: all, or as many evenly, and those that something happens at."""
+    """Return the indices of the points to draw: all, or an even selection with all active-set changes."""
     count = found.grid.count
     if count <= MOST:
         return np.arange(count)
@@ -258,7 +264,7 @@ def _kept(found: Swept) -> NDArray[np.intp]:
 
 
 def _picks(found: Swept, places: NDArray[np.intp], x: Array, y: Array) -> Picks:
-    """The design of every point."""
+    """Tabulate the design of every point."""
     columns = _columns(found)
     words = ["status", "reason"] if found.evaluated else ["held by", "status"]
     rows = []
@@ -276,7 +282,7 @@ def _picks(found: Swept, places: NDArray[np.intp], x: Array, y: Array) -> Picks:
 
 
 def _picked(found: Swept, kept: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Which of the drawn points can be picked."""
+    """Return the indices of the drawn points that can be selected."""
     if len(kept) <= PICKED:
         return kept
     best = [] if found.best is None else [found.best]
@@ -284,13 +290,13 @@ def _picked(found: Swept, kept: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _numbers(kept: NDArray[np.intp], picked: NDArray[np.intp]) -> list[int | None]:
-    """For every drawn point its number among those that can be picked."""
+    """Return for every drawn point its number among the selectable points; None if it is not selectable."""
     known = {int(k): number_ for number_, k in enumerate(picked)}
     return [known.get(int(k)) for k in kept]
 
 
 def _curves(found: Swept) -> Chart:
-    """Objective, or figures, above the designs, over the one parameter."""
+    """Plot the objective or the quantities above the designs, over the only parameter."""
     one = found.grid.axes[0]
     kept = _kept(found)
     picked = _picked(found, kept)
@@ -325,7 +331,7 @@ def _curves(found: Swept) -> Chart:
 
 
 def _map(found: Swept, name: str) -> Chart:
-    """A column over two parameters."""
+    """Plot a column over two parameters."""
     slow, fast = found.grid.axes
     shape = (len(slow.values), len(fast.values))
     every = tuple(slice(None, None, max(1, -(-size // 150))) for size in shape)
@@ -374,20 +380,20 @@ def _map(found: Swept, name: str) -> Chart:
 
 
 def _edges(values: Array) -> list[float]:
-    """The outer edges of the cells around these values."""
+    """Return the outer edges of the cells around the values."""
     ends = np.sort(values)
     first, last = (ends[1] - ends[0], ends[-1] - ends[-2]) if len(ends) > 1 else (1.0, 1.0)
     return [float(ends[0] - 0.5 * first), float(ends[-1] + 0.5 * last)]
 
 
 def _places(found: Swept, places: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Where points lie in a map: along the fast and the slow parameter."""
+    """Return the coordinates of points in a map, along the fast and the slow parameter."""
     slow, fast = found.grid.axes
     return found.numbers(fast.column)[places], found.numbers(slow.column)[places]
 
 
 def _least(found: Swept, one: Axis) -> Chart:
-    """Of three parameters or more: the least and the largest of each figure at every value of one, whatever the others are."""
+    """Plot the least and largest value of each quantity over one of three or more parameters, taken over the others."""
     panels: list[Panel] = []
     for figure in found.figures[:PANELS]:
         values, places = found.numbers(figure), found.numbers(one.column)

@@ -1,4 +1,4 @@
-"""A sweep as files: result.json, and pictures: curves over one parameter, a map over two, maps side by side over three."""
+"""Files and figures of a parameter sweep: curves over one parameter, a map over two, several maps over three."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|N|Nm|W|J)")
 
 @dataclass(frozen=True)
 class Grid:
-    """A sweep's table over the parameters that have several values, each in rising order; `given` are the other ones."""
+    """Table of a sweep over the parameters with several values, each in rising order; `given` are the other parameters."""
 
     axes: tuple[Axis, ...]
     given: tuple[str, ...]
@@ -44,7 +44,7 @@ class Grid:
 
     @classmethod
     def of(cls, result: Sweep) -> Grid:
-        """The grid of a sweep."""
+        """Return the grid of a sweep."""
         axes = [axis for axis in result.grid.axes if len(axis.values) > 1]
         given = [f"{axis.key} {axis.values[0]:g} {axis.unit}".rstrip() for axis in result.grid.axes if len(axis.values) == 1]
         numbers = np.arange(result.grid.count).reshape([len(axis.values) for axis in axes])
@@ -53,13 +53,13 @@ class Grid:
         return cls(tuple(Axis(a.key, a.unit, tuple(sorted(a.values))) for a in axes), tuple(given), numbers, result)
 
     def column(self, name: str) -> NDArray[Any]:
-        """A column of the table over these axes."""
+        """Return a column of the table, shaped like the grid."""
         found: NDArray[Any] = self.result.columns[name][self.order]
         return found
 
     @property
     def states(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Where other limits begin to hold, and where a design is not proven; nowhere if none was searched."""
+        """Masks of active-set changes and of unproven designs; all false for a sweep of analyses."""
         if self.result.evaluated:
             nowhere = np.zeros(self.order.shape, dtype=bool)
             return nowhere, nowhere
@@ -67,18 +67,27 @@ class Grid:
 
     @property
     def empty(self) -> str:
-        """What it means that a point has no value."""
+        """Meaning of a point without a value."""
         return "no valid figures" if self.result.evaluated else "no design"
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """Columns whose values are drawn: the objective, or what was analysed."""
+        """Columns to draw: the objective, or the analysed quantities."""
         names = tuple(n for n in self.result.names[len(self.result.grid.axes) :] if n not in (*TEXT, "valid"))
         return names if self.result.evaluated else tuple(name for name in names if name.startswith("objective"))
 
 
 def write_all(result: Sweep, folder: Path) -> list[Path]:
-    """Write result.json and the picture (if one to three parameters have several values); the table is there already."""
+    """Write result.json and the figure (if one to three parameters have several values); return the paths.
+
+    The table of the points exists already.
+
+    Parameters
+    ----------
+    result : Sweep
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / "result.json"]
     write_json(written[0], result.to_dict())
     several = sum(len(axis.values) > 1 for axis in result.grid.axes)
@@ -90,7 +99,7 @@ def write_all(result: Sweep, folder: Path) -> list[Path]:
 
 @styled
 def picture(result: Sweep) -> Figure:
-    """Curves over one parameter, a map over two, maps for some values of the first one over three."""
+    """Draw curves over one parameter, a map over two, or maps for some values of the first of three."""
     grid = Grid.of(result)
     return (_curves, _maps, _slices)[len(grid.axes) - 1](grid)
 
@@ -99,7 +108,7 @@ def picture(result: Sweep) -> Figure:
 
 
 def named(column: str) -> tuple[str, str]:
-    """Name and unit of a column, as people read them."""
+    """Return display name and unit of a column."""
     match = _UNIT.fullmatch(column)
     if match is None:
         return column, ""
@@ -117,14 +126,14 @@ def _title(grid: Grid, what: str, width: float) -> str:
 
 
 def _spread(axis: Axis) -> str:
-    """The scale of an axis: logarithmic where its values grow by equal ratios."""
+    """Return the scale of an axis: logarithmic if the ratios of its values are constant."""
     values = np.array(axis.values)
     even = len(values) > 2 and values[0] > 0.0 and np.allclose(np.diff(np.log(values)), np.log(values[1] / values[0]), rtol=1e-6)
     return "log" if even and not np.allclose(np.diff(values), values[1] - values[0], rtol=1e-6) else "linear"
 
 
 def _scaled(axis: XAxis | YAxis, scale: str) -> None:
-    """Give an axis its scale; of a logarithmic one 1, 2 and 5 of every decade are told."""
+    """Set the scale of an axis; a logarithmic one has ticks at 1, 2 and 5 of every decade."""
     (axis.axes.set_xscale if axis.axis_name == "x" else axis.axes.set_yscale)(scale)
     if scale == "log":
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -133,7 +142,7 @@ def _scaled(axis: XAxis | YAxis, scale: str) -> None:
 
 
 def _analysed(grid: Grid) -> dict[str, tuple[str, ...]]:
-    """Columns of the analysis, each with those of its figures; of a single figure itself."""
+    """Return the analysed columns, each with the names of its measures."""
     found: dict[str, tuple[str, ...]] = {}
     for name in grid.shown:
         column = _parted(name)[0]
@@ -142,7 +151,7 @@ def _analysed(grid: Grid) -> dict[str, tuple[str, ...]]:
 
 
 def _parted(name: str) -> tuple[str, str]:
-    """A column of the analysis and what is told of it; of a single figure itself and nothing."""
+    """Split a name into column and measure; the measure is empty if there is none."""
     stem, _, kind = name.rpartition(".")
     return (stem, kind) if kind in FIGURES else (name, "")
 
@@ -155,7 +164,7 @@ assert set(WORDS) == set(FIGURES)
 
 
 def _curves(grid: Grid) -> Figure:
-    """The objective and below it the sizes, those of one unit in one panel; or what was analysed."""
+    """Draw the objective and below it the design variables, one panel per unit; or the analysed quantities."""
     (axis,) = grid.axes
     panels = list(_analysis_panels(grid)) if grid.result.evaluated else list(_design_panels(grid))
     drawn = figure(8.0, 1.2 + 2.5 * len(panels))
@@ -176,7 +185,7 @@ def _curves(grid: Grid) -> Figure:
 
 
 def _design_panels(grid: Grid) -> Iterator[tuple[str, dict[str, Array]]]:
-    """Label of a panel, and its curves by name."""
+    """Yield the label of each panel with its curves by name."""
     (objective,) = grid.shown
     yield _label(*named(objective)), {"objective": grid.column(objective)}
     names = grid.result.names[len(grid.result.grid.axes) : grid.result.names.index(objective)]
@@ -194,7 +203,7 @@ def _analysis_panels(grid: Grid) -> Iterator[tuple[str, dict[str, Array]]]:
 
 
 def _marked_curves(grid: Grid, drawn: Figure, rows: Sequence[Axes], x: Array) -> None:
-    """Where other limits begin to hold, where designs are not proven, and where there is none."""
+    """Mark active-set changes, unproven designs and points without a design."""
     handles: list[Any] = []
     values = grid.column(grid.shown[0])
     there = np.isfinite(values)
@@ -219,7 +228,7 @@ def _marked_curves(grid: Grid, drawn: Figure, rows: Sequence[Axes], x: Array) ->
 
 
 def _edges(x: Array, *, log: bool) -> Array:
-    """Borders of the fields around rising values (n + 1,)."""
+    """Return the cell borders around rising values, shape (n + 1,)."""
     own = np.log(x) if log else x
     middle = 0.5 * (own[1:] + own[:-1])
     found = np.concatenate([[1.5 * own[0] - 0.5 * own[1]], middle, [1.5 * own[-1] - 0.5 * own[-2]]])
@@ -230,7 +239,7 @@ def _edges(x: Array, *, log: bool) -> Array:
 
 
 def _maps(grid: Grid) -> Figure:
-    """One map of the objective; of an analysis the least, the largest and the rms value of its first column."""
+    """Draw a map of the objective, or maps of the least, largest and RMS value of the first analysed column."""
     names = next(iter(_analysed(grid).values())) if grid.result.evaluated else grid.shown
     width, height = (8.0, 5.6) if len(names) == 1 else (13.0, 4.6)
     drawn = figure(width, height)
@@ -248,7 +257,7 @@ def _maps(grid: Grid) -> Figure:
 
 
 def _slices(grid: Grid) -> Figure:
-    """Maps over the second and the third parameter, for some values of the first one, in one scale of colours."""
+    """Draw maps over the second and third parameter for some values of the first, with a common colour scale."""
     slow, side, up = grid.axes[0], grid.axes[2], grid.axes[1]
     count = min(SLICES, len(slow.values))
     chosen = np.unique(np.linspace(0, len(slow.values) - 1, count).round().astype(int))
@@ -284,7 +293,7 @@ def _slices(grid: Grid) -> Figure:
 
 
 def _field(grid: Grid, axes: Axes, values: Array, span: tuple[float, float] | None, at: Any) -> Any:
-    """A map over the last two parameters; grey where there is no design."""
+    """Draw a map over the last two parameters, grey where there is no design."""
     up, side = grid.axes[-2:]
     scales = _spread(side), _spread(up)
     edges = [_edges(np.array(axis.values), log=s == "log") for axis, s in zip((side, up), scales, strict=True)]
@@ -298,7 +307,7 @@ def _field(grid: Grid, axes: Axes, values: Array, span: tuple[float, float] | No
 
 
 def _marks(grid: Grid, axes: Axes, values: Array, at: Any) -> dict[str, Any]:
-    """Marks on a map, and what they mean."""
+    """Draw the marks of a map and return their legend entries."""
     found: dict[str, Any] = {}
     there = np.isfinite(values)
     x, y = np.meshgrid(grid.axes[-1].values, grid.axes[-2].values)

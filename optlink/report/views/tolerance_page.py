@@ -1,4 +1,4 @@
-"""The page of `study tolerance`: who is to blame, how the output scatters, what share keeps the limit, what may be loosened."""
+"""HTML sections of a tolerance analysis: variance contributions, scatter, yield, tolerance allocation."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SCATTERED = ("mean", "sigma", "sigma_standard_error", "least", "most")
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A deviation and what it does: change of the output per deviation, share of the variance [%], over the crank angles."""
+    """A deviation and its effects: change of the output per deviation and share of the variance [%], over the crank angles."""
 
     name: str
     size: str
@@ -47,13 +47,22 @@ class Part:
     share: Array
 
     def text(self, value: float, factor: float, unit: str) -> str:
-        """A tolerance [SI] for people."""
+        """Format a symmetric tolerance.
+
+        Parameters
+        ----------
+        value : float [SI]
+        factor : float
+            Factor from SI to the display unit.
+        unit : str
+            Display unit.
+        """
         return f"±{number(factor * value)} {unit}"
 
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """What samples gave: `arrays` over the crank angles [SI], figures, and the histogram if it was recorded."""
+    """Monte Carlo results: `arrays` over the crank angles [SI], yield statistics, and the histogram if it was stored."""
 
     samples: int
     seed: int
@@ -69,7 +78,7 @@ class Sampled:
 
 @dataclass(frozen=True, eq=False)
 class Toleranced:
-    """A study of tolerances as it was recorded; `scale` and `unit`: how many of people's units are one in SI."""
+    """A stored tolerance analysis; `scale` is the factor from SI to the display unit `unit`."""
 
     output: str
     scale: float
@@ -84,7 +93,7 @@ class Toleranced:
 
     @property
     def where(self) -> int:
-        """Place of the crank angle at which the output scatters most."""
+        """Index of the crank angle with the largest standard deviation of the output."""
         return int(np.argmax(self.linear["sigma"]))
 
 
@@ -92,12 +101,12 @@ class Toleranced:
 
 
 def read(record: Record) -> Toleranced:
-    """A recorded study of tolerances.
+    """Read a stored tolerance analysis.
 
     Raises
     ------
     InputError
-        when the record is damaged.
+        If the record is damaged.
     """
     unit = record.text("unit")
     if unit not in ("rad", "m"):
@@ -160,12 +169,18 @@ def _sampled(record: Record, count: int) -> Sampled:
 
 
 def studied(record: Record, file: ProblemFile) -> Studied:
-    """A recorded study of tolerances.
+    """Build the report of a stored tolerance analysis.
+
+    Parameters
+    ----------
+    record : Record
+    file : ProblemFile
+        The problem of the study.
 
     Raises
     ------
     InputError
-        when the record is damaged.
+        If the record is damaged.
     """
     found = read(record)
     allocation = record.record("allocation") if record.has("allocation") else None
@@ -210,7 +225,7 @@ def _by(found: Toleranced) -> str:
 
 
 def _unit_of(file: ProblemFile, part: Part) -> tuple[float, str]:
-    """How many of people's units a tolerance has per SI unit."""
+    """Return factor from SI and name of the display unit of a tolerance."""
     quantity = file.model.mechanism.quantities.get(part.size)
     return (math.degrees(1.0), "deg") if quantity is not None and quantity.kind == "angle" else (1e3, "mm")
 
@@ -313,13 +328,13 @@ def _redesigned(file: ProblemFile, found: Toleranced, record: Record) -> Table:
 
 
 def _ordered(found: Toleranced) -> Iterator[tuple[Part, str]]:
-    """Deviations with their colours, the worst first."""
+    """Yield the deviations with their colours, by decreasing mean contribution."""
     order = sorted(found.parts, key=lambda part: -float(np.mean(part.share)))
     return ((part, COLOURS[k % len(COLOURS)]) for k, part in enumerate(order))
 
 
 def _contributions(found: Toleranced) -> Chart:
-    """Shares of the variance: stacked over the crank angle; bars where there is one."""
+    """Plot the variance contributions: stacked over the crank angle, or as bars if there is only one."""
     title = f"Who is to blame for the scatter of {found.output}"
     if len(found.degrees) > 1:
         curves: list[Trace] = [
@@ -342,7 +357,7 @@ def _contributions(found: Toleranced) -> Chart:
 
 
 def _band(found: Toleranced) -> Chart:
-    """Change of what is judged: worst case, three sigma, ends of the samples, and what the limit leaves."""
+    """Plot the change of the output: worst case, three standard deviations, sample extremes, and the margin to the limit."""
     x, k, linear = found.degrees, found.scale, found.linear
     mode = "lines" if len(x) > 2 else "markers"
     low = line(x, k * linear["worst_low"], "worst case", SHADE, width=1.0)
@@ -372,7 +387,7 @@ def _band(found: Toleranced) -> Chart:
 
 
 def _histogram(found: Toleranced, sampled: Sampled) -> Chart:
-    """Shares of the samples by the largest size of what is judged."""
+    """Plot the histogram of the largest error or change of each sample."""
     merged = max(1, -(-len(sampled.counts) // BARS))
     starts = np.arange(0, len(sampled.counts), merged)
     ends = np.minimum(starts + merged, len(sampled.counts))

@@ -1,4 +1,4 @@
-"""Tolerances as files: result.json, a table over crank angles, and pictures: who is to blame, the scatter, the band."""
+"""Files and figures of a tolerance analysis: variance contributions, band over the crank angle, histogram."""
 
 from __future__ import annotations
 
@@ -21,7 +21,14 @@ NEAR = 2.5  # times what is drawn, that a limit may be away and still be drawn
 
 
 def write_all(result: Tolerance, folder: Path) -> list[Path]:
-    """Write result.json, tolerance.csv and the pictures."""
+    """Write result.json, tolerance.csv and the figures; return the paths.
+
+    Parameters
+    ----------
+    result : Tolerance
+    folder : Path
+        Existing folder to write to.
+    """
     written = [folder / name for name in ("result.json", "tolerance.csv", "contributions.png", "band.png")]
     write_json(written[0], result.to_dict())
     write_csv(written[1], result.columns)
@@ -35,7 +42,7 @@ def write_all(result: Tolerance, folder: Path) -> list[Path]:
 
 @styled
 def contributions(result: Tolerance) -> Figure:
-    """Shares of the variance over the crank angle."""
+    """Draw the variance contributions over the crank angle."""
     drawn = figure(8.0, 4.2)
     axes = drawn.add_subplot()
     degrees = np.degrees(result.nominal.crank_angles)
@@ -61,7 +68,7 @@ def contributions(result: Tolerance) -> Figure:
 
 @styled
 def band(result: Tolerance) -> Figure:
-    """The error, or the change of another output, over the crank angle: worst case, three sigma, ends of the samples, limit."""
+    """Draw the error or the change of the output over the crank angle: worst case, three sigma, sample extremes, limit."""
     scale, unit = people(result.nominal)
     drawn = figure(8.0, 4.6)
     axes = drawn.add_subplot()
@@ -93,12 +100,12 @@ def band(result: Tolerance) -> Figure:
 
 
 def _output(result: Tolerance) -> str:
-    """What people call the output in a sentence."""
+    """Return the name of the output for use in a sentence."""
     return f"the {result.nominal.name}" if np.any(result.nominal.base) else result.nominal.name
 
 
 def _limits(axes: Any, limit: float, unit: str) -> None:
-    """The limit to both sides, if it is near enough to be drawn."""
+    """Draw the limit on both sides if it is near enough."""
     reach = max(abs(end) for end in axes.get_ylim())
     label = f"limit ±{limit:.5g} {unit}"
     if limit > NEAR * reach:
@@ -112,7 +119,14 @@ def _limits(axes: Any, limit: float, unit: str) -> None:
 
 @styled
 def histogram(result: Tolerance, carlo: Carlo) -> Figure:
-    """How many samples have which largest size of what is judged, and the limit."""
+    """Draw the histogram of the largest error or change of each sample, and the limit.
+
+    Parameters
+    ----------
+    result : Tolerance
+    carlo : Carlo
+        Samples to draw.
+    """
     scale, unit = people(result.nominal)
     drawn = figure(8.0, 4.0)
     axes = drawn.add_subplot()

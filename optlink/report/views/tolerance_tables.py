@@ -1,4 +1,4 @@
-"""Tolerances as tables for people: what each is to blame for, worst case and scatter, yield, and what may be loosened."""
+"""Terminal tables of a tolerance analysis: variance contributions, worst case, scatter, yield, tolerance allocation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SURE = f"{100.0 * CONFIDENCE:g} % sure"
 
 
 def tolerances(result: Tolerance) -> RenderableType:
-    """Everything about a study of tolerances."""
+    """Summarise a tolerance analysis."""
     title = Text(result.problem.model.title, style=HEAD)
     title.append(f"\nwhat tolerances do to {result.nominal.name}, at {len(result.nominal.crank_angles)} crank angles")
     parts: list[RenderableType] = [title, Text()]
@@ -38,7 +38,16 @@ def tolerances(result: Tolerance) -> RenderableType:
 
 
 def size(deviation: Deviation, value: float, digits: int = 6) -> str:
-    """A deviation [SI] in the unit that people read."""
+    """Format a deviation in its display unit.
+
+    Parameters
+    ----------
+    deviation : Deviation
+        Determines the unit.
+    value : float [m, rad]
+    digits : int, optional
+        Significant digits.
+    """
     if deviation.kind == "angle":
         return f"{number(math.degrees(value), digits)} deg"
     return f"{number(1e3 * value, digits)} mm"
@@ -51,17 +60,17 @@ def _shape(deviation: Deviation) -> str:
 
 
 def made(counted: str) -> str:
-    """What a robust design was searched for, in words."""
+    """Describe the objective of a robust design."""
     return "Made most: the yield" if counted == YIELD else f"Made least: the largest error with {counted}"
 
 
 def judged(counted: str) -> str:
-    """What its largest figure is of; that of a design with scatter stands in the title."""
+    """Return the name of the largest error of a robust design."""
     return "largest as drawn" if counted == YIELD else "largest"
 
 
 def proven(counted: str) -> str:
-    """What is proven of a robust design."""
+    """Describe what is proven of a robust design."""
     return "its limits are proven; none with more yield was found" if counted == YIELD else "proven"
 
 
@@ -148,7 +157,7 @@ def _sampled(result: Tolerance, carlo: Carlo) -> Table:
 
 
 def percent(share: float) -> str:
-    """A yield."""
+    """Format a yield in per cent; a dash if it is not finite."""
     return f"{100.0 * share:.3f} %" if math.isfinite(share) else "-"
 
 
