@@ -1,4 +1,4 @@
-"""A machine with gaps under its drive and controller, revolution by revolution; memory does not grow with their number."""
+"""A machine with joint clearance, its drive and its controller, simulated revolution by revolution with constant memory."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ LOOKS = 4.0
 class Revolution(NamedTuple):
     """One revolution.
 
-    Its rows, what the servo was told beyond its command (m,) [rad], the contacts that ended; at every gap the largest penetration
-    [m] and normal force [N], and the largest torque [N m], between the rows too.
+    Its rows, the feedback correction of the crank angle beyond the command (m,) [rad], the contacts that ended; for every gap the
+    largest penetration [m] and normal force [N], and the largest torque [N m]; these maxima include values between the rows.
     """
 
     block: Block
@@ -48,7 +48,7 @@ class Revolution(NamedTuple):
 
 
 class Plant:
-    """A machine with gaps.
+    """A machine with joint clearance.
 
     Parameters
     ----------
@@ -56,21 +56,22 @@ class Plant:
     gaps : sequence of Gap
     drive : Drive
     output : Output
-        What a controller measures.
+        The output that a controller measures.
     start : float [rad]
-        Crank angle at the beginning; journals are centred then, velocities those of the ideal machine.
+        Initial crank angle; journals start centred, velocities are those of the ideal machine.
     speed, nominal : float [rad/s]
-        Crank speed at the beginning, and the one whose revolutions count.
+        Initial crank speed, and the nominal speed that defines a revolution.
     points : int
-        Rows told of each revolution.
-    sample_time : float [s]
-        Of the controller; the nearest that fits the revolution is used (`sample_time` of the plant).
+        Rows of output per revolution.
     tolerance : float
-        Relative, of the integrator.
+        Relative tolerance of the integrator.
+    sample_time : float [s]
+        Sample time of the controller; the nearest that fits the revolution is used (`sample_time` of the plant).
 
     Raises
     ------
     Weightless
+        A free motion has no inertia.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class Plant:
         self.period = TURN / abs(nominal)
         self.samples = 1 if not np.isfinite(sample_time) else max(1, round(self.period / sample_time))
         least = np.lcm(points, self.samples) if self.samples > 1 else points
-        if least > 20 * max(points, self.samples, DENSE):  # samples and rows that fit badly: take samples that fit
+        if least > 20 * max(points, self.samples, DENSE):  # no small common multiple: change the number of samples
             self.samples = points * max(1, round(self.samples / points))
             least = max(points, self.samples)
         wished = LOOKS * self.period / vibration(machine, gaps, nominal)
@@ -106,18 +107,18 @@ class Plant:
         self.integration = Integration(self.equations, state, self.period / self.rows, tolerance, wished > SLOW)
         self.start, self.nominal = start, nominal
         self.controller: Controller | None = None
-        self.partial: Revolution | None = None  # what there is of a revolution that broke off
+        self.partial: Revolution | None = None  # rows of an interrupted revolution
 
     def _ideal(self, machine: Machine, start: float, speed: float) -> Array:
-        """The state of the machine without clearance."""
+        """State of the machine without clearance."""
         moving = machine.moving(np.array([start]), speed)
         both = [parts(value) for value in self.equations.cut.read(moving.pose)]
         state = np.array([_number(value[order]) for order in (0, 1) for value in both])
-        state[self.equations.cut.driven] = start  # not wrapped: the command of a servo is not
+        state[self.equations.cut.driven] = start  # not wrapped, like the command of a servo
         return state
 
     def _check_inertia(self, state: Array) -> None:
-        """Every free motion needs inertia."""
+        """Check that every free motion has inertia."""
         equations = self.equations
         mass, held = equations.masses(state)
         count = len(equations.free)
@@ -137,25 +138,26 @@ class Plant:
 
     @property
     def time(self) -> float:
-        """Now [s]."""
+        """Current time [s]."""
         return self.integration.time
 
     def measured(self) -> float:
-        """The output now."""
+        """Return the current output [m, rad]."""
         return float(self._measure(self.integration.state)[0][0])
 
     def now(self) -> Block:
-        """The present state as a row."""
+        """Return the current state as one row."""
         course = self.integration
         row = (course.state, course.modes, course.entered, course.works)
         return Block(np.array([course.time]), *(part[None, :].copy() for part in row))
 
     def turn(self) -> Revolution:
-        """Go on by one revolution of the nominal speed.
+        """Simulate one revolution of the nominal speed.
 
         Raises
         ------
         Stalled
+            The integration cannot continue.
         """
         course, every = self.integration, self.rows // self.points
         parts: list[tuple[Block, Array]] = []
@@ -171,13 +173,13 @@ class Plant:
         return whole._replace(impacts=impacts, depths=peaks[:k], forces=peaks[k : 2 * k], torque=peaks[-1])
 
     def _rows(self, parts: list[tuple[Block, Array]], every: int) -> Revolution:
-        """Every so many-th of the rows that were looked at."""
+        """Select every `every`-th of the evaluated rows."""
         columns = zip(*(block for block, _ in parts), strict=True)
         whole = Block(*(np.concatenate(column)[every - 1 :: every] for column in columns))
         return Revolution(whole, np.concatenate([further for _, further in parts])[every - 1 :: every], ())
 
     def _samples(self, parts: list[tuple[Block, Array]]) -> None:
-        """A revolution, sample by sample of the controller."""
+        """Simulate one revolution, sample by sample of the controller."""
         course = self.integration
         stride = self.rows // self.samples if self.controller else self.rows
         for sample in range(self.rows // stride):
@@ -187,7 +189,7 @@ class Plant:
                 parts.append((block, np.full(len(block.time), course.further)))
 
     def save(self) -> dict[str, Any]:
-        """The state at the end of a revolution, as plain numbers: from there `restore` goes on to the last digit."""
+        """Return the state at the end of a revolution as plain numbers; `restore` continues from it bit-identically."""
         course, pid = self.integration, self.controller.pid if self.controller else None
         return {
             "row": course.row,
@@ -202,7 +204,7 @@ class Plant:
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from a state that was saved."""
+        """Continue from a saved state."""
         course = self.integration
         for name, own in (("state", course.state), ("modes", course.modes), ("entered", course.entered), ("works", course.works)):
             if np.shape(saved[name]) != own.shape:
@@ -217,14 +219,21 @@ class Plant:
             self.controller.pid.integral, self.controller.pid.before = saved["pid"]
 
     def record(self, revolution: Revolution) -> Record:
-        """Everything about its rows."""
+        """Return all columns of the rows of a revolution."""
         return Record(self.equations, revolution.block, revolution.further)
 
 
 def vibration(machine: Machine, gaps: Sequence[Gap], speed: float) -> float:
-    """Shortest period [s] in which a journal vibrates on its bearing under a typical load: gravity and the crank's acceleration.
+    """Estimate the shortest period [s] of a journal vibrating on its bearing under gravity and the acceleration of the crank.
 
-    An estimate of the time in which contacts come and go, from the masses of the two bodies.
+    It estimates the duration of contacts, from the masses of the two bodies.
+
+    Parameters
+    ----------
+    machine : Machine
+    gaps : sequence of Gap
+    speed : float [rad/s]
+        Crank speed.
     """
     pull = math.hypot(*(_number(part) for part in machine.gravity)) + speed * speed * _number(machine.size)
     total = sum(_number(inertia.mass) for inertia in machine.inertias.values())

@@ -1,4 +1,4 @@
-"""Everything about a machine with gaps in motion as named columns: motion, play, contacts, reactions, torque, energies."""
+"""Named columns of a machine with joint clearance: motion, clearance, contacts, reactions, torque, energies."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Held:
-    """What a guide exerts on its slider: force [N], moment about the slider's point [N m]."""
+    """Force of a guide on its slider [N], and moment about the slider's point [N m]."""
 
     force: Vector
     moment: Value
 
 
 class Record:
-    """Rows of a motion: columns by name, each (m,).
+    """Columns by name of the rows of a motion, each (m,).
 
     Parameters
     ----------
     equations : Equations
     block : Block
     further : array (m,) [rad]
-        What the servo was told at each row beyond its command.
+        Feedback correction of the crank angle beyond the command at each row.
     """
 
     def __init__(self, equations: Equations, block: Block, further: Array) -> None:
@@ -56,7 +56,7 @@ class Record:
     # --- reactions ---------------------------------------------------------------------------------------------------
 
     def _balance(self) -> None:
-        """Forces in the ideal joints: from the closing ones inwards, then body by body from the leaves of the tree."""
+        """Compute the forces in the ideal joints: first the closing joints, then body by body from the leaves of the tree."""
         loose, cut = self.loose, self.equations.cut
         needed = loose.needed()
         forces = [one for several in loose.acting().values() for one in several]
@@ -85,7 +85,7 @@ class Record:
         return a, b
 
     def _joint(self, joint: Pin | Guide) -> Vector:
-        """Where a joint acts: the pin, or the slider's point."""
+        """Point at which a joint acts: the pin, or the slider's point."""
         if isinstance(joint, Guide):
             at = self.equations.cut.local.local_line(joint, joint.slider)[0]
             state = self.loose.state(joint.slider)
@@ -94,7 +94,7 @@ class Record:
         return self.loose.position(joint.point, joint.first)
 
     def _hold(self, needed: dict[str, Wrench], joint: Pin | Guide, force: Vector, moment: Value, skip: str = "") -> None:
-        """A joint exerts a force and a moment on its first body, the opposite on its second."""
+        """Apply the force and moment of a joint to its first body, and the opposite to its second."""
         at = self._joint(joint)
         for body, sign in zip(joint.bodies, (1.0, -1.0), strict=True):
             own = (sign * force[0], sign * force[1])
@@ -199,7 +199,7 @@ class Record:
 
     @property
     def energy(self) -> Array:
-        """Kinetic energy, that of gravity and that of the contacts together [J]."""
+        """Sum of kinetic energy, potential energy of gravity and elastic energy of the contacts [J]."""
         elastic = sum(contact.elastic for contact in self.touches)
         return np.asarray(self.loose.kinetic + self.loose.potential + elastic + 0.0 * self.block.time)
 

@@ -1,7 +1,7 @@
-"""Contact forces between journal and bearing, as pure elementwise functions by name.
+"""Contact forces between journal and bearing, as elementwise functions by name.
 
-A normal law gives the force from the penetration delta, its rate, and the approach speed v0 at which the contact began; energy is
-lost because the force is larger while the bodies approach than while they part. No law pulls: a force below zero is zero.
+A normal law gives the force from the penetration delta, its rate, and the approach speed v0 at the begin of the contact. It
+dissipates energy because the force is larger during approach than during separation. No law pulls: negative forces become zero.
 """
 
 from __future__ import annotations
@@ -23,12 +23,20 @@ Normal = Callable[[Value, Value, Value, Value, Value], Value]
 
 
 def compliance(modulus: Value, poisson: Value) -> Value:
-    """Share of one material in the compliance of a contact, (1 - nu^2) / E [1/Pa]."""
+    """Return the contribution of one material to the compliance of a contact, (1 - nu^2) / E [1/Pa].
+
+    Parameters
+    ----------
+    modulus : Value [Pa]
+        Young's modulus E.
+    poisson : Value [-]
+        Poisson's ratio nu.
+    """
     return (1.0 - poisson * poisson) / modulus
 
 
 def stiffness(bearing: Value, journal: Value, first: Value, second: Value) -> Value:
-    """Stiffness of a journal in a bearing [N/m^1.5].
+    """Return the stiffness of a journal in a bearing [N/m^1.5].
 
     Parameters
     ----------
@@ -37,9 +45,9 @@ def stiffness(bearing: Value, journal: Value, first: Value, second: Value) -> Va
     first, second : Value [1/Pa]
         `compliance` of the two materials.
 
-    Notes
-    -----
-    Source: Hertz's contact of spheres with the curvature of the bearing negative, as used for revolute joints by H. M. Lankarani
+    References
+    ----------
+    Hertz contact of spheres with the curvature of the bearing negative, as used for revolute joints by H. M. Lankarani
     and P. E. Nikravesh (1990).
     """
     return 4.0 / (3.0 * (first + second)) * np.sqrt(bearing * journal / (bearing - journal))
@@ -53,33 +61,93 @@ def _normal(delta: Value, rate: Value, speed: Value, stiff: Value, share: Value)
 
 
 def hertz(delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Value) -> Value:
-    """Elastic contact: no energy is lost, whatever the coefficient of restitution.
+    """Return the normal force [N] of elastic contact, without dissipation for any coefficient of restitution.
 
-    Source: H. Hertz, 1881.
+    Parameters
+    ----------
+    delta : Value [m]
+        Penetration.
+    rate : Value [m/s]
+        Rate of the penetration.
+    speed : Value [m/s]
+        Approach speed at the begin of the contact.
+    stiff : Value [N/m^1.5]
+        Stiffness.
+    restitution : Value [-]
+        Coefficient of restitution; has no effect on this law.
+
+    References
+    ----------
+    H. Hertz, 1881.
     """
     return _normal(delta, rate, speed, stiff, 0.0)
 
 
 def hunt_crossley(delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Value) -> Value:
-    """Damping 3 (1 - e) / 2: for restitutions near one.
+    """Return the normal force [N] with the damping factor 3 (1 - e) / 2, for restitutions e near one.
 
-    Source: K. H. Hunt, F. R. E. Crossley, 1975.
+    Parameters
+    ----------
+    delta : Value [m]
+        Penetration.
+    rate : Value [m/s]
+        Rate of the penetration.
+    speed : Value [m/s]
+        Approach speed at the begin of the contact.
+    stiff : Value [N/m^1.5]
+        Stiffness.
+    restitution : Value [-]
+        Coefficient of restitution e.
+
+    References
+    ----------
+    K. H. Hunt, F. R. E. Crossley, 1975.
     """
     return _normal(delta, rate, speed, stiff, 1.5 * (1.0 - restitution))
 
 
 def lankarani_nikravesh(delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Value) -> Value:
-    """Damping 3 (1 - e^2) / 4: for restitutions near one.
+    """Return the normal force [N] with the damping factor 3 (1 - e^2) / 4, for restitutions e near one.
 
-    Source: H. M. Lankarani, P. E. Nikravesh, 1990.
+    Parameters
+    ----------
+    delta : Value [m]
+        Penetration.
+    rate : Value [m/s]
+        Rate of the penetration.
+    speed : Value [m/s]
+        Approach speed at the begin of the contact.
+    stiff : Value [N/m^1.5]
+        Stiffness.
+    restitution : Value [-]
+        Coefficient of restitution e.
+
+    References
+    ----------
+    H. M. Lankarani, P. E. Nikravesh, 1990.
     """
     return _normal(delta, rate, speed, stiff, 0.75 * (1.0 - restitution * restitution))
 
 
 def flores(delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Value) -> Value:
-    """Damping 8 (1 - e) / (5 e): for all restitutions.
+    """Return the normal force [N] with the damping factor 8 (1 - e) / (5 e), for all restitutions e.
 
-    Source: P. Flores, M. Machado, M. T. Silva, J. M. Martins, 2011.
+    Parameters
+    ----------
+    delta : Value [m]
+        Penetration.
+    rate : Value [m/s]
+        Rate of the penetration.
+    speed : Value [m/s]
+        Approach speed at the begin of the contact.
+    stiff : Value [N/m^1.5]
+        Stiffness.
+    restitution : Value [-]
+        Coefficient of restitution e.
+
+    References
+    ----------
+    P. Flores, M. Machado, M. T. Silva, J. M. Martins, 2011.
     """
     return _normal(delta, rate, speed, stiff, 1.6 * (1.0 - restitution) / restitution)
 
@@ -93,7 +161,7 @@ NORMAL: dict[str, Normal] = {
 
 
 def friction(normal: Value, slip: Value, coefficient: Value, width: Value, damping: Value = 0.0) -> Value:
-    """Tangential force [N] against the slip: Coulomb's, made smooth, and viscous damping while there is contact.
+    """Return the tangential force [N] against the slip: smoothed Coulomb friction, plus viscous damping during contact.
 
     Parameters
     ----------
@@ -102,10 +170,11 @@ def friction(normal: Value, slip: Value, coefficient: Value, width: Value, dampi
     slip : Value [m/s]
         Tangential velocity of the surfaces.
     coefficient : Value [-]
+        Coulomb friction coefficient.
     width : Value [m/s]
-        Slip at which tanh(slip / width) has 76 % of Coulomb's force.
+        Slip at which tanh(slip / width) reaches 76 % of the Coulomb force.
     damping : Value [N s/m]
-        Of the contact; acts while the normal force does.
+        Tangential damping of the contact; acts while the normal force is positive.
     """
     touching = np.sign(normal)
     return -coefficient * normal * np.tanh(slip / width) - damping * slip * touching

@@ -1,7 +1,7 @@
-"""Control that makes up for clearance: what the servo of the crank is told, sample by sample.
+"""Control that compensates joint clearance, by sampled corrections of the crank command.
 
-none: turn evenly. inverse: the periodic command of the inverse model. pid: a discrete PID on the measured error of the output,
-referred to the crank, on top of the even motion; inverse+pid: on top of the inverse model's.
+none: constant speed. inverse: the periodic command of the inverse model. pid: a discrete PID on the measured error of the
+output, referred to the crank, added to the constant speed; inverse+pid: added to the command of the inverse model.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class Control(enum.StrEnum):
-    """How the crank's command is made."""
+    """Kind of control of the crank."""
 
     NONE = "none"
     INVERSE = "inverse"
@@ -25,18 +25,18 @@ class Control(enum.StrEnum):
 
     @property
     def inverted(self) -> bool:
-        """Whether the inverse model takes part."""
+        """Whether the inverse model is used."""
         return self in (Control.INVERSE, Control.BOTH)
 
     @property
     def fed_back(self) -> bool:
-        """Whether the measured error takes part."""
+        """Whether feedback of the measured error is used."""
         return self in (Control.PID, Control.BOTH)
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Of a PID controller: proportional [-], integral [1/s], derivative [s]; its output stays within +-`limit` [rad]."""
+    """Gains of a PID controller: proportional [-], integral [1/s], derivative [s]; its output is limited to +-`limit` [rad]."""
 
     proportional: float = 0.0
     integral: float = 0.0
@@ -46,7 +46,10 @@ class Gains:
 
 @dataclass
 class PID:
-    """A discrete PID: the integral waits while the output is at its limit and the error would drive it further (anti-windup)."""
+    """A discrete PID controller with anti-windup.
+
+    The integral is frozen while the output is at its limit and the error would drive it further.
+    """
 
     gains: Gains
     sample: float
@@ -54,7 +57,7 @@ class PID:
     before: float | None = None
 
     def __call__(self, error: float) -> float:
-        """The correction for the error of this sample."""
+        """Return the correction for the error of this sample."""
         gains = self.gains
         slope = 0.0 if self.before is None else (error - self.before) / self.sample
         self.before = error
@@ -68,15 +71,17 @@ class PID:
 
 @dataclass
 class Controller:
-    """By how much the crank is told to turn further, from sample to sample.
+    """Feedback correction of the crank angle, sample by sample.
 
     Parameters
     ----------
     pid : PID
-    wanted, leverage : array (samples per revolution,)
-        The wanted output at the samples of a revolution, and the turn of the crank per change of the output there.
+    wanted : array (samples per revolution,) [m, rad]
+        Target output at the samples of a revolution.
+    leverage : array (samples per revolution,) [rad/m, -]
+        Crank rotation per change of the output at the samples.
     angular : bool
-        Whether the output is an angle, which has branches.
+        Whether the output is an angle, whose error is wrapped to (-pi, pi].
     """
 
     pid: PID
@@ -85,7 +90,7 @@ class Controller:
     angular: bool = False
 
     def __call__(self, sample: int, measured: float) -> float:
-        """Further turn of the crank [rad] from this sample on."""
+        """Return the correction of the crank angle [rad] from this sample on."""
         k = sample % len(self.wanted)
         error = float(self.wanted[k]) - measured
         if self.angular:

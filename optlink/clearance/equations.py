@@ -1,13 +1,15 @@
-"""Equations of motion of a machine with gaps, traced with casadi and compiled for its integrator.
+"""Equations of motion of a machine with joint clearance, traced with casadi and compiled for its integrator.
 
-Unknown are the accelerations of the coordinates that the cut leaves, and the forces in the joints that close loops (index 1):
+The unknowns are the accelerations of the coordinates of the spanning tree, and the forces in the loop-closing joints (index 1):
 
     [M  C'] [a]   [Q - h]
     [C  0 ] [-f] = [-c   ]
 
-Where the motion of the crank is given (a servo follows a command, or the speed is constant) its row gives the drive's torque.
+Where the motion of the crank is prescribed (a servo follows a command, or the speed is constant) its row gives the drive torque.
 
-Source: Newton and Euler by virtual power; wrenches and positions are those of the ideal machine.
+References
+----------
+Newton-Euler equations by virtual power; wrenches and positions are those of the ideal machine.
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ LEAST_FORCE = 1e-300
 
 @dataclass(frozen=True)
 class Servo:
-    """A drive that follows a command of angle and speed: a second-order system of `bandwidth` [rad/s] and `damping` ratio."""
+    """A drive that follows a command of angle and speed: second-order system of `bandwidth` [rad/s] and `damping` ratio."""
 
     bandwidth: float
     damping: float
@@ -48,7 +50,7 @@ class Servo:
 
 @dataclass(frozen=True)
 class Drive:
-    """What moves the crank: a `servo` that follows a `command`, a `torque` [N m] over phi and omega, or a constant speed."""
+    """Drive of the crank: a `servo` that follows a `command`, a `torque` [N m] over phi and omega, or a constant speed."""
 
     servo: Servo | None = None
     command: Command | None = None
@@ -56,7 +58,7 @@ class Drive:
 
 
 class Weightless(ValueError):
-    """A coordinate without inertia: no force can govern it. `body` is to blame."""
+    """Error: a coordinate without inertia, whose motion no force determines; `body` names its body."""
 
     def __init__(self, body: str) -> None:
         super().__init__(f"{body} has no inertia, so nothing governs its motion in the gap")
@@ -82,16 +84,31 @@ class Equations:
             self._trace()
 
     def loose(self, q: Iterable[Any], v: Iterable[Any], a: Iterable[Any]) -> Loose:
-        """The machine at coordinates, rates and accelerations (floats, arrays or symbols)."""
+        """Return the machine at coordinates, rates and accelerations (floats, arrays or symbols).
+
+        Parameters
+        ----------
+        q, v, a : iterable of Value
+            Coordinates [rad, m] in the order of `cut.coordinates`, their rates and accelerations.
+        """
         return Loose(self.machine, self.cut, [Jet(*three) for three in zip(q, v, a, strict=True)], self.speed)
 
     def touches(self, loose: Loose, speeds: Iterable[Any], modes: Iterable[Any]) -> list[Touch]:
-        """The contacts at the gaps."""
+        """Return the contacts at the gaps.
+
+        Parameters
+        ----------
+        loose : Loose
+        speeds : iterable of Value [m/s]
+            Approach speed at the begin of the contact, for each gap.
+        modes : iterable of Value
+            1 in contact, 0 apart, for each gap.
+        """
         return [touch(gap, loose.play(gap), v, m) for gap, v, m in zip(self.gaps, speeds, modes, strict=True)]
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """Names of the works that are integrated beside the motion [J]: of the drive, of loads, lost at gaps."""
+        """Names of the works that are integrated with the motion [J]: of the drive, of loads, dissipated at gaps."""
         own = [f"{gap.point}.{kind}" for gap in self.gaps for kind in ("impact", "friction")]
         return ("drive", *(load.name for load in self.machine.loads), *own)
 
@@ -105,7 +122,7 @@ class Equations:
         q, v = casadi.vertsplit(x)[:n], casadi.vertsplit(x)[n:]
         still = [casadi.SX(0.0)] * n
         loose = self.loose(q, v, casadi.vertsplit(a))
-        known = self.loose(q, v, still)  # loads must not see the symbols of unknown accelerations
+        known = self.loose(q, v, still)  # loads must not depend on the symbols of unknown accelerations
         touches = self.touches(known, casadi.vertsplit(self.entered), casadi.vertsplit(self.modes))
         loads = known.acting()
         forces = [one for several in loads.values() for one in several]
@@ -128,7 +145,7 @@ class Equations:
         crank = self.cut.driven
         given, torque = self._driven(known)
         free = [i for i in range(n) if given is None or i != crank]
-        # linear in the accelerations: matrix and right-hand side by differentiation, at a = 0 (and the given one)
+        # linear in the accelerations: matrix and right-hand side by differentiation, at a = 0 (and the prescribed one)
         at = casadi.SX.zeros(n)
         if given is not None:
             at[crank] = given
@@ -160,7 +177,7 @@ class Equations:
         normal = casadi.vertcat(*[contact.normal for contact in touches])
         torque = casadi.SX(torque)
         bare = [touch(gap, known.play(gap), v).normal for gap, v in zip(self.gaps, casadi.vertsplit(self.entered), strict=True)]
-        # the torque is linear in the modes, which scale the contact forces: what a newton more of each adds to it
+        # the torque is linear in the modes, which scale the contact forces: derivative with respect to each contact force
         lever = casadi.jacobian(torque, self.modes).T / (casadi.vertcat(*bare) + LEAST_FORCE)
         over = [casadi.jtimes(part, x, self.ode) + casadi.jtimes(part, self.begin, 1.0) for part in (normal, torque)]
         self._watched = casadi.cse([depth, rate, curve, normal, over[0], lever, torque, over[1]])
@@ -171,7 +188,7 @@ class Equations:
         self._nudge = self._short_step()
 
     def _driven(self, known: Loose) -> tuple[Any, Any]:
-        """(acceleration of the crank, or None; torque on it, or None where it follows from the motion)."""
+        """Acceleration of the crank (or None), and torque on it (or None where it follows from the motion)."""
         if self.drive.torque is not None:
             return None, self.drive.torque(known.variables)
         if self.drive.servo is None or self.drive.command is None:
@@ -183,7 +200,7 @@ class Equations:
 
     def _short_step(self) -> Compiled:
         flow = casadi.Function("flow", [self.x, self.parameters, self.tau], [self.ode, self.powers])
-        time, now = casadi.SX.sym("time"), casadi.vertcat(0.0, self.parameters[1:])  # span 0: tau says nothing
+        time, now = casadi.SX.sym("time"), casadi.vertcat(0.0, self.parameters[1:])  # span 0: tau has no effect
 
         def at(slopes: Any, share: float) -> Any:
             later = casadi.vertcat(now[0], now[1] + share * time, now[2:])
@@ -198,23 +215,29 @@ class Equations:
 
     @cached_property
     def parameters(self) -> Any:
-        """What is constant during one call of the integrator: span and begin of its time, feedback, contacts."""
+        """Constants of one call of the integrator: span and begin of its time, feedback, contacts."""
         return casadi.vertcat(self.span, self.begin, self.further, self.entered, self.modes)
 
     def watch(self, copies: int) -> Compiled:
-        """(x, parameters, tau) -> what `peaks.Watched` names, one after the other; `copies` of it."""
+        """Return the function (x, parameters, tau) -> fields of `peaks.Watched`, in order.
+
+        It evaluates `copies` points at a time.
+        """
         if copies not in self._watches:
             self._watches[copies] = Compiled([self.x, self.parameters, self.tau], self._watched, copies)
         return self._watches[copies]
 
     def outcome(self, copies: int) -> Compiled:
-        """(x, parameters, tau) -> accelerations, torque of the drive [N m], forces in the closing joints, `copies` at a time."""
+        """Return the function (x, parameters, tau) -> accelerations, drive torque [N m], forces in the closing joints.
+
+        It evaluates `copies` points at a time.
+        """
         if copies not in self._outcomes:
             self._outcomes[copies] = Compiled([self.x, self.parameters, self.tau], self._outcome, copies)
         return self._outcomes[copies]
 
     def closure(self, states: Array) -> tuple[Array, Array]:
-        """By how much the closing joints are open (m, rows), and its Jacobian over the coordinates (m, rows, n)."""
+        """Return the residuals of the closing joints (m, rows), and their Jacobian over the coordinates (m, rows, n)."""
         count = len(states)
         if count not in self._closures:
             self._closures[count] = Compiled(self._closure[:1], self._closure[1:], count)
@@ -222,12 +245,32 @@ class Equations:
         return opened.reshape(count, -1), grip.reshape(count, self.size, -1).transpose(0, 2, 1)
 
     def nudge(self, state: Array, parameters: Array, time: float) -> tuple[Array, Array]:
-        """State and works [J] a short time later or earlier [s]: one step of Runge and Kutta, too short for the integrator."""
+        """Return state and works [J] after a time too short for the integrator, by one step of the classical Runge-Kutta method.
+
+        Parameters
+        ----------
+        state : array (2n,)
+            Coordinates and their rates.
+        parameters : array
+            Constants in the order of `Equations.parameters`, with span 0.
+        time : float [s]
+            Time step, may be negative.
+        """
         moved, works = self._nudge(state, parameters, np.array([time]))
         return moved, works
 
     def integrator(self, steps: int, tolerance: float, *, stiff: bool = False) -> Buffered:
-        """(x, parameters) -> states, works [J] after each of `steps` equal steps of the span, by CVODES."""
+        """Return the CVODES integrator (x, parameters) -> states, works [J] after each of the equal steps of the span.
+
+        Parameters
+        ----------
+        steps : int
+            Number of steps.
+        tolerance : float
+            Relative tolerance; the absolute one is a thousandth of it.
+        stiff : bool
+            Use BDF instead of Adams.
+        """
         if (steps, tolerance, stiff) not in self._integrators:
             self._integrators[steps, tolerance, stiff] = self._integrator(steps, tolerance, stiff)
         return self._integrators[steps, tolerance, stiff]
@@ -241,13 +284,13 @@ class Equations:
             "quad": self.span * self.powers,
         }
         # Adams: between the switches the motion is smooth; measured a quarter faster than BDF, in contact as well as apart.
-        # Where a contact lasts for many of its vibrations these have died: only BDF then steps as far as the motion allows.
+        # In a contact that lasts for many of its vibrations these have decayed: then only BDF takes steps of the motion's scale.
         options: dict[str, Any] = {
             "linear_multistep_method": "bdf" if stiff else "adams",
-            "quad_err_con": True,  # the works are as true as the motion
+            "quad_err_con": True,  # the works are as accurate as the motion
             "reltol": tolerance,
             "abstol": 1e-3 * tolerance,
-            "max_num_steps": 200_000 if stiff else 20_000,  # a row; a hundred are usual
+            "max_num_steps": 200_000 if stiff else 20_000,  # per row; a hundred are typical
         }
         grid = [(i + 1.0) / steps for i in range(steps)]
         inner = casadi.integrator("motion", "cvodes", problem, 0.0, grid, options)

@@ -1,4 +1,4 @@
-"""A path between two rows, from values, slopes and second derivatives at its ends: where it crosses zero, where it is highest."""
+"""Quintic Hermite interpolation between two rows: zero crossing and maximum."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def _quintic(begin: Sequence[float], end: Sequence[float], span: float) -> Array:
-    """The polynomial of fifth degree over a row (0 ... 1) with these values, slopes and second derivatives at its ends."""
+    """The quintic polynomial over a row (0 ... 1) with given values, slopes and second derivatives at its ends."""
     (y0, s0, c0), (y1, s1, c1) = begin, end
     a, b = s0 * span, s1 * span
     c, d = 0.5 * c0 * span * span, 0.5 * c1 * span * span
@@ -26,12 +26,14 @@ def _real_roots(polynomial: Any) -> Array:
 
 
 def crossing(begin: Sequence[float], end: Sequence[float], span: float) -> float:
-    """Estimate, as a share of the row, of where a path that ends above zero rises through it for the first time.
+    """Estimate the first upward zero crossing of a path that ends above zero, as a share of the row.
 
     Parameters
     ----------
-    begin, end : three floats
+    begin, end : sequence of three floats
         Value, slope and second derivative at both ends.
+    span : float [s]
+        Duration of the row.
     """
     path = _quintic(begin, end, span)
     slope = np.polyder(path)
@@ -40,7 +42,15 @@ def crossing(begin: Sequence[float], end: Sequence[float], span: float) -> float
 
 
 def summit(begin: Sequence[float], end: Sequence[float], span: float) -> float:
-    """Estimate, as a share of the row, of where a path is highest that rises at its beginning and falls at its end."""
+    """Estimate the maximum of a path that rises at its begin and falls at its end, as a share of the row.
+
+    Parameters
+    ----------
+    begin, end : sequence of three floats
+        Value, slope and second derivative at both ends.
+    span : float [s]
+        Duration of the row.
+    """
     path = _quintic(begin, end, span)
     tops = _real_roots(np.polyder(path))
     return float(tops[np.argmax(np.polyval(path, tops))]) if tops.size else begin[1] / (begin[1] - end[1])

@@ -1,10 +1,10 @@
-"""Integration of a machine with gaps in time: CVODES between the instants at which contacts begin and end.
+"""Integration of a machine with joint clearance: CVODES between the instants at which contacts begin and end.
 
-Every gap has a mode, apart or in contact, which is constant during a call of the integrator, so that it meets smooth equations
-only: a journal that is apart flies on into the bearing without a force until the end of the call, and the crossing is found on
-its path, whatever the integrator's steps were. The motion then starts again there in the other mode.
+Every gap has a mode, apart or in contact, which is constant during a call of the integrator, so that its equations are smooth:
+a journal that is apart penetrates the bearing without force until the end of the call, and the crossing is then located on
+its path, independently of the integrator's steps. The motion restarts there in the other mode.
 
-The path between two rows is looked at through its values and slopes, so a contact shorter than a row is found too.
+The path between two rows is checked by its values and slopes, so a contact shorter than a row is found too.
 """
 
 from __future__ import annotations
@@ -51,9 +51,10 @@ class Switch(NamedTuple):
 
 
 class Impact(NamedTuple):
-    """A contact: gap, begin [s], crank angle then [rad], approach speed [m/s], largest penetration [m], end [s], speed [m/s].
+    """One contact, from its begin to its end.
 
-    The end is NaN while the contact lasts.
+    Gap, begin [s], crank angle then [rad], approach speed [m/s], largest penetration [m], end [s], departure speed [m/s]. The end
+    is NaN while the contact lasts.
     """
 
     gap: int
@@ -66,7 +67,7 @@ class Impact(NamedTuple):
 
 
 class Crossing(NamedTuple):
-    """Where a gap switches: which, how long after the row's beginning [s], the state then, works until then [J]."""
+    """A switch of a gap: the gap, the time from the begin of the row [s], the state there, the works until then [J]."""
 
     gap: int
     into: float
@@ -75,7 +76,10 @@ class Crossing(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Rows: times (m,) [s], states (m, 2n), modes and approach speeds of the gaps (m, k), works so far (m, w) [J]."""
+    """Rows of a motion.
+
+    Times (m,) [s], states (m, 2n), modes and approach speeds of the gaps (m, k), works since the start (m, w) [J].
+    """
 
     time: Array
     states: Array
@@ -85,7 +89,7 @@ class Block(NamedTuple):
 
 
 class Stalled(RuntimeError):
-    """The integration cannot go on; `reason` for people."""
+    """The integration cannot continue; `reason` describes why."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -94,7 +98,7 @@ class Stalled(RuntimeError):
 
 @dataclass
 class Integration:
-    """A motion under way.
+    """A motion during its integration.
 
     Parameters
     ----------
@@ -102,11 +106,11 @@ class Integration:
     state : array (2n,)
         Coordinates and their rates at the start.
     step : float [s]
-        Between two rows.
+        Time between two rows.
     tolerance : float
-        Relative, of the integrator; absolute a thousandth of it (SI).
+        Relative tolerance of the integrator; the absolute one is a thousandth of it (SI).
     slow : bool
-        Whether contacts vibrate far faster than the machine moves: an implicit method then steps over a vibration that has died.
+        Whether contacts vibrate far faster than the machine moves: an implicit method then steps over decayed vibrations.
     """
 
     equations: Equations
@@ -119,7 +123,7 @@ class Integration:
     modes: Array = field(default_factory=lambda: np.zeros(0))
     entered: Array = field(default_factory=lambda: np.zeros(0))
     works: Array = field(default_factory=lambda: np.zeros(0))
-    further: float = 0.0  # what the servo turns beyond its command [rad]
+    further: float = 0.0  # feedback correction beyond the command [rad]
 
     def __post_init__(self) -> None:
         gaps = len(self.equations.gaps)
@@ -138,23 +142,32 @@ class Integration:
 
     @property
     def time(self) -> float:
-        """Now [s]."""
+        """Current time [s]."""
         return self.row * self.step + self.ahead
 
     def parameters(self, span: float, time: float) -> Array:
-        """What a call of the integrator is told."""
+        """Return the constants of a call of the integrator.
+
+        Parameters
+        ----------
+        span : float [s]
+            Duration of the call.
+        time : float [s]
+            Its begin.
+        """
         return np.concatenate([[span, time, self.further], self.entered, self.modes])
 
     def restart(self) -> None:
-        """Forget what makes calls of the integrator larger, so that what follows depends on the state alone."""
+        """Reset the number of rows per call of the integrator, so that the continuation depends on the state alone."""
         self._chunk = 0
 
     def advance(self, rows: int) -> Iterator[Block]:
-        """Go on by so many rows; yields them as they come.
+        """Integrate a number of rows; yields them in blocks.
 
         Raises
         ------
         Stalled
+            The integration cannot continue.
         """
         end = self.row + rows
         while self.row < end:
@@ -171,7 +184,7 @@ class Integration:
             whole = count
             if suspects:
                 found = self._first_switch(states[row], row * span / count, span / count, suspects)
-                whole = row + (found is None)  # a false alarm: that row is as it is
+                whole = row + (found is None)  # a false alarm: the row is accepted
                 there, into = (states[row + 1], span / count) if found is None else (found.state, found.into)
                 last = np.vstack([states[row], there])
                 offset = row * span / count
@@ -191,12 +204,12 @@ class Integration:
     def _solve(self, state: Array, given: Array, count: int) -> tuple[Array, Array]:
         """States at the begin and after each of `count` equal steps of the span, and the works after each [J]."""
         self.calls += 1
-        try:  # casadi tells a failure on standard error too, where people and scripts expect what optlink says
+        try:  # casadi also reports failures on standard error, which is reserved for optlink's messages
             with contextlib.redirect_stderr(io.StringIO()):
                 stiff = self._stiff(given[-len(self.equations.gaps) :])
                 states, works = self.equations.integrator(count, self.tolerance, stiff=stiff)(state, given)
         except RuntimeError:
-            if self.stop():  # an interrupt from the keyboard breaks a call off too
+            if self.stop():  # a keyboard interrupt also aborts a call
                 raise KeyboardInterrupt from None
             raise Stalled("the integrator cannot go on") from None
         if self.stop():
@@ -209,7 +222,7 @@ class Integration:
         return self.slow and bool(np.any(modes > 0.0))
 
     def _observe(self, states: Array, span: float) -> Watched:
-        """Gaps and torque at states that are `span` apart, the first one now."""
+        """Watched quantities of gaps and torque at states that are `span` apart, the first one now."""
         return self._watch(states, self.parameters(span * (len(states) - 1), self.time))
 
     def _watch(self, states: Array, given: Array) -> Watched:
@@ -218,15 +231,15 @@ class Integration:
         return Watched(*(part.reshape(count, -1) for part in found))
 
     def _suspects(self, states: Array, span: float) -> tuple[int, dict[int, tuple[float, bool]]]:
-        """The first row in which some gap may switch: its number, and by gap an estimate of when, and whether it surely does.
+        """Return the first row in which a gap may switch, and by gap the estimated time and whether the switch is certain.
 
-        Notes how deep and how strong contacts were till then.
+        Records the penetrations and forces of contacts until then.
         """
         watched = self._observe(states, span)
         depth, rate, curve = watched[:3]
-        side = 1.0 - 2.0 * self.modes  # what grows beyond zero at a switch is the penetration with this sign
+        side = 1.0 - 2.0 * self.modes  # at a switch the penetration with this sign rises above zero
         y, slope = side * depth, side * rate
-        turns = (slope[:-1] > 0.0) & (slope[1:] < 0.0)  # touches zero within the row, perhaps
+        turns = (slope[:-1] > 0.0) & (slope[1:] < 0.0)  # may touch zero within the row
         reach = np.maximum(y[:-1] + 0.5 * span * slope[:-1], y[1:] - 0.5 * span * slope[1:])
         rows = np.argwhere((y[1:] > 0.0) | (turns & (reach > 0.0)))
         row = len(states) - 1
@@ -242,7 +255,7 @@ class Integration:
         return row, found
 
     def _first_switch(self, state: Array, offset: float, span: float, suspects: dict[int, tuple[float, bool]]) -> Crossing | None:
-        """The first switch within a row that begins with this state, `offset` from now; None where none of them is one."""
+        """The first switch within a row that begins with this state, `offset` from now; None if no gap switches."""
         found: Crossing | None = None
         for gap, (guess, sure) in sorted(suspects.items(), key=lambda item: item[1][0]):
             end = span if found is None else found.into
@@ -259,14 +272,14 @@ class Integration:
         return found
 
     def _beyond(self, found: Crossing) -> int | None:
-        """A gap that has switched already where another does."""
+        """Return a gap that has already switched before another one does."""
         depth, rate = (part[0] for part in self._observe(found.state[None, :], 0.0)[:2])
         late = (1.0 - 2.0 * self.modes) * depth / np.maximum(np.abs(rate), 1e-300) > SHARP * self.step
         late[found.gap] = False
         return int(np.argmax(late)) if np.any(late) else None
 
     def _cross(self, state: Array, offset: float, end: float, gap: int, guess: float, sure: bool) -> Crossing | None:
-        """Where a gap switches between a state (`offset` from now) and the time `end` later: by Newton on the motion itself.
+        """Locate the switch of a gap between a state (`offset` from now) and the time `end` later, by Newton on the motion.
 
         `sure`: it has switched at the end.
         """
@@ -288,7 +301,7 @@ class Integration:
                 s += rest
             elif high < np.inf:
                 s = 0.5 * (low + high)
-            else:  # it has not switched yet, and may turn back before it does: look at the summit
+            else:  # not switched yet, and may return before it does: check the maximum
                 peak = s - slope / curve if curve < 0.0 else np.inf
                 if not low < peak < end or abs(peak - s) < SHARP * self.step:
                     return None
@@ -299,7 +312,7 @@ class Integration:
         return None
 
     def _land(self, state: Array, time: float, rest: float, gap: int, side: float) -> tuple[Array, Array, float]:
-        """The last of the way to a switch, too short for a call of the integrator: (state, works, time)."""
+        """Integrate the last interval before a switch, too short for a call of the integrator: (state, works, time)."""
         into, works = 0.0, np.zeros_like(self.works)
         for _ in range(6):
             state, more = self.equations.nudge(state, self.parameters(0.0, time + into), rest)
@@ -311,16 +324,16 @@ class Integration:
         return state, works, into
 
     def _note(self, states: Array, watched: Watched, span: float, offset: float) -> None:
-        """Take account of consecutive rows, `span` apart; the first is `offset` from now."""
+        """Record consecutive rows, `span` apart; the first is `offset` from now."""
         self.peaks.note(states, watched, lambda i: self.parameters(span, self.time + offset + i * span), self.modes, self.entered)
 
     def _again(self, state: Array, given: Array, steps: int) -> tuple[Array, Watched]:
-        """An interval integrated again, in small steps."""
+        """Integrate an interval again, in small steps."""
         states, _ = self._solve(state, given, steps)
         return states, self._watch(states, given)
 
     def _accept(self, states: Array, works: Array) -> Block:
-        """Go to the last of these rows."""
+        """Advance to the last of these rows."""
         count = len(states)
         times = (self.row + np.arange(1.0, count + 1.0)) * self.step
         states = self._closed(states)
@@ -331,7 +344,7 @@ class Integration:
         return block
 
     def _switch(self, found: Crossing) -> None:
-        """Go to where a contact begins or ends, and change its mode."""
+        """Advance to the begin or end of a contact, and change its mode."""
         gap, self.state = found.gap, self._closed(found.state[None, :])[0]
         self.works = self.works + found.works
         self.ahead = min(max(self.ahead + found.into, self.ahead), self.step * (1.0 - 1e-12))
@@ -355,24 +368,24 @@ class Integration:
             raise Stalled(f"more than {BUSY} contacts begin and end within {self.step:.3g} s")
 
     def take_peaks(self) -> tuple[float, ...]:
-        """Largest penetrations [m] and normal forces [N] of all gaps and the largest torque [N m] since this was last asked."""
+        """Return the maxima since the last call: penetrations [m] and normal forces [N] of all gaps, torque [N m]."""
         for gap in self.open:
             self._deepen(gap)
         return self.peaks.take()
 
     @property
     def lasting(self) -> tuple[Impact, ...]:
-        """The contacts that are still on."""
+        """The contacts that have not ended."""
         known = self.peaks.contacts
         return tuple(one._replace(penetration=max(one.penetration, known[gap].value)) for gap, one in self.open.items())
 
     def _deepen(self, gap: int) -> None:
-        """Note how deep a contact has been till now."""
+        """Update the largest penetration of a contact."""
         impact = self.open[gap]
         self.open[gap] = impact._replace(penetration=max(impact.penetration, self.peaks.deepest(gap)))
 
     def _closed(self, states: Array) -> Array:
-        """States (m, 2n) moved back onto the closing joints, from which they drift by the integrator's error."""
+        """Project states (m, 2n) onto the closing joints, from which they drift by the integrator's error."""
         if not self.equations.closing:
             return states
         n, crank = self.equations.size, self.equations.cut.driven

@@ -1,10 +1,10 @@
-"""The inverse model: which motion of the crank gives the wanted output, once the journals lie where they are predicted to lie.
+"""Inverse model: the crank motion that gives the target output, with the journals at their predicted positions.
 
-In a bearing with play the journal lies where the load presses it: against the reaction that the ideal machine would have there,
-turned by the angle of friction, at the clearance and the penetration of that load. The loops are closed with these gap vectors,
-and the crank is turned so that the output is the wanted one. At a dead centre no turn of the crank moves the output, and no drive
-turns at any rate: so the turn is a Fourier series up to a bandwidth, found as a whole by least squares, and weighed against the
-output. Its derivative, the speed command, is that of the series.
+In a bearing with clearance the load determines the position of the journal: opposite to the reaction of the ideal machine,
+rotated by the friction angle, at the distance of clearance plus penetration under that load. The loops are closed with these gap
+vectors, and the crank angle is corrected so that the output has its target value. At a dead centre the crank does not move the
+output, and no drive has unlimited bandwidth: therefore the correction is a Fourier series up to a bandwidth, computed by
+regularised least squares over the whole revolution. The speed command is the derivative of the series.
 """
 
 from __future__ import annotations
@@ -29,13 +29,24 @@ from optlink.symbolic import Compiled, tracing
 Array = NDArray[np.float64]
 POINTS = 720
 ROUNDS = 60
-HIGHEST = 60  # harmonics of a correction, at most
+HIGHEST = 60  # maximum harmonic of a correction
 
 
 def predicted(machine: Machine, gaps: Sequence[Gap], angles: Array, speed: float) -> Array:
-    """Where the journals lie (angles, 2 gaps) [m] while the machine moves at constant speed: x, y of each gap vector.
+    """Predict the gap vectors (angles, 2 gaps) [m] at constant speed: x, y of each journal relative to its bearing.
 
-    Source: quasi-static contact in the direction of the ideal joint's reaction.
+    Parameters
+    ----------
+    machine : Machine
+    gaps : sequence of Gap
+    angles : array (angles,) [rad]
+        Crank angles.
+    speed : float [rad/s]
+        Crank speed.
+
+    Notes
+    -----
+    Quasi-static contact in the direction of the ideal joint's reaction.
     """
     moving = machine.moving(angles, speed)
     found = reactions(moving)
@@ -53,7 +64,7 @@ def predicted(machine: Machine, gaps: Sequence[Gap], angles: Array, speed: float
 
 
 class Inverse:
-    """Loop closure of a machine with known gaps, at `POINTS` positions of a revolution at once."""
+    """Loop closure of a machine with prescribed gap vectors, at `POINTS` positions of a revolution at once."""
 
     def __init__(self, machine: Machine, gaps: Sequence[Gap], output: Output, start: float, speed: float) -> None:
         self.output, self.start, self.speed = output, start, speed
@@ -76,7 +87,7 @@ class Inverse:
         self.gaps: Array = predicted(machine, gaps, self.angles, speed)
 
     def close(self, crank: Array) -> tuple[Array, Array]:
-        """Output at these crank angles (POINTS,) with the predicted gap vectors, and its derivative over the crank angle."""
+        """Return the output at crank angles (POINTS,) with the predicted gap vectors, and its derivative over the crank angle."""
         q = self._ideal.copy()
         q[:, self.cut.driven] = crank
         for _ in range(ROUNDS):
@@ -91,10 +102,17 @@ class Inverse:
         return value, gradient[:, self.cut.driven] + np.sum(gradient[:, self.free] * follow, axis=1)
 
     def solve(self, regularisation: float, order: int) -> NDArray[np.complex128]:
-        """Harmonics (order + 1,) of the correction of the crank angle [rad] that brings the output nearest to what is wanted.
+        """Compute the harmonics (order + 1,) of the crank angle correction [rad] that brings the output closest to its target.
 
-        It minimises the mean of (output - wanted)^2 + (regularisation * correction)^2 over the revolution, among all corrections
-        of these harmonics: where the output stands still it is the other positions that decide. Gauss-Newton, exact slopes.
+        It minimises the mean of (output - target)^2 + (regularisation * correction)^2 over the revolution among all corrections
+        of these harmonics; near dead centres of the output the other positions determine it. Gauss-Newton with exact derivatives.
+
+        Parameters
+        ----------
+        regularisation : float [m/rad, -]
+            Weight of the correction.
+        order : int
+            Highest harmonic.
         """
         phase = 2.0 * np.pi * np.arange(POINTS) / POINTS
         waves = [wave(k * phase) for k in range(1, order + 1) for wave in (np.cos, np.sin)]
@@ -112,9 +130,17 @@ class Inverse:
         return np.concatenate([shares[:1], shares[1::2] - 1j * shares[2::2]])
 
     def command(self, regularisation: float, servo: Servo, bandwidth: float) -> Command:
-        """The crank's command: the correction up to `bandwidth` [rad/s], ahead of what the servo will make of it.
+        """Return the crank command: the correction up to a bandwidth, multiplied by the inverse transfer function of the servo.
 
-        A correction that is too lively shakes the machine so that the journals lie elsewhere than predicted.
+        A correction of too high a bandwidth excites the machine so that the journals leave their predicted positions.
+
+        Parameters
+        ----------
+        regularisation : float [m/rad, -]
+            Weight of the correction.
+        servo : Servo
+        bandwidth : float [rad/s]
+            Highest frequency of the correction.
         """
         order = min(HIGHEST, max(1, int(bandwidth / abs(self.speed) + 1e-9)))
         s = 1j * np.arange(order + 1) * abs(self.speed)
@@ -123,7 +149,16 @@ class Inverse:
 
 
 def leverage(machine: Machine, output: Output, angles: Array, regularisation: float) -> Array:
-    """Turn of the crank per change of the output [rad/m, 1] at crank angles (n,), regularised where the output stands still."""
+    """Return the crank rotation per change of the output [rad/m, -] at crank angles (n,), regularised near dead centres.
+
+    Parameters
+    ----------
+    machine : Machine
+    output : Output
+    angles : array (n,) [rad]
+    regularisation : float [m/rad, -]
+        Output slope below which the result is reduced.
+    """
     slope = np.broadcast_to(output.ideal(machine.moving(angles))[1], angles.shape)
     found: Array = slope / (slope * slope + regularisation * regularisation)
     return found

@@ -1,4 +1,4 @@
-"""A revolute joint with clearance: a journal that moves in a bearing, and what they exert on one another when they touch."""
+"""A revolute joint with clearance: motion of the journal in the bearing, and contact forces."""
 
 from __future__ import annotations
 
@@ -27,19 +27,23 @@ class Gap:
     point : str
         The pin.
     journal, bearing : str
-        The bodies that have the journal and the bearing; either may be the frame.
+        The bodies that carry the journal and the bearing; either may be the frame.
     clearance : float [m]
-        Radius of the bearing minus that of the journal.
+        Radial clearance: radius of the bearing minus that of the journal.
     radius : float [m]
-        Of the journal.
+        Radius of the journal.
     stiffness : float [N/m^1.5]
+        Contact stiffness.
     restitution : float [-]
+        Coefficient of restitution.
     law : str
-        One of `contact.NORMAL`.
+        One of `contact_laws.NORMAL`.
     friction : float [-]
-        Coulomb's coefficient; full from slips well above `slip_speed` [m/s] on.
+        Coulomb friction coefficient.
+    slip_speed : float [m/s]
+        Slip above which friction is fully developed (see `contact_laws.friction`).
     damping : float [N s/m]
-        Tangential, while there is contact.
+        Tangential damping during contact.
     """
 
     point: str
@@ -56,7 +60,7 @@ class Gap:
 
 
 class Motion(NamedTuple):
-    """How a journal moves in its bearing: eccentricity and its rate (of the centres), angular velocities of both bodies."""
+    """Motion of a journal in its bearing: eccentricity and its rate (of the centres), angular velocities of both bodies."""
 
     eccentricity: Vector
     rate: Vector
@@ -65,7 +69,7 @@ class Motion(NamedTuple):
 
     @property
     def distance(self) -> Value:
-        """Of the centres [m]."""
+        """Distance of the centres [m]."""
         return np.sqrt(dot(self.eccentricity, self.eccentricity) + CENTRED)
 
     @property
@@ -80,15 +84,15 @@ class Motion(NamedTuple):
         return dot(self.normal, self.rate)
 
     def slip(self, radius: float) -> Value:
-        """Tangential velocity of the journal's surface against the bearing's, where they touch [m/s]."""
+        """Tangential velocity of the journal's surface relative to the bearing's at the contact point [m/s]."""
         x, y = self.normal
         return cross((x, y), self.rate) + radius * self.journal - (radius + self.distance) * self.bearing
 
 
 class Touch(NamedTuple):
-    """A contact: penetration [m] (negative: distance left), its rate, slip [m/s], normal force and friction [N] on the journal.
+    """A contact: penetration [m] (negative: distance), its rate, slip [m/s], normal force and friction [N] on the journal.
 
-    `elastic` [J] is stored; `loss` and `rubbing` [W] turn into heat along the normal and along the surface.
+    `elastic` [J]: stored energy; `loss` and `rubbing` [W]: power dissipated in the normal and in the tangential direction.
     """
 
     penetration: Value
@@ -103,14 +107,16 @@ class Touch(NamedTuple):
 
 
 def touch(gap: Gap, motion: Motion, speed: Value, closed: Value = 1.0) -> Touch:
-    """What journal and bearing exert on one another.
+    """Compute the contact between journal and bearing.
 
     Parameters
     ----------
+    gap : Gap
+    motion : Motion
     speed : Value [m/s]
-        Approach speed with which the contact began.
+        Approach speed at the begin of the contact.
     closed : Value
-        1 in contact, 0 apart: there is no force then, even where a trial motion goes on into the bearing.
+        1 in contact, 0 apart: then there is no force, even where a trial motion penetrates the bearing.
     """
     delta, rate, slip = motion.distance - gap.clearance, motion.approach, motion.slip(gap.radius)
     depth = np.maximum(delta, LEAST_DEPTH)
@@ -124,12 +130,15 @@ def touch(gap: Gap, motion: Motion, speed: Value, closed: Value = 1.0) -> Touch:
 
 
 def acting(gap: Gap, motion: Motion, journal: Vector, contact: Touch) -> tuple[Acting, Acting]:
-    """The same on both bodies, journal first: at one point, so that no moment is left over.
+    """Return the contact forces on both bodies, journal first, at one point so that their moments cancel.
 
     Parameters
     ----------
-    journal : Vector [m]
+    gap : Gap
+    motion : Motion
+    journal : pair of Value [m]
         Centre of the journal.
+    contact : Touch
     """
     x, y = motion.normal
     at = journal[0] + gap.radius * x, journal[1] + gap.radius * y

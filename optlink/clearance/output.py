@@ -1,4 +1,4 @@
-"""The motion that a machine is there for: the slide of a slider, or the angle of a body; and how far it is from the ideal one."""
+"""Output of a machine: the slide of a slider or the angle of a body, and its deviation from the ideal motion."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from optlink.linkage.vector2d import Value, angle
 
 @dataclass(frozen=True)
 class Output:
-    """A slider in its `guide` (its slide counts), or, without a guide, a body (its angle counts)."""
+    """Output of a machine: the slide in a `guide`, or, without a guide, the angle of a body."""
 
     name: str
     guide: str = ""
 
     @property
     def unit(self) -> str:
-        """m or rad."""
+        """SI unit: m or rad."""
         return "m" if self.guide else "rad"
 
     @property
     def column(self) -> str:
-        """Name of its column in tables."""
+        """Name of the column in tables."""
         return f"{self.name}.s_m" if self.guide else f"{self.name}.angle_rad"
 
     def of(self, loose: Loose) -> Value:
-        """Where it is [m, rad]; an angle lies in (-pi, pi]."""
+        """Return the output [m, rad]; an angle lies in (-pi, pi]."""
         return loose.slides[self.guide][0] if self.guide else angle(loose.state(self.name).axis)
 
     def ideal(self, moving: Moving) -> tuple[Value, Value]:
-        """Where it is in the machine without clearance, and its velocity."""
+        """Return the output of the machine without clearance [m, rad], and its velocity."""
         if self.guide:
             s, v, _ = moving.slides[self.guide]
             return s, v
@@ -43,19 +43,25 @@ class Output:
         return angle(state.axis), state.omega
 
     def difference(self, value: Value, wanted: Value) -> Value:
-        """By how much it is beyond what is wanted [m, rad]; across no branch of an angle."""
+        """Return the deviation from a target [m, rad]; that of an angle is wrapped to (-pi, pi].
+
+        Parameters
+        ----------
+        value, wanted : Value [m, rad]
+            Output and target.
+        """
         return value - wanted if self.guide else np.remainder(value - wanted + np.pi, 2.0 * np.pi) - np.pi
 
 
 def outputs(machine: Machine) -> dict[str, Output]:
-    """What may be an output, by name: sliders in their guides, and the angles of other bodies."""
+    """Return the possible outputs by name: sliders in their guides, and the angles of other bodies."""
     sliding = {name: Output(name, guide) for guide, name in slider_names(machine).items()}
     turning = {body: Output(body) for body in machine.mechanism.bodies if body != machine.mechanism.crank.body}
     return {**turning, **sliding}
 
 
 def usual(machine: Machine) -> Output:
-    """The output where none is said: the last slider on the frame, else the last body that is pinned to the frame."""
+    """Return the default output: the last slider on the frame, else the last body that is pinned to the frame."""
     known = outputs(machine)
     names = slider_names(machine)
     rams = [names[guide.name] for guide in machine.mechanism.guides if FRAME in guide.bodies]

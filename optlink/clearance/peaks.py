@@ -1,7 +1,7 @@
-"""Largest penetrations, normal forces and torque of a motion, between its rows as well as at them.
+"""Maxima of penetrations, normal forces and torque over a motion, between its rows as well as at them.
 
-At every row the values and slopes of these quantities bound what they can reach before the next row. Where that may exceed the
-largest value so far, the row is kept, integrated again in small steps, and the summit found there. The result depends on the
+At every row the values and slopes of these quantities bound their values until the next row. Where the bound exceeds the
+current maximum, the row is stored, integrated again in small steps, and the maximum located there. The result depends on the
 motion alone, not on the number of rows.
 """
 
@@ -62,36 +62,37 @@ class Interval:
 
 @dataclass
 class Peak:
-    """The largest value of one quantity so far, and the intervals where it may be exceeded: (bound, interval)."""
+    """The current maximum of one quantity, and the intervals where it may be exceeded: (bound, interval)."""
 
     value: float = 0.0
     waiting: list[tuple[float, Interval]] = field(default_factory=list)
 
 
 class Peaks:
-    """The largest values over a motion: for every gap penetration and normal force, and the torque's magnitude.
+    """Maxima over a motion: penetration and normal force of every gap, and the magnitude of the torque.
 
     Parameters
     ----------
     gaps : sequence of Gap
-    solve : function
-        Integrates an interval again.
+    solve : callable
+        Integrates an interval again, see `Solve`.
     """
 
     def __init__(self, gaps: Sequence[Gap], solve: Solve) -> None:
         self.gaps, self.solve, count = gaps, solve, len(gaps)
-        self.contacts = [Peak() for _ in gaps]  # penetration of the contact under way
+        self.contacts = [Peak() for _ in gaps]  # penetration of the current contact
         self.turn = [Peak() for _ in range(2 * count + 1)]  # since `take`: penetrations, forces, torque
 
     def note(self, states: Array, watched: Watched, given: Callable[[int], Array], modes: Array, entered: Array) -> None:
-        """Take account of consecutive rows.
+        """Record consecutive rows.
 
         Parameters
         ----------
         states : array (m, 2n)
         watched : Watched
-        given : function of the row -> parameters of the integrator from that row to the next
+        given : callable, row -> parameters of the integrator from that row to the next
         modes, entered : array (gaps,)
+            Modes of the gaps, and approach speeds [m/s] at the begin of their contacts.
         """
         if len(states) < 2:
             return
@@ -111,7 +112,7 @@ class Peaks:
                 peak.waiting.append((float(bounds[i, j]), inside[i]))
 
     def _bounds(self, watched: Watched, span: float, entered: Array) -> Array:
-        """What each quantity can reach between two rows (m - 1, 2 gaps + 1)."""
+        """Upper bounds of each quantity between two rows (m - 1, 2 gaps + 1)."""
         rise, fall = np.maximum(watched.rate, 0.0), np.maximum(-watched.rate, 0.0)
         bend = 0.25 * span * span * np.maximum(watched.curve, 0.0)
         ahead = watched.depth + REACH * span * rise + bend
@@ -137,21 +138,21 @@ class Peaks:
         return np.where(low > STEADY * bounds, np.minimum(bounds, cubic + SHARE * (bounds - high)), bounds)
 
     def begin(self, gap: int) -> None:
-        """A contact begins."""
+        """Start a new contact at a gap."""
         self.contacts[gap] = Peak()
 
     def deepest(self, gap: int) -> float:
-        """Largest penetration of the contact under way, or just ended [m]."""
+        """Return the largest penetration of the current contact, or of the one just ended [m]."""
         return self._settle(self.contacts[gap], gap)
 
     def take(self) -> tuple[float, ...]:
-        """Largest penetrations [m] and normal forces [N] of all gaps and the largest torque [N m] since this was last asked."""
+        """Return the maxima since the last call: penetrations [m] and normal forces [N] of all gaps, torque [N m]."""
         found = tuple(self._settle(peak, j) for j, peak in enumerate(self.turn))
         self.turn = [Peak() for _ in self.turn]
         return found
 
     def _settle(self, peak: Peak, j: int) -> float:
-        """Look at every interval that may exceed the largest value, the most promising first."""
+        """Check every interval that may exceed the maximum, in the order of decreasing bounds."""
         waiting, peak.waiting = sorted(peak.waiting, key=lambda one: -one[0]), []
         for bound, interval in waiting:
             if bound <= peak.value * (1.0 + SAME):
@@ -160,7 +161,7 @@ class Peaks:
         return peak.value
 
     def _summit(self, interval: Interval, j: int, least: float, *, deeper: bool) -> float:
-        """The largest value of quantity `j` within an interval, if it exceeds `least`, else that."""
+        """The maximum of quantity `j` within an interval, or `least` if that is larger."""
         if interval.divided is None:
             interval.divided = self.solve(interval.state, interval.given, PARTS)
         states, watched = interval.divided
@@ -188,7 +189,7 @@ def _curves(watched: Watched) -> tuple[Array, Array]:
 
 
 def _cubic_summits(values: Array, slopes: Array, span: float) -> Array:
-    """Largest values (m - 1,) between rows, of the cubics with these values and slopes at the rows."""
+    """Maxima (m - 1,) between rows of the cubics with these values and slopes at the rows."""
     y0, y1, a, b = values[:-1], values[1:], slopes[:-1] * span, slopes[1:] * span
     # y0 + a u + q u^2 + p u^3; its slope is a + 2 q u + 3 p u^2
     p, q = a + b - 2.0 * (y1 - y0), 3.0 * (y1 - y0) - 2.0 * a - b

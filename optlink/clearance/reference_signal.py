@@ -1,4 +1,4 @@
-"""What the servo of the crank is told: an even turn, and a periodic correction of it."""
+"""Servo reference: constant speed plus a Fourier-series correction."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from optlink.linkage.vector2d import Value
 
 @dataclass(frozen=True)
 class Command:
-    """angle = start + speed t + a Fourier series of the revolution; its derivative is the speed command.
+    """Reference angle = start + speed t + a Fourier series of the revolution; its derivative is the reference speed.
 
     `harmonics` (h,): complex [rad]; the correction is the real part of the sum of harmonics[k] exp(i k |speed| t).
     """
@@ -22,7 +22,7 @@ class Command:
     harmonics: NDArray[np.complex128]
 
     def at(self, time: Value) -> tuple[Value, Value]:
-        """Angle [rad] and speed [rad/s] commanded; floats, arrays and symbols pass."""
+        """Return the reference angle [rad] and speed [rad/s] at a time [s] (float, array or symbol)."""
         angle, speed = self.start + self.speed * time, self.speed + 0.0 * time
         for k, harmonic in enumerate(self.harmonics.tolist()):
             rate = k * abs(self.speed)
@@ -32,10 +32,17 @@ class Command:
         return angle, speed
 
     def correction(self, time: Value) -> Value:
-        """The angle minus that of the even turn [rad]."""
+        """Return the reference angle minus that of constant speed [rad]."""
         return self.at(time)[0] - (self.start + self.speed * time)
 
 
 def even(start: float, speed: float) -> Command:
-    """The command without any correction."""
+    """Return the reference of constant speed, without correction.
+
+    Parameters
+    ----------
+    start : float [rad]
+        Crank angle at time zero.
+    speed : float [rad/s]
+    """
     return Command(start, speed, np.zeros(0, dtype=complex))

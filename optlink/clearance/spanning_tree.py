@@ -1,7 +1,7 @@
-"""A mechanism cut at its gaps: what its ideal joints leave is a tree of bodies, with the coordinates that move it.
+"""Spanning tree of a mechanism cut at its gaps: the ideal joints form a tree of bodies with its coordinates.
 
-A body hangs on its parent by a pin (coordinate: its own angle) or by a guide (coordinate: the slide), or is free (two coordinates
-of its start, and its angle). Ideal joints beyond the tree close loops; each gives two equations.
+A body is connected to its parent by a pin (coordinate: its own angle) or by a guide (coordinate: the slide), or is free (two
+coordinates of its start, and its angle). Ideal joints outside the tree close loops; each gives two equations.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from optlink.linkage.vector2d import Value, Vector, angle, cross, dot, minus, pl
 
 
 class Coordinate(NamedTuple):
-    """One coordinate: of which body, and what it is: its `angle` [rad], `x` or `y` of its start [m], or a `slide` [m]."""
+    """One coordinate of a body: its `angle` [rad], `x` or `y` of its start [m], or a `slide` [m]."""
 
     body: str
     kind: Literal["angle", "x", "y", "slide"]
 
     @property
     def name(self) -> str:
-        """For columns and messages."""
+        """Name for columns and messages."""
         return f"{self.body}.{self.kind}"
 
 
 class Place(NamedTuple):
-    """Where a body is: its start [m] and the unit vector of its x axis."""
+    """Position of a body: its start [m] and the unit vector of its x axis."""
 
     start: Vector
     axis: Vector
 
 
 class Pin(NamedTuple):
-    """A revolute joint without play between two bodies."""
+    """An ideal revolute joint between two bodies."""
 
     point: str
     first: str
@@ -43,12 +43,12 @@ class Pin(NamedTuple):
 
     @property
     def bodies(self) -> tuple[str, str]:
-        """The two."""
+        """The two bodies."""
         return self.first, self.second
 
 
 class Branch(NamedTuple):
-    """How a body is held: by a joint on a body that is placed before it, or not at all."""
+    """Connection of a body to the tree: by a joint to a body placed before it, or none (free body)."""
 
     body: str
     parent: str
@@ -57,7 +57,7 @@ class Branch(NamedTuple):
 
 @dataclass(frozen=True)
 class Cut:
-    """A mechanism of given sizes without its pins at `gaps`: point -> body that is cut off there (the journal)."""
+    """A mechanism cut at its pins in `gaps`: point -> body that is cut off there (the journal)."""
 
     mechanism: Mechanism
     sizes: Mapping[str, Value]
@@ -65,7 +65,7 @@ class Cut:
 
     @cached_property
     def pins(self) -> tuple[Pin, ...]:
-        """The ideal revolute joints, two bodies at a time."""
+        """The ideal revolute joints, each between two bodies."""
         found = []
         for point, bodies in self.mechanism.pins.items():
             held = [body for body in bodies if body != self.gaps.get(point)]
@@ -74,10 +74,10 @@ class Cut:
 
     @cached_property
     def branches(self) -> tuple[Branch, ...]:
-        """All bodies, each after the one that holds it."""
+        """All bodies, each after its parent."""
         found = self._grow(free_crank=False)
         crank = next(branch for branch in found if branch.body == self.mechanism.crank.body)
-        # the drive sets the crank's angle, so that must be a coordinate: a crank that would hang in a guide becomes a root
+        # the drive prescribes the crank angle, so it must be a coordinate: a crank connected by a guide becomes a root
         return self._grow(free_crank=True) if isinstance(crank.joint, Guide) else found
 
     def _grow(self, *, free_crank: bool) -> tuple[Branch, ...]:
@@ -102,14 +102,14 @@ class Cut:
 
     @cached_property
     def closing(self) -> tuple[Pin | Guide, ...]:
-        """The ideal joints beyond the tree."""
+        """The ideal joints outside the tree."""
         used = {id(branch.joint) for branch in self.branches}
         joints: list[Pin | Guide] = [*self.pins, *self.mechanism.guides]
         return tuple(joint for joint in joints if id(joint) not in used)
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """What moves the tree, in the order of the bodies."""
+        """The coordinates of the tree, in the order of the bodies."""
         found = []
         for body, _, joint in self.branches:
             if joint is None:
@@ -125,11 +125,11 @@ class Cut:
 
     @cached_property
     def local(self) -> Pose:
-        """Where points and lines lie on the bodies; nothing is placed in it."""
+        """Local coordinates of points and lines on the bodies; no body is placed in it."""
         return Pose(self.mechanism, self.sizes)
 
     def place(self, values: Sequence[Value]) -> dict[str, Place]:
-        """Where every body is, from the coordinates (floats, arrays, symbols or jets), in their order."""
+        """Return the position of every body from the coordinates (floats, arrays, symbols or jets), in their order."""
         found = {FRAME: Place((0.0, 0.0), (1.0, 0.0))}
         given = iter(values)
         for body, parent, joint in self.branches:
@@ -144,7 +144,7 @@ class Cut:
         return found
 
     def _slid(self, guide: Guide, body: str, parent: Place, slide: Value) -> Place:
-        """A body in a guide of its parent; it may be the slider, or what carries the line."""
+        """Place a body in a guide of its parent; the body may be the slider, or carry the line."""
         (at, own), (held, line) = self.local.local_line(guide, body), self.local.local_line(guide, guide.other(body))
         way = turn(line, parent.axis)
         begin, axis = plus(parent.start, turn(held, parent.axis)), turn_back(way, own)
@@ -152,30 +152,60 @@ class Cut:
         return Place(minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis)), axis)
 
     def at(self, point: str, body: str, place: Place) -> Vector:
-        """Where a point of a placed body is [m]."""
+        """Return the position of a point of a placed body [m].
+
+        Parameters
+        ----------
+        point : str
+        body : str
+        place : Place
+            Position of the body.
+        """
         return plus(place.start, turn(self.local.local(body, point), place.axis))
 
     def line(self, guide: Guide, body: str, place: Place) -> tuple[Vector, Vector]:
-        """A point [m] and the unit vector of a guide's line, from where one of its bodies is."""
+        """Return a point [m] and the unit vector of a guide's line, from the position of one of its bodies.
+
+        Parameters
+        ----------
+        guide : Guide
+        body : str
+            One of the two bodies of the guide.
+        place : Place
+            Position of that body.
+        """
         point, way = self.local.local_line(guide, body)
         return plus(place.start, turn(point, place.axis)), turn(way, place.axis)
 
     def slide(self, guide: Guide, places: Mapping[str, Place]) -> Value:
-        """How far the slider has moved along its line [m]."""
+        """Return the displacement of the slider along its line [m].
+
+        Parameters
+        ----------
+        guide : Guide
+        places : mapping of body to Place
+        """
         begin, way = self.line(guide, guide.on, places[guide.on])
         return dot(minus(self.line(guide, guide.slider, places[guide.slider])[0], begin), way)
 
     def eccentricity(self, point: str, places: Mapping[str, Place]) -> Vector:
-        """From the centre of the bearing to that of the journal [m] at a gap."""
+        """Return the vector from the centre of the bearing to that of the journal at a gap [m].
+
+        Parameters
+        ----------
+        point : str
+            The pin with clearance.
+        places : mapping of body to Place
+        """
         journal = self.gaps[point]
         return minus(self.at(point, journal, places[journal]), self.at(point, self.bearing(point), places[self.bearing(point)]))
 
     def bearing(self, point: str) -> str:
-        """The body that has the bearing at a gap; other bodies may share it, by ideal pins."""
+        """Return the body with the bearing at a gap; other bodies may share it, by ideal pins."""
         return next(body for body in self.mechanism.pins[point] if body != self.gaps[point])
 
     def open(self, places: Mapping[str, Place]) -> list[Value]:
-        """By how much the closing joints fail to close [m, or the sine of an angle]: two values each."""
+        """Return the residuals of the closing joints [m, or the sine of an angle], two for each joint."""
         found: list[Value] = []
         for joint in self.closing:
             first, second = joint.bodies
@@ -188,7 +218,7 @@ class Cut:
         return found
 
     def read(self, pose: Pose) -> list[Value]:
-        """The coordinates in a pose of the mechanism without gaps (jets if that has jets)."""
+        """Return the coordinates in a pose of the mechanism without gaps (jets if the pose has jets)."""
         found: list[Value] = []
         guides = {guide.name: guide for guide in self.mechanism.guides}
         for body, kind in self.coordinates:

@@ -1,6 +1,6 @@
-"""A machine with gaps in motion: every body where its coordinates put it, whatever the pins that have play would say.
+"""A machine with joint clearance in motion: the coordinates place every body; pins with clearance impose nothing.
 
-It answers what `Moving` answers, so that loads act on it as they do on the ideal machine; floats, arrays and symbols pass.
+It has the interface of `Moving`, so that loads act on it as on the ideal machine, with floats, arrays or symbols.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SMOOTH = 1e-4
 
 
 class Loose:
-    """A machine with gaps at given coordinates (jets).
+    """A machine with joint clearance at coordinates that are jets.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Loose:
     cut : Cut
     values : sequence of Jet, in the order of `cut.coordinates`
     speed : float [rad/s]
-        Nominal speed of the crank, with its sense: what "slow" is measured by.
+        Nominal speed of the crank, with its sense: reference for the smoothing of `sense`.
     """
 
     def __init__(self, machine: Machine, cut: Cut, values: Sequence[Value], speed: float) -> None:
@@ -44,11 +44,11 @@ class Loose:
 
     @property
     def variables(self) -> dict[str, Value]:
-        """What every load may depend on: crank angle [rad] and speed [rad/s]."""
+        """Variables available to every load: crank angle [rad] and speed [rad/s]."""
         return {"phi": self.crank.value, "omega": self.crank.rate}
 
     def state(self, body: str) -> State:
-        """How a body moves."""
+        """Return the motion of a body."""
         if body not in self._states:
             (x, y), (c, d) = self.places[body]
             self._states[body] = moved((parts(x), parts(y)), (parts(c), parts(d)))
@@ -60,15 +60,33 @@ class Loose:
         return state.start[0] + x, state.start[1] + y
 
     def position(self, point: str, body: str) -> Vector:
-        """Where a point of a body is [m]."""
+        """Return the position of a point of a body [m].
+
+        Parameters
+        ----------
+        point : str
+        body : str
+        """
         return self._lever(point, body)
 
     def velocity(self, point: str, body: str) -> Vector:
-        """Velocity of a point of a body [m/s]."""
+        """Return the velocity of a point of a body [m/s].
+
+        Parameters
+        ----------
+        point : str
+        body : str
+        """
         return self.state(body).at(self._lever(point, body))[0]
 
     def acceleration(self, point: str, body: str) -> Vector:
-        """Acceleration of a point of a body [m/s^2]."""
+        """Return the acceleration of a point of a body [m/s^2].
+
+        Parameters
+        ----------
+        point : str
+        body : str
+        """
         return self.state(body).at(self._lever(point, body))[1]
 
     def line(self, guide: str) -> Vector:
@@ -82,11 +100,18 @@ class Loose:
         return {guide.name: parts(self.cut.slide(guide, self.places)) for guide in self.machine.mechanism.guides}
 
     def sense(self, of: Callable[[Loose], tuple[Value, Value]], size: Value = 1.0) -> Value:
-        """Sign of a velocity, made smooth: no equation of motion is integrated across a jump."""
+        """Return the smoothed sign of a velocity, because no equation of motion is integrated across a jump.
+
+        Parameters
+        ----------
+        of : function of a machine in motion to a velocity and its acceleration
+        size : Value
+            Size of the machine [m] for the velocity of a point, 1 for an angular velocity.
+        """
         return np.tanh(of(self)[0] / (SMOOTH * abs(self.nominal) * size))
 
     def play(self, gap: Gap) -> Motion:
-        """How the journal of a gap moves in its bearing."""
+        """Return the motion of the journal of a gap in its bearing."""
         one, other = self.velocity(gap.point, gap.journal), self.velocity(gap.point, gap.bearing)
         eccentricity = minus(self.position(gap.point, gap.journal), self.position(gap.point, gap.bearing))
         return Motion(eccentricity, minus(one, other), self.state(gap.journal).omega, self.state(gap.bearing).omega)
@@ -94,7 +119,7 @@ class Loose:
     # --- forces and energies -----------------------------------------------------------------------------------------
 
     def needed(self) -> dict[str, Wrench]:
-        """Force and moment about its start that each moving body needs, all told: for its inertia, against gravity."""
+        """Return the total force, and moment about its start, that each body requires for its inertia and against gravity."""
         nothing = Wrench((0.0, 0.0), 0.0)
         found = dict.fromkeys(self.cut.mechanism.bodies, nothing)
         for body, inertia in self.machine.inertias.items():
@@ -102,11 +127,11 @@ class Loose:
         return found
 
     def acting(self) -> dict[str, list[Acting]]:
-        """What each load exerts, by the load's name."""
+        """Return the forces of each load, by the load's name."""
         return {load.name: list(load.act(self)) for load in self.machine.loads}  # type: ignore[arg-type]
 
     def power(self, acting: Sequence[Acting]) -> Value:
-        """What loads feed into the machine [W]."""
+        """Return the power that loads feed into the machine [W]."""
         total: Value = 0.0
         for one in acting:
             if one.body != FRAME:
@@ -120,5 +145,5 @@ class Loose:
 
     @cached_property
     def potential(self) -> Value:
-        """Potential energy of gravity [J]; springs count among the works of loads."""
+        """Potential energy of gravity [J]; the energy of springs counts among the works of loads."""
         return self.machine.weight(self.state)

@@ -1,4 +1,4 @@
-"""What a run with clearance comes to, revolution by revolution: error statistics, contacts, energy account, predictability."""
+"""Statistics of a simulation with joint clearance, by revolution: output error, contacts, energy balance, predictability."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _PLAIN = (
 
 
 class Account:
-    """What is summed up, revolution by revolution."""
+    """Accumulated statistics of a simulation."""
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
@@ -55,11 +55,12 @@ class Account:
         self.settled = 0
 
     def add(self, settled: bool) -> dict[str, Array]:
-        """One revolution more; returns its rows.
+        """Simulate and add one revolution; return its rows.
 
         Raises
         ------
         Stalled
+            The integration cannot continue.
         """
         if self.first is None:
             self._at_start()
@@ -73,7 +74,7 @@ class Account:
         return rows
 
     def _rows(self, turn: Revolution, record: Record) -> dict[str, Array]:
-        """The columns, and beside them the ideal output, the error and the correction."""
+        """The columns, with the ideal output, the error and the correction."""
         output, columns = self.plant.output, record.columns
         wanted = self._wanted(record)
         error = output.difference(np.asarray(output.of(record.loose)), wanted)
@@ -90,7 +91,7 @@ class Account:
         return rows
 
     def add_partial(self) -> None:
-        """Keep the rows of a revolution that broke off; no figure counts them."""
+        """Store the rows of an interrupted revolution; the statistics ignore them."""
         partial = self.plant.partial
         if partial is not None:
             rows = self._rows(partial, self.plant.record(partial))
@@ -98,13 +99,13 @@ class Account:
                 self.rows.append(rows)
 
     def save(self) -> dict[str, Any]:
-        """Everything that is summed up, as plain numbers; the rows are not in it."""
+        """Return the accumulated state as plain numbers, without the rows."""
         plain = {name: getattr(self, name) for name in _PLAIN}
         lists = {name: list(getattr(self, name)) for name in ("turns", "section")}
         return {**plain, **lists, "impacts": [list(impact) for impact in self.impacts]}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from what was saved."""
+        """Continue from a saved state."""
         for name in _PLAIN:
             setattr(self, name, saved[name])
         self.turns.extend(saved["turns"])
@@ -112,7 +113,7 @@ class Account:
         self.impacts.extend(Impact(int(row[0]), *row[1:]) for row in saved["impacts"])
 
     def _wanted(self, record: Record) -> Array:
-        """The output of the machine without clearance, at the nominal crank angle; under a torque at the crank's own."""
+        """The output of the machine without clearance at the nominal crank angle; with a driving torque at the actual one."""
         plant, time = self.plant, record.block.time
         free = plant.equations.drive.torque is not None
         angle = np.asarray(record.loose.crank.value) if free else plant.start + plant.nominal * time
@@ -175,7 +176,7 @@ class Account:
         self.largest = max(self.largest, float(np.max(np.abs(energy))))
 
     def figures(self) -> dict[str, float]:
-        """The figures that sum it up, by name (SI)."""
+        """Return the summary statistics by name (SI)."""
         unit = self.plant.output.unit
         rows, every, turns = max(self.sums["rows"], 1.0), max(self.every["rows"], 1.0), max(self.settled, 1)
         gaps = self.plant.equations.gaps
@@ -204,9 +205,10 @@ class Account:
 
 @dataclass(frozen=True)
 class Prediction:
-    """How long a trajectory can be trusted point by point: `parted` [revolutions] at which a run of another tolerance left it.
+    """Time for which a trajectory is predictable: `parted` [revolutions] at which a run with another tolerance diverged from it.
 
-    `parted` is None where both kept together for all `watched` revolutions; `largest` [m, rad]: difference of the outputs then.
+    `parted` is None if both agreed for all `watched` revolutions; `largest` [m, rad]: difference of the outputs in the last
+    revolution compared.
     """
 
     parted: float | None
@@ -215,12 +217,12 @@ class Prediction:
 
     @property
     def chaotic(self) -> bool:
-        """Whether the trajectory means nothing point by point: its statistics may still."""
+        """Whether the trajectory is not predictable point by point; its statistics may still be meaningful."""
         return self.parted is not None
 
 
 class Twin:
-    """The same motion at another tolerance, until it has parted."""
+    """The same motion with another tolerance, simulated until it diverges."""
 
     def __init__(self, plant: Plant) -> None:
         self.plant, self.output = plant, plant.output
@@ -230,7 +232,7 @@ class Twin:
         self.watched, self.largest, self.lost = 0, 0.0, False
 
     def follow(self, output: Array) -> None:
-        """Go on by a revolution and compare."""
+        """Simulate one revolution and compare the outputs."""
         if self.parted is not None or self.watched >= WATCHED or self.lost:
             return
         try:
@@ -247,21 +249,21 @@ class Twin:
         self.watched += 1
 
     def save(self) -> dict[str, Any]:
-        """Its state as plain numbers."""
+        """Return the state as plain numbers."""
         found = {"parted": self.parted, "watched": self.watched, "largest": self.largest, "lost": self.lost}
         return {**found, "plant": self.plant.save()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from what was saved."""
+        """Continue from a saved state."""
         self.parted, self.watched, self.largest, self.lost = (saved[name] for name in ("parted", "watched", "largest", "lost"))
         self.plant.restore(saved["plant"])
 
     @property
     def prediction(self) -> Prediction:
-        """What was found."""
+        """Result of the comparison."""
         return Prediction(self.parted, self.watched, self.largest)
 
 
 def table(rows: deque[dict[str, float]]) -> dict[str, Array]:
-    """Rows of figures as columns."""
+    """Convert rows of statistics to columns."""
     return {name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {}
