@@ -1,10 +1,10 @@
-"""What can go wrong, as values and exceptions that tell the user what to do next.
+"""Errors and result status, each with a remedy for the user.
 
     OptlinkError
     ├── InputError    the user's file, key or value is not usable       exit code 2
-    └── SolverError   a solver broke down where it should not have      exit code 3
+    └── SolverError   unexpected breakdown of a solver                  exit code 3
 
-That a problem has no feasible design, or that a design fails its validation, is no exception: it is a result (`Status`).
+An infeasible problem or a design that fails its validation raises no exception: it is a result (`Status`).
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-SHOWN = 80  # characters of a bad value that are worth showing
+SHOWN = 80  # maximum number of characters shown of an invalid value
 
 
 def shown(value: object) -> str:
-    """Give a value as people should see it in a message: short, on one line."""
+    """Format a value for a message: short, on one line."""
     if isinstance(value, int) and value.bit_length() > 256:  # Python refuses to print the largest ones
         return f"an integer of {value.bit_length():,} bits"
     text = f'"{value}"' if isinstance(value, str) else str(value)
@@ -27,7 +27,7 @@ def shown(value: object) -> str:
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing wrong with the input: where, what was found, why it will not do, what would."""
+    """One error in the input: its place (file, key, value), the message and the remedy."""
 
     message: str
     remedy: str
@@ -43,13 +43,13 @@ class Fault:
 
 
 class OptlinkError(Exception):
-    """Base of every error that optlink raises on purpose."""
+    """Base class of all errors that optlink raises intentionally."""
 
     exit_code = 3
 
 
 class InputError(OptlinkError):
-    """The input cannot be used; `faults` says why, one entry per thing to mend."""
+    """The input is not usable; `faults` has one entry for each error to correct."""
 
     exit_code = 2
 
@@ -59,13 +59,13 @@ class InputError(OptlinkError):
 
 
 class SolverError(OptlinkError):
-    """A solver broke down (no usable point came back at all)."""
+    """A solver broke down without returning a usable point."""
 
     exit_code = 3
 
 
 class Status(enum.Enum):
-    """How a search ended. `text` is for people and says what to do next."""
+    """Status of an optimisation; `text` describes it and the next step."""
 
     OPTIMAL = "optimal"
     STALLED = "stalled"
@@ -76,7 +76,7 @@ class Status(enum.Enum):
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
+        """Description in one sentence."""
         return _STATUS_TEXT[self]
 
 

@@ -24,12 +24,18 @@ _locked: set[tuple[str, int]] = set()
 
 
 def folder(path: Path, option: str = "--out") -> Path:
-    """Make an output folder and try to write there, before any work is done; `option` is named if that fails.
+    """Create an output folder and check that it is writable, before any computation.
+
+    Parameters
+    ----------
+    path : Path
+    option : str
+        Command-line option that the error message names.
 
     Raises
     ------
     InputError
-        when nothing can be written there.
+        The folder is not writable.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -45,9 +51,9 @@ def folder(path: Path, option: str = "--out") -> Path:
 
 @contextlib.contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Give a temporary name to write to; rename it to `path` if all went well, remove it if not.
+    """Yield a temporary file name; rename it to `path` on success, remove it on failure.
 
-    What a link points to is replaced, not the link; a pipe or device is written to as it is.
+    For a symbolic link the target is replaced, not the link; a pipe or device is written directly.
     """
     path = path.resolve() if path.is_symlink() else path
     if path.exists() and not path.is_file():
@@ -76,14 +82,21 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Write a JSON document."""
+    """Write a JSON document.
+
+    Parameters
+    ----------
+    path : Path
+    document : dict
+        Document of plain Python values.
+    """
     with whole(path) as temporary:
         temporary.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 @contextlib.contextmanager
 def recorded() -> Iterator[set[Path]]:
-    """Collect the paths of all files that are written by `whole` meanwhile."""
+    """Collect the paths of all files that `whole` writes within the context."""
     record: set[Path] = set()
     _records.append(record)
     try:
@@ -94,11 +107,11 @@ def recorded() -> Iterator[set[Path]]:
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Keep an existing folder for one run: a second one, of this or of another process, is refused.
+    """Lock an existing folder for one run; a second run, of this or of another process, is refused.
 
-    The lock is one of the operating system on a file in the folder. The system releases it when the process ends, however it
-    ends; the file alone, which a crash leaves behind, locks nothing. A file system without locks gives no protection. The same
-    thread may take the lock again.
+    This is a lock of the operating system on a file in the folder. The system releases it when the process ends in any way; a
+    file left behind by a crash locks nothing. A file system without locks gives no protection. The same thread may take the lock
+    again.
 
     Parameters
     ----------
@@ -107,7 +120,7 @@ def locked(path: Path) -> Iterator[None]:
     Raises
     ------
     InputError
-        when another run has the folder.
+        Another run has locked the folder.
     """
     key = (os.path.realpath(path), threading.get_ident())
     if key in _locked:
@@ -120,13 +133,13 @@ def locked(path: Path) -> Iterator[None]:
         yield
     finally:
         _locked.discard(key)
-        with contextlib.suppress(OSError):  # Windows removes no open file; it stays there, and locks nothing
+        with contextlib.suppress(OSError):  # Windows cannot remove an open file; it remains, and locks nothing
             place.unlink()
         os.close(handle)
 
 
 def _opened(path: Path, place: Path) -> int:
-    """An open lock file whose lock this process has."""
+    """Open and lock the lock file; return its handle."""
     while True:
         try:
             handle = os.open(place, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
@@ -145,7 +158,7 @@ def _opened(path: Path, place: Path) -> int:
             message = f"another run of optlink{who} is writing into this folder"
             raise InputError(Fault(message, "Wait until it has ended, or choose another folder", key="--out", value=str(path)))
         with contextlib.suppress(OSError):
-            if os.path.samestat(os.fstat(handle), os.stat(place)):  # not one that its owner has just removed
+            if os.path.samestat(os.fstat(handle), os.stat(place)):  # the file has not just been removed by its owner
                 os.ftruncate(handle, 0)
                 os.write(handle, str(os.getpid()).encode())
                 return handle
@@ -153,7 +166,7 @@ def _opened(path: Path, place: Path) -> int:
 
 
 def _taken(handle: int) -> bool:
-    """Try to lock an open file; whether it is this one's now."""
+    """Try to lock an open file; return whether the lock is now held by this process."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -174,7 +187,7 @@ def _taken(handle: int) -> bool:
 
 
 def finite(value: Any) -> Any:
-    """A document with null where there is no finite number, and plain Python numbers."""
+    """Return a document with plain Python numbers, and null for non-finite ones."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -187,7 +200,17 @@ def finite(value: Any) -> Any:
 
 
 def head(schema: str, problem: Any, status: str, seed: int | None = None) -> dict[str, Any]:
-    """What every JSON document about a problem file begins with."""
+    """Return the common first entries of every JSON document about a problem file.
+
+    Parameters
+    ----------
+    schema : str
+        Name of the document's schema.
+    problem : ProblemFile
+    status : str
+    seed : int, optional
+        Seed of the random numbers.
+    """
     return {
         "schema": schema,
         "optlink": VERSION,
@@ -200,7 +223,7 @@ def head(schema: str, problem: Any, status: str, seed: int | None = None) -> dic
 
 
 class Summary:
-    """A result whose `repr` is one line: its problem, status, validity and objective, whatever it holds."""
+    """Base class of results, with a one-line `repr`: problem, status, validity and objective."""
 
     def __repr__(self) -> str:
         status = getattr(self, "status", "")

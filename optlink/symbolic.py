@@ -1,4 +1,4 @@
-"""Formulas written for numpy, traced with casadi symbols and called again on numpy arrays."""
+"""Tracing of numpy formulas with casadi symbols, and evaluation of the traced functions on numpy arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @contextlib.contextmanager
 def tracing() -> Iterator[None]:
-    """Let numpy's functions take casadi symbols meanwhile, as they take arrays; what was set before is restored."""
+    """Let numpy functions accept casadi symbols within the context; the previous mode is restored."""
     before = casadi.GlobalOptions.getNumpyMode()
     casadi.GlobalOptions.setNumpyMode(1)
     try:
@@ -25,12 +25,12 @@ def tracing() -> Iterator[None]:
 
 
 class Buffered:
-    """A casadi function on numpy arrays without copies through casadi's own matrices (ten times less overhead per call).
+    """A casadi function on numpy arrays without copies through casadi matrices (ten times less overhead per call).
 
     Raises
     ------
     RuntimeError
-        when it fails, as an integrator may.
+        The function fails, as an integrator may.
     """
 
     def __init__(self, function: Any) -> None:
@@ -43,7 +43,7 @@ class Buffered:
             self._buffer.set_res(i, memoryview(result))  # type: ignore[arg-type]
 
     def __call__(self, *arguments: Array) -> list[Array]:
-        """Evaluate; matrices come flat, column by column."""
+        """Evaluate the function; matrices are returned flat, column by column."""
         for own, given in zip(self._arguments, arguments, strict=True):
             own[:] = given
         self._evaluate()
@@ -109,10 +109,11 @@ PORTION = 8_000
 
 
 class Tape:
-    """Scalar expressions of casadi symbols, run instruction by instruction on whole numpy arrays.
+    """Evaluator of scalar casadi expressions, instruction by instruction on whole numpy arrays.
 
-    casadi differentiates exactly and finds common subexpressions, numpy works on many points at once: for a few thousand points
-    five times faster than casadi's own machine, which takes them one by one. What is not defined is NaN, silently.
+    casadi differentiates exactly and eliminates common subexpressions; numpy evaluates many points at once. For a few thousand
+    points this is five times faster than casadi's virtual machine, which evaluates one point at a time. Undefined values are NaN,
+    without warning.
     """
 
     def __init__(self, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
@@ -124,7 +125,7 @@ class Tape:
 
     @staticmethod
     def _step(function: Any, k: int) -> tuple[Any, int, int, int, float]:
-        """(ufunc, slot or output written, first operand, second operand or -1, constant); for inputs and outputs no ufunc."""
+        """(ufunc, slot or output written, first operand, second operand or -1, constant); no ufunc for inputs and outputs."""
         code, to, sources = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
         if code == casadi.OP_INPUT:
             return None, to[0], sources[1], _INPUT, 0.0
@@ -137,7 +138,7 @@ class Tape:
         return _UFUNCS[code], to[0], sources[0], sources[1] if len(sources) > 1 else -1, 0.0
 
     def _plan(self, full: tuple[bool, ...]) -> list[tuple[Any, int, int, int, float, bool]]:
-        """The steps, each with whether its result has the whole shape; `full` says so of the inputs."""
+        """The steps, each with whether its result has the full shape; `full` is this property of the inputs."""
         if full not in self._plans:
             whole = [False] * self.slots
             plan = []
@@ -151,7 +152,7 @@ class Tape:
         return self._plans[full]
 
     def __call__(self, *inputs: Any) -> Array:
-        """Evaluate.
+        """Evaluate the expressions.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
-"""Units at the edges: "412 mm", "64 rpm", "45 deg" to SI floats, and back for people.
+"""Conversion of quantities such as "412 mm", "64 rpm" or "45 deg" to SI values, and formatting in display units.
 
-Pint does the algebra on a registry of our own (the units that a machine designer writes), because Pint's default registry costs
-a fifth of a second to read and also knows a `deg` as a temperature step, a `h` as a Planck constant and four kinds of year.
+Pint does the algebra on a dedicated registry of the units of machine design, because its default registry takes
+a fifth of a second to load and defines other meanings of `deg` (temperature step), `h` (Planck constant) and the year.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ DEFINITIONS = (
 
 @dataclass(frozen=True)
 class Kind:
-    """A physical kind: its SI unit, the unit that people see by default, and an example that will do."""
+    """A physical quantity: its SI unit, its default display unit, and a valid example."""
 
     name: str
     si: str
@@ -90,7 +90,7 @@ _UNIT = re.compile(rf"{_FACTOR}(?:(?:\s*[*/·]\s*|\s+){_FACTOR}){{0,4}}")  # "kg
 
 
 class UnitProblem(ValueError):
-    """A quantity that cannot be read: `message` says why, `remedy` what would do."""
+    """A quantity that cannot be parsed: `message` gives the reason, `remedy` the correction."""
 
     def __init__(self, message: str, remedy: str) -> None:
         super().__init__(f"{message}. {remedy}")
@@ -109,12 +109,19 @@ def _registry() -> Any:
 
 @functools.lru_cache(maxsize=512)
 def factor(unit: str, kind: str) -> float:
-    """How many SI units one `unit` is.
+    """Return the SI value of one `unit`.
+
+    Parameters
+    ----------
+    unit : str
+        A unit, for example "mm" or "kg*m^2".
+    kind : str
+        One of `KINDS`.
 
     Raises
     ------
     UnitProblem
-        when the unit is unknown or measures another kind.
+        The unit is unknown or measures another quantity.
     """
     import pint
 
@@ -136,7 +143,7 @@ def factor(unit: str, kind: str) -> float:
 
 
 def parse(text: object, kind: str) -> tuple[float, str]:
-    """Read a quantity such as "412 mm".
+    """Parse a quantity such as "412 mm".
 
     Parameters
     ----------
@@ -153,7 +160,7 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     Raises
     ------
     UnitProblem
-        no text, no number, no unit, unknown unit, unit of another kind, not finite.
+        Not a text, no number, no unit, unknown unit, unit of another quantity, or not finite.
     """
     wanted = KINDS[kind]
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
@@ -185,6 +192,18 @@ def _digits(number: float) -> str:
 
 
 def show(value: float, kind: str, unit: str | None = None, digits: int = 6) -> str:
-    """Give an SI value as people read it: `show(0.412, "length")` is "412 mm"."""
+    """Format an SI value in display units: `show(0.412, "length")` is "412 mm".
+
+    Parameters
+    ----------
+    value : float
+        Value in SI.
+    kind : str
+        One of `KINDS`.
+    unit : str, optional
+        Unit of the output. Default: the display unit of the kind.
+    digits : int
+        Significant digits.
+    """
     unit = unit or KINDS[kind].people
     return f"{value / factor(unit, kind):.{digits}g} {unit}"
