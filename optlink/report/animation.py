@@ -16,7 +16,7 @@ from optlink.report.drawing import Sketch
 from optlink.report.style import CRANK, figure, heading, one_palette, styled
 
 Array = NDArray[np.float64]
-WIDE = 0.42  # height over width below which the curve stands below the mechanism
+WIDE = 0.42  # ratio of height to width below which the curve is drawn below the mechanism
 
 
 @styled

@@ -27,8 +27,8 @@ from optlink.report.shapes import Part, finite, hatching, hull, rectangle, sprea
 from optlink.report.style import BODIES, CRANK, GROUND, QUIET, WANTED, Scale, scale
 
 Array = NDArray[np.float64]
-FAR = 8.0  # times the usual distance from the crank pivot: such positions do not set the scale
-SHARE = 0.035  # of the mechanism's extent: the height of a ground pivot
+FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
+SHARE = 0.035  # height of a ground pivot, as a share of the extent of the mechanism
 
 
 class Sketch:
@@ -62,7 +62,7 @@ class Sketch:
         self.ground = self._ground_lines()
         self.low, self.high = self._extent()
 
-    # --- where things are --------------------------------------------------------------------------------------------
+    # --- positions ---------------------------------------------------------------------------------------------------
 
     def _points(self, motion: Motion, factor: float) -> Array:
         """Return every named point over a motion, shape (points, positions, 2)."""
@@ -98,7 +98,7 @@ class Sketch:
             Coordinates along and across the body from its start point, in the display unit.
         """
         shape = motion.crank_angle.shape
-        with np.errstate(all="ignore"):  # at a dead position of a group its rates are infinite or NaN
+        with np.errstate(all="ignore"):  # at a dead centre of a group its rates are infinite or NaN
             way = motion.pose.direction(body)
         x, y = (np.broadcast_to(parts(part)[0], shape)[:, None] for part in way)
         start = self.position(motion, self.mechanism.bodies[body].start)[:, None, :]
@@ -129,7 +129,7 @@ class Sketch:
         known = slides[np.isfinite(slides) & self.near]
         return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
 
-    # --- the shapes of bodies ------------------------------------------------------------------------------------------
+    # --- shapes of the bodies ------------------------------------------------------------------------------------------
 
     def _is_rod(self, guide: Guide) -> bool:
         """Return whether the slider is a rod along the line in a small guide, which is then drawn as the block."""
@@ -149,7 +149,7 @@ class Sketch:
             rod = self._is_rod(guide)
             point, way = self._line(guide, body)
             low, high = self.travel[guide.name]
-            if rod and body == guide.slider:  # as long as it must be to reach through its block
+            if rod and body == guide.slider:  # long enough to reach through its block
                 own = np.concatenate([own, [point - (high + half[0]) * way, point - (low - half[0]) * way]])
             elif (body == guide.slider) != rod:
                 found.append(Part("block", rectangle(point, way, -half[0], half[0], half[1])))
@@ -170,7 +170,7 @@ class Sketch:
                 found.append(Part("plate", hull(own)))
         return found
 
-    # --- the ground ------------------------------------------------------------------------------------------------------
+    # --- ground ----------------------------------------------------------------------------------------------------------
 
     def _ground_lines(self) -> list[tuple[Array, float, bool]]:
         """Return the ground pivots and rails as (line, width, filled white)."""
@@ -202,7 +202,7 @@ class Sketch:
                 found.append((hatching(begin, way, high - low, side * 0.35 * s, 0.35 * s), 0.8, False))
         return found
 
-    # --- how far everything reaches --------------------------------------------------------------------------------------
+    # --- extent ----------------------------------------------------------------------------------------------------------
 
     def _extent(self) -> tuple[Array, Array]:
         """Return the least and largest coordinates of everything that is drawn."""

@@ -16,9 +16,9 @@ from optlink.report.style import HALO, WANTED
 
 Array = NDArray[np.float64]
 WAYS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)])
-REACHES = np.array([2.0, 5.0, 9.0, 15.0, 24.0, 36.0])  # [pt] from what is labelled to the label
-FAR = 14.0  # [pt] from which on a thin line leads to the label
-STEP = 3.0  # [pixel] at which lines are looked at
+REACHES = np.array([2.0, 5.0, 9.0, 15.0, 24.0, 36.0])  # distances tried between point and label [pt]
+FAR = 14.0  # distance beyond which a leader line is drawn [pt]
+STEP = 3.0  # sampling distance along lines [pixel]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def _place(axes: Axes, labels: list[Label]) -> None:
         half = np.array([0.5 * extent.width, 0.5 * extent.height])
         anchor = axes.transData.transform(label.at)
         reach = (REACHES + label.clear) * point
-        # the box is pushed along each way until its near side is `reach` away
+        # shift the box along each direction until its near side is `reach` away
         centres = anchor + (WAYS * reach[:, None, None] + WAYS * half).reshape(-1, 2)
         boxes = np.concatenate([centres - half, centres + half], axis=1)
         out = np.maximum(inside[:2] - boxes[:, :2], 0.0).sum(axis=1) + np.maximum(boxes[:, 2:] - inside[2:], 0.0).sum(axis=1)
@@ -90,7 +90,7 @@ def _place(axes: Axes, labels: list[Label]) -> None:
         best = int(np.argmin(cost))
         taken.append(boxes[best])
         text.set_position(tuple(axes.transData.inverted().transform(centres[best])))
-        if np.repeat(reach, len(WAYS))[best] > FAR * point:  # too far to tell whose label it is
+        if np.repeat(reach, len(WAYS))[best] > FAR * point:  # too far to be attributed without a leader line
             near = axes.transData.inverted().transform(np.clip(anchor, boxes[best, :2], boxes[best, 2:]))
             leader = Line2D(*np.array([label.at, near]).T, color=label.colour, linewidth=0.6, alpha=0.7, zorder=8, gid="leader")
             leader.set_in_layout(False)
@@ -130,7 +130,7 @@ def _crowd(axes: Axes, inside: Array, point: float) -> tuple[Array, Array]:
 
 def _dense(path: Array, inside: Array) -> Array:
     """Return points every few pixels along a line with gaps."""
-    near = np.clip(path, inside[:2] - 50.0, inside[2:] + 50.0)  # far outside nothing is labelled
+    near = np.clip(path, inside[:2] - 50.0, inside[2:] + 50.0)  # points far outside do not matter
     lengths = np.linalg.norm(np.diff(near, axis=0), axis=1)
     known = np.isfinite(lengths)
     count = np.where(known, np.ceil(np.where(known, lengths, 0.0) / STEP).astype(int), 0)

@@ -22,8 +22,8 @@ from optlink.tasks.analyze import Analysis
 
 Array = NDArray[np.float64]
 FLIP = np.array([1.0, -1.0])
-STEPS = 360  # of a revolution
-PLACES = 6  # significant digits of a place, beside the extent of the whole
+STEPS = 360  # positions per revolution
+PLACES = 6  # significant digits of a coordinate, relative to the extent
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,12 +36,12 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.grid": True,
     "grid.alpha": 0.25,
-    "text.parse_math": False,  # a dollar in a title is a dollar
+    "text.parse_math": False,  # do not interpret dollar signs in titles as mathematics
 }
 
 P = ParamSpec("P")
 T = TypeVar("T")
-LARGEST = 1_500_000  # bytes of a film
+LARGEST = 1_500_000  # largest size of an animation [bytes]
 
 
 @contextlib.contextmanager
@@ -212,7 +212,7 @@ def one_palette(pictures: Sequence[NDArray[np.uint8]], colours: int = 160) -> li
         nearest[there[k : k + 4096]] = np.argmin(np.sum(away * away, axis=-1), axis=-1)
     made = []
     for p in packed:
-        picture = Image.fromarray(nearest[p])  # grey until it gets its palette
+        picture = Image.fromarray(nearest[p])  # greyscale until the palette is set
         picture.putpalette(chosen.ravel().tolist())
         made.append(picture)
     return made

@@ -33,9 +33,9 @@ Vertex = tuple[float, float, float]
 """x and y [mm] of a corner, and the bulge of the edge that begins there: the tangent of a quarter of its arc."""
 
 ASSEMBLY, PARTS, NAMES, TRACES, MARKS = "ASSEMBLY", "PARTS", "NAMES", "TRACES", "MARKS"
-HOLE = 0.03  # of the extent: the usual diameter of a hole, rounded
-WIDTH = 2.5  # diameters of a hole: the usual width of a link
-SAME = 1e-9  # of the extent: distance of corners that are one
+HOLE = 0.03  # default hole diameter, as a share of the extent, before rounding
+WIDTH = 2.5  # default link width in hole diameters
+SAME = 1e-9  # distance of coincident corners, as a share of the extent
 COLOURS = (1, 5, 3, 30, 6, 4, 34, 200, 52, 8)
 """AutoCAD colours of the links, the crank's first."""
 

@@ -26,7 +26,7 @@ from optlink.report.scene import scene
 from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
 
 SCHEMA = "optlink/geometry/1"
-LONGEST = 255  # bytes of a file's name that every system takes
+LONGEST = 255  # largest length of a file name on common systems [bytes]
 FORCES = ("_N", "_Nm", "_J", "_W")
 """Endings of columns that say nothing of a linkage without masses and loads."""
 

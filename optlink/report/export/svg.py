@@ -14,7 +14,7 @@ from optlink.report.shapes import Part
 from optlink.report.style import GROUND, QUIET
 
 Array = NDArray[np.float64]
-POINT = 1.0 / 8.0  # of the size of a ground pivot: one typographic point, as in the other pictures
+POINT = 1.0 / 8.0  # size of a typographic point, as a share of the size of a ground pivot, as in the other figures
 LAYERS = ("slot", "plate", "bar", "block", "crank")
 """What lies on what."""
 

@@ -17,7 +17,7 @@ from optlink.report.style import LIMIT, WANTED
 
 Array = NDArray[np.float64]
 Trace = dict[str, Any]
-DIGITS = 7  # of a number in a chart: a thousand times finer than anybody sees
+DIGITS = 7  # significant digits of a number in a chart, far below the visible resolution
 FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
 CRANK_ANGLE = "crank angle φ [deg]"
 
@@ -173,7 +173,7 @@ def filled(colour: str) -> Trace:
     return {"marker": {"color": colour}}
 
 
-# --- what is picked ----------------------------------------------------------------------------------------------------------
+# --- selection ---------------------------------------------------------------------------------------------------------------
 
 
 def mark(picks: Picks) -> Trace:

@@ -30,7 +30,7 @@ from optlink.tasks.function import Result
 from optlink.tasks.path_result import Generation
 
 Array = NDArray[np.float64]
-BARS = 16  # of what matters
+BARS = 16  # largest number of bars of the tornado chart
 PARTS = {"inertia": BODIES[0], "gravity": BODIES[1], "load": BODIES[2]}
 
 
@@ -55,7 +55,7 @@ def charts(subject: Subject) -> list[Chart]:
     return found
 
 
-# --- a motion law ------------------------------------------------------------------------------------------------------------
+# --- function synthesis of a four-bar ----------------------------------------------------------------------------------------
 
 
 def _law(result: Result) -> list[Chart]:
@@ -104,7 +104,7 @@ def _over_cycle(panels: Sequence[Panel], course: Course) -> dict[str, Any]:
     return stacked(panels, reversed_x=course.way < 0.0)
 
 
-# --- points, poses, functions ------------------------------------------------------------------------------------------------
+# --- path, motion and function synthesis -------------------------------------------------------------------------------------
 
 
 def _pointed(result: Generation) -> bool:
@@ -195,7 +195,7 @@ def _motion(course: Course, given: Course | None) -> list[Chart]:
             for word, column, shown in zip(words, out.columns, out.scales(course), strict=True)
         ]
         for trace in (trace for panel in panels for trace in panel.traces):
-            trace["showlegend"] = False  # the axes say it; grey is told once
+            trace["showlegend"] = False  # the axes are labelled; the grey curve has one entry
         if given is not None:
             panels[0].traces[0].update(name="given machine", showlegend=True)
         found.append(Chart(f"Motion of {out.name}", _over_cycle(panels, course)))
@@ -258,7 +258,7 @@ def _shaking(course: Course, given: Course | None) -> list[Chart]:
     return [Chart("Shaking of the frame", _over_cycle(panels, course))]
 
 
-# --- what matters ------------------------------------------------------------------------------------------------------------
+# --- sensitivities -----------------------------------------------------------------------------------------------------------
 
 
 def tornado(found: Sensitivities) -> Chart:
@@ -282,7 +282,7 @@ def tornado(found: Sensitivities) -> Chart:
     )
 
 
-# --- figures beside the moving drawing ---------------------------------------------------------------------------------------
+# --- quantities beside the moving linkage ------------------------------------------------------------------------------------
 
 
 def readouts(cycle: Analysis, angles: Array, *, forces: bool) -> list[Readout]:

@@ -15,7 +15,7 @@ from optlink.report.export.svg import svg, zigzag
 from optlink.report.scene import Scene
 
 Array = NDArray[np.float64]
-FLAT = 0.45  # height over width below which the figures stand below the drawing
+FLAT = 0.45  # ratio of height to width below which the quantities are shown below the drawing
 TICKS = (("traces", "paths of the points"), ("names", "names of the points"))
 
 

@@ -79,11 +79,11 @@ def moved(subject: Subject, steps: int) -> Moving | None:
     return Moving(drawn, crank_stops(drawn), readouts(subject.cycle, drawn.angles, forces=subject.forces))
 
 
-# --- what stands where -------------------------------------------------------------------------------------------------------
+# --- layout ------------------------------------------------------------------------------------------------------------------
 
 
 def _sections(subject: Subject, moving: Moving | None, answers: Sensitivities | None) -> Iterator[Section]:
-    if answers is not None and subject.answers is not None:  # what was asked comes first
+    if answers is not None and subject.answers is not None:  # the requested study comes first
         yield _matters(answers)
     if moving is not None:
         yield Section("Linkage in motion", (moving.html(subject.problem.model.title),))

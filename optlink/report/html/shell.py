@@ -23,10 +23,10 @@ from optlink.report.html.chart_plotly import Chart, Picks
 from optlink.report.html.moving_linkage import Moving
 from optlink.version import VERSION
 
-LARGEST = 6_000_000  # bytes of a page
-STEPS = (360, 180, 90)  # positions of a revolution: as many as the page has room for
-SHORT = 20  # rows of a table that is never broken between sheets
-WIDE, HUGE = 72, 105  # letters of a table that needs the width of the page, and of one for which a sheet of paper is narrow
+LARGEST = 6_000_000  # largest size of a page [bytes]
+STEPS = (360, 180, 90)  # numbers of positions per revolution, tried in this order
+SHORT = 20  # rows up to which a table is not broken in print
+WIDE, HUGE = 72, 105  # widths [characters] beyond which a table spans the page, and is too wide for paper
 ASSETS = files("optlink.report").joinpath("assets")
 
 
@@ -169,7 +169,7 @@ def _charted(chart: Chart) -> dict[str, Any]:
     return found
 
 
-# --- what a script reads -----------------------------------------------------------------------------------------------------
+# --- data for the page script ------------------------------------------------------------------------------------------------
 
 
 def _json(document: object) -> str:

@@ -13,8 +13,8 @@ from rich.text import Text
 
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET
 
-WIDE = 10_000  # columns of a terminal that breaks no table
-WHOLE = 36  # letters of a text that is not broken over lines
+WIDE = 10_000  # width of a terminal that breaks no table [characters]
+WHOLE = 36  # length up to which a text is not broken [characters]
 CLASSES = {GOOD: "good", BAD: "bad", QUIET: "quiet", HEAD: "strong"}
 
 
@@ -27,7 +27,7 @@ def flat(told: RenderableType) -> Iterator[Table | Text]:
         yield told
     elif isinstance(told, str):
         yield Text(told)
-    else:  # what arranges itself by the width of a terminal
+    else:  # a renderable that adapts to the width of the terminal
         console = Console(width=WIDE)
         made: Iterable[object] = told.__rich_console__(console, console.options)  # type: ignore[union-attr]
         for piece in made:

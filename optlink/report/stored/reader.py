@@ -15,7 +15,7 @@ from optlink.errors import Fault, InputError
 
 Array = NDArray[np.float64]
 AGAIN = "Write it again with --out"
-LARGEST = 1e60  # beyond which nothing of a linkage lies, and before products of several are no numbers any more
+LARGEST = 1e60  # bound on valid values; products of several of them do not overflow
 
 
 class Record:

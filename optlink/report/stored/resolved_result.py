@@ -16,7 +16,7 @@ from optlink.solvers.solution import Solution
 from optlink.tasks.path_result import Design
 
 Array = NDArray[np.float64]
-SAME = 1e-5  # scaled units: a search that moves a recorded optimum further than this has found another one
+SAME = 1e-5  # tolerance in scaled units; a larger step leads to a different optimum
 
 
 def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | None:
@@ -33,7 +33,7 @@ def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | No
 
     if not file.spec.everywhere:
         return _at(build(file.spec), dict(design))
-    # the positions of its largest errors belong to the programme: it is searched from the optimum, and must stay there
+    # the positions of the largest errors are variables, so solve from the optimum, which must not move
     found = solve(file, multistart.BACKENDS[-1], begin={name: design[name] for name in file.spec.free}).solution
     return None if found is None else _same(found, found.nlp.x_of(dict(design)))
 
@@ -93,6 +93,6 @@ def _same(found: Solution, x: Array) -> Solution | None:
     away = found.x - x
     angular = np.array([variable.scale.unit == "deg" for variable in found.nlp.variables])
     turns = TURN / np.array([variable.size for variable in found.nlp.variables])
-    away -= np.where(angular, turns * np.round(away / turns), 0.0)  # an angle is the same after a turn
+    away -= np.where(angular, turns * np.round(away / turns), 0.0)  # angles are equal modulo a turn
     near = float(np.max(np.abs(away), initial=0.0)) <= SAME
     return found if found.status is Status.OPTIMAL and near else None

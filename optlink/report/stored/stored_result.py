@@ -211,7 +211,7 @@ def _generated(item: Mapping[str, Any], file: ProblemFile) -> Design:
     values = {}
     for key, value in item["design"].items():
         name, _, unit = key.rpartition("_")
-        known = name if name in quantities else key  # a pure number has no unit
+        known = name if name in quantities else key  # dimensionless quantities have no unit suffix
         values[known] = float(value) * (factor(unit, quantities[known].kind) if known == name and unit else 1.0)
     angles = np.radians(np.asarray(item["points"]["crank_deg"], dtype=float))
     proof = validate_generation(task, values, angles)  # type: ignore[arg-type]

@@ -20,10 +20,10 @@ from optlink.tasks.analyze import Analysis, Extreme
 
 Array = NDArray[np.float64]
 POINTS = 720
-TABLE = 2000  # rows of the analysis that are drawn as they are, beside the points of the curves
-NOTHING = 1e-9  # share of the largest value below which a value is rounding
+TABLE = 2000  # largest number of analysis rows that are added to the points of the curves
+NOTHING = 1e-9  # share of the largest value below which a value is rounding error
 FONT = 8.5
-MANY = 12  # dead centres: a body that stands still has as many as rounding makes
+MANY = 12  # largest number of dead centres to draw; a body at rest has spurious ones due to rounding
 
 
 class Course:

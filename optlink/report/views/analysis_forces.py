@@ -130,7 +130,7 @@ def reactions(course: Course) -> Figure | None:
         amount = f"{unit.text(extreme.largest)} at {degrees(extreme.largest_at)}" if extreme else ""
         amount = "without bound" if name in course.result.unbounded else amount
         told = f"{label}:  {amount}" if len(label) < 25 else f"{textwrap.fill(label, 40)}:\n{amount}"
-        width = 2.5 - 1.3 * k / max(1, len(shown) - 1)  # what lies on another stays in sight
+        width = 2.5 - 1.3 * k / max(1, len(shown) - 1)  # overlapping curves stay visible
         lines.append(analysis_curves.draw(bottom, course, name, unit, colour, told, width, dashes))
     held = analysis_curves.fit(bottom, course, *lines, room=0.06)
     bottom.set_ylim(bottom=min(0.0, bottom.get_ylim()[0]) if bottom.get_ylim()[0] < 0.0 else 0.0)
@@ -203,7 +203,7 @@ def _window(axes: Axes, course: Course, xs: Array, ys: Array) -> None:
     size = max(high - low for low, high in ends) or 1.0
     halves = [max(0.62 * (high - low), 0.25 * size) for low, high in ends]
     middles = [0.5 * (low + high) for low, high in ends]
-    axes.set_xlim(middles[0] - halves[0], middles[0] + halves[0], auto=True)  # may be widened, to fill its place
+    axes.set_xlim(middles[0] - halves[0], middles[0] + halves[0], auto=True)  # may be widened to fill the panel
     axes.set_ylim(middles[1] - halves[1], middles[1] + halves[1], auto=True)
     axes.set_aspect("equal", adjustable="datalim")
 

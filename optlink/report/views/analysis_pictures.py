@@ -27,7 +27,7 @@ from optlink.report.views.analysis_curves import Course
 from optlink.tasks.analyze import Analysis, Extreme
 
 FRAMES = 80
-SHOWN = 4  # sliders, at most, whose motion is drawn
+SHOWN = 4  # largest number of sliders whose motion is drawn
 
 
 def write_all(result: Analysis, folder: Path) -> list[Path]:
@@ -112,7 +112,7 @@ def outputs(course: Course) -> list[Output]:
     return [slider for slider in found if course.has(slider.columns[1])][-SHOWN:] or [output(course)]
 
 
-# --- the mechanism ---------------------------------------------------------------------------------------------------------
+# --- mechanism -------------------------------------------------------------------------------------------------------------
 
 
 def positions(course: Course) -> dict[str, float]:
@@ -157,7 +157,7 @@ def mechanism(course: Course) -> Figure:
     here = {name: sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed) for name, at in named.items()}
     moving = [point for point, bodies in machine.mechanism.owners.items() if FRAME not in bodies]
     speeds = {name: max(float(np.linalg.norm(there.velocity(point)[0])) for point in moving) for name, there in here.items()}
-    # velocities where the torque is largest; if some grow without bound, where they are smallest
+    # show velocities at the largest torque or, if some are unbounded, where they are smallest
     slow = {name: speed for name, speed in speeds.items() if math.isfinite(speed)}
     chosen = next((name for name in named if "largest torque" in name), next(iter(named)))
     if slow and not course.steady:
@@ -183,7 +183,7 @@ def mechanism(course: Course) -> Figure:
         axes = panels[len(named)]
         sketch.stage(axes, traces=False)
         sketch.pose(axes, here[chosen])
-        axes.set_xlabel(axes.get_xlabel(), loc="left")  # the scale of the arrows stands to the right
+        axes.set_xlabel(axes.get_xlabel(), loc="left")  # the scale of the arrows is drawn on the right
         labels += sketch.letters(axes, here[chosen])
         for point, (begin, end) in drawn_arrows.items():
             arrow(axes, begin, end, gid=f"velocity {point}")
@@ -235,7 +235,7 @@ def _round(value: float) -> float:
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-12))
 
 
-# --- what it does ------------------------------------------------------------------------------------------------------------
+# --- motion ------------------------------------------------------------------------------------------------------------------
 
 
 @styled
@@ -274,7 +274,7 @@ def _limits(course: Course, out: Output) -> Extreme | None:
         return None
     turn = TURN * round(
         (course.at(course.inside(travel.low_at), out.columns[0]) - travel.low) / TURN
-    )  # the curve may be a turn away
+    )  # the curve may be shifted by a turn
     return Extreme(travel.low + turn, travel.low_at, travel.high + turn, travel.high_at)
 
 
@@ -295,7 +295,7 @@ def _travelled(course: Course, out: Output, width: float) -> str:
     return heading(", ".join(parts), width, 9.5) + (f"\n{centres}" if centres else "")
 
 
-# --- film --------------------------------------------------------------------------------------------------------------------
+# --- animation ---------------------------------------------------------------------------------------------------------------
 
 
 @styled

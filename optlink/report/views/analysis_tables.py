@@ -263,12 +263,12 @@ def _extremes(outcome: Analysis) -> Table:
 def _work(outcome: Analysis) -> Table:
     table = grid("Work of the drive", [("", "left"), ("", "right"), ("", "left")])
     scale = max((abs(v) for v in outcome.extremes.get("input.work_J", (0.0,))), default=0.0)
-    work = 0.0 if abs(outcome.work) <= 1e-12 * scale else outcome.work  # rounding of what cancels
+    work = 0.0 if abs(outcome.work) <= 1e-12 * scale else outcome.work  # rounding error of cancelling terms
     table.add_row(outcome.extent, number(work, 9), "J")
     if "input.work_J" in outcome.extremes:
         extreme = outcome.extremes["input.work_J"]
         for word, amount, at in (("least", *extreme[:2]), ("largest", *extreme[2:])):
-            last = abs(amount - outcome.work) <= ROUNDING * scale < abs(amount)  # not at the start, whose crank angle it shares
+            last = abs(amount - outcome.work) <= ROUNDING * scale < abs(amount)  # the end shares its crank angle with the start
             where = "the end" if last else f"{math.degrees(at):.4f} deg"
             table.add_row(f"{word} since the start", number(amount, 9), f"J at {where}")
     wheel = outcome.flywheel

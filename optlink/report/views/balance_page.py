@@ -28,8 +28,8 @@ from optlink.tasks.balance_result import SCHEMA, Added, Balance, Fitted, Held, R
 __all__ = ["SCHEMA", "studied"]
 
 Array = NDArray[np.float64]
-PANELS = 4  # above one another in a chart
-TRUE = 1e-6  # share of a measure's value before, within which what is recorded is what its counterweights do
+PANELS = 4  # largest number of stacked panels in a chart
+TRUE = 1e-6  # relative tolerance of stored measures, as a share of the value before balancing
 COLOURS = {"shaking_force": FOUND, "shaking_moment": BODIES[3], "driving_torque": CRANK}
 VERDICTS = {
     "optimal": "Optimal: no counterweights within the limits do better",

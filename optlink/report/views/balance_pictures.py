@@ -184,7 +184,7 @@ def hodograph(result: Balance) -> Figure | None:
         axes.plot(*closed.T, color=colour, linewidth=width, zorder=3, label=f"{name}: at most {told}", gid=f"hodograph {name}")
         if most * unit.factor < 0.02 * float(np.max(np.abs(paths["before"]))) * unit.factor:
             axes.plot(*np.mean(path, axis=0), "o", color=colour, markersize=6, zorder=4)
-            continue  # a point: no angles along it
+            continue  # degenerates to a point: no crank angles to mark
         middle = np.mean(path, axis=0)
         for turned in range(0, 360, 60):
             k = int(np.argmin(np.abs(np.mod(result.columns["crank_angle_deg"] - turned + 180.0, 360.0) - 180.0)))
@@ -206,7 +206,7 @@ def hodograph(result: Balance) -> Figure | None:
     return made
 
 
-# --- the machine --------------------------------------------------------------------------------------------------------------
+# --- machine ------------------------------------------------------------------------------------------------------------------
 
 
 @styled
@@ -243,7 +243,7 @@ def mechanism(result: Balance) -> Figure | None:
     handles, words = sketch.legend()
     made.legend(handles, words, loc="outside lower center", ncols=min(len(handles), 9), frameon=False, fontsize=8.5)
     made.suptitle(_title(result, "counterweights to scale", 2.0 * panel), fontsize=11)
-    made.draw_without_rendering()  # from now on sizes on the page are known
+    made.draw_without_rendering()  # fixes the layout, so that sizes in the figure are known
     for axes, at in zip(panels, places, strict=True):
         here = sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed)
         labels += [_told(axes, sketch, one, sketch.placed(here, one.body, _centre(one, sketch))[0, 0]) for one in result.added]
@@ -280,7 +280,7 @@ def _told(axes: Axes, sketch: Sketch, one: Added, centre: Array) -> Label:
     return Label(axes, (float(centre[0]), float(centre[1])), text, sketch.colours[one.body], 8.5, clear)
 
 
-# --- the trade-off ---------------------------------------------------------------------------------------------------------
+# --- trade-off -------------------------------------------------------------------------------------------------------------
 
 
 @styled

@@ -13,7 +13,7 @@ from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, grid, n
 from optlink.tasks.balance_result import Balance, Trade
 
 COLUMN = tuple[str, str]
-SHOWN = 15  # points of a trade-off that are listed
+SHOWN = 15  # largest number of listed points of a trade-off
 
 WORDS = {
     "optimal": "optimal, proven: no counterweights within the limits do better",

@@ -211,7 +211,7 @@ def _orbit(turns: Turns, gap: Gap) -> Chart:
     curves = [line(round_ * np.cos(CIRCLE), round_ * np.sin(CIRCLE), "clearance", GROUND, width=1.2)]
     for mask, words, colour in ((~touching, "apart", FOUND), (touching, "in contact", LIMIT)):
         if mask.any():
-            own = mask | np.roll(mask, 1)  # as far as the next row, so that the path has no holes
+            own = mask | np.roll(mask, 1)  # extend to the next row, so that the path has no gaps
             curves.append(line(np.where(own, x, np.nan), np.where(own, y, np.nan), words, colour, width=1.3))
     layout = sheet(460) | {"hovermode": "closest"}
     layout["xaxis"] = axis(f"x [{unit.unit}]") | {"constrain": "domain"}
@@ -339,7 +339,7 @@ def _moving(found: LooseSimulation) -> Callable[[int], Moving | None]:
     return made
 
 
-# --- all kinds of control ----------------------------------------------------------------------------------------------------
+# --- control comparison ------------------------------------------------------------------------------------------------------
 
 
 def compared(record: Record, file: ProblemFile) -> Studied:

@@ -51,8 +51,8 @@ from optlink.tasks.clearance import LooseSimulation
 from optlink.tasks.control_comparison import Comparison
 
 Array = NDArray[np.float64]
-MARKED = 60  # revolutions up to which each has a mark
-ZOOM = 4.0  # times the ideal torque from which on a second view shows what is near it
+MARKED = 60  # number of revolutions up to which each has a marker
+ZOOM = 4.0  # ratio to the ideal torque beyond which a second panel enlarges the latter
 
 
 def write_all(result: LooseSimulation, folder: Path) -> list[Path]:
@@ -99,7 +99,7 @@ def write_comparison(found: Comparison, folder: Path) -> list[Path]:
     return written
 
 
-# --- what the output does ------------------------------------------------------------------------------------------------
+# --- output --------------------------------------------------------------------------------------------------------------
 
 
 @styled
@@ -110,7 +110,7 @@ def displacement(result: LooseSimulation) -> Figure | None:
         return None
     made = figure(11.0, 6.0)
     value, error, rows, advance = turns.output, turns.error, turns.rows(WINDOW), turns.advance
-    # over the crank angle an output that turns fully is shown within one turn
+    # over the crank angle, a fully rotating output is shown within one turn
     same: Literal["none", "row"] = "none" if advance else "row"
     grid = made.subplots(2, 2, sharex="col", sharey=same, height_ratios=(1.35, 1.0), width_ratios=(1.15, 1.0))
     unit = turns.shares(float(np.max(np.abs(value))))
@@ -181,7 +181,7 @@ def error(result: LooseSimulation) -> Figure | None:
     return made
 
 
-# --- the drive -----------------------------------------------------------------------------------------------------------
+# --- drive ---------------------------------------------------------------------------------------------------------------
 
 
 def _ideal_torque(turns: Turns) -> tuple[Array, Array] | None:
@@ -234,7 +234,7 @@ def torque(result: LooseSimulation) -> Figure | None:
         if close:
             axes.set_ylim(-1.6 * near * unit.factor, 1.6 * near * unit.factor)
             axes.set_title("near the ideal machine's torque, cut off", fontsize=9.5)
-        if float(np.ptp(last)) < 1e-6 * largest:  # constant: from zero on, not its rounding
+        if float(np.ptp(last)) < 1e-6 * largest:  # constant torque: start at zero instead of showing rounding errors
             axes.set_ylim(*sorted((0.0, 1.15 * float(last[0]) * unit.factor)))
         zero(axes)
         crank_axis(axes, turns, named=axes is panels[-1])

@@ -52,7 +52,8 @@ def objective_map(result: Result) -> Figure | None:
     scale_x, scale_y = (1e3 if name in LENGTHS else math.degrees(1.0) for name in problem.free)
     shown = np.where(np.isfinite(objective) & (objective > 0.0), objective, np.nan)
     furthest = math.pi if result.unit == "rad" else len(problem.law.offsets) * math.pi**2
-    shown = np.minimum(shown, furthest)  # no angle is further off: beside dead centres tolerances alone would move it further
+    # limit to the largest possible angular error; near dead centres, first-order effects of tolerances would exceed it
+    shown = np.minimum(shown, furthest)
     if not np.any(np.isfinite(shown)):
         return None
     low, high = max(float(np.nanmin(shown)), 1e-12), float(np.nanmax(shown))

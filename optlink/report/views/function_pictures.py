@@ -107,11 +107,11 @@ def _range(result: Result) -> Array:
 def _transmission(motion: Motion) -> Array:
     b, c, d = (motion.position(name) for name in "BCD")
     cosine = np.sum((b - c) * (d - c), axis=-1) / (np.linalg.norm(b - c, axis=-1) * np.linalg.norm(d - c, axis=-1))
-    gamma: Array = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))  # for a drawing: beyond +-1 is rounding
+    gamma: Array = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))  # clipped, since values beyond +-1 are rounding errors
     return gamma
 
 
-# --- the mechanism ---------------------------------------------------------------------------------------------------
+# --- mechanism -------------------------------------------------------------------------------------------------------
 
 
 def positions(result: Result) -> dict[str, float]:
@@ -164,7 +164,7 @@ def mechanism(result: Result) -> Figure | None:
     return figure
 
 
-# --- what it does ----------------------------------------------------------------------------------------------------
+# --- output ----------------------------------------------------------------------------------------------------------
 
 
 @styled
@@ -285,7 +285,7 @@ def transmission_limits(result: Result) -> list[tuple[float, bool]]:
     return [(math.degrees(bound), k == 0) for k, bound in enumerate(both) if bound is not None]
 
 
-# --- film ------------------------------------------------------------------------------------------------------------
+# --- animation -------------------------------------------------------------------------------------------------------
 
 
 @styled

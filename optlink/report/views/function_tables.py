@@ -86,7 +86,7 @@ def fixed(value: float, digits: int = 3) -> str:
     digits : int, optional
         Number of decimals.
     """
-    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "-"  # + 0.0: no minus before a zero
+    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "-"  # + 0.0: no negative zero
 
 
 def result(outcome: Result) -> RenderableType:
@@ -210,7 +210,7 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Rendera
     for limit in held:
         bound = f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip()
         gain = abs(limit.multiplier)
-        share = f" ({gain / objective:.2%})" if 5e-5 * objective <= gain < 100.0 * objective else ""  # else it says nothing
+        share = f" ({gain / objective:.2%})" if 5e-5 * objective <= gain < 100.0 * objective else ""  # otherwise not informative
         buys = f"{gain:.4g} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "nothing"
         table.add_row(limit.name, bound, buys)
     return table

@@ -37,9 +37,9 @@ from optlink.report.views.revolutions import (
 from optlink.tasks.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
-DEEP = 0.22  # share of the clearance that the deepest penetration is drawn with, at most, where it is exaggerated
-MOST = 50.0  # times, at most, that it is drawn larger
-SOME = 6  # revolutions up to which their parts are told
+DEEP = 0.22  # largest magnified penetration, as a share of the clearance
+MOST = 50.0  # largest magnification
+SOME = 6  # number of revolutions up to which the axis has fractional ticks
 
 
 def _panels(made: Figure, count: int, rows: int = 1) -> list[list[Axes]]:
@@ -53,7 +53,7 @@ def _panels(made: Figure, count: int, rows: int = 1) -> list[list[Axes]]:
     return [[grid[rows * (k // columns) + i, k % columns] for i in range(rows)] for k in range(count)]
 
 
-# --- where the journals go -----------------------------------------------------------------------------------------------
+# --- orbits --------------------------------------------------------------------------------------------------------------
 
 
 def exaggeration(gap: Gap, deepest: float) -> float:
@@ -83,7 +83,8 @@ def _path(turns: Turns, k: int, rows: slice, factor: float) -> tuple[Array, Arra
     events = [(at, 1.0 - end) for one in _own(turns, k, -math.inf) for end, at in enumerate((one.begin, one.end))]
     events = [(at, mode) for at, mode in events if time[0] < at < time[-1]]
     apart = [at for at, mode in events if not mode] + list(time[touching < 0.5][-1:])
-    if touching[-1] > 0.5 and apart and not any(at > max(apart) for at, _ in events):  # a contact that lasts is not told yet
+    # a contact at the end of the run has no impact record yet
+    if touching[-1] > 0.5 and apart and not any(at > max(apart) for at, _ in events):
         i = int(np.searchsorted(time, max(apart), side="right"))
         left = gap.clearance - np.hypot(x, y)[i - 1 : i + 1]
         share = left[0] / (left[0] - left[1]) if touching[i - 1] < 0.5 else 0.0
@@ -98,7 +99,7 @@ def _path(turns: Turns, k: int, rows: slice, factor: float) -> tuple[Array, Arra
     is_event = np.concatenate([np.zeros(len(time)), np.ones(len(at))])[order] > 0.5
     away = np.hypot(x, y)
     more = np.where(away > gap.clearance, (gap.clearance + factor * (away - gap.clearance)) / np.maximum(away, 1e-300), 1.0)
-    # what holds after a point holds until the next; a contact without a known begin counts from its first row on
+    # the state after a point holds until the next; a contact of unknown start counts from its first row
     return x * more, y * more, closed[:-1] & (closed[1:] | is_event[1:]), np.flatnonzero(is_event & closed)
 
 

@@ -28,15 +28,15 @@ from optlink.tasks.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
 FRAMES = 80
-TRACE = 361  # positions of the ideal machine that traces are drawn of
-OFFSET = 0.55  # times the height of a ground pivot: how far a journal lies off its bearing's middle, at most
-TURNED = 0.1  # [rad] by which a body is turned further than it is, at most: up to there joints without play stay closed
-JOURNAL = 0.25  # radius of a drawn journal, times the height of a ground pivot
-SHARE = 0.25  # of the bearing's radius: the gap under the loupe
-CELL, LINES = 3.5, 1.1  # width of a joint under the loupe, in radii of its bearing; room for what is written below it
-WRITTEN = 14  # letters of a line below a joint of a film
-LONGEST = 0.62  # of a force's arrow, in radii of the bearing
-FELT = 0.02  # share of the largest force from which on a force is drawn
+TRACE = 361  # number of positions of the ideal machine in the traces
+OFFSET = 0.55  # largest magnified eccentricity of a journal, in heights of a ground pivot
+TURNED = 0.1  # largest magnified rotation error of a body [rad]; beyond it, joints without clearance would appear open
+JOURNAL = 0.25  # radius of a drawn journal, in heights of a ground pivot
+SHARE = 0.25  # clearance in the close-up, as a share of the bearing radius
+CELL, LINES = 3.5, 1.1  # width of a close-up and height of its caption, in bearing radii
+WRITTEN = 14  # line length of the captions in an animation [characters]
+LONGEST = 0.62  # length of the longest force arrow, in bearing radii
+FELT = 0.02  # share of the largest force above which a force is drawn
 
 
 class Loosened(Sketch):
@@ -86,7 +86,7 @@ class Loosened(Sketch):
         """Return the vectors from the bearing centre to the journal centre at the rows [m], shape (positions, 2)."""
         return np.stack([self.columns(f"{gap.point}.e{axis}_m") for axis in "xy"], axis=-1)
 
-    # --- where things are ------------------------------------------------------------------------------------------------
+    # --- positions -------------------------------------------------------------------------------------------------------
 
     def at(self, point: str, body: str) -> Array:
         """Return the drawn positions of a point of a body at the rows, shape (positions, 2).
@@ -210,7 +210,7 @@ class Loosened(Sketch):
         )
         return [replace(label, clear=ring) if label.text in self.gaps else label for label in super().letters(axes, motion, k)]
 
-    # --- the loupe ---------------------------------------------------------------------------------------------------------
+    # --- close-ups ---------------------------------------------------------------------------------------------------------
 
     def lay(self, axes: Axes, columns: int, told: int | None = None) -> None:
         """Draw the fixed parts of the close-ups: the bearings and the paths of the journal centres.
@@ -302,7 +302,7 @@ def mechanism(result: LooseSimulation) -> Figure | None:
     last = np.arange(max(0, len(turns.time) - turns.points), len(turns.time))
     row = int(last[np.argmax(np.max([result[f"{gap.point}.normal_N"][last] for gap in result.gaps], axis=0))])
     sketch, count = Loosened(turns, np.array([row])), len(result.gaps)
-    if sketch.ratio < (0.75 if count > 1 else WIDE):  # the loupe below the mechanism
+    if sketch.ratio < (0.75 if count > 1 else WIDE):  # close-ups below the mechanism
         width, columns = 8.4, min(count, 4)
         low = 2.35 if count > 1 else 2.7
         tall = 7.6 * sketch.ratio + 0.6

@@ -11,8 +11,8 @@ from optlink.report.views.balance_tables import percent
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, grid, number, points
 from optlink.studies.pareto import Pareto
 
-MANY = 3.0  # times from which on a rise is no longer told in per cent
-SHOWN = 24  # points that are listed; ends and knee always
+MANY = 3.0  # ratio above which a change is not given in per cent
+SHOWN = 24  # largest number of listed points, besides the end points and the knee
 
 
 def front(result: Pareto) -> RenderableType:

@@ -14,8 +14,8 @@ from optlink.report.views.path_view import Track
 from optlink.report.views.revolutions import beside
 from optlink.tasks.path_result import Generation
 
-PANELS = 9  # designs beside one another
-APART = 4.0  # times as large as the smallest: designs that are drawn on one scale
+PANELS = 9  # largest number of designs
+APART = 4.0  # designs up to this multiple of the smallest size share one scale
 
 
 @styled

@@ -15,11 +15,11 @@ from optlink.report.views.path_view import Track
 from optlink.tasks.path_result import Design
 from optlink.tasks.result import Single
 
-SIZES = 14  # sizes that fit below a title
-DIGITS = 5  # of a size
-TITLE = 10.0  # size of its letters [pt]
-SMALL = 9.5  # size of the letters of a panel's title [pt]
-LINE = 0.17  # height of a line of the title [inch]
+SIZES = 14  # largest number of dimensions below a title
+DIGITS = 5  # significant digits of a dimension
+TITLE = 10.0  # font size of a figure title [pt]
+SMALL = 9.5  # font size of a panel title [pt]
+LINE = 0.17  # line height of a figure title [inch]
 
 
 def fitting(value: float, unit: Scale) -> Scale:

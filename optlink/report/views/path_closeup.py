@@ -16,11 +16,11 @@ from optlink.report.style import BODIES, LIMIT, WANTED, scale
 from optlink.report.views.path_view import Track
 
 Array = NDArray[np.float64]
-NUMBERED = 20  # points up to which each has its number
-SAME = 5e-3  # of the extent of the points: apart so little that they share a label
-FRAMED = 40  # poses that are drawn as frames
-AWAY = 0.25  # of the extent of the points: how far off them the curve is still held
-FRAME = 0.13  # of the extent of the points: the frame of a pose
+NUMBERED = 20  # number of points up to which each is numbered
+SAME = 5e-3  # distance below which points share a label, as a share of the extent of the points
+FRAMED = 40  # largest number of poses drawn as frames
+AWAY = 0.25  # distance up to which the curve is included, as a share of the extent of the points
+FRAME = 0.13  # size of a pose frame, as a share of the extent of the points
 ALLOWED = BODIES[2]
 
 
@@ -221,11 +221,11 @@ class Close:
             following[0], following[-1] = places[1] - places[0], places[-1] - places[-2]
         names: dict[int, list[int]] = {}
         same = SAME * float(np.max(np.ptp(places, axis=0)))
-        for k in chosen:  # points in one place share a label
+        for k in chosen:  # coincident points share a label
             first = next((i for i in names if np.linalg.norm(places[i] - places[k]) <= same), k)
             names.setdefault(first, []).append(k + 1)
         found = []
-        for k, numbers in names.items():  # off the curve, outwards
+        for k, numbers in names.items():  # prefer the outer side of the curve
             away = np.array([-following[k, 1], following[k, 0]])
             away = away / max(float(np.linalg.norm(away)), 1e-300)
             away = -away if float(away @ (places[k] - middle)) < 0.0 else away

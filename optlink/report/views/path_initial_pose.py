@@ -16,8 +16,8 @@ from optlink.report.style import CRANK
 from optlink.report.views.path_closeup import NUMBERED, points_on, some
 from optlink.report.views.path_view import Track
 
-HIGH, BESIDE = 4.3, 0.75  # of a panel [inch]: most; what numbers and names of the axes take
-GHOSTS = 8  # poses in which the body is drawn
+HIGH, BESIDE = 4.3, 0.75  # largest height of a panel and width of its axis labels [inch]
+GHOSTS = 8  # largest number of poses in which the body is drawn
 
 
 def _turning(axes: Axes, track: Track) -> None:

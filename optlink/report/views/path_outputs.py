@@ -23,7 +23,7 @@ from optlink.tasks.path_result import Generation
 from optlink.validation.path import deviations, transmission_angles
 
 Array = NDArray[np.float64]
-FINEST = 360  # positions of the curve of a function
+FINEST = 360  # number of positions of the output curve
 
 
 class Output(NamedTuple):

@@ -18,9 +18,9 @@ from optlink.report.views.path_view import Track, best
 from optlink.tasks.path_result import LEVEL, Generation
 
 Array = NDArray[np.float64]
-BARS = 40  # points up to which each has a bar
-CUT = 4.0  # times as far off as all with a tolerance: points without one whose bars are cut off
-NOTHING = 1e-3  # of the largest deviation: a component that is not shown
+BARS = 40  # number of points up to which each has a bar
+CUT = 4.0  # points without tolerance are cut off beyond this multiple of the deviations with tolerance
+NOTHING = 1e-3  # components below this share of the largest deviation are not shown
 
 
 @styled

@@ -17,10 +17,10 @@ from optlink.tasks.analyze import turning
 from optlink.tasks.path_result import LEVEL, OUTPUT, Design, Generation, people_unit
 from optlink.validation import Check
 
-ALIKE = 1e-3  # of the frame: difference of two four-bars that are the same
+ALIKE = 1e-3  # relative tolerance for equal four-bars
 BOUNDED = " within its bounds"
-GAP = 2  # columns of the terminal between those of a table
-SHOWN = 12  # points listed on a terminal; result.json and points.csv have all
+GAP = 2  # gap between columns of a table [characters]
+SHOWN = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
 def generation(outcome: Generation) -> RenderableType:
@@ -278,7 +278,7 @@ def _times(outcome: Generation) -> Text:
     return Text(f"{reached}batch of least squares, then {outcome.backend}; {times}", style=QUIET)
 
 
-# --- what designs have in common ---------------------------------------------------------------------------------------------
+# --- comparison of designs ---------------------------------------------------------------------------------------------------
 
 
 def exact_places(design: Design) -> bool:

@@ -17,8 +17,8 @@ from optlink.report.views.revolutions import round_below
 from optlink.tasks.path_result import Design, Generation
 
 Array = NDArray[np.float64]
-FINE = 721  # positions of a revolution
-STICK = 0.07  # of the extent of the points: the longest deviation as it is drawn
+FINE = 721  # positions per revolution
+STICK = 0.07  # length of the largest magnified deviation, as a share of the extent of the points
 
 
 class Track:

@@ -13,9 +13,9 @@ from optlink.report.views.revolutions import TITLE, Turns, beside, hold, legend,
 from optlink.tasks.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
-PERIODS = 8  # revolutions after which a motion may repeat
-REPEATS = 0.01  # share of the clearance within which it does
-FEW = 6  # revolutions from which on it can be told
+PERIODS = 8  # largest period considered [revolutions]
+REPEATS = 0.01  # tolerance of a repetition, as a share of the clearance
+FEW = 6  # smallest number of revolutions for a decision
 
 
 def repetition(turns: Turns) -> tuple[int | None, float] | None:

@@ -20,10 +20,10 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FULL = 360.0
 TORQUE = "input.torque_Nm"
-WINDOW = 3  # revolutions that are shown one after another
+WINDOW = 3  # number of revolutions drawn over time
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
-BULK = 99.8  # per cent of the rows that are shown whatever single ones do
-THIN = 0.6  # width of the line of one revolution among many
+BULK = 99.8  # percentile of the values that the limits of y include
+THIN = 0.6  # line width of a revolution among many
 FONT = 8.5
 TITLE = 10.5
 TIMES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
@@ -91,7 +91,7 @@ class Turns:
         """Description of the revolutions that the statistics include."""
         return f"revolution {self.last}" if self.begin == self.last else f"revolutions {self.begin} to {self.last}"
 
-    # --- what the machine does -----------------------------------------------------------------------------------------
+    # --- output --------------------------------------------------------------------------------------------------------
 
     @property
     def output(self) -> Array:
@@ -165,7 +165,7 @@ class Turns:
         size, unit = next(((size, unit) for size, unit in TIMES if span >= 0.5 * size), TIMES[-1])
         return Scale(1.0 / size, unit)
 
-    # --- words ---------------------------------------------------------------------------------------------------------
+    # --- titles --------------------------------------------------------------------------------------------------------
 
     def title(self, what: str, width: float, *more: str) -> str:
         """Compose the title of a figure: machine and subject, then speed, control and further lines.

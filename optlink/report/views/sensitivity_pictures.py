@@ -12,7 +12,7 @@ from optlink.report.style import FOUND, LIMIT, QUIET, figure, heading, save, sty
 from optlink.report.views.study_tables import step
 from optlink.studies.sensitivity import Sensitivities
 
-MANY, SEEN = 14, 1e-3  # bars, and the share of the longest that the shortest has
+MANY, SEEN = 14, 1e-3  # largest number of bars, and smallest bar as a share of the largest
 
 
 def write_all(result: Sensitivities, folder: Path) -> list[Path]:

@@ -32,8 +32,8 @@ __all__ = ["SCHEMA", "studied"]
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
 TIME = "time [s]"
-AGREES = 1e-6  # of the size of the machine, within which recorded places are those of the problem's own sizes
-LINES = 10  # joint reactions that are drawn
+AGREES = 1e-6  # tolerance of stored positions, as a share of the size of the machine
+LINES = 10  # largest number of joint reactions
 VERDICTS = {Ending.FINISHED: "Finished", Ending.AT_REST: "Came to rest"}
 
 
@@ -84,7 +84,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
     )
 
 
-# --- figures -----------------------------------------------------------------------------------------------------------------
+# --- tables ------------------------------------------------------------------------------------------------------------------
 
 
 def _end(figures: Mapping[str, float], crank: Array) -> Table:
@@ -227,7 +227,7 @@ def _work(columns: Columns) -> list[Chart]:
     return [Chart("Energy", stacked([Panel(f"energy [{shown.unit}]", curves, 1.4)], TIME))]
 
 
-# --- the linkage in time -----------------------------------------------------------------------------------------------------
+# --- animation ---------------------------------------------------------------------------------------------------------------
 
 
 def _sizes(record: Record, file: ProblemFile) -> dict[str, float]:
@@ -255,7 +255,7 @@ def _moving(file: ProblemFile, columns: Columns, body: str, sizes: Mapping[str, 
             if {f"{name}.x_m", f"{name}.y_m"} <= columns.keys():
                 own = np.stack([columns[f"{name}.x_m"][rows], -columns[f"{name}.y_m"][rows]], axis=1) * 1e3
                 if np.nanmax(np.abs(own - places), initial=0.0) > AGREES * max(drawn.box[2:]):
-                    return None  # what would be drawn is another machine
+                    return None  # the stored positions belong to a different machine
         time = columns["time_s"][rows]
         listed = [Readout("crank angle", "deg", [round(float(value), 4) for value in columns["crank_angle_deg"][rows]])]
         for name, words, unit in ((f"{body}.omega_rad_s", "crank speed", "rad/s"), ("input.torque_Nm", "driving torque", "N m")):

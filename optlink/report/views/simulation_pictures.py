@@ -70,7 +70,7 @@ def drive(result: Simulation) -> Figure | None:
     torque = result.run.torque
     _curve(bottom, time, torque, "N m", "driving torque", BODIES[0])
     size = float(np.max(np.abs(torque)))
-    if float(np.ptp(torque)) < 1e-6 * size:  # constant: from zero on, not its rounding
+    if float(np.ptp(torque)) < 1e-6 * size:  # constant torque: start at zero instead of showing rounding errors
         ends = sorted((0.0, 1.15 * float(torque[0]) * scale(size, "N m").factor))
         bottom.set_ylim(ends[0], ends[1])
     bottom.set_xlabel("time [s]")

@@ -14,12 +14,12 @@ from optlink.studies.motion_sensitivity import OutputSensitivity
 from optlink.studies.sensitivity import End, Sensitivities, Sensitivity
 from optlink.studies.sweep import TEXT, Sweep
 
-AGREES = 1e-5  # share by which exact and searched derivatives may differ
-SHOWN = 12  # changes of the active set, points of a table
-ACROSS = 5  # figures side by side
-TINY = 5e-6  # share that three decimals of a percentage do not show
-FEW = 3  # sizes that a table has a column each for
-MOVERS = 2  # of more sizes, those that are told
+AGREES = 1e-5  # relative tolerance between exact derivatives and those from solving again
+SHOWN = 12  # largest number of active-set changes and of points listed
+ACROSS = 5  # largest number of quantities side by side
+TINY = 5e-6  # relative change that vanishes with three decimals of a percentage
+FEW = 3  # largest number of design variables with their own columns
+MOVERS = 2  # number of design variables listed otherwise
 
 
 def step(row: Sensitivity) -> str:

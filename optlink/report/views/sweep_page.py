@@ -28,11 +28,11 @@ from optlink.studies.sweep import CHANGED, SCHEMA
 __all__ = ["SCHEMA", "studied"]
 
 Array = NDArray[np.float64]
-MOST = 4000  # points that a chart has; of more, as many evenly
-PICKED = 1500  # points that can be picked
-PANELS = 4  # above one another
+MOST = 4000  # largest number of points in a chart; larger sweeps are thinned evenly
+PICKED = 1500  # largest number of selectable points
+PANELS = 4  # largest number of stacked panels
 ENDS = {"min": "least", "max": "largest", "rms": "rms"}
-LISTED = 12  # changes of the active set that are listed
+LISTED = 12  # largest number of listed active-set changes
 TEXTS = ("status", "failed", "active", "found", "reason")
 FLAGS = ("valid", CHANGED)
 

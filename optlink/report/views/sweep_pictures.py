@@ -26,10 +26,10 @@ from optlink.studies.sweep import CHANGED, TEXT, Sweep
 
 Array = NDArray[np.float64]
 
-LARGE = 200_000  # points that are drawn at most
-SLICES = 6  # maps that are drawn of three parameters
-PANELS = 4  # columns of an analysis that are drawn
-EMPTY = "#e4e4e4"  # where there is no design
+LARGE = 200_000  # largest number of points drawn
+SLICES = 6  # largest number of maps for three parameters
+PANELS = 4  # largest number of analysed columns drawn
+EMPTY = "#e4e4e4"  # colour of points without a design
 _UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|N|Nm|W|J)")
 
 
@@ -104,7 +104,7 @@ def picture(result: Sweep) -> Figure:
     return (_curves, _maps, _slices)[len(grid.axes) - 1](grid)
 
 
-# --- words -----------------------------------------------------------------------------------------------------------------
+# --- labels ----------------------------------------------------------------------------------------------------------------
 
 
 def named(column: str) -> tuple[str, str]:

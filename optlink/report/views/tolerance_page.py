@@ -28,8 +28,8 @@ __all__ = ["SCHEMA", "studied"]
 
 Array = NDArray[np.float64]
 COLOURS = (CRANK, *BODIES)
-NEAR = 2.5  # bands that the room which a limit leaves may be away and still be drawn
-BARS = 60  # of a histogram
+NEAR = 2.5  # the limit is drawn up to this multiple of the worst-case band
+BARS = 60  # largest number of bars in a histogram
 LINEAR = ("shift", "worst_low", "worst_high", "rss", "sigma")
 SCATTERED = ("mean", "sigma", "sigma_standard_error", "least", "most")
 

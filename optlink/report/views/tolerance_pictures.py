@@ -17,7 +17,7 @@ from optlink.studies.nominal import people
 from optlink.studies.tolerance import Tolerance
 
 COLOURS = (CRANK, *BODIES)
-NEAR = 2.5  # times what is drawn, that a limit may be away and still be drawn
+NEAR = 2.5  # the limit is drawn up to this multiple of the drawn range
 
 
 def write_all(result: Tolerance, folder: Path) -> list[Path]:
@@ -57,7 +57,7 @@ def contributions(result: Tolerance) -> Figure:
         axes.set_ylabel("share of the variance [%]")
         axes.set_ylim(0.0, 100.0)
         handles, names = axes.get_legend_handles_labels()
-        drawn.legend(handles[::-1], names[::-1], loc="outside right center", frameon=False)  # in the order of the stack
+        drawn.legend(handles[::-1], names[::-1], loc="outside right center", frameon=False)  # legend in the order of the stack
     else:
         axes.barh(labels[::-1], [float(share[0]) for share in shares][::-1], color=colours[::-1])
         axes.set_xlabel(f"share of the variance at {degrees[0]:.4g} deg [%]")
