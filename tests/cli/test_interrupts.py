@@ -197,7 +197,7 @@ def test_ctrl_c_ends_long_work_with_one_sentence_and_no_pictures(case, files):
 
 @posix
 def test_a_second_ctrl_c_kills_at_once(files):
-    script = "import time\nfrom optlink import interrupts\ninterrupts.listen()\n"
+    script = "import time\nfrom optlink.solvers import interrupts\ninterrupts.listen()\n"
     script += "try:\n    print('ready', flush=True)\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    time.sleep(60)\n"
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, "-c", script], **pipes) as process:
@@ -213,7 +213,7 @@ def test_a_second_ctrl_c_kills_at_once(files):
 
 @posix
 def test_compiled_code_that_does_not_return_is_ended():
-    script = "import hashlib, signal, threading, os\nfrom optlink import interrupts\ninterrupts.listen()\n"
+    script = "import hashlib, signal, threading, os\nfrom optlink.solvers import interrupts\ninterrupts.listen()\n"
     script += "threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT]).start()\n"
     script += "hashlib.pbkdf2_hmac('sha256', b'a', b'b', 10 ** 9)\n"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)

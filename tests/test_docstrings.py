@@ -1,0 +1,73 @@
+"""Public functions with two or more arguments describe every one of them; CONTRIBUTING names files that exist."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+SECTION = re.compile(r"^Parameters\n-+\n(.*?)(?=^\w[\w ]*\n-{3,}|\Z)", re.DOTALL | re.MULTILINE)
+PATHS = re.compile(r"`((?:optlink|tests|docs|problems|benchmarks)/[\w/.]*)`")
+
+
+def arguments(function: ast.FunctionDef) -> list[str]:
+    """Names of the arguments, without self, cls and private ones."""
+    own = function.args
+    more = [argument for argument in (own.vararg, own.kwarg) if argument is not None]
+    names = [argument.arg for argument in (*own.posonlyargs, *own.args, *own.kwonlyargs, *more)]
+    return [name for name in names if name not in ("self", "cls") and not name.startswith("_")]
+
+
+def described(docstring: str) -> set[str]:
+    """Names in the Parameters section of a numpy-style docstring."""
+    section = SECTION.search(docstring)
+    lines = section.group(1).splitlines() if section else []
+    entries = (line.split(" : ")[0].split(",") for line in lines if line and not line.startswith(" "))
+    return {name.strip().lstrip("*") for entry in entries for name in entry}
+
+
+def public(body: list[ast.stmt]) -> Iterator[ast.FunctionDef]:
+    """Public functions and methods; commands are described by their options."""
+    for node in body:
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield from public(node.body)
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+            yield node
+
+
+def lacking(source: str) -> list[str]:
+    """Functions of a module with arguments that their docstring does not describe."""
+    found = []
+    for function in public(ast.parse(source).body):
+        names = arguments(function)
+        missing = [name for name in names if name not in described(ast.get_docstring(function) or "")]
+        if len(names) > 1 and missing:
+            found.append(f"{function.name}: {', '.join(missing)}")
+    return found
+
+
+def commands() -> set[Path]:
+    """Modules whose public functions are commands, described by the help texts of their options."""
+    return {path for path in (ROOT / "optlink" / "cli").glob("*.py") if "typer.Option" in path.read_text(encoding="utf-8")}
+
+
+def test_public_functions_describe_their_arguments() -> None:
+    modules = sorted(set((ROOT / "optlink").rglob("*.py")) - commands())
+    found = {str(path.relative_to(ROOT)): lacking(path.read_text(encoding="utf-8")) for path in modules}
+    assert {path: names for path, names in found.items() if names} == {}
+
+
+def test_the_check_sees_what_is_missing() -> None:
+    good = 'def f(a, b):\n    """Add.\n\n    Parameters\n    ----------\n    a, b : float\n    """\n'
+    assert lacking(good) == []
+    assert lacking(good.replace("a, b : float", "a : float")) == ["f: b"]
+    assert lacking('class C:\n    def f(self, a, b):\n        """Add."""\n') == ["f: a, b"]
+
+
+def test_contributing_names_files_that_exist() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    paths = set(PATHS.findall(text))
+    assert len(paths) > 20
+    assert {path for path in paths if not (ROOT / path).exists()} == set()
