@@ -84,7 +84,7 @@ class Motion(NamedTuple):
         return dot(self.normal, self.rate)
 
     def slip(self, radius: float) -> Value:
-        """Tangential velocity of the journal's surface relative to the bearing's at the contact point [m/s]."""
+        """Return the tangential velocity of the journal's surface relative to the bearing's at the contact point [m/s]."""
         x, y = self.normal
         return cross((x, y), self.rate) + radius * self.journal - (radius + self.distance) * self.bearing
 

@@ -90,7 +90,7 @@ class Loose:
         return self.state(body).at(self._lever(point, body))[1]
 
     def line(self, guide: str) -> Vector:
-        """Unit vector of a guide's line."""
+        """Return the unit vector of a guide's line."""
         found = next(known for known in self.machine.mechanism.guides if known.name == guide)
         return turn(self.cut.local.local_line(found, found.on)[1], self.state(found.on).axis)
 

@@ -130,7 +130,7 @@ def quantities(machine: Machine) -> list[Measure]:
     return found + [Measure("reaction", "rms", guide.name) for guide in machine.mechanism.guides]
 
 
-# --- counterweights and springs-------------------------------------------------------------------------------------------
+# --- counterweights and springs ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -161,11 +161,11 @@ class Counterweight:
         return 1.0 / (2.0 * math.pi * self.density * self.thickness)
 
     def own(self, mass: float) -> float:
-        """Moment of inertia of the disc about its centre [kg m^2]."""
+        """Return the moment of inertia of the disc about its centre [kg m^2]."""
         return 0.5 * mass * self.radius_of(mass) ** 2
 
     def radius_of(self, mass: float) -> float:
-        """Radius of the disc [m]."""
+        """Return the radius of the disc [m]."""
         if self.radius is not None:
             return self.radius
         assert self.thickness is not None
@@ -173,7 +173,7 @@ class Counterweight:
         return math.sqrt(max(mass, 0.0) / (math.pi * self.density * self.thickness))
 
     def thickness_of(self, mass: float) -> float | None:
-        """Thickness of the disc [m], None where its density is unknown."""
+        """Return the thickness of the disc [m], None where its density is unknown."""
         if self.thickness is not None or self.density is None or self.radius is None:
             return self.thickness
         return mass / (math.pi * self.density * self.radius**2)
@@ -301,7 +301,7 @@ class Effects:
         return reactions(Moving(alone, self.moving.motion))
 
     def lengths(self, spring: FreeSpring) -> Array:
-        """Length of a spring over the positions [m]."""
+        """Return the length of a spring over the positions [m]."""
         (_, p), (_, q) = spring.ends
         (ax, ay), (bx, by) = self.moving.position(p), self.moving.position(q)
         return np.broadcast_to(np.hypot(np.asarray(bx) - ax, np.asarray(by) - ay), self.shape)

@@ -308,7 +308,7 @@ class _Journey:
             self.ending = Ending.INTERRUPTED
 
     def stops(self) -> list[tuple[str, float]]:
-        """The nearest singular position on either side, with a small margin."""
+        """Return the nearest singular position on either side, with a small margin."""
         angle = float(self.state[0])
         return [
             ("singular", at + way * STOP)

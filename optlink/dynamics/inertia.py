@@ -74,7 +74,7 @@ class State(NamedTuple):
     alpha: Value
 
     def at(self, point: Vector) -> tuple[Vector, Vector]:
-        """Velocity and acceleration of the body's point at a position [m/s, m/s^2]."""
+        """Return the velocity and acceleration of the body's point at a position [m/s, m/s^2]."""
         x, y = point[0] - self.start[0], point[1] - self.start[1]
         square = self.omega * self.omega
         velocity = self.velocity[0] - self.omega * y, self.velocity[1] + self.omega * x

@@ -272,7 +272,7 @@ class _Balance:
         return self.moving.machine.friction[guide.name] * sense
 
     def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
-        """Direction in which a guide exerts no force: its line, rotated by the friction angle."""
+        """Return the direction in which a guide exerts no force: its line, rotated by the friction angle."""
         x, y = self.moving.line(guide.name)
         if guide.name not in tilts:
             return x, y
@@ -280,15 +280,15 @@ class _Balance:
         return x - tilt * y, y + tilt * x
 
     def at(self, guide: Guide) -> Vector:
-        """The point of the slider that slides along the line."""
+        """Return the point of the slider that slides along the line."""
         return self.moving.position(guide.at or self.mechanism.bodies[guide.slider].start)
 
     def about(self, link: Link, point: Vector) -> Value:
-        """Moment about a point that the joints exert on a body."""
+        """Return the moment about a point that the joints exert on a body."""
         return self.needed[link.body].about(self.moving.state(link.body).start, point)
 
     def total(self, group: Group) -> Vector:
-        """Force that the outer joints exert on both bodies of a group."""
+        """Return the force that the outer joints exert on both bodies of a group."""
         first, second = (self.needed[link.body].force for link in group.links)
         return plus(first, second)
 
@@ -314,7 +314,7 @@ class _Balance:
         self.rows[group.joint] = solved.rows
 
     def carrier(self, point: str, own: tuple[str, str]) -> str:
-        """The body placed before a group that holds one of its outer joints."""
+        """Return the body placed before a group that holds one of its outer joints."""
         first = min(self.order[body] for body in own)
         return next(body for body in self.mechanism.pins[point] if self.order[body] < first)
 

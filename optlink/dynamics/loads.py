@@ -34,11 +34,11 @@ class Acting(NamedTuple):
     torque: Value
 
     def wrench(self, state: State) -> Wrench:
-        """The force and torque as a wrench about the start of the body."""
+        """Return the force and torque as a wrench about the start of the body."""
         return Wrench(self.force, self.torque + cross(minus(self.point, state.start), self.force))
 
     def power(self, state: State) -> Value:
-        """Power fed into the machine [W]."""
+        """Return the power fed into the machine [W]."""
         return dot(self.force, state.at(self.point)[0]) + self.torque * state.omega
 
 
@@ -56,15 +56,15 @@ class Load(Protocol):
         ...
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """Forces and torques of the load, body by body."""
+        """Yield the forces and torques of the load, body by body."""
         ...
 
     def reversing(self, moving: Moving) -> tuple[Value, Value] | None:
-        """The velocity at whose reversal the load jumps, and the corresponding acceleration."""
+        """Return the velocity at whose reversal the load jumps, and the corresponding acceleration."""
         ...
 
     def potential(self, moving: Moving) -> Value:
-        """Potential energy [J]; zero except for springs."""
+        """Return the potential energy [J]; zero except for springs."""
         ...
 
 
@@ -113,11 +113,11 @@ class Force(_Process):
     direction: float | str  # angle [rad], or the guide that the body slides in
 
     def along(self, moving: Moving) -> Vector:
-        """Unit vector of the direction."""
+        """Return the unit vector of the direction."""
         return moving.line(self.direction) if isinstance(self.direction, str) else unit(self.direction)
 
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
-        """Velocity and acceleration along the direction, relative to the body that takes the reaction."""
+        """Return the velocity and acceleration along the direction, relative to the body that takes the reaction."""
         if isinstance(self.direction, str):
             return moving.slides[self.direction][1:]
         way, (velocity, acceleration) = (
@@ -128,7 +128,7 @@ class Force(_Process):
         return dot(way, minus(own, velocity)), dot(way, minus(turning, acceleration))
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """The force."""
+        """Yield the force, and its reaction on the other body."""
         known = moving.variables
         if isinstance(self.direction, str):
             s, v, _ = moving.slides[self.direction]
@@ -150,12 +150,12 @@ class Torque(_Process):
     magnitude: Magnitude
 
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
-        """Angular velocity and acceleration of the body relative to the other."""
+        """Return the angular velocity and acceleration of the body relative to the other."""
         state, other = moving.state(self.body), moving.state(self.against)
         return state.omega - other.omega, state.alpha - other.alpha
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """The torque."""
+        """Yield the torque, and its reaction on the other body."""
         state = moving.state(self.body)
         known = {**moving.variables, "theta": angle_from((1.0, 0.0), state.axis), "w": self.reversing(moving)[0]}
         torque = self.magnitude(known) * _sense(self, moving)
@@ -193,14 +193,14 @@ class Spring(_Steady):
         return length, along, dot(along, minus(moving.velocity(q, other), moving.velocity(p, one)))
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """Pull of the spring on both ends."""
+        """Yield the forces of the spring on both ends."""
         length, (x, y), rate = self._stretch(moving)
         pull = self.stiffness * (length - self.free) + self.damping * rate
         for (body, point), sign in zip(self.ends, (1.0, -1.0), strict=True):
             yield Acting(body, moving.position(point, body), (sign * pull * x, sign * pull * y), 0.0)
 
     def potential(self, moving: Moving) -> Value:
-        """Energy stored in the spring [J]."""
+        """Return the energy stored in the spring [J]."""
         stretch = self._stretch(moving)[0] - self.free
         return 0.5 * self.stiffness * stretch * stretch
 
@@ -226,14 +226,14 @@ class TorsionSpring(_Steady):
         return self.middle - self.free + angle_from(turn(other, unit(self.middle)), axis)
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """Torque of the spring on both bodies."""
+        """Yield the torque of the spring on both bodies."""
         one, two = moving.state(self.body), moving.state(self.against)
         torque = -self.stiffness * self._deflection(moving) - self.damping * (one.omega - two.omega)
         yield Acting(self.body, one.start, (0.0, 0.0), torque)
         yield Acting(self.against, two.start, (0.0, 0.0), -torque)
 
     def potential(self, moving: Moving) -> Value:
-        """Energy stored in the spring [J]."""
+        """Return the energy stored in the spring [J]."""
         deflection = self._deflection(moving)
         return 0.5 * self.stiffness * deflection * deflection
 
@@ -250,7 +250,7 @@ class SlideDamper(_Steady):
     damping: Value
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """Damping force on the slider, and its reaction on the body that carries the line."""
+        """Yield the damping force on the slider, and its reaction on the body that carries the line."""
         x, y = moving.line(self.guide)
         force = -self.damping * moving.slides[self.guide][1]
         point = moving.position(self.point, self.slider)

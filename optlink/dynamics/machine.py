@@ -149,12 +149,12 @@ class Moving:
         return {"phi": self.motion.crank_angle, "omega": self.motion.speed}
 
     def axis(self, body: str) -> Vector:
-        """Unit vector of a body's x axis."""
+        """Return the unit vector of a body's x axis."""
         x, y = self.pose.direction(body)
         return parts(x)[0], parts(y)[0]
 
     def line(self, guide: str) -> Vector:
-        """Unit vector of a guide's line."""
+        """Return the unit vector of a guide's line."""
         return self._lines[guide]
 
     @cached_property

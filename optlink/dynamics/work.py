@@ -106,7 +106,7 @@ class Work:
         self._start = float(self(np.array([start]))[0])
 
     def torque(self, angles: Array) -> Array:
-        """Driving torque [N m] at crank angles (n,)."""
+        """Return the driving torque [N m] at crank angles (n,)."""
         torque = reactions(self.machine.moving(angles, self.speed)).torque
         return np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
 
@@ -118,7 +118,7 @@ class Work:
         return integral
 
     def __call__(self, angles: Array) -> Array:
-        """Work [J] from the start to crank angles (n,)."""
+        """Return the work [J] from the start to crank angles (n,)."""
         place = np.clip(np.searchsorted(self.knots, angles, side="right") - 1, 0, len(self.knots) - 2)
         work: Array = self._sum[place] + self._integral(self.knots[place], angles) - self._start
         return work

@@ -119,7 +119,7 @@ class _Assembly:
     # --- joints of the bodies ------------------------------------------------------------------------------------
 
     def pins(self, body: str) -> list[str]:
-        """Points of a body that another body shares."""
+        """Return the points of a body that another body shares."""
         return self._pins.get(body, [])
 
     @cached_property
@@ -131,7 +131,7 @@ class _Assembly:
         return found
 
     def rails(self, body: str) -> list[Guide]:
-        """Guides in which a body slides, or which it carries."""
+        """Return the guides in which a body slides, or which it carries."""
         return self._rails.get(body, [])
 
     @cached_property
@@ -143,18 +143,18 @@ class _Assembly:
         return found
 
     def neighbours(self, body: str) -> list[str]:
-        """Bodies, not yet placed, that share a joint with a body, in the order of the file."""
+        """Return the bodies, not yet placed, that share a joint with a body, in the order of the file."""
         near = {other for point in self.pins(body) for other in self.members[point]}
         near |= {guide.other(body) for guide in self.rails(body)}
         return sorted(near - self.placed - {body}, key=self.rank.__getitem__)
 
     def known(self, body: str) -> list[str | Guide]:
-        """Joints of a body with bodies that are already placed."""
+        """Return the joints of a body with bodies that are already placed."""
         pins = [point for point in self.pins(body) if self.placed.intersection(self.members[point])]
         return [*pins, *(guide for guide in self.rails(body) if guide.other(body) in self.placed)]
 
     def shared(self, first: str, second: str) -> list[str | Guide]:
-        """Joints between two bodies that are not yet placed."""
+        """Return the joints between two bodies that are not yet placed."""
         pins = [p for p in self.pins(first) if second in self.members[p] and not self.placed.intersection(self.members[p])]
         return [*pins, *(guide for guide in self.rails(first) if guide.other(first) == second)]
 
@@ -288,7 +288,7 @@ class _Assembly:
             f"links.{second}",
         )
 
-    # --- structures that are not a chain of dyads -------------------------------------------------------------------------------
+    # --- structures that are not a chain of dyads --------------------------------------------------------------------
 
     def mobility(self) -> int:
         """Return the degrees of freedom by Gruebler's formula."""

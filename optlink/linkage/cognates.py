@@ -69,11 +69,11 @@ class CouplerPose:
     margin: Value
 
     def link(self, name: str) -> Vector:
-        """Unit vector of crank (A -> B), coupler (B -> C) or rocker (D -> C) relative to A -> D [-]."""
+        """Return the unit vector of crank (A -> B), coupler (B -> C) or rocker (D -> C) relative to A -> D [-]."""
         return {"crank": self.crank, "coupler": self.coupler, "rocker": self.rocker}[name]
 
     def angle(self, name: str) -> Value:
-        """Angle of crank, coupler or rocker from A -> D [rad], in (-pi, pi]."""
+        """Return the angle of crank, coupler or rocker from A -> D [rad], in (-pi, pi]."""
         return angle(self.link(name))
 
 

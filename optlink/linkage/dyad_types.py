@@ -42,7 +42,7 @@ class _Modal(_Pair):
     course: Course | None = field(default=None, kw_only=True, compare=False)
 
     def mode(self, pose: Pose) -> Value:
-        """Assembly mode at the crank angles of a pose."""
+        """Return the assembly mode at the crank angles of a pose."""
         return self.side if self.course is None else self.course.side(pose.angle)  # type: ignore[attr-defined]
 
     def through(self, pose: Pose, new: Vector, margin: Value) -> tuple[Vector, Value]:
@@ -94,14 +94,14 @@ class RRR(_Modal):
         return margin
 
     def cosine(self, pose: Pose) -> Value:
-        """Cosine of the transmission angle between the two links, from their lengths; outside [-1, 1] where they cannot close."""
+        """Return the cosine of the transmission angle, from the link lengths; outside [-1, 1] where the group cannot close."""
         p, q = self.pins
         a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
         between = minus(pose.point(q), pose.point(p))
         return (a * a + b * b - dot(between, between)) / (2.0 * (a * b))
 
     def gap(self, pose: Pose) -> Value:
-        """Distance of the outer joints beyond the reach of the links, or below their least distance [m]."""
+        """Return the distance of the outer joints beyond the reach of the links, or below their least distance [m]."""
         p, q = self.pins
         a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
         between = minus(pose.point(q), pose.point(p))
@@ -109,7 +109,7 @@ class RRR(_Modal):
         return np.maximum(distance - (a + b), np.abs(a - b) - distance)
 
     def alignment(self, pose: Pose) -> Value:
-        """Squared sine of the transmission angle, from the lengths alone."""
+        """Return the squared sine of the transmission angle, from the lengths alone."""
         p, q = self.pins
         a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
         between = minus(pose.point(q), pose.point(p))
@@ -146,13 +146,13 @@ class RRP(_Modal):
         return margin
 
     def gap(self, pose: Pose) -> Value:
-        """Distance of the outer joint from the path of the slider's joint beyond the link [m]."""
+        """Return the distance of the outer joint from the path of the slider's joint beyond the link [m]."""
         begin, line = pose.line(self.guide, self.guide.other(self.second.body))
         height = cross(line, minus(pose.point(self.outer), begin)) - pose.offset(self.guide, self.second, self.joint)
         return np.abs(height) - pose.distance(self.first, self.outer, self.joint)
 
     def alignment(self, pose: Pose) -> Value:
-        """Squared sine of the angle between the link and the normal of the guide."""
+        """Return the squared sine of the angle between the link and the normal of the guide."""
         return pose.margins[self.joint]
 
 
@@ -181,12 +181,15 @@ class RPR(_Modal):
         return margin
 
     def gap(self, pose: Pose) -> Value:
-        """Offset of the pins across the guide minus their distance [m]."""
+        """Return the offset of the pins across the guide minus their distance [m]."""
         between = minus(*(pose.point(name) for name in self.outer))
         return np.abs(self._offset(pose)) - np.sqrt(dot(between, between))
 
     def alignment(self, pose: Pose) -> Value:
-        """Squared distance of the pins along the guide over the squared crank length; zero where the guide force has no lever."""
+        """Return the squared distance of the pins along the guide over the squared crank length.
+
+        At zero the guide force has no lever.
+        """
         between, offset = minus(*(pose.point(name) for name in self.outer)), self._offset(pose)
         crank = pose.size(pose.mechanism.crank.length)
         return (dot(between, between) - offset * offset) / (crank * crank)
@@ -229,11 +232,11 @@ class RPP(_Pair):
         return margin
 
     def gap(self, pose: Pose) -> Value:
-        """Zero: two lines intersect unless they are parallel."""
+        """Return zero: two lines intersect unless they are parallel."""
         return 0.0 * pose.margins[self.joint]
 
     def alignment(self, pose: Pose) -> Value:
-        """Squared sine of the angle between the two lines."""
+        """Return the squared sine of the angle between the two lines."""
         return pose.margins[self.joint]
 
 
@@ -264,14 +267,14 @@ class PRP(_Pair):
         return margin
 
     def sine(self, pose: Pose) -> Value:
-        """Sine of the angle from the first line to the second; it changes sign where they become parallel."""
+        """Return the sine of the angle from the first line to the second; it changes sign where they become parallel."""
         (_, w), (_, u) = (pose.line(guide, guide.other(link.body)) for link, guide in zip(self.links, self.guides, strict=True))
         return cross(w, u)
 
     def gap(self, pose: Pose) -> Value:
-        """Zero: two lines intersect unless they are parallel."""
+        """Return zero: two lines intersect unless they are parallel."""
         return 0.0 * pose.margins[self.joint]
 
     def alignment(self, pose: Pose) -> Value:
-        """Squared sine of the angle between the two lines."""
+        """Return the squared sine of the angle between the two lines."""
         return pose.margins[self.joint]

@@ -83,7 +83,7 @@ class Guide:
         return self.slider, self.on
 
     def other(self, body: str) -> str:
-        """The other body of the joint."""
+        """Return the other body of the joint."""
         return self.on if body == self.slider else self.slider
 
 
@@ -115,7 +115,7 @@ class Group(Protocol):
         ...
 
     def gap(self, pose: Pose) -> Value:
-        """Distance [m] by which the group fails to close; negative where it closes."""
+        """Return the distance [m] by which the group fails to close; negative where it closes."""
         ...
 
     @property
@@ -124,7 +124,10 @@ class Group(Protocol):
         ...
 
     def alignment(self, pose: Pose) -> Value:
-        """Squared sine of the angle between the group and its alignment: zero at a singular position, negative beyond it."""
+        """Return the squared sine of the angle between the group and its alignment.
+
+        It is zero at a singular position and negative beyond it.
+        """
         ...
 
 

@@ -32,34 +32,34 @@ class Motion:
     crank_acceleration: Value = 0.0
 
     def position(self, point: str) -> Array:
-        """Coordinates [m], shape (..., 2)."""
+        """Return the coordinates [m], shape (..., 2)."""
         return self._stack(point, lambda jet: jet.value)
 
     def velocity(self, point: str) -> Array:
-        """Velocity [m/s], shape (..., 2)."""
+        """Return the velocity [m/s], shape (..., 2)."""
         return self._stack(point, lambda jet: jet.rate)
 
     def acceleration(self, point: str) -> Array:
-        """Acceleration [m/s^2], shape (..., 2)."""
+        """Return the acceleration [m/s^2], shape (..., 2)."""
         return self._stack(point, lambda jet: jet.acceleration)
 
     def margin(self, joint: str) -> Array:
-        """Assembly margin [-] of the group with that inner joint."""
+        """Return the assembly margin [-] of the group with that inner joint."""
         return self._full(_jet(self.pose.margins[joint]).value)
 
     def body_angle(self, body: str) -> Jet:
-        """Angle of a body [rad] (continuous along the sweep), its angular velocity and acceleration [rad/s, rad/s^2]."""
+        """Return the angle of a body [rad], continuous along the sweep, and its first and second derivative [rad/s, rad/s^2]."""
         with np.errstate(all="ignore"):
             jet = _jet(angle(self.pose.direction(body)))
         return Jet(_continuous(self._full(jet.value)), self._full(jet.rate), self._full(jet.acceleration))
 
     def body_rate(self, body: str) -> Array:
-        """Angular velocity of a body [rad/s]."""
+        """Return the angular velocity of a body [rad/s]."""
         with np.errstate(all="ignore"):
             return self._full(_jet(angle(self.pose.direction(body))).rate)
 
     def slide(self, guide: str) -> Jet:
-        """Slide in a guide [m], its velocity and acceleration [m/s, m/s^2]."""
+        """Return the slide in a guide [m], its velocity and acceleration [m/s, m/s^2]."""
         found = next(known for known in self.mechanism.guides if known.name == guide)
         with np.errstate(all="ignore"):
             jet = _jet(self.pose.slide(found))
@@ -134,7 +134,7 @@ class Positions:
     margins: Array
 
     def of(self, name: str) -> Array:
-        """Coordinates [m] of one point, (2, designs, angles)."""
+        """Return the coordinates [m] of one point, (2, designs, angles)."""
         points: Array = self.points[self.names.index(name)]
         return points
 

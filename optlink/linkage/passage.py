@@ -70,7 +70,7 @@ class Course:
     passages: tuple[Passage, ...]
 
     def side(self, angle: Value) -> Value:
-        """Assembly mode at a crank angle."""
+        """Return the assembly mode at a crank angle."""
         value = np.real(angle.value if isinstance(angle, Jet) else angle)
         within = self.origin + np.remainder(value - self.origin, self.cycle)
         return self.sides[np.searchsorted(self.breaks, within, side="right")]

@@ -113,7 +113,7 @@ class Ranges:
         return tuple(sorted(found, key=lambda position: position.crank_angle))
 
     def holding(self, crank_angle: float) -> tuple[float, float] | None:
-        """The range that contains a crank angle, shifted to it by whole revolutions; None if there is none."""
+        """Return the range that contains a crank angle, shifted to it by whole revolutions; None if there is none."""
         for low, high in self.ranges:
             shift = TURN * math.ceil((low - crank_angle) / TURN - 1e-12)
             if low - 1e-12 <= crank_angle + shift <= high + 1e-12:
