@@ -1,1 +1,1 @@
-"""Objective and constraint terms, and the scaled nonlinear programmes that they form."""
+"""Objective and constraint terms, and the scaled nonlinear programmes assembled from them."""

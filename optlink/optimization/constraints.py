@@ -1,6 +1,6 @@
 """Constraint terms: each limit of the problem file becomes labelled rows, low <= value <= high, elementwise.
 
-A row's value is dimensionless or in rad and smooth wherever it can be; `Scale` tells what people read instead.
+A row's value is dimensionless or in rad and smooth wherever possible; `Scale` converts it to display units.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from optlink.problem.quantity import Interval
 
 @dataclass(frozen=True)
 class Scale:
-    """From a row's own value to the figure that people read, and its derivative."""
+    """Conversion from a row's value to display units, with its derivative."""
 
     unit: str
     factor: float = 1.0
@@ -41,34 +41,34 @@ class Scale:
     offset: float = 0.0
 
     def people(self, value: float) -> float:
-        """The figure in `unit`; NaN for a cosine that no angle has."""
+        """Return the value in `unit`; NaN for a cosine outside -1 ... 1."""
         if not self.cosine:
             return value * self.factor + self.offset
         return math.degrees(math.acos(value)) if abs(value) <= 1.0 else math.nan
 
     def own(self, people: float) -> float:
-        """The row's own value of a figure in `unit`."""
+        """Return the row's value of a figure in `unit`."""
         return math.cos(math.radians(people)) if self.cosine else (people - self.offset) / self.factor
 
     def slope(self, value: float) -> float:
-        """d people / d value."""
+        """Return the derivative of the displayed value with respect to the row's value."""
         return -math.degrees(1.0 / math.sqrt(max(1.0 - value * value, 1e-300))) if self.cosine else self.factor
 
 
 @dataclass(frozen=True)
 class SineSquared(Scale):
-    """A row that holds the squared sine of the angle that people read."""
+    """Scale of a row whose value is the squared sine of the displayed angle."""
 
     def people(self, value: float) -> float:
-        """The angle [deg], 90 at most; NaN where the group cannot close."""
+        """Return the angle [deg], at most 90; NaN where the group cannot be assembled."""
         return math.degrees(math.asin(math.sqrt(min(value, 1.0)))) if value >= 0.0 else math.nan
 
     def own(self, people: float) -> float:
-        """The row's own value."""
+        """Return the row's value of an angle [deg]."""
         return math.sin(math.radians(people)) ** 2
 
     def slope(self, value: float) -> float:
-        """d people / d value."""
+        """Return the derivative of the displayed angle with respect to the row's value."""
         return math.degrees(0.5 / math.sqrt(max(value * (1.0 - value), 1e-300)))
 
 
@@ -83,9 +83,9 @@ AnyProblem = DesignProblem | GenerationProblem
 
 @dataclass(frozen=True)
 class Row:
-    """One inequality (or equality where low = high) of the programme.
+    """One inequality (or equality if low = high) of the NLP.
 
-    Rows of one limit with one label are the same limit asked at several positions: they have one price and give way together.
+    Rows with the same limit and label are one limit at several positions: they share one shadow price and are relaxed together.
     """
 
     limit: str  # key of the limit in the problem file
@@ -105,7 +105,18 @@ ALIGNED = "coupler and rocker not in line"
 
 
 def crank(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
-    """The crank turns fully (linear conditions, with the length margin in the sums)."""
+    """Yield the conditions for full rotation of the crank (linear, including the length margin).
+
+    Parameters
+    ----------
+    problem : DesignProblem or GenerationProblem
+    values : mapping of str to float or symbol [m, rad]
+        Value of every quantity.
+    reach : Reach
+        Not used here.
+    size : float [m]
+        Reference length of the rows.
+    """
     if problem.limits.crank == "span":
         return
     full = problem.limits.crank == "full rotation"
@@ -116,15 +127,26 @@ def crank(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: 
         if "+" not in words:
             yield Row("limits.crank", label, slack / size, 0.0, math.inf, millimetres)
             continue
-        # the share of the second link of the longer side: where another is longest its own sum implies this row
+        # margin as a share of the second link of the longer side: if another link is longest its own sum implies this row
         least = problem.limits.length_margin * values[words[2]]
         yield Row("limits.length_margin", label, (slack - least) / size, 0.0, math.inf, millimetres)
 
 
 def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
-    """The dead centre at which a law starts exists, and coupler and crank differ at the inner one: C would lie on A.
+    """Yield the conditions for the existence of the dead centre at which a law starts.
 
-    Of a crank that turns fully Grashof's sums imply both.
+    At the inner dead centre, coupler and crank must differ in length: otherwise C coincides with A. For a crank with full
+    rotation, Grashof's conditions imply both.
+
+    Parameters
+    ----------
+    problem : DesignProblem or GenerationProblem
+    values : mapping of str to float or symbol [m, rad]
+        Value of every quantity.
+    reach : Reach
+        Not used here.
+    size : float [m]
+        Reference length of the rows.
     """
     begin = getattr(problem.requirement, "start", None)
     if problem.limits.crank != "span" or begin not in DEAD_CENTRES or "phi0" in problem.quantities:
@@ -132,7 +154,7 @@ def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
     r, a, b, f = lengths_of(values)
     key, millimetres, margin = "limits.length_margin", Scale("mm", 1e3 * size), problem.limits.length_margin
     line = a + r if begin == DEAD_CENTRES[0] else magnitude(a - r)
-    for longest in (r, a, b, f):  # a row for each: the largest of them is not smooth
+    for longest in (r, a, b, f):  # one row each, as their maximum is not smooth
         least = margin * longest
         yield Row(key, "dead centre: C not too far from A", (b + f - line - least) / size, 0.0, math.inf, millimetres)
         for difference in (b - f, f - b):
@@ -141,10 +163,10 @@ def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
 
 
 def sides(problem: AnyProblem) -> Iterator[tuple[str, float, float, str]]:
-    """Limits of transmission cosines: (key, low, high, "revolution" or "span").
+    """Yield the limits of transmission cosines: (key, low, high, "revolution" or "span").
 
-    A side of the transmission limit that is looser than the alignment says nothing and is left out (infinite); one that is as
-    tight takes its place. Beside a tighter one the alignment stays: it still holds where that one has to give way.
+    A side of the transmission limit that is looser than the alignment limit is left out (infinite); one that is equally tight
+    replaces it. Beside a tighter one the alignment limit is kept: it remains enforced when the tighter one is relaxed.
     """
     limits, required = problem.limits, "span" if problem.limits.crank == "span" else "revolution"
     most = math.cos(limits.alignment.value)
@@ -166,7 +188,20 @@ def sides(problem: AnyProblem) -> Iterator[tuple[str, float, float, str]]:
 
 
 def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
-    """The transmission angle at its exact extremes, as cosines: rational in the lengths, finite even without assembly."""
+    """Yield the limits of the transmission angle at its exact extremes, as cosines.
+
+    The cosines are rational in the lengths and finite even where the linkage cannot be assembled.
+
+    Parameters
+    ----------
+    problem : DesignProblem or GenerationProblem
+    values : mapping of str to float or symbol [m, rad]
+        Value of every quantity.
+    reach : Reach
+        Crank angles over which the limits apply.
+    size : float [m]
+        Not used here.
+    """
     lengths = lengths_of(values)
     for key, low, high, over in sides(problem):
         aligned = key == "limits.alignment"
@@ -192,7 +227,18 @@ def _within(interval: Interval | None) -> tuple[float, float]:
 
 
 def stroke(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
-    """Swing angle of the rocker and time ratio of its two strokes."""
+    """Yield the limits of the rocker's swing angle and of the time ratio of its two strokes.
+
+    Parameters
+    ----------
+    problem : DesignProblem or GenerationProblem
+    values : mapping of str to float or symbol [m, rad]
+        Value of every quantity.
+    reach : Reach
+        Crank angles over which the limits apply.
+    size : float [m]
+        Not used here.
+    """
     lengths = lengths_of(values)
     if problem.limits.swing_angle is not None:
         value = swing(*lengths, problem.side)
@@ -205,7 +251,18 @@ def stroke(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size:
 
 
 def proportions(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
-    """Frame length, and every moving link over the frame."""
+    """Yield the limits of the frame length and of the ratios of the moving links to the frame.
+
+    Parameters
+    ----------
+    problem : DesignProblem or GenerationProblem
+    values : mapping of str to float or symbol [m, rad]
+        Value of every quantity.
+    reach : Reach
+        Not used here.
+    size : float [m]
+        Reference length of the rows.
+    """
     if problem.limits.frame_length is not None:
         low, high = _within(problem.limits.frame_length)
         yield Row(
@@ -223,7 +280,18 @@ def proportions(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, 
 
 
 def pivots(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
-    """Every point of the frame within a rectangle."""
+    """Yield the limits of a rectangular region for the fixed pivots.
+
+    Parameters
+    ----------
+    problem : DesignProblem or GenerationProblem
+    values : mapping of str to float or symbol [m, rad]
+        Value of every quantity.
+    reach : Reach
+        Not used here.
+    size : float [m]
+        Reference length of the rows.
+    """
     region = problem.limits.pivots if isinstance(problem, GenerationProblem) else None
     if region is None:
         return
@@ -241,13 +309,31 @@ GENERAL: tuple[Term, ...] = (pivots,)
 
 
 def rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> list[Row]:
-    """Every row that the problem's limits ask for, but those of single crank angles (`position_rows`)."""
+    """Return every row of the problem's limits, except those at single crank angles (`position_rows`).
+
+    Parameters
+    ----------
+    problem : DesignProblem or GenerationProblem
+    values : mapping of str to float or symbol [m, rad]
+        Value of every quantity.
+    reach : Reach
+        Crank angles over which the limits apply.
+    size : float [m]
+        Reference length of the rows.
+    """
     terms = (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL
     return [row for term in terms for row in term(problem, values, reach, size)]
 
 
 def position_rows(problem: GenerationProblem, pose: Pose) -> list[Row]:
-    """Limits at one crank angle of any mechanism: transmission angles, and every group off the meeting of its assembly modes."""
+    """Return the limits at one crank angle of any mechanism: transmission angles, and alignment of every group.
+
+    Parameters
+    ----------
+    problem : GenerationProblem
+    pose : Pose
+        The mechanism at the crank angle.
+    """
     found, limited = [], list(sides(problem))
     aligned = any(key == "limits.alignment" for key, *_ in limited)
     for group in problem.linkage.groups:
@@ -261,6 +347,14 @@ def position_rows(problem: GenerationProblem, pose: Pose) -> list[Row]:
 
 
 def alignment_row(limits: Alignment, group: Group, value: Value) -> Row:
-    """A group off the position where its assembly modes meet; `value` is its squared sine."""
+    """Return the row that keeps a group away from the position where its assembly modes meet.
+
+    Parameters
+    ----------
+    limits : Alignment
+    group : Group
+    value : float, array or symbol
+        Squared sine of the alignment angle of the group.
+    """
     low = math.sin(limits.alignment.value) ** 2
     return Row("limits.alignment", f"{group.joint} not aligned", value, low, math.inf, SINE_SQUARED)

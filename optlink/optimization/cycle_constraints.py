@@ -1,4 +1,4 @@
-"""The expressions of the programme of a machine's cycle, part by part: positions, events, figures, rows of limits and terms."""
+"""Expressions of the NLP of cycle optimisation: positions, events, objective terms, rows of limits."""
 
 from __future__ import annotations
 
@@ -27,32 +27,32 @@ Array = NDArray[np.float64]
 EVENT = "end of a stroke"
 """Name of the rows that define the crank angles at which motions reverse."""
 FEWEST = 4  # positions per stroke
-ROOM = 1.01  # of the least difference of slow and quick stroke, which a programme keeps
+ROOM = 1.01  # factor on the least difference of slow and quick stroke that an NLP enforces
 APART = 1e-3  # rad, least crank rotation between two events
 
 
 @dataclass(frozen=True)
 class Rooted(Scale):
-    """A row that holds the square of what people read: smooth also where a force vanishes."""
+    """Scale of a row whose value is the square of the displayed value: smooth also where a force vanishes."""
 
     def people(self, value: float) -> float:
-        """The figure in `unit`."""
+        """Return the value in `unit`."""
         return math.sqrt(max(value, 0.0)) * self.factor
 
     def own(self, people: float) -> float:
-        """The row's own value."""
+        """Return the row's value of a figure in `unit`."""
         return (people / self.factor) ** 2
 
     def slope(self, value: float) -> float:
-        """d people / d value."""
+        """Return the derivative of the displayed value with respect to the row's value."""
         return 0.5 * self.factor / math.sqrt(max(value, 1e-300))
 
 
 @dataclass(frozen=True)
 class Watched:
-    """A term that must be followed between the nodes: where its components are among the signals, and how it is judged.
+    """A term to be monitored between the nodes: the indices of its components among the signals, and its level or bound.
 
-    `level`: index of the variable that is its largest value; else `bound` [SI] limits it. `sign`: -1 for a least value.
+    `level`: index of the variable that is its largest value; otherwise `bound` [SI] limits it. `sign`: -1 for a least value.
     """
 
     first: int
@@ -64,39 +64,72 @@ class Watched:
     bound: float
 
     def score(self, signals: Array) -> Array:
-        """What counts at each position, in units of `size`: the larger the worse."""
+        """Return the value to maximise at each position, in units of `size`."""
         own = signals[self.first : self.first + self.width]
         if self.width > 1:
             return np.asarray(np.hypot(*own) / self.size)
         return np.asarray(np.abs(own[0]) / self.size if self.peak else self.sign * own[0] / self.size)
 
     def height(self, signals: Any) -> Any:
-        """A smooth expression that is largest where the score is: its square, where that has corners."""
+        """Return a smooth expression with the same maxima as the score: its square where the score is not differentiable."""
         own = [signals[self.first + k] / self.size for k in range(self.width)]
         return casadi.sumsqr(casadi.vertcat(*own)) if self.width > 1 or self.peak else self.sign * own[0]
 
 
 def variable_of(name: str, quantity: Quantity, size: float) -> Variable:
-    """How a quantity is scaled: lengths and coordinates by the size of the machine, angles by 1 rad."""
+    """Return the scaling of a quantity: lengths and coordinates by the size of the machine, angles by 1 rad.
+
+    Parameters
+    ----------
+    name : str
+    quantity : Quantity
+    size : float [m]
+        Size of the machine.
+    """
     if quantity.kind not in ("length", "coordinate"):
         return Variable(name, 1.0, DEGREES)
     return Variable(name, size, Scale("mm", 1e3 * size))
 
 
 def people_scale(kind: str, unit: str, size: float) -> Scale:
-    """From multiples of `size` [SI] to a unit of people."""
+    """Return the conversion from multiples of `size` to a display unit.
+
+    Parameters
+    ----------
+    kind : str
+        Physical kind of the value; empty for a number.
+    unit : str
+        Display unit; if empty, values are shown in the default unit of the kind.
+    size : float [SI]
+        Value of one.
+    """
     return Scale(unit, size / factor(unit or KINDS[kind].people, kind)) if kind else Scale("", size)
 
 
 def _keeps_slow(bound: Bound) -> bool:
-    """Whether a limit of a time ratio itself keeps the slow stroke the slow one."""
+    """Return whether a limit of a time ratio by itself keeps the slow stroke slower."""
     if bound.term.stroke == "quick":
         return bound.interval.high is not None
     return bound.interval.low is not None
 
 
 class Parts:
-    """The expressions of a programme, part by part."""
+    """The expressions of an NLP of cycle optimisation.
+
+    Parameters
+    ----------
+    trace : Trace
+    structure : Structure
+        Events at `start`.
+    start : mapping of str to float [SI]
+        Design variables at the start.
+    nodes : int
+        Positions per revolution.
+    roaming : int
+        Roaming positions per stroke.
+    size : float [m], optional
+        Unit of length; default: the longest length of the file.
+    """
 
     def __init__(
         self,
@@ -138,14 +171,14 @@ class Parts:
     # --- positions -------------------------------------------------------------------------------------------------------
 
     def _cut(self, nodes: int) -> None:
-        """Nodes and roaming positions of every stroke, with the signals there."""
+        """Define nodes and roaming positions of every stroke, with the signals there."""
         edges: list[Any] = [*self.events[: self.cuts], self.events[0] + TURN] if self.cuts else [0.0, TURN]
         self.edges = edges
         if self.cuts:
             count = max(FEWEST, math.ceil(nodes / self.strokes))
             at, weights = np.polynomial.legendre.leggauss(count)
             shares, weights = 0.5 * (at + 1.0), 0.5 * weights
-        else:  # of what is periodic and smooth even steps integrate best
+        else:  # even steps integrate smooth periodic functions best
             shares, weights = np.arange(nodes) / nodes, np.full(nodes, 1.0 / nodes)
         self.spans = [b - a for a, b in itertools.pairwise(edges)]
         self.at: list[tuple[int, Any, Any]] = []  # stroke, weight or None, signals
@@ -156,14 +189,14 @@ class Parts:
             for share, weight in zip(shares, weights, strict=True):
                 phi = casadi.vertcat(self.known, edges[j] + share * span)
                 self.at.append((j, weight * span, self.trace.at(phi, senses)))
-            for share in (0.0, 1.0) if self.cuts else ():  # where forces jump they are largest more often than not
+            for share in (0.0, 1.0) if self.cuts else ():  # forces are often largest where they jump
                 self.at.append((j, None, self.trace.at(casadi.vertcat(self.known, edges[j] + share * span), senses)))
             for share in roaming[j * self.roaming : (j + 1) * self.roaming]:
                 self.roamed.append(self.trace.at(casadi.vertcat(self.known, edges[j] + share * span), senses))
                 self.at.append((j, None, self.roamed[-1]))
 
     def _at_events(self) -> None:
-        """What there is to know at the events: their own values, which must vanish, and how far the outputs have moved."""
+        """Evaluate the functions at the events: event values, which must vanish, and the positions of the outputs."""
         self.there = [self.trace.at_event(casadi.vertcat(self.known, phi)) for phi in self.events]
         speed = abs(self.trace.speed)
         for k, (which, there) in enumerate(zip(self.structure.which, self.there, strict=True)):
@@ -173,12 +206,12 @@ class Parts:
             self.rows.append(Row(EVENT, f"{EVENT} {k + 1}: {' '.join(key)}", there[which] / size, 0.0, 0.0, PLAIN))
         angles = [*self.structure.angles[: self.cuts], self.structure.angles[0] + TURN] if self.cuts > 1 else []
         for k, (span, (begin, end)) in enumerate(zip(self.spans, itertools.pairwise(angles), strict=False)):
-            if end - begin > APART:  # else both are one event by the nature of the machine
+            if end - begin > APART:  # otherwise both always coincide in this machine
                 self.rows.append(Row(EVENT, f"order of {EVENT} {k + 1}", span, APART, math.inf, DEGREES))
         self._slow()
 
     def _slow(self) -> None:
-        """The slow stroke stays the slow one: of a load by the least difference, of a time ratio where no limit says so."""
+        """Add rows that keep the slow stroke slower: for loads by the least difference, for time ratios without such a limit."""
         for name, which in self.trace.paced_loads.items() if self.events else ():
             label = f"slow minus quick stroke of {name}"
             least = ROOM * LEAST_DIFFERENCE
@@ -190,16 +223,16 @@ class Parts:
                 self.rows.append(Row(EVENT, label, self._slower(self.trace.event_of(term)), 0.0, math.inf, DEGREES))
 
     def _forward_slow(self, which: int) -> bool:
-        """Whether the forward stroke of a motion counts as the slow one in this programme."""
+        """Return whether the forward stroke of a motion counts as the slow one in this NLP."""
         return self.structure.slow[self.trace.paced.index(which)] is not False
 
     def _slower(self, which: int) -> Any:
-        """Crank rotation [rad] by which the slow stroke is longer than the quick one."""
+        """Return the crank rotation [rad] by which the slow stroke is longer than the quick one."""
         slow = self._forward_slow(which)
         return self.duration(which, slow) - self.duration(which, not slow)
 
     def forward(self, which: int) -> list[bool]:
-        """For every stroke whether an output, whose reversals cut, moves forward in it."""
+        """Return for every stroke whether an output, whose reversals separate strokes, moves forward."""
         own = [k for k in range(self.cuts) if self.structure.which[k] == which]
         if not own:
             return [True] * self.strokes
@@ -210,7 +243,14 @@ class Parts:
         return found
 
     def duration(self, which: int, forward: bool) -> Any:
-        """Crank rotation [rad] during which an output moves forward, or backward."""
+        """Return the crank rotation [rad] during which an output moves forward or backward.
+
+        Parameters
+        ----------
+        which : int
+            Index of the event at which the output reverses.
+        forward : bool
+        """
         own = [k for k, event in enumerate(self.structure.which) if event == which]
         total, angles = casadi.SX(0.0), [*(self.events[k] for k in own), self.events[own[0]] + TURN]
         for k, (begin, end) in zip(own, itertools.pairwise(angles), strict=True):
@@ -218,21 +258,21 @@ class Parts:
                 total += end - begin
         return total
 
-    # --- figures ---------------------------------------------------------------------------------------------------------
+    # --- terms -----------------------------------------------------------------------------------------------------------
 
     def place(self, term: Term) -> tuple[int, int]:
-        """Where the components of a cyclic term are among the signals, and how many they are."""
+        """Return the index of the first component of a cyclic term among the signals, and the number of components."""
         index = next(k for k, known in enumerate(self.trace.cyclic) if known is term)
         return sum(self.trace.widths[:index]), self.trace.widths[index]
 
     def components(self, term: Term) -> Iterator[tuple[Any, list[Any]]]:
-        """(weight or None, components) at every position."""
+        """Yield (weight or None, components) at every position."""
         first, width = self.place(term)
         for _, weight, signals in self.at:
             yield weight, [signals[first + k] for k in range(width)]
 
     def figure(self, term: Term) -> Any:
-        """A term that is one figure [SI]."""
+        """Return the expression of a term with a single value [SI]."""
         if term.how in ("rms", "mean"):
             square = term.how == "rms"
             total = casadi.SX(0.0)
@@ -247,7 +287,7 @@ class Parts:
         return self._ratio(term) if term.quantity == "time ratio" else self._stroke(term)
 
     def natural(self, goal: Goal) -> Any:
-        """The size of the course that a mean or a work is taken of [SI]; zero for what vanishes by no cancelling."""
+        """Return the magnitudes of the signal of a mean or a work [SI]; zero for a term that does not vanish by cancellation."""
         if goal.quantity == "work":
             last = sum(self.trace.widths) - 1
             return casadi.vertcat(*[TURN * casadi.fabs(signals[last]) for *_, signals in self.at])
@@ -256,7 +296,7 @@ class Parts:
         return casadi.SX(0.0)
 
     def _work(self, term: Term) -> Any:
-        """Work of the drive per revolution, or in the strokes in which a slider moves one way."""
+        """Return the work of the drive per revolution, or in the strokes in which a slider moves one way."""
         last = sum(self.trace.widths) - 1
         way = [True] * self.strokes
         if term.stroke is not None:
@@ -268,14 +308,14 @@ class Parts:
         return total
 
     def _ends(self, term: Term) -> list[int]:
-        """Events at which the output of a term reverses."""
+        """Return the indices of the events at which the output of a term reverses."""
         which = self.trace.event_of(term)
         return [k for k, event in enumerate(self.structure.which) if event == which]
 
     def _stroke(self, term: Term) -> Any:
-        """From the least to the largest position of the output at its dead centres, or one of them.
+        """Return the distance between the extreme positions of the output at its dead centres, or one of these positions.
 
-        Which dead centres these are is that of the start.
+        The dead centres are selected at the start.
         """
         place = len(self.trace.events)
         for known in self.trace.ended:
@@ -298,7 +338,7 @@ class Parts:
         return casadi.atan2(a * d - b * c, a * c + b * d)
 
     def _ratio(self, term: Term) -> Any:
-        """Duration of a stroke over that of the other; which is the slow one is fixed in a programme."""
+        """Return the ratio of the durations of two strokes; which one is slow is fixed in an NLP."""
         which = self.trace.event_of(term)
         own = self._forward_slow(which) is (term.stroke != "quick") if term.by_pace else term.stroke == "forward"
         return self.duration(which, own) / self.duration(which, not own)
@@ -306,14 +346,14 @@ class Parts:
     # --- rows ------------------------------------------------------------------------------------------------------------
 
     def close(self) -> Iterator[Watched]:
-        """Every group keeps off the position where its assembly modes meet, everywhere."""
+        """Add rows that keep every group away from the position where its assembly modes meet, and yield what to monitor."""
         first, limits = sum(self.trace.widths), self.problem.limits
         for k, group in enumerate(self.trace.mechanism.groups):
             self.rows += [alignment_row(limits, group, signals[first + k]) for *_, signals in self.at]
             yield Watched(first + k, 1, False, -1.0, 1.0, None, -self.rows[-1].low)
 
     def limit(self, bound: Bound) -> Watched | None:
-        """The rows of a limit."""
+        """Add the rows of a limit; return what to monitor between the nodes, if anything."""
         term, interval = bound.term, bound.interval
         kind = interval.kind or ""
         ends = [abs(x) for x in (interval.low, interval.high) if x is not None]
@@ -339,7 +379,19 @@ class Parts:
         return Watched(first, width, term.how == "peak", sign, size, None, limit)
 
     def goal(self, goal: Goal, size: float, level: Any, index: int) -> Watched:
-        """The rows that make a variable the largest value of a term."""
+        """Add the rows that make a variable the largest value of a term.
+
+        Parameters
+        ----------
+        goal : Goal
+            The term.
+        size : float [SI]
+            Scale of the term.
+        level : symbol
+            Variable that is the largest value, in units of `size`.
+        index : int
+            Index of that variable in x.
+        """
         label = f"{goal.words}, above"
         for _, parts in self.components(goal):
             if len(parts) > 1:
@@ -352,7 +404,15 @@ class Parts:
         return Watched(first, width, goal.how == "peak", -1.0 if goal.how == "least" else 1.0, size, index, math.inf)
 
     def heights(self, goal: Goal, size: float) -> Any:
-        """The values of which the largest is the level of a term."""
+        """Return the values at all positions whose largest is the level of a term, in units of `size`.
+
+        Parameters
+        ----------
+        goal : Goal
+            The term.
+        size : float [SI]
+            Scale of the term.
+        """
         found = []
         for _, parts in self.components(goal):
             if len(parts) > 1:

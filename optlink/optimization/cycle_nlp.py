@@ -1,7 +1,7 @@
-"""build_cycle(problem) -> CycleNLP: the design of a machine by its cycle as one scaled nonlinear programme.
+"""build_cycle(...) -> CycleNLP: cycle optimisation as one scaled nonlinear programme.
 
-Its variables are the free sizes, the crank angles at which motions reverse (their equations are rows) and, for every term of the
-objective that is the largest over the cycle, that largest value. Rows hold at the nodes of every stroke and at roaming positions.
+Its variables are the design variables, the crank angles of the events (their equations are rows) and, for every objective term
+that is a maximum over the cycle, its largest value. Rows apply at the nodes of every stroke and at roaming positions.
 """
 
 from __future__ import annotations
@@ -26,34 +26,34 @@ from optlink.units import KINDS
 
 Array = NDArray[np.float64]
 
-NODES = 48  # per revolution, where a figure is an integral; half of it where only largest values are asked for
-ROAMING = 24  # positions that are moved to where a term is largest, shared among the strokes ...
-ROUNDING = 1e-6  # of the size of its course, below which a mean or a work is taken for zero
-SLOTS = (4, 6)  # ... which get so many each, least and most
+NODES = 48  # per revolution with integral terms; half of it with maxima only
+ROAMING = 24  # positions that are moved to the maxima of terms, shared among the strokes ...
+ROUNDING = 1e-6  # share of the signal's magnitude below which a mean or a work counts as zero
+SLOTS = (4, 6)  # ... least and most per stroke
 
 
 @dataclass(frozen=True)
 class Figure(Measure):
-    """An objective that is one figure, `worth` times what the programme minimises."""
+    """An objective with a single value, `worth` times the objective of the NLP."""
 
     worth: float = 1.0
 
     def sizes(self, residuals: ArrayLike) -> Array:
-        """The figure itself."""
+        """Return the absolute value of the residuals."""
         return np.asarray(np.abs(np.asarray(residuals, dtype=float)), dtype=float)
 
     def of(self, residuals: ArrayLike) -> float:
-        """The figure."""
+        """Return the value of the objective."""
         return float(np.asarray(residuals, dtype=float).ravel()[0])
 
     def slope(self, residuals: ArrayLike) -> float:
-        """Change of the figure per change of what the programme minimises."""
+        """Return the derivative of the objective with respect to that of the NLP."""
         return self.worth
 
 
 @dataclass(frozen=True)
 class CycleNLP(NLP):
-    """The programme of a machine's cycle. `trace` and `structure` are what it was built from."""
+    """The NLP of cycle optimisation, with the `trace` and `structure` from which it was built."""
 
     trace: Trace | None = field(default=None, compare=False)
     structure: Structure = field(default_factory=lambda: Structure((), (), ()))
@@ -63,7 +63,7 @@ class CycleNLP(NLP):
     slots: int = 0  # of roaming positions, all strokes together
     roamed: tuple[Any, ...] = ()  # signals there
     nodes: int = 0  # per revolution
-    scales: tuple[float, tuple[float, ...]] = (1.0, ())  # what counts as one: length [m]; each term of the objective [SI]
+    scales: tuple[float, tuple[float, ...]] = (1.0, ())  # units: of length [m]; of each objective term [SI]
 
     @cached_property
     def _levels(self) -> Compiled:
@@ -71,24 +71,24 @@ class CycleNLP(NLP):
 
     @property
     def traced(self) -> Trace:
-        """The functions that it was built from."""
+        """The trace from which the NLP was built."""
         assert self.trace is not None
         return self.trace
 
     def design(self, x: Array) -> dict[str, float]:
-        """Free quantities of the problem [SI] at x."""
+        """Return the design variables of the problem [SI] at x."""
         count = len(self.free)
         return {v.name: v.origin + float(y) * v.size for v, y in zip(self.variables[:count], x[:count], strict=True)}
 
     def x_of(self, values: Mapping[str, float]) -> Array:
-        """x of the given free quantities [SI], with the events and largest values that belong to them."""
+        """Return x for values of the design variables [SI], with the corresponding events and largest values."""
         count = len(self.free)
         x = self.x_start.copy()
         x[:count] = [(values[v.name] - v.origin) / v.size for v in self.variables[:count]]
         return self.lifted(np.clip(x, self.x_low, self.x_high))
 
     def lifted(self, x: Array) -> Array:
-        """The same sizes with their own events (where they are those of this programme) and largest values."""
+        """Return the same design with its own events (if they match the structure) and largest values."""
         count, events = len(self.free), len(self.structure.which)
         x = x.copy()
         if events:
@@ -103,11 +103,11 @@ class CycleNLP(NLP):
 
     @property
     def strokes(self) -> int:
-        """Number of parts that the revolution is cut into."""
+        """Number of parts into which events divide the revolution."""
         return max(1, self.traced.cuts(self.structure))
 
     def edges(self, x: Array) -> Array:
-        """Crank angles [rad] at which the strokes begin, and last where the last one ends."""
+        """Return the crank angles [rad] at which the strokes begin, followed by the end of the last one."""
         count, cuts = len(self.free), self.traced.cuts(self.structure)
         if not cuts:
             return np.array([0.0, TURN])
@@ -123,21 +123,22 @@ def build_cycle(
     slots: int | None = None,
     scales: tuple[float | None, Sequence[float]] = (None, ()),
 ) -> CycleNLP:
-    """Trace a problem into a nonlinear programme.
+    """Build the nonlinear programme of cycle optimisation.
 
     Parameters
     ----------
     trace : Trace
     structure : Structure
-        The events at `start`; a programme holds for designs with the same events in the same order.
-    start : mapping of free quantity to float [SI]
-        Where the search begins; its figures are the scale of the objective.
+        The events at `start`; the NLP is valid for designs with the same events in the same order.
+    start : mapping of str to float [SI]
+        Design variables at the start; the objective there is its scale.
     nodes : int
         Positions per revolution.
     slots : int, optional
         Roaming positions per stroke.
-    scales : length [m] and a number [SI] for each term of the objective, optional
-        What counts as one: the longest length of the file; what the file says of the term, else its figure at the start.
+    scales : (float [m], sequence of float [SI]), optional
+        Unit of length (default: the longest length of the file) and of each objective term (default: from the file, else its
+        value at the start).
     """
     problem = trace.problem
     roaming = min(max(ROAMING // max(1, trace.cuts(structure)), SLOTS[0]), SLOTS[1]) if slots is None else slots

@@ -1,7 +1,7 @@
-"""What a machine does at one crank angle, traced once: signals of the terms, margins, reversals; and where the strokes meet.
+"""Functions of a machine at one crank angle, traced once: signals of the terms, margins, events; and the structure of a cycle.
 
-The formulas are those of `linkage` and `dynamics`. Forces jump where a motion reverses, so a revolution is cut there: the crank
-angles of these events are unknowns of the programme, and within a stroke everything is smooth in the sizes.
+The formulas are those of `linkage` and `dynamics`. Forces jump where a motion reverses, so the revolution is divided there: the
+crank angles of these events are unknowns of the NLP, and within a stroke everything is smooth in the design variables.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from optlink.symbolic import Tape, tracing
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
 GRID = 240  # crank angles among which events are bracketed
-AHEAD = 1e-6  # rad beyond an event at which it is asked whether it rose or fell
+AHEAD = 1e-6  # rad beyond an event at which its sense (rising or falling) is determined
 
 
 class _Sensed(Moving):
-    """A machine in motion that is told the sense of every motion, instead of asking for the sign of its velocity.
+    """A machine in motion with symbols for the senses of motion in place of the signs of velocities.
 
-    `asked` collects what was asked for, and the symbol that stands for the answer.
+    `asked` collects pairs of a velocity function and its symbol.
     """
 
     def __init__(self, machine: Machine, motion: Motion, direction: float) -> None:
@@ -47,7 +47,7 @@ class _Sensed(Moving):
         self.asked: list[tuple[Callable[[Moving], tuple[Value, Value]], Any]] = []
 
     def sense(self, of: Callable[[Moving], tuple[Value, Value]], size: Value = 1.0) -> Value:
-        """A symbol for the sense, to be put in later."""
+        """Return a symbol for the sense of a motion, substituted later."""
         symbol = casadi.SX.sym(f"sense {len(self.asked)}")
         self.asked.append((of, symbol))
         return symbol
@@ -55,9 +55,9 @@ class _Sensed(Moving):
 
 @dataclass(frozen=True)
 class Event:
-    """What changes its sign where a stroke ends: a velocity, or the distance from a corner of a load's table.
+    """A function whose sign changes at the end of a stroke: a velocity, or the distance from a corner of a load's table.
 
-    `cuts`: whether forces, or what is integrated of them, change there, so that the revolution is cut into parts.
+    `cuts`: whether forces or integrands jump there, so that the revolution is divided.
     """
 
     key: tuple[str, ...]
@@ -67,10 +67,9 @@ class Event:
 
 @dataclass(frozen=True)
 class Structure:
-    """The events of a revolution: which, whether it rises, where [rad].
+    """The events of a revolution: index of each, whether it rises, crank angle [rad].
 
-    First those that cut, in their order from a rise of the first of them on; then output by output those that do not: motions
-    that are told alone may reverse at one crank angle.
+    Dividing events come first, ordered from a rise of the first of them; the others follow for each output, as they may coincide.
     """
 
     which: tuple[int, ...]
@@ -80,35 +79,35 @@ class Structure:
     """For every event of `Trace.paced`: whether the forward stroke is the slow one; None where both take equally long."""
 
     def like(self, other: Structure) -> bool:
-        """Whether the same events come in the same order."""
+        """Return whether the same events occur in the same order."""
         return (self.which, self.rising) == (other.which, other.rising)
 
 
 def _reversal(load: Load) -> Callable[[Moving], Value]:
-    """The velocity at whose reversal a load jumps."""
+    """Return the velocity at whose reversal a load jumps."""
     return lambda moving: (load.reversing(moving) or (0.0, 0.0))[0]
 
 
 def _corner(guide: str, at: float) -> Callable[[Moving], Value]:
-    """How far a slider is beyond a row of its load's table."""
+    """Return the distance of a slider beyond a row of its load's table."""
     return lambda moving: moving.slides[guide][0] - at
 
 
 class Trace:
-    """The functions of one problem.
+    """The traced functions of one problem.
 
     Parameters
     ----------
     problem : CycleProblem
-    values : mapping of quantity to float [SI], optional
-        The sizes that decide which stroke is the slow one.
-    slow : mapping of load to "forward" or "backward", optional
+    values : mapping of str to float [SI], optional
+        Quantities that determine which stroke is the slow one.
+    slow : mapping of str to "forward" or "backward", optional
         In place of `values`: the slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise.
 
     Raises
     ------
     Unusable
-        when the machine of these sizes cannot be made, with the full key that is to blame.
+        when no machine can be built with these values, with the full key of the cause.
     """
 
     def __init__(
@@ -155,19 +154,19 @@ class Trace:
         sizes = {name: inputs[i] for i, name in enumerate(self.names)}
         machine = self.base.with_(sizes=sizes, inertias=self.problem.inertias(sizes))
         phi = inputs[len(self.names)]
-        still = {name: Jet(size) for name, size in sizes.items()}  # casadi's operators know no jets: nothing else may stand left
+        still = {name: Jet(size) for name, size in sizes.items()}  # casadi operators reject jets: use jets throughout
         pose = self.mechanism.pose(still, unit(Jet(phi, self.speed, 0.0)))
         return _Sensed(machine, Motion(self.mechanism, sizes, phi, self.speed, pose, 0.0), self.direction)
 
     @cached_property
     def ended(self) -> list[Term]:
-        """Terms that are told from where a stroke ends."""
+        """Terms computed from the output positions at the ends of strokes."""
         return [term for term in self.terms if term.quantity in ("stroke", "end")]
 
     def _signals(self, moving: Moving) -> list[tuple[Value, ...]]:
-        """Components of every cyclic term, and last the driving torque where work is asked for."""
+        """Return the components of every cyclic term, followed by the driving torque if work is required."""
         forced = [term for term in self.cyclic if term.quantity in STATIC]
-        if not forced and not self.works:  # friction, which reactions cannot be traced with, does not matter to motion alone
+        if not forced and not self.works:  # friction, with which reactions cannot be traced, does not affect the motion
             return [self._signal(term, moving, None) for term in self.cyclic]
         whole = reactions(moving)
         still = reactions(moving, required(moving, inertia=False)) if any(t.static for t in forced) else whole
@@ -198,7 +197,7 @@ class Trace:
         return (s,) if what == "slide" else (v / self.speed,)
 
     def _transmission(self, joint: str, moving: Moving) -> Value:
-        """Angle between two links, or between a link and the normal of a slider's line [rad]: 90 deg is best."""
+        """Return the angle between two links, or between a link and the normal of a slider's line [rad]; 90 deg is best."""
         group = next(group for group in self.mechanism.groups if group.joint == joint)
         if isinstance(group, RRR):
             p, q = (minus(moving.position(pin), moving.position(joint)) for pin in group.pins)
@@ -208,7 +207,7 @@ class Trace:
         return np.arctan2(magnitude(dot(link, line)), cross(line, link))
 
     def _output(self, term: Term, moving: Moving) -> tuple[Value, ...]:
-        """What tells how far an output has moved: the slide, the coordinate of a point, the direction of a body."""
+        """Return the position of an output: slide, coordinate of a point, or direction of a body."""
         kind, name = output_of(term, self.mechanism)
         if kind == "guide":
             return (moving.slides[name][0],)
@@ -220,11 +219,11 @@ class Trace:
     # --- events ----------------------------------------------------------------------------------------------------------
 
     def cuts(self, structure: Structure) -> int:
-        """Number of events that cut the revolution; they come first."""
+        """Return the number of events that divide the revolution; they come first."""
         return sum(self.events[which].cuts for which in structure.which)
 
     def event_of(self, term: Term) -> int:
-        """Index of the event that ends the strokes of a term's output."""
+        """Return the index of the event that ends the strokes of a term's output."""
         return [event.key for event in self.events].index(self._key(term))
 
     @cached_property
@@ -245,7 +244,7 @@ class Trace:
         return tuple(dict.fromkeys([*self.paced_loads.values(), *terms]))
 
     def slow_loads(self, slow: Sequence[bool | None]) -> dict[str, Direction]:
-        """The slow stroke of loads, for a crank that turns counter-clockwise, where `slow` tells that of every paced event."""
+        """Return the slow stroke of loads for a crank that turns counter-clockwise, from `slow` for every event of `paced`."""
         forward = dict(zip(self.paced, slow, strict=True))
         same = self.direction > 0.0
         return {
@@ -291,22 +290,22 @@ class Trace:
 
     @cached_property
     def _watch(self) -> Tape:
-        """Margins, then events, over (sizes, crank angle)."""
+        """Margins, then events, as functions of (quantities, crank angle)."""
         outputs = [*self._margins, *self._found] or [casadi.SX(1, 1)]
         return Tape([self._inputs], outputs)
 
     @cached_property
     def signals(self) -> Tape:
-        """Signals, then margins, over (sizes, crank angle, senses)."""
+        """Signals, then margins, as functions of (quantities, crank angle, senses)."""
         return Tape([self._known], [self._outputs])
 
     def known(self, values: Mapping[str, float]) -> list[float]:
-        """The sizes in the order of the inputs; those that are not given as in the file."""
+        """Return the quantities in the order of the inputs; values of the file for missing ones."""
         sizes = {**sizes_of(self.problem.quantities), **values}
         return [sizes[name] for name in self.names]
 
     def structure(self, values: Mapping[str, float]) -> Structure | None:
-        """Where the strokes meet for given sizes; None where the crank cannot turn fully."""
+        """Return the events of a design; None if the crank cannot rotate fully."""
         known, groups = self.known(values), len(self.mechanism.groups)
         grid = np.linspace(0.0, TURN, GRID + 1) + 0.37 * TURN / GRID
         there = self._watch(*known, grid)
@@ -336,7 +335,7 @@ class Trace:
 
 
 def _forward_slow(found: list[tuple[float, int, bool]]) -> bool | None:
-    """Whether the forward stroke between reversals (angle, which, rising) is the slow one; None where it cannot be said."""
+    """Return whether the forward stroke between reversals (angle, which, rising) is slow; None if undetermined."""
     if len(found) < 2:
         return None
     found = sorted(found)
@@ -347,7 +346,7 @@ def _forward_slow(found: list[tuple[float, int, bool]]) -> bool | None:
 
 
 def _from_rise(found: list[tuple[float, int, bool]]) -> list[tuple[float, int, bool]]:
-    """Events (angle, which, rising) in their order within a turn from the first rise of the first of them on."""
+    """Sort events (angle, which, rising) within a revolution, starting at the first rise of the first of them."""
     if not found:
         return []
     found = sorted(found)

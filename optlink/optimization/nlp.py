@@ -40,7 +40,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Point:
-    """The programme at one x: objective f, its gradient, rows g and their Jacobian. Not finite where undefined."""
+    """The NLP at one x: objective f, its gradient, rows g and their Jacobian. Not finite where undefined."""
 
     f: float
     gradient: Array
@@ -49,17 +49,17 @@ class Point:
 
     @property
     def finite(self) -> bool:
-        """Whether everything has a value there."""
+        """Whether all values are finite."""
         return bool(math.isfinite(self.f) and all(np.all(np.isfinite(a)) for a in (self.gradient, self.g, self.jacobian)))
 
 
 @dataclass(frozen=True)
 class NLP:
-    """minimise f(x, p) subject to low <= g(x, p) <= high, x_low <= x <= x_high.
+    """Nonlinear programme: minimise f(x, p) subject to low <= g(x, p) <= high, x_low <= x <= x_high.
 
-    `x` (n,) are the scaled free quantities (and, last, the largest error of a minimax problem); `p` is the scale of the
-    objective followed by the fixed quantities, the tolerances that count and crank rotations of roaming positions, so that they
-    can be varied without tracing anew.
+    `x` (n,) are the scaled design variables (and, last, the largest error of a minimax problem); `p` is the scale of the
+    objective followed by the fixed quantities, the relevant tolerances and the crank rotations of roaming positions, so that they
+    can be varied without retracing.
     """
 
     variables: tuple[Variable, ...]
@@ -75,12 +75,12 @@ class NLP:
     f_expression: Any
     g_expression: Any
     residual_expression: Any
-    exact: float = 1e-9  # a residual below this everywhere leaves nothing to improve
-    helpers: frozenset[str] = frozenset({EPIGRAPH})  # variables and rows that state the objective rather than a limit
-    factor: float = 1.0  # from f * p[0] to what the measure makes of the residuals (of rms: their mean square)
-    states: frozenset[str] = frozenset()  # variables and rows that never give way, such as those that equations define
-    constants: tuple[Variable, ...] = ()  # the fixed quantities and tolerances as `p` holds them, from its second component on
-    cache: dict[str, Any] = field(default_factory=dict, compare=False)  # what a back end compiles for this programme
+    exact: float = 1e-9  # largest residual that counts as zero
+    helpers: frozenset[str] = frozenset({EPIGRAPH})  # variables and rows that formulate the objective rather than a limit
+    factor: float = 1.0  # from f * p[0] to the measure of the residuals (for rms: their mean square)
+    states: frozenset[str] = frozenset()  # variables and rows that are never relaxed, such as those defined by equations
+    constants: tuple[Variable, ...] = ()  # the fixed quantities and tolerances in `p`, from its second component on
+    cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
 
     @cached_property
     def low(self) -> Array:
@@ -126,48 +126,84 @@ class NLP:
         return Compiled([self.x_symbol, self.p_symbol, multipliers], [casadi.hessian(lagrangian, self.x_symbol)[0]])
 
     def values(self, x: Array, p: Array) -> tuple[float, Array]:
-        """Objective and rows."""
+        """Return objective and rows.
+
+        Parameters
+        ----------
+        x : array (n,)
+            Scaled point.
+        p : array
+            Parameters.
+        """
         f, g = self._values(x, p)
         return float(f[0]), g
 
     def at(self, x: Array, p: Array) -> Point:
-        """Objective, rows and their first derivatives, exact."""
+        """Return objective, rows and their exact first derivatives.
+
+        Parameters
+        ----------
+        x : array (n,)
+            Scaled point.
+        p : array
+            Parameters.
+        """
         f, gradient, g, jacobian = self._all(x, p)
         return Point(float(f[0]), gradient, g, jacobian.reshape((len(g), len(x)), order="F"))
 
     def hessian(self, x: Array, p: Array, multipliers: Array) -> Array:
-        """Second derivatives of the Lagrangian f + multipliers . g, exact, (n, n)."""
+        """Return the exact Hessian (n, n) of the Lagrangian f + multipliers . g.
+
+        Parameters
+        ----------
+        x : array (n,)
+            Scaled point.
+        p : array
+            Parameters.
+        multipliers : array (m,)
+            Of the rows.
+        """
         return self._hessian(x, p, multipliers)[0].reshape(len(x), len(x))
 
     def residuals(self, x: Array) -> Array:
-        """Residuals of the objective [rad], not scaled."""
+        """Return the residuals of the objective, not scaled."""
         return self._residuals(x, self.p)[0]
 
     def residual_slopes(self, x: Array) -> Array:
-        """Derivatives of the residuals [rad] by x, exact, (residuals, n)."""
+        """Return the exact derivatives (residuals, n) of the residuals with respect to x."""
         return self._residual_slopes(x, self.p)[0].reshape((-1, len(x)), order="F")
 
     def design(self, x: Array) -> dict[str, float]:
-        """Free quantities of the problem [SI] at x."""
+        """Return the design variables of the problem [SI] at x."""
         names = ((v, value) for v, value in zip(self.variables, x, strict=True) if v.name != EPIGRAPH)
         return {variable.name: variable.origin + float(value) * variable.size for variable, value in names}
 
     def x_of(self, values: dict[str, float]) -> Array:
-        """x of the given free quantities [SI], within the bounds; the epigraph variable is set to its least value."""
+        """Return x for values of the design variables [SI], within the bounds; the epigraph variable takes its least value."""
         x = np.array([(values.get(v.name, 0.0) - v.origin) / v.size for v in self.variables])
         return self.lifted(np.clip(x, self.x_low, self.x_high))
 
     @property
     def roaming(self) -> int:
-        """How many positions roam."""
+        """Number of roaming positions."""
         return len(self.p) - 1 - len(self.constants)
 
     def roam(self, offsets: Array) -> None:
-        """Move the roaming positions to these crank rotations [rad], `roaming` at most."""
+        """Move the last roaming positions to these crank rotations [rad], at most `roaming` of them."""
         self.p[len(self.p) - len(offsets) :] = offsets
 
     def limit(self, entry: int, bound: float, *, upper: bool) -> None:
-        """Move a bound [scaled] of a component of x, or (from n on) of a row; `rows` keep those that they were made with."""
+        """Move a bound of a component of x or of a row in place; `rows` keep their original bounds.
+
+        Parameters
+        ----------
+        entry : int
+            Index of the component of x, or n plus the index of the row.
+        bound : float
+            New bound, scaled.
+        upper : bool
+            Whether the upper bound is moved.
+        """
         both, own, rows = (self.upper, self.x_high, self.high) if upper else (self.lower, self.x_low, self.low)
         both[entry] = bound
         if entry < len(own):
@@ -176,25 +212,26 @@ class NLP:
             rows[entry - len(own)] = bound
 
     def lifted(self, x: Array) -> Array:
-        """The same design with the epigraph variable (if there is one) at the largest residual."""
+        """Return the same design with the epigraph variable (if there is one) at the largest residual."""
         if self.variables[-1].name != EPIGRAPH:
             return x
         largest = float(np.max(self.measure.sizes(self.residuals(x)))) / self.variables[-1].size
         return np.append(x[:-1], largest if math.isfinite(largest) else 1.0)
 
 
-SMALLEST_SCALE = 1e-6  # of the objective: where the law can be met exactly, rounding errors must not be blown up
+SMALLEST_SCALE = 1e-6  # least scale of the objective: for an exact solution, rounding errors must not be magnified
 
 
-ROAMING = 12  # positions of a function's programme that are moved to where its error is largest
+ROAMING = 12  # positions that are moved to the maxima of the error
 
 
 def _residuals(
     problem: DesignProblem, values: dict[str, Any], counted: dict[str, Any], start: StartPosition, roaming: list[Any]
 ) -> list[Any]:
-    """Residuals at each position, a column each: of `optlink.problem.robust.residuals`.
+    """Return the residuals at each position, one column each: those of `optlink.problem.robust.residuals`.
 
-    Traced once, at a symbolic position, then the design positions are put in (numpy's dispatch is paid once).
+    They are traced once at a symbolic position, then evaluated at the design positions (the cost of numpy's dispatch is paid
+    once).
     """
     names = [*values, *counted]
     inputs = casadi.SX.sym("inputs", len(names) + 6)
@@ -215,9 +252,10 @@ def _residuals(
 
 
 def build(problem: DesignProblem) -> NLP:
-    """Trace a problem into a nonlinear programme.
+    """Build the nonlinear programme of a function synthesis problem.
 
-    Lengths are scaled by the frame (its start, if it is free), angles by 1 rad, the objective by its value at the start.
+    Lengths are scaled by the frame (its start, if it is a design variable), angles by 1 rad, the objective by its value at the
+    start.
     """
     size = problem.quantities["frame"].value
     sizes = {name: size if name in LENGTHS else 1.0 for name in problem.quantities}
@@ -230,7 +268,7 @@ def build(problem: DesignProblem) -> NLP:
         measure = replace(measure, width=1 + len(problem.deviations))
 
     x = casadi.SX.sym("x", len(free) + minimax)
-    many = 0 if not problem.everywhere else ROAMING if robust is None else 2 * ROAMING  # with its scatter an error is flatter
+    many = 0 if not problem.everywhere else ROAMING if robust is None else 2 * ROAMING  # with scatter the error is flatter
     constant = len(fixed) + len(counted)
     p = casadi.SX.sym("p", 1 + constant + many)
     values = {name: x[i] * sizes[name] for i, name in enumerate(free)}
@@ -243,7 +281,7 @@ def build(problem: DesignProblem) -> NLP:
         if minimax:
             labels = [f"error {math.degrees(offset):.4g} deg from the start" for offset in problem.law.offsets]
             labels += [f"error at its peak {i + 1}" for i in range(many)]
-            # as shares of the objective's scale: else all rows of a small error would count as active
+            # scaled by the objective: otherwise all rows of a small error would count as active
             for label, column in zip(labels, columns, strict=True):
                 rows.append(Row(EPIGRAPH, f"{label}, above", (x[-1] - column[0]) / p[0], 0.0, math.inf, DEGREES))
                 rows.append(Row(EPIGRAPH, f"{label}, below", (x[-1] + column[-1]) / p[0], 0.0, math.inf, DEGREES))

@@ -1,4 +1,4 @@
-"""Objective terms: each gives residuals that vanish for a perfect design, elementwise, with their name and unit."""
+"""Objective terms: residuals that vanish for a perfect design, elementwise, with name and unit."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from optlink.problem.function import DesignProblem, StartPosition
 
 @dataclass(frozen=True)
 class Measure:
-    """How residuals become one figure: `unit` of that figure, and `width`, the components that one position has."""
+    """Reduction of residuals to one value: `unit` of that value, and `width`, the number of components per position."""
 
     name: str
     unit: str
     width: int = 1
 
     def sizes(self, residuals: ArrayLike) -> NDArray[np.float64]:
-        """Size of the residual at each position."""
+        """Return the size of the residual at each position."""
         r = np.asarray(residuals, dtype=float)
         found = np.abs(r) if self.width == 1 else np.sqrt(np.sum(np.square(r.reshape(-1, self.width)), axis=1))
         return np.asarray(found, dtype=float)
 
     def of(self, residuals: ArrayLike) -> float:
-        """The figure."""
+        """Return the value of the measure."""
         r = np.asarray(residuals, dtype=float).ravel()
         if self.name == "max":
             return float(np.max(self.sizes(r)))
@@ -35,12 +35,20 @@ class Measure:
         return square if self.name == "sum of squares" else float(np.sqrt(square * self.width / r.size))
 
     def slope(self, residuals: ArrayLike) -> float:
-        """Change of the figure per change of what the programme minimises (sum of squares, mean square, largest)."""
+        """Return the derivative with respect to the objective of the NLP (sum of squares, mean square, largest)."""
         return 0.5 / max(self.of(residuals), 1e-150) if self.name == "rms" else 1.0
 
 
 def measures(unit: str, width: int = 1) -> dict[str, Measure]:
-    """Every measure of residuals in a unit."""
+    """Return every measure of residuals in a unit, by name.
+
+    Parameters
+    ----------
+    unit : str
+        Unit of the residuals.
+    width : int
+        Number of components per position.
+    """
     units = {"sum of squares": f"{unit}^2", "rms": unit, "max": unit}
     return {name: Measure(name, own, width) for name, own in units.items()}
 
@@ -51,10 +59,20 @@ MEASURES = measures("rad")
 def output_error(
     problem: DesignProblem, values: Mapping[str, Value], start: StartPosition, offset: Value, tabulated: Value
 ) -> Value:
-    """Wanted minus actual rocker angle [rad] at a crank rotation `offset` [rad] from the start; elementwise.
+    """Return prescribed minus actual rocker angle [rad], in (-pi, pi], elementwise.
 
-    Measured as the angle between two unit vectors, so no branch cut of either angle is ever met; in (-pi, pi].
-    `tabulated` is `Law.tabulated` there.
+    It is computed as the angle between two unit vectors, which avoids the branch cuts of both angles.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    values : mapping of str to float, array or symbol [m, rad]
+        Value of every quantity.
+    start : StartPosition
+    offset : float, array or symbol [rad]
+        Crank rotation from the start.
+    tabulated : float, array or symbol
+        `Law.tabulated` at that offset.
     """
     pose = problem.linkage.pose(values, turn(start.crank, unit(offset)))
     wanted = problem.law.wanted(offset, tabulated, start.phi0, start.psi0)

@@ -1,4 +1,4 @@
-"""Exact derivatives of an output by sizes, traced from the formulas of the motion; and the error of a law with its scatter."""
+"""Exact derivatives of an output with respect to dimensions, and the error of a law with its scatter."""
 
 from __future__ import annotations
 
@@ -24,15 +24,19 @@ Array = NDArray[np.float64]
 def output_slopes(
     mechanism: Mechanism, sizes: Mapping[str, Any], crank: Vector, output: str, by: Sequence[str]
 ) -> tuple[Any, list[Any]]:
-    """An output and its derivatives by sizes, as symbols; to be called while `tracing`.
+    """Return an output and its derivatives with respect to dimensions, as symbols; call it while `tracing`.
 
     Parameters
     ----------
     mechanism : Mechanism
-    sizes : casadi symbol of every size
-    crank : direction of the crank
-    output : name of a body (its angle), or "P.x", "P.y" of a point
-    by : names of sizes
+    sizes : mapping of str to casadi symbol
+        Every dimension.
+    crank : pair of symbols
+        Direction of the crank.
+    output : str
+        Name of a body (its angle), or "P.x", "P.y" of a point.
+    by : sequence of str
+        Names of dimensions.
     """
     pose = mechanism.pose(sizes, crank)
     if output in mechanism.bodies:
@@ -45,7 +49,7 @@ def output_slopes(
 
 
 class ErrorSlopes:
-    """Derivatives of the error of a law (wanted minus actual, the law as drawn) by the size of every deviation of a problem."""
+    """Derivatives of the error of a law (prescribed minus actual) with respect to the dimension of every deviation."""
 
     def __init__(self, problem: DesignProblem) -> None:
         self.deviations: tuple[Deviation, ...] = problem.deviations
@@ -64,13 +68,29 @@ class ErrorSlopes:
         return [*(values.get(name, self._pivots.get(name, 0.0)) for name in self._names), *crank]
 
     def symbolic(self, values: Mapping[str, Value], crank: Vector) -> list[Any]:
-        """As symbols, of sizes and a direction of the crank that are symbols."""
+        """Return the derivatives as symbols, one for each deviation [SI].
+
+        Parameters
+        ----------
+        values : mapping of str to symbol [m, rad]
+            Dimensions.
+        crank : pair of symbols
+            Direction of the crank.
+        """
         made = casadi.Function("slopes", [casadi.vertcat(*self._inputs)], [casadi.vertcat(*self._outputs)])
         found = made(casadi.vertcat(*self._arguments(values, crank)))
         return [found[i] for i in self._place]
 
     def numeric(self, values: Mapping[str, Value], crank: Vector) -> list[Array]:
-        """As arrays, of whatever shape the sizes and the direction of the crank broadcast to."""
+        """Return the derivatives as arrays, one for each deviation [SI].
+
+        Parameters
+        ----------
+        values : mapping of str to float or array [m, rad]
+            Dimensions.
+        crank : pair of float or array
+            Direction of the crank; broadcast with the dimensions.
+        """
         if "tape" not in vars(self):
             self.tape = Tape(self._inputs, self._outputs)
         found = self.tape(*self._arguments(values, crank))
@@ -78,14 +98,14 @@ class ErrorSlopes:
 
 
 class Judge:
-    """What the measure of a problem is of, on numpy arrays: the error, or with the scatter of a robust design."""
+    """Residuals of a problem's objective on numpy arrays: the error, or its combination with the scatter of a robust design."""
 
     def __init__(self, problem: DesignProblem) -> None:
         self.problem, self.robust = problem, problem.requirement.robust
         self.slopes = None if self.robust is None else ErrorSlopes(problem)
 
     def objective(self, values: Mapping[str, Value]) -> Array:
-        """The figure that is made least, at the design positions; for arrays of sizes with a last axis of one."""
+        """Return the objective at the design positions; arrays of dimensions have a last axis of one."""
         law, measure = self.problem.law, self.problem.requirement.measure
         parts = self.parts(values, law.offsets, law.tabulated)
         if measure == "max":
@@ -94,7 +114,15 @@ class Judge:
         return np.asarray(np.sqrt(square / len(law.offsets)) if measure == "rms" else square, dtype=float)
 
     def band(self, values: Mapping[str, Value], offsets: Array) -> tuple[Array, Array]:
-        """Lower and upper end [rad] of what the error counts as along the span; of an expected square, one standard deviation."""
+        """Return the lower and upper end [rad] of the error along the span; for an expected square, one standard deviation.
+
+        Parameters
+        ----------
+        values : mapping of str to float or array [m, rad]
+            Value of every quantity.
+        offsets : array (n,) [rad]
+            Crank rotations from the start.
+        """
         source = self.problem.requirement.law
         tabulated = source.at(offsets) if isinstance(source, Table) else np.zeros(len(offsets))
         mean, *rest = parts = self.parts(values, offsets, tabulated)
@@ -104,7 +132,17 @@ class Judge:
         return parts[-1], mean
 
     def parts(self, values: Mapping[str, Value], offsets: Array, tabulated: Array) -> list[Array]:
-        """Residuals at crank rotations [rad] from the start (`optlink.problem.robust.residuals`), for arrays of sizes too."""
+        """Return the residuals at crank rotations from the start (`optlink.problem.robust.residuals`).
+
+        Parameters
+        ----------
+        values : mapping of str to float or array [m, rad]
+            Value of every quantity.
+        offsets : array (n,) [rad]
+            Crank rotations from the start.
+        tabulated : array (n,)
+            `Law.tabulated` at these offsets.
+        """
         problem = self.problem
         with np.errstate(all="ignore"):
             start = problem.start_position(values)

@@ -1,4 +1,4 @@
-"""What a set of designs says as a front: which are dominated by others, where its ends are, and where its knee."""
+"""Pareto fronts of a set of designs: non-dominated points, ends, knee."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-SAME = 1e-6  # of a front's extent, or of the size of what has none: designs that are so near to each other are one
-STRAIGHT = 1e-3  # of a front's extent: one that bulges less has no knee
+SAME = 1e-6  # share of a front's extent (or magnitude): closer designs count as one
+STRAIGHT = 1e-3  # share of a front's extent: least bulge of a front with a knee
 
 
 def extent(costs: Array) -> Array:
-    """Extent of a set along every axis (k,), its size where it has none but for rounding; `costs` (n, k)."""
+    """Return the extent of a set along every axis (k,), its magnitude where the extent vanishes; `costs` (n, k)."""
     width, size = np.ptp(costs, axis=0), np.max(np.abs(costs), axis=0)
     return np.where(width > SAME * size, width, np.where(size > 0.0, size, 1.0))
 
 
 def undominated(costs: Array) -> NDArray[np.bool_]:
-    """Which points no other one beats.
+    """Return which points are not dominated.
 
     Parameters
     ----------
     costs : array (n, k)
-        Smaller is better in every column. Of points that are the same but for rounding the first stays.
+        Smaller is better in every column. Of points that are equal within rounding the first is kept.
     """
     if not len(costs):
         return np.zeros(0, dtype=bool)
@@ -37,7 +37,7 @@ def undominated(costs: Array) -> NDArray[np.bool_]:
 
 
 def ends(costs: Array) -> tuple[int, ...]:
-    """The point with the least of every column, and the least of the others where several have it."""
+    """Return the indices of the least of every column; of several equal ones, that with the least sum of all columns."""
     share = costs / extent(costs)
     found = []
     for column in range(costs.shape[1]):
@@ -47,11 +47,15 @@ def ends(costs: Array) -> tuple[int, ...]:
 
 
 def knee(costs: Array) -> tuple[int, float] | None:
-    """The point of a front that lies furthest from the chord (of three columns: the plane) of its ends, and how far.
+    """Return the index of the knee of a front and its distance; None where there is no knee.
 
-    Columns count by the extent of the front. The distance is towards the ideal point that has the least of everything
-    (I. Das, "On characterizing the knee of the Pareto curve based on normal-boundary intersection", Structural
-    Optimization 18 (1999) 107-115). None where the front is straight, bulges the other way, or its ends span no plane.
+    The knee is the point furthest from the chord (for three columns: the plane) of the ends, towards the ideal point; columns are
+    scaled by the extent of the front. There is none if the front is straight or bulges the other way, or its ends span no plane.
+
+    References
+    ----------
+    I. Das, On characterizing the knee of the Pareto curve based on normal-boundary intersection, Structural Optimization 18
+    (1999) 107-115.
     """
     if len(costs) < 3:
         return None

@@ -1,6 +1,6 @@
-"""build_generation(problem, direction) -> NLP: path and motion generation as one scaled nonlinear programme.
+"""build_generation(problem, direction) -> NLP: path and motion synthesis as one scaled nonlinear programme.
 
-Its variables are the free quantities and, where the timing is free, the crank angle of every point.
+Its variables are the design variables and, without prescribed timing, the crank angle of every point.
 """
 
 from __future__ import annotations
@@ -27,25 +27,32 @@ from optlink.symbolic import tracing
 
 Array = NDArray[np.float64]
 
-GRID = 36  # crank angles at which a mechanism that is no four-bar is asked whether it closes
-ROAMING = 24  # further ones, which an exchange moves to where a limit is exceeded between them
-ROAMING_ROWS = "rows of the roaming positions"  # in a programme's cache: the first one, and how many belong to each position
-BETWEEN = 3  # positions between two points, where the crank need not turn fully
-EXACT = 1e-10  # of the size of the curve: a residual that leaves nothing to improve
+GRID = 36  # crank angles at which the assembly of a mechanism other than a four-bar is checked
+ROAMING = 24  # further ones, moved by the exchange method to where a limit is exceeded
+ROAMING_ROWS = "rows of the roaming positions"  # key in the NLP's cache: index of the first row, and number of rows per position
+BETWEEN = 3  # positions between two points if full crank rotation is not required
+EXACT = 1e-10  # share of the size of the curve: residual that counts as zero
 
 
 def measure_of(problem: GenerationProblem) -> Measure:
-    """The measure of the deviations."""
+    """Return the measure of the deviations."""
     return measures(problem.unit, problem.width)[problem.measure]
 
 
 def angle_name(index: int) -> str:
-    """Name of the variable that is the crank angle of a point; points count from 1."""
+    """Return the name of the variable that is the crank angle of a point; points count from 1."""
     return f"crank angle of point {index + 1}"
 
 
 def variable_of(problem: GenerationProblem, name: str) -> Variable:
-    """How a quantity is scaled: lengths by the size of the curve, coordinates on the frame from its centre."""
+    """Return the scaling of a quantity: lengths by the size of the curve, coordinates on the frame from its centre.
+
+    Parameters
+    ----------
+    problem : GenerationProblem
+    name : str
+        Name of the quantity.
+    """
     quantity = problem.quantities[name]
     if quantity.kind not in ("length", "coordinate"):
         return Variable(name, 1.0, DEGREES)
@@ -55,23 +62,23 @@ def variable_of(problem: GenerationProblem, name: str) -> Variable:
 
 
 def positioned(problem: GenerationProblem) -> bool:
-    """Whether limits of single crank angles (`position_rows`) must hold: the extremes of a four-bar are known."""
+    """Return whether limits at single crank angles (`position_rows`) apply; for a four-bar the extremes are known instead."""
     return not isinstance(problem.mechanism, FourBarSection)
 
 
 def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
-    """Trace a problem into a nonlinear programme.
+    """Build the nonlinear programme of a path or motion synthesis problem.
 
     Parameters
     ----------
     problem : GenerationProblem
         With definite assembly modes.
     direction : int
-        Which way the crank turns from point to point where the timing is free: +1 counter-clockwise, -1 clockwise.
+        Sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
 
     Returns
     -------
-    NLP; its roaming positions are shares of the motion over which position limits must hold, see `required_motion`
+    NLP; its roaming positions are shares of the motion over which position limits apply, see `required_motion`
     """
     size, share, free, data = problem.size, problem.whole, problem.free, problem.data
     fixed = tuple(name for name in problem.quantities if name not in free)
@@ -144,7 +151,7 @@ def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
 
     quantities = [problem.quantities[name] for name in free]
-    between = (np.arange(ROAMING) + 0.5) / ROAMING  # half-way between two positions of the grid, until they are moved
+    between = (np.arange(ROAMING) + 0.5) / ROAMING  # initially half-way between two positions of the grid
     low = [(q.bounds[0] - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
     high = [(q.bounds[1] - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
     begin = [(q.value - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
@@ -177,23 +184,31 @@ def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
 
 
 def required_motion(problem: GenerationProblem, angles: Any) -> tuple[Any, Any]:
-    """Crank angle [rad] at which the motion begins over which position limits must hold, and the rotation from there."""
+    """Return the crank angle [rad] at which the motion with position limits begins, and its rotation [rad].
+
+    Parameters
+    ----------
+    problem : GenerationProblem
+    angles : sequence of float or symbol [rad]
+        Crank angle of every point.
+    """
     return (angles[0], angles[-1] - angles[0]) if problem.limits.crank == "span" else (0.0, TURN)
 
 
 def excesses(problem: GenerationProblem, values: Mapping[str, Value], angles: Array) -> Array:
-    """By how much every position limit is exceeded, in the rows' own units: negative where it holds, -inf where it has no value.
+    """Return the excess over every position limit, in the units of the rows: negative if satisfied, -inf if undefined.
 
     Parameters
     ----------
-    values : mapping of every quantity [m, rad]
-        Each a number, or (designs, 1) for many designs.
-    angles : (n,) or (designs, n) float
-        Crank angles [rad].
+    problem : GenerationProblem
+    values : mapping of str to float or array (designs, 1) [m, rad]
+        Value of every quantity.
+    angles : array (n,) or (designs, n) [rad]
+        Crank angles.
 
     Returns
     -------
-    (rows, n) or (rows, designs, n) float; what does not close is exceeded by the row of its assembly margin
+    (rows, n) or (rows, designs, n) float; positions without assembly exceed the row of the assembly margin
     """
     with np.errstate(all="ignore"):
         rows = position_rows(problem, problem.linkage.pose(values, unit(angles)))
@@ -203,7 +218,7 @@ def excesses(problem: GenerationProblem, values: Mapping[str, Value], angles: Ar
 
 
 def _traced(problem: GenerationProblem, values: dict[str, Any]) -> tuple[Any, tuple[Any, list[Row]]]:
-    """The residual and the limits at one crank angle, traced once (numpy's dispatch is paid once) for many to be put in."""
+    """Trace the residual and the limits at one crank angle once, for evaluation at many angles."""
     names, width = list(problem.quantities), problem.data.columns.shape[1]
     inputs = casadi.SX.sym("inputs", len(names) + 1 + width)
     own = {name: inputs[i] for i, name in enumerate(names)}

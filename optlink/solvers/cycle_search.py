@@ -1,4 +1,4 @@
-"""Multistart search of cycle optimisation: one NLP for each order of stroke reversals and slow stroke.
+"""Multistart search of cycle optimisation: one NLP for each order of events and slow stroke.
 
 A larger number of starting points never worsens the result: the starting points of a smaller number come first in the same
 sequence, every search starts from the state of the searches before it, and the best design is returned.
@@ -30,13 +30,13 @@ Array = NDArray[np.float64]
 
 STARTS = 8  # default number of starting points
 SAMPLES = 64  # random designs per starting point; only those with the structure of the initial design are used
-ORDERS = 2  # further orders of stroke reversals searched while no feasible design is known
+ORDERS = 2  # further orders of events searched while no feasible design is known
 COARSE, TRIED = 24, 2  # positions per revolution, and starts, of the infeasibility analysis
 
 
 @dataclass(frozen=True)
 class Begin:
-    """Starting points [SI] with the same order of stroke reversals and the same slow strokes, for which one NLP is valid."""
+    """Starting points [SI] with the same order of events and the same slow strokes, for which one NLP is valid."""
 
     structure: Structure
     starts: tuple[Mapping[str, float], ...]
@@ -117,7 +117,7 @@ def others(samples: Samples, known: Sequence[Begin], count: int, fits: Callable[
     ----------
     samples : Samples
     known : sequence of Begin
-        Those searched already; the first one defines the order of stroke reversals.
+        Those searched already; the first one defines the order of events.
     count : int
         Greatest number of starting points of each Begin.
     fits : function of a Structure
@@ -140,7 +140,7 @@ def others(samples: Samples, known: Sequence[Begin], count: int, fits: Callable[
 
 
 def programme(trace: Trace, begin: Begin) -> CycleNLP:
-    """Return the NLP of one order of stroke reversals, with its roaming positions at the peaks of the first starting point.
+    """Return the NLP of one order of events, with its roaming positions at the peaks of the first starting point.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def searched(
     ----------
     trace : Trace
     firsts : sequence of Begin
-        With the order of stroke reversals of the initial design.
+        With the order of events of the initial design.
     names : sequence of str
         Names of back ends.
     done : function
