@@ -252,7 +252,7 @@ class Equations:
         state : array (2n,)
             Coordinates and their rates.
         parameters : array
-            Constants in the order of `Equations.parameters`, with span 0.
+            Constants in the order of `Equations.parameters`; the span is ignored.
         time : float [s]
             Time step, may be negative.
         """
