@@ -30,9 +30,9 @@ class Subject:
     """A problem with its result.
 
     `cycle` is the analysis of the resulting machine over its whole motion from the start of its task; it is None if the machine
-    cannot
-    be assembled, with the reason in `unmoved`. `limits` are constraint states with shadow prices read from a result file. `notes`
-    inform the reader about the origin of the result. `answers` are the sensitivities of the optimum, if they were requested.
+    cannot be assembled, with the reason in `unmoved`. `limits` are constraint states with shadow prices read from a result file.
+    `notes` inform the reader about the origin of the result. `answers` are the sensitivities of the optimum, if they were
+    requested.
     """
 
     problem: ProblemFile

@@ -42,11 +42,9 @@ class Scene:
     """A mechanism over its motion.
 
     `angles` (positions,) [deg] follow the motion; `closed` says whether the last position equals the first; `points` are
-    coordinates
-    (positions, 2) by name; `moving`, `free` and `pins` are names of points; `ground` contains lines, widths and whether they are
-    filled; `springs` are the two end points (positions, 2, 2) by name; `size` is the height of a ground pivot; `box` is x, y,
-    width
-    and height of the drawing.
+    coordinates (positions, 2) by name; `moving`, `free` and `pins` are names of points; `ground` contains lines, widths and
+    whether they are filled; `springs` are the two end points (positions, 2, 2) by name; `size` is the height of a ground pivot;
+    `box` is x, y, width and height of the drawing.
     """
 
     angles: Array

@@ -33,7 +33,7 @@ def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | No
 
     if not file.spec.everywhere:
         return _at(build(file.spec), dict(design))
-    # the positions of the largest errors are variables, so solve from the optimum, which must not move
+    # the positions of the largest errors belong to the nonlinear program: solve from the optimum, which must not move
     found = solve(file, multistart.BACKENDS[-1], begin={name: design[name] for name in file.spec.free}).solution
     return None if found is None else _same(found, found.nlp.x_of(dict(design)))
 
@@ -41,7 +41,7 @@ def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | No
 def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution | None:
     """Return the optimum of a cycle optimisation at a design; None if the design is not an optimum.
 
-    The crank angles of the peaks are variables of the problem, so it is solved from the design, which must not move.
+    The crank angles of the peaks belong to the nonlinear program, which is therefore solved from the design; it must not move.
 
     Parameters
     ----------

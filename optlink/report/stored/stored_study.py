@@ -30,10 +30,8 @@ class Studied:
     """Report of a stored result.
 
     `kind` describes the task; `status` are lines below the verdict; `sections` contain tables and charts; `moving` returns the
-    animated
-    linkage for a number of positions per revolution, `drawn` is its caption, `after` the number of sections before it; `by` is
-    the
-    method.
+    animated linkage for a number of positions per revolution, `drawn` is its caption, `after` the number of sections before it;
+    `by` is the method.
     """
 
     problem: ProblemFile

@@ -217,8 +217,6 @@ def crank_axis(axes: Axes, course: Course, *, named: bool = True) -> None:
 def fit(axes: Axes, course: Course, *lines: Line2D, room: float = 0.16, least: float = 0.0) -> bool:
     """Set the limits of y to the lines, leaving room for labels; values that grow without bound are cut off.
 
-    Returns whether all is held.
-
     Parameters
     ----------
     axes : Axes

@@ -243,7 +243,7 @@ def mechanism(result: Balance) -> Figure | None:
     handles, words = sketch.legend()
     made.legend(handles, words, loc="outside lower center", ncols=min(len(handles), 9), frameon=False, fontsize=8.5)
     made.suptitle(_title(result, "counterweights to scale", 2.0 * panel), fontsize=11)
-    made.draw_without_rendering()  # fixes the layout, so that sizes in the figure are known
+    made.draw_without_rendering()  # computes the layout, so that sizes in the figure are known
     for axes, at in zip(panels, places, strict=True):
         here = sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed)
         labels += [_told(axes, sketch, one, sketch.placed(here, one.body, _centre(one, sketch))[0, 0]) for one in result.added]

@@ -73,8 +73,7 @@ def _path(turns: Turns, k: int, rows: slice, factor: float) -> tuple[Array, Arra
     """Return the journal centre relative to the bearing centre [m], with penetrations magnified by `factor`.
 
     Where a contact begins or ends between two rows, the path has a point on the clearance circle. Also returned: which segments
-    are
-    in contact, and the indices of the points where a contact begins.
+    are in contact, and the indices of the points where a contact begins.
     """
     result, gap = turns.result, turns.result.gaps[k]
     time = turns.time[rows]

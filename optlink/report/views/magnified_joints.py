@@ -215,8 +215,6 @@ class Loosened(Sketch):
     def lay(self, axes: Axes, columns: int, told: int | None = None) -> None:
         """Draw the fixed parts of the close-ups: the bearings and the paths of the journal centres.
 
-        `told`: the position whose values are written below; none in a film.
-
         Parameters
         ----------
         axes : Axes

@@ -25,8 +25,7 @@ class Track:
     """Motion of a synthesised design relative to its precision points.
 
     `motion` is the whole motion: a revolution, or the assembled range around the points. `run` is the motion from the first point
-    to
-    the last, or a revolution if the points are closed. `at` contains the positions at the points.
+    to the last, or a revolution if the points are closed. `at` contains the positions at the points.
     """
 
     def __init__(self, design: Design) -> None:

@@ -22,8 +22,7 @@ def repetition(turns: Turns) -> tuple[int | None, float] | None:
     """Return the period of the motion in revolutions and the largest difference as a share of the clearance.
 
     The second half of the run is used, at most 200 revolutions. The period is None if the motion does not repeat; the result is
-    None
-    if there are too few revolutions.
+    None if there are too few revolutions.
     """
     result = turns.result
     count = len(next(iter(result.section.values()), ()))

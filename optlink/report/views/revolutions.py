@@ -33,8 +33,7 @@ class Turns:
     """Stored rows of a simulation with clearance, assigned to revolutions.
 
     If the simulation stopped early, its last rows belong to no complete revolution; "last revolution" then means the last period
-    of
-    rows.
+    of rows.
     """
 
     def __init__(self, result: LooseSimulation) -> None:
