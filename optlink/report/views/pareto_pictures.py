@@ -45,7 +45,7 @@ def write_all(result: Pareto, folder: Path) -> list[Path]:
 
 @styled
 def picture(result: Pareto) -> Figure:
-    """Draw the front with its end points, its knee and the initial design."""
+    """Draw the front with its end points, its knee and the reference design."""
     pairs = list(itertools.combinations(range(len(result.aims)), 2))
     width, height = (7.6, 5.2) if len(pairs) == 1 else (13.0, 4.9)
     made = figure(width, height)

@@ -16,7 +16,7 @@ SHOWN = 24  # largest number of listed points, besides the end points and the kn
 
 
 def front(result: Pareto) -> RenderableType:
-    """Summarise a Pareto front: its points with end points and knee, and the change of each objective from the initial design."""
+    """Summarise a Pareto front: points, end points, knee, and the change of each objective from the reference design."""
     title = Text(result.problem.model.title, style=HEAD)
     title.append(f"\n{points(len(result.points))} of the front of {_and([aim.name for aim in result.aims])}, ")
     title.append("every one proven", style=GOOD)
@@ -52,7 +52,7 @@ def _shown(result: Pareto) -> list[int]:
 
 
 def _points(result: Pareto) -> RenderableType:
-    """Tabulate the objectives of the points and their change from the initial design."""
+    """Tabulate the objectives of the points and their change from the reference design."""
     columns = [("", "right")]
     for aim in result.aims:
         columns += [(f"{aim.name}\n[{aim.unit}]" if aim.unit else aim.name, "right")]
@@ -76,7 +76,7 @@ def _designs(result: Pareto) -> RenderableType:
 
 
 def _compared(result: Pareto) -> bool:
-    """Return whether the table has columns for the change from the initial design."""
+    """Return whether the table has columns for the change from the reference design."""
     return result.given is not None and len(result.aims) == 2
 
 
