@@ -1,10 +1,12 @@
-"""The loosest tolerances that keep a yield: least cost over all of them, where a tolerance t costs c/t.
+"""Allocate tolerances of least cost that keep a yield, where a tolerance t costs c/t.
 
 To first order an output keeps its limit with a margin of k sigma at every crank angle if sum (s_i t_i d_ij)^2 <= (room_j / k)^2:
-linear in t^2, while the cost is convex in it. Least cost is a convex programme, proven by its dual value. All tolerances scale
-with 1/k alike, so one programme gives their ratios, and samples of the exact linkage give k.
+linear in t^2, while the cost is convex in it. Minimising the cost is a convex programme, proven by its dual value. All tolerances
+scale with 1/k, so one programme gives their ratios, and samples of the exact linkage give k.
 
-Source: K. W. Chase, Minimum-cost tolerance allocation, ADCATS report 99-5 (1999), which has one limit and Lagrange's multiplier.
+References
+----------
+K. W. Chase, Minimum-cost tolerance allocation, ADCATS report 99-5 (1999): one limit and a Lagrange multiplier.
 """
 
 from __future__ import annotations
@@ -23,19 +25,19 @@ if TYPE_CHECKING:
     from optlink.studies.tolerance import Tolerance
 
 Array = NDArray[np.float64]
-PROVEN = 1e-6  # share of the cost between it and the dual value
+PROVEN = 1e-6  # largest relative duality gap of a proven cost
 SEARCHED = 1 << 16  # samples of the exact linkage at each k
 STEPS = 40  # of the bisection for k
-CLOSE = 1e-4  # share to which k is found
-MOST = 1 << 20  # times looser than what is given by which a bracket is sought
+CLOSE = 1e-4  # relative accuracy of k
+MOST = 1 << 20  # largest factor on the tolerances in the search of a bracket
 
 
 @dataclass(frozen=True)
 class Allocation:
-    """Tolerances that keep a yield: `tolerances` [SI] in the order of the study's, `cost`, and that of those given.
+    """Tolerances that keep a yield: `tolerances` [SI] in the order of the study, their `cost`, and the cost of the given ones.
 
-    `gap`: share of the cost between it and the dual value; `carlo`: samples of other seed that check the yield; `free`: names
-    of tolerances that do not move the output, and stay as given.
+    `gap`: relative duality gap of the cost; `carlo`: independent samples that verify the yield; `free`: names
+    of tolerances without effect on the output, which keep their given values.
     """
 
     wanted: float
@@ -50,11 +52,11 @@ class Allocation:
 
     @property
     def kept(self) -> bool:
-        """Whether the wanted yield lies within the confidence interval of the check, or below it."""
+        """Whether the required yield is within or below the confidence interval of the verification."""
         return self.wanted <= self.carlo.interval[1]
 
     def to_dict(self) -> dict[str, Any]:
-        """As part of a JSON document."""
+        """Return the allocation as part of a JSON document."""
         return {
             "wanted_yield": self.wanted,
             "tolerances_SI": dict(zip(self.names, self.tolerances.tolist(), strict=True)),
@@ -69,27 +71,30 @@ class Allocation:
 
 
 def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:
-    """Tolerances t that cost least, sum c/t, under weights @ t^2 <= 1.
+    """Minimise the cost sum c/t of tolerances t subject to weights @ t^2 <= 1.
 
     Parameters
     ----------
-    weights : array (limits, tolerances), none negative, no column of zeros
-    costs : array (tolerances,), positive
+    weights : array (limits, tolerances)
+        Non-negative, no column of zeros.
+    costs : array (tolerances,)
+        Positive cost coefficients.
 
     Returns
     -------
-    t : array
-    gap : share of the cost by which the dual value lies below it
+    t : array (tolerances,)
+    gap : float
+        Relative duality gap of the cost.
 
     Raises
     ------
     SolverError
-        when the programme is not solved.
+        If the programme is not solved.
     """
     import cvxpy as module
 
     cvxpy: Any = module
-    rough = 1.0 / np.sqrt(np.max(weights, axis=0))  # alone on its sharpest limit
+    rough = 1.0 / np.sqrt(np.max(weights, axis=0))  # each tolerance alone at its tightest limit
     cost = costs / rough / np.mean(costs / rough)
     scaled = weights * np.square(rough)
     square = cvxpy.Variable(len(costs), pos=True)
@@ -99,20 +104,33 @@ def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:
     if programme.status != cvxpy.OPTIMAL:
         raise SolverError(f"the least cost of tolerances was not found: {programme.status}")
     prices = np.maximum(np.asarray(rule.dual_value, dtype=float), 0.0)
-    best = np.power(cost / (2.0 * (scaled.T @ prices)), 2.0 / 3.0)  # least of cost + prices over all tolerances
+    best = np.power(cost / (2.0 * (scaled.T @ prices)), 2.0 / 3.0)  # minimum of the Lagrangian over all tolerances
     dual = float(np.sum(cost / np.sqrt(best)) + prices @ (scaled @ best - 1.0))
-    exact = [point / np.max(scaled @ point) for point in (best, np.asarray(square.value, dtype=float))]  # on the limit
-    own, found = min((float(np.sum(cost / np.sqrt(point))), i) for i, point in enumerate(exact))  # the first, of one limit
+    exact = [point / np.max(scaled @ point) for point in (best, np.asarray(square.value, dtype=float))]  # scaled to the limit
+    own, found = min((float(np.sum(cost / np.sqrt(point))), i) for i, point in enumerate(exact))  # the first for a single limit
     return rough * np.sqrt(exact[found]), (own - dual) / own
 
 
 def allocate(study: Tolerance, wanted: float, costs: Mapping[str, float], samples: int, seed: int) -> Allocation:
-    """The loosest tolerances of a study with which a share `wanted` of the linkages keeps its limit.
+    """Return the tolerances of least cost with which a study keeps its limit with a required yield.
+
+    Parameters
+    ----------
+    study : Tolerance
+        Its tolerances are the reference; those without effect keep their values.
+    wanted : float
+        Required yield, between 0 and 1.
+    costs : mapping of str to float
+        Cost coefficients by name of the deviation. Default: those of the deviations.
+    samples : int
+        Samples of the final verification.
+    seed : int
+        Seed of the search; the verification uses the next one.
 
     Raises
     ------
     InputError
-        measured deviations (they are as they are); a design that breaks the limit as drawn.
+        For measured deviations, which cannot be allocated, or a design that violates the limit as drawn.
     """
     measured = [d.name for d in study.deviations if d.values]
     if measured:
@@ -147,12 +165,12 @@ def allocate(study: Tolerance, wanted: float, costs: Mapping[str, float], sample
         found = tolerances.copy()
         found[moves] = unit / k
         wider = (replace(d, tolerance=float(t)) for d, t in zip(study.deviations, found, strict=True))
-        return replace(study, deviations=tuple(wider))  # `by` is that of the drawing, whatever the tolerances
+        return replace(study, deviations=tuple(wider))  # `by` depends on the nominal design only
 
     def yielded(k: float) -> float:
         return monte_carlo(scaled(k), SEARCHED, seed).share
 
-    low, high = 1.0, 1.0  # from so loose that it fails to so tight that it keeps
+    low, high = 1.0, 1.0  # bracket: yield below and above the requirement
     while yielded(high) < wanted and high < MOST:
         low, high = high, 2.0 * high
     while low == high or (yielded(low) >= wanted and low > 1.0 / MOST):

@@ -1,7 +1,7 @@
-"""The task that analyses the design at every point of a grid, without optimisation.
+"""Sweep task that analyses the design at every point of a grid, without optimisation.
 
-Designs that stay clear of every singular position go through in batches; the others, and those whose loads jump, are analysed one
-by one, as `optlink analyze` does. Both give the exact extremes of the motion, to the same digits but rounding.
+Designs clear of singular positions are analysed in batches; the others, and those with load jumps, one by one as by
+`optlink analyze`. Both give the exact extremes of the motion, equal within rounding.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from optlink.units import factor
 
 Array = NDArray[np.float64]
 
-MANY = 2000  # designs of a chunk
+MANY = 2000  # designs per chunk
 FIGURES = ("min", "max", "rms")
 ANALYSED = "analysed"
 ANGLE = ".angle_rad"  # its extremes are those of the swing
 
 
 class Outcome(NamedTuple):
-    """What became of one design: its figures by name, and why they are missing where they are."""
+    """Outcome of one design: its figures by name, and the reason where they are missing."""
 
     figures: Mapping[str, float]
     status: str
@@ -46,15 +46,18 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True)
 class Analysing(Sweeping):
-    """Designs as they are: figures of the analysis over the whole revolution.
+    """Analysis of given designs over the whole revolution.
 
     Parameters
     ----------
-    quantities : name of the mechanism's quantity of every axis
-    asked : columns of the analysis, each of which gives its least, largest and rms value, or single figures of it
+    quantities : tuple of str
+        Quantity of the mechanism that each axis varies.
+    asked : tuple of str
+        Columns of the analysis, each with its least, largest and rms value, or single figures.
     points : int
         Crank angles per revolution, for rms values.
-    design : design [SI] of what is free and not varied
+    design : tuple of (str, float) [SI]
+        Design variables that are not varied.
     """
 
     quantities: tuple[str, ...]
@@ -69,7 +72,7 @@ class Analysing(Sweeping):
         Raises
         ------
         InputError
-            where a name is none of the analysis.
+            For a name that the analysis does not have.
         """
         columns, single = known_figures(self.problem)
         found: dict[str, None] = {}
@@ -84,11 +87,11 @@ class Analysing(Sweeping):
 
     @property
     def columns(self) -> list[str]:
-        """The axes, the figures, and what became of the design."""
+        """The axes, the figures, and the outcome."""
         return [*(axis.column for axis in self.grid.axes), *self.figures, "status", "valid", "reason"]
 
     def lines(self, index: int) -> list[list[str]]:
-        """Rows of a chunk."""
+        """Return the rows of a chunk."""
         values = [self.grid.values(point) for point in self.span(index)]
         known = self.problem.model.mechanism.quantities
         designs = {name: np.full(len(values), value) for name, value in self.design}
@@ -108,7 +111,7 @@ class Analysing(Sweeping):
         return rows
 
     def _batched(self, designs: Mapping[str, Array]) -> dict[int, Outcome]:
-        """Outcomes of the designs that are clear of all singular positions, by their number."""
+        """Return the outcomes of the designs clear of all singular positions, by their index."""
         stems = {name.rpartition(".")[0] for name in self.figures}
         columns, _ = known_figures(self.problem)
         jumps = machine_of(self.problem).switching or any(load.by_pace for load in self.problem.model.loads.values())
@@ -130,7 +133,7 @@ class Analysing(Sweeping):
         }
 
     def _alone(self, design: Mapping[str, float]) -> Outcome:
-        """The outcome of one design [SI], whatever is wrong with it."""
+        """Return the outcome of one design [SI], including failures."""
         machine = machine_of(self.problem, design)
         ranges = reachable(machine.mechanism, machine.sizes)
         if not ranges.full:
@@ -143,7 +146,7 @@ class Analysing(Sweeping):
         return Outcome({**found.figures, **dict(self._sampled(found))}, ANALYSED)
 
     def _sampled(self, found: Analysis) -> Iterator[tuple[str, float]]:
-        """Figures that the summary of the analysis does not have: rms values, and extremes of angles."""
+        """Yield figures missing in the summary of the analysis: rms values, and extremes of angles."""
         for name in {name.rpartition(".")[0] for name in self.figures}:
             parts = reaction_parts(name)
             if not all(part in found.columns for part in parts):
@@ -156,7 +159,7 @@ class Analysing(Sweeping):
 
 
 def known_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Columns of the analysis, whose extremes and rms values can be columns of a sweep; and its other figures."""
+    """Return the columns of the analysis, whose extremes and rms values can be columns of a sweep, and its other figures."""
     machine, drive = machine_of(problem), problem.model.drive
     mechanism = machine.mechanism
     columns = list(Record(machine.moving(np.array([drive.start.value]), crank_speed(problem))).columns)
@@ -170,7 +173,7 @@ def known_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str, ...
 
 
 def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:
-    """Where the crank can turn, and what stops it."""
+    """Return where the crank can turn, and what stops it."""
     deg = math.degrees
     if ranges.ranges:
         reach = ", ".join(f"{deg(low):.6g} ... {deg(high):.6g} deg" for low, high in ranges.ranges)
@@ -180,7 +183,7 @@ def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:
 
 
 def _unsound(found: Analysis) -> str:
-    """Why an analysis is not sound, and where."""
+    """Return why an analysis is not sound, and where."""
     if found.ranges.singular:
         where = f"singular position at crank angle {listed(found.ranges.singular)}"
         return f"{where}: the assembly modes meet, and the motion beyond it is not determined"
@@ -196,12 +199,17 @@ def _unsound(found: Analysis) -> str:
 
 
 def quantity_of(problem: ProblemFile, axis: Axis) -> str:
-    """Name of the mechanism's quantity that an axis varies: `mechanism.frame`, `mechanism.links.rod.length` or `rod.length`.
+    """Return the mechanism quantity that an axis varies: `mechanism.frame`, `mechanism.links.rod.length` or `rod.length`.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    axis : Axis
 
     Raises
     ------
     InputError
-        when it varies something else: that changes what is asked, not what is analysed.
+        If the axis varies something other than a quantity of the mechanism.
     """
     known = problem.model.mechanism.quantities
     name = axis.key.removeprefix("mechanism.")

@@ -1,6 +1,6 @@
-"""Chunks of a study on a Dask cluster: one of this machine, or one whose scheduler is named (`pip install "optlink[dask]"`).
+"""Run chunks of a study on a Dask cluster, local or at a scheduler address (`pip install "optlink[dask]"`).
 
-The cluster of this machine opens no network port: scheduler and workers are threads of this process (`inproc://`), each worker
+The local cluster opens no network port: scheduler and workers are threads of this process (`inproc://`), each worker
 passes its chunks through a pipe to a process of its own, and there is neither a dashboard nor any other HTTP server.
 """
 
@@ -21,19 +21,20 @@ from typing import Any
 from optlink.errors import Fault, InputError, SolverError
 from optlink.studies.worker import ONE_THREAD, Answer, Task, perform
 
-PATIENCE = 10  # s, for a scheduler to answer and for a first worker
-AHEAD = 3  # chunks that wait at every worker
+PATIENCE = 10  # s, time limit for the scheduler and for a first worker
+AHEAD = 3  # chunks queued per worker
 LOCAL = "a cluster of this machine"
 QUIET = {"distributed.admin.tick.interval": "1s", "distributed.worker.profile.enabled": False}
 """Settings of a cluster of this machine. By default Dask observes itself 20 to 100 times a second, which slows the chunks."""
 
 
 def installed() -> tuple[Any, Any]:
-    """The packages dask and distributed.
+    """Return the packages dask and distributed.
 
     Raises
     ------
     InputError
+        If Dask is not installed.
     """
     try:
         import dask
@@ -47,7 +48,27 @@ def installed() -> tuple[Any, Any]:
 def on_cluster(
     task: Task, todo: Iterable[int], workers: int, scheduler: str | None, patience: float = PATIENCE
 ) -> Iterator[tuple[int, Answer]]:
-    """As `optlink.studies.runner.run`; a chunk whose worker dies is done again on another one."""
+    """Run chunks as `optlink.studies.runner.run`; repeat a chunk on another worker if its worker dies.
+
+    Parameters
+    ----------
+    task : Task
+    todo : iterable of int
+        Numbers of chunks.
+    workers : int
+        Number of workers of a local cluster.
+    scheduler : str, optional
+        Address of a Dask scheduler. Default: a local cluster.
+    patience : float [s]
+        Time limit for the answer of the scheduler and for a first worker.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, or no scheduler or worker answers.
+    SolverError
+        If the scheduler stops answering, or a chunk ends several workers.
+    """
     dask, distributed = installed()
     with contextlib.ExitStack() as stack:
         stack.enter_context(distributed.utils.silence_logging_cmgr("CRITICAL"))
@@ -67,7 +88,7 @@ def on_cluster(
 
 
 def _local_cluster(distributed: Any, workers: int) -> Any:
-    """A scheduler and workers in this process, without their HTTP servers, which are on even without a dashboard."""
+    """Return a scheduler and workers in this process without HTTP servers, which Dask starts even without a dashboard."""
 
     class Scheduler(distributed.Scheduler):  # type: ignore[misc]
         def start_http_server(self, *args: Any, **kwargs: Any) -> None:
@@ -86,12 +107,12 @@ def _local_cluster(distributed: Any, workers: int) -> Any:
 
 
 class ProcessExecutor(ThreadPoolExecutor):
-    """Runs functions one at a time in a process of its own, and in a new one if that dies. It needs no network port.
+    """Executor that runs functions one at a time in a separate process, and in a new one if that dies, without a network port.
 
     Raises
     ------
     BrokenProcessPool
-        by the future of the function during which the process died.
+        By the future of the function during which the process died.
     """
 
     def __init__(self) -> None:
@@ -99,7 +120,15 @@ class ProcessExecutor(ThreadPoolExecutor):
         self._process: SpawnProcess | None = None
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Run a function; everything must be fit for pickle."""
+        """Run a function in the process.
+
+        Parameters
+        ----------
+        function : callable
+            Must be picklable, as must its arguments and its result.
+        *args, **kwargs
+            Arguments of the function.
+        """
         return super().submit(self._run, function, args, kwargs)
 
     def _run(self, *job: Any) -> Any:
@@ -119,7 +148,15 @@ class ProcessExecutor(ThreadPoolExecutor):
             raise BrokenProcessPool("the process of a worker ended unexpectedly") from None
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
-        """End the process at once, whatever it does."""
+        """Kill the process at once.
+
+        Parameters
+        ----------
+        wait : bool
+            Whether to wait for the thread of the executor.
+        cancel_futures : bool
+            Whether to cancel pending functions.
+        """
         self._end()
         super().shutdown(wait, cancel_futures=cancel_futures)
 
@@ -131,7 +168,7 @@ class ProcessExecutor(ThreadPoolExecutor):
 
 
 def _serve(pipe: Connection) -> None:
-    """Run what comes through a pipe until its other end is closed; Ctrl-C is left to who began this process."""
+    """Run the functions received through a pipe until it closes; Ctrl-C is handled by the parent process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(EOFError, OSError):
         while True:
@@ -141,7 +178,7 @@ def _serve(pipe: Connection) -> None:
 
 @contextlib.contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Environment variables for the processes that begin meanwhile."""
+    """Set environment variables for processes that start meanwhile."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:

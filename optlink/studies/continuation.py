@@ -1,7 +1,7 @@
-"""From an optimum to that of a neighbouring problem: Newton's method on the optimality conditions, with the limits that held it.
+"""Continue an optimum to a neighbouring problem by Newton's method on the optimality conditions with a fixed active set.
 
-The first step is the one that sensitivities predict, the others take what is left. Where other limits hold the neighbour, the end
-is no optimum, which its examination shows: then a search is needed.
+The first step equals the prediction by sensitivities, further steps remove the residual. If the active set of the neighbour
+differs, the end is no optimum, which its examination detects: then a search is needed.
 """
 
 from __future__ import annotations
@@ -16,13 +16,21 @@ from optlink.solvers.solution import Attempt, Solution, examine
 
 Array = NDArray[np.float64]
 MAX_STEPS = 8
-LONGEST = 0.3  # scaled units; a neighbour is not that far away
+LONGEST = 0.3  # scaled units; largest distance of a neighbour
 CONVERGED = 1e-10
 FOLLOWED = "followed from a neighbour"
 
 
 def follow(nlp: NLP, near: Solution) -> Solution | None:
-    """The optimum of a programme whose parameters or bounds were moved since `near` was found; None where a search is needed."""
+    """Return the optimum of a programme after a change of its parameters or bounds; None if a search is needed.
+
+    Parameters
+    ----------
+    nlp : NLP
+        Programme with the new parameters and bounds.
+    near : Solution
+        Optimum before the change.
+    """
     p = np.array([near.p[0], *nlp.p[1:]])
     x, n = near.x, len(near.x)
     active = np.array(near.proof.active, dtype=int)

@@ -1,7 +1,7 @@
-"""What the optimum of a machine that is designed by its cycle depends on: sizes, limits, masses, loads, friction, speed, gravity.
+"""Parameters of an optimum over a machine cycle: dimensions, limits, masses, loads, friction, speed, gravity.
 
-Sizes and limits are numbers of its programme. The others go into the formulas: the programme is built once more with a little
-more and a little less of each; central differences of the optimality system, where the optimum is, tell what they change there.
+Dimensions and limits are parameters of the programme. The others enter its formulas: the programme is built again with a slightly
+larger and smaller value of each; central differences of the optimality system at the optimum give their effect.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from optlink.tasks.cycle_result import task_of
 from optlink.units import KINDS, UnitProblem, factor
 
 Array = NDArray[np.float64]
-SECTIONS = ("bodies", "loads")  # joints have no figures that an ideal machine answers to
+SECTIONS = ("bodies", "loads")  # joint parameters do not affect an ideal machine
 ALONE = ("drive.speed", "gravity")
-STEP = 1e-4  # share of a number by which it is changed to either side: most go in linearly, the speed by its square
-TURNED = 0.01  # the same of an angle that is 0, in its unit
-ELSEWHERE = 0.02  # of the longest size: a neighbour further away than ten times its prediction and this is another optimum
-CLOSE = "slsqp"  # goes on from where it stands
-WHOLE = "%"  # of a table, whose values are changed together
+STEP = 1e-4  # relative step of central differences: most parameters enter linearly, the speed by its square
+TURNED = 0.01  # step of an angle of 0, in its unit
+ELSEWHERE = 0.02  # of the longest dimension: beyond this and ten times the prediction, an optimum is a different one
+CLOSE = "slsqp"  # continues from its starting point
+WHOLE = "%"  # unit of a table whose values are scaled together
 _FIGURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*)?")
 
 
 class Givens:
-    """What is given to a machine, and what each does to the optimality system at its optimum."""
+    """Parameters of a machine, and their effect on the optimality system at its optimum."""
 
     def __init__(self, problem: ProblemFile, system: System) -> None:
         assert isinstance(system.nlp, CycleNLP)
@@ -54,17 +54,17 @@ class Givens:
 
     @cached_property
     def parameters(self) -> list[Parameter]:
-        """Sizes and limits of the programme under their keys of the file, then the other figures."""
+        """Dimensions and limits of the programme under their keys in the file, then the other parameters."""
         known = [replace(parameter, key=self._key(parameter)) for parameter in parameters(self.nlp)]
         return [*(parameter for parameter in known if parameter.key), *_figures(self.problem)]
 
     def push(self, parameter: Parameter) -> Push:
-        """What one unit of a parameter changes.
+        """Return the change of the optimality system per unit of a parameter.
 
         Raises
         ------
         InputError
-            where the figure cannot be changed to both sides.
+            If the value cannot be changed to both sides.
         """
         if parameter.constant >= 0 or parameter.entries:
             return self.system.push(parameter)
@@ -76,7 +76,7 @@ class Givens:
         return Push((high - low) / (2.0 * step), (above - below)[self.system.unknown] / (2.0 * step), entries, still, still)
 
     def _key(self, parameter: Parameter) -> str:
-        """Its key in the problem file; empty of a row that the file does not state."""
+        """Return the key in the problem file; empty for a row that the file does not state."""
         entry = parameter.entries[0] if parameter.entries else 0
         side = "" if parameter.constant >= 0 else ".max" if parameter.upper else ".min"
         if parameter.constant < 0 and entry >= len(self.nlp.variables):
@@ -95,7 +95,7 @@ class Givens:
         return f"mechanism.{'.'.join(map(str, steps))}{side}"
 
     def _seen(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
-        """The Lagrangian, its gradient by (x, p) and the rows where the optimum is, with another value in the file."""
+        """Return the Lagrangian, its gradient by (x, p) and the rows at the optimum, with another value in the file."""
         system, nlp = self.system, self.nlp
         trace = Trace(task_of(changed(self.problem, parameter, value)), slow=self.nlp.traced.slow)
         slots = nlp.slots // nlp.strokes
@@ -112,7 +112,7 @@ class Givens:
 
 
 def _figures(problem: ProblemFile) -> list[Parameter]:
-    """Every number that the file states of bodies and loads, friction in guides, the speed and gravity."""
+    """Return all numbers of bodies and loads in the file, guide friction, the speed and gravity as parameters."""
     found = [*(leaf for key in ALONE for leaf in _leaves(key, raw_at(problem, key)))]
     for section in SECTIONS:
         found += _leaves(section, problem.raw.get(section, {}))
@@ -121,7 +121,7 @@ def _figures(problem: ProblemFile) -> list[Parameter]:
     made = []
     for key, raw in found:
         value, unit = (100.0, WHOLE) if isinstance(raw, list) else _read(raw)
-        if value or _angular(unit):  # of nothing else there is a share to change it by
+        if value or _angular(unit):  # other zeros have no relative step
             name = key.removeprefix("mechanism.guides.").split(".", 1)
             short = name[-1] if name[0] in (*SECTIONS, "drive") else ".".join(name)
             made.append(Parameter(key, short, value, unit, Scale(unit, 1.0)))
@@ -129,7 +129,7 @@ def _figures(problem: ProblemFile) -> list[Parameter]:
 
 
 def _leaves(key: str, raw: Any) -> Iterator[tuple[str, Any]]:
-    """Keys with their numbers; of a pair its coordinates, of a table its values together."""
+    """Yield keys with their numbers: the coordinates of a pair, the values of a table together."""
     if isinstance(raw, Mapping):
         for name, part in raw.items():
             yield from _leaves(f"{key}.{name}", part)
@@ -145,7 +145,7 @@ def _number(raw: Any) -> float:
 
 
 def _read(raw: Any) -> tuple[float, str]:
-    """A value and its unit; 0 and no unit of what is none."""
+    """Return a value and its unit; 0 and no unit for anything else."""
     if isinstance(raw, int | float) and not isinstance(raw, bool):
         return float(raw), ""
     match = _FIGURE.fullmatch(raw) if isinstance(raw, str) else None
@@ -165,7 +165,14 @@ def _angular(unit: str) -> bool:
 
 
 def changed(problem: ProblemFile, parameter: Parameter, value: float) -> ProblemFile:
-    """The problem with another value of a parameter [its unit]."""
+    """Return the problem with another value of a parameter.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    parameter : Parameter
+    value : float [parameter.unit]
+    """
     if parameter.unit == WHOLE:
         pairs = [_read(each) for each in raw_at(problem, parameter.key)]
         return problem.override({parameter.key: [text(own * value / parameter.value, unit) for own, unit in pairs]})
@@ -178,10 +185,22 @@ def changed(problem: ProblemFile, parameter: Parameter, value: float) -> Problem
 def searched_again(
     problem: ProblemFile, solution: Solution, parameter: Parameter, value: float, moved: float
 ) -> tuple[float, dict[str, float]] | None:
-    """Objective and free sizes [their units] of the machine with another value, built and searched anew from the optimum.
+    """Return objective and design variables of the machine with another value, built anew and searched from the optimum.
 
-    None where there is none, or another one is found: `moved` is how far the sizes are predicted to move, as a share of the
-    longest.
+    Parameters
+    ----------
+    problem : ProblemFile
+    solution : Solution
+        Optimum with the present value.
+    parameter : Parameter
+    value : float [parameter.unit]
+    moved : float
+        Predicted change of the dimensions relative to the longest one.
+
+    Returns
+    -------
+    tuple of float [SI] and mapping of str to float [display units], or None
+        None if there is no optimum, or a different one is found.
     """
     assert isinstance(solution.nlp, CycleNLP)
     try:

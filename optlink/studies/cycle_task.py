@@ -1,8 +1,8 @@
-"""The task that designs a machine by its cycle at every point of a grid.
+"""Sweep task that optimises a machine cycle at every point of a grid.
 
-Where limits alone vary the programme is built once: their bounds are numbers of it. Within a chunk a search begins at the machine
-of a neighbour that is done; the first one of a chunk begins at machines that the task names, or where the problem says and at
-random sizes, so that no chunk depends on another. Every machine is proven as a single one is.
+If only limits vary, the programme is built once: their bounds are its parameters. Within a chunk a search starts from the machine
+of a completed neighbour; the first one of a chunk starts from machines that the task names, or from the start of the problem and
+random dimensions, so that no chunk depends on another. Every machine is validated like a single one.
 """
 
 from __future__ import annotations
@@ -44,25 +44,25 @@ N = TypeVar("N", bound=NLP)
 Array = NDArray[np.float64]
 
 BOUNDS = ("min", "max", "exactly")
-COMPILED = ("_values", "_all", "_residuals", "_hessian", "_levels")  # what of a programme no bound goes into
+COMPILED = ("_values", "_all", "_residuals", "_hessian", "_levels")  # compiled parts of a programme independent of bounds
 
 
 @dataclass(frozen=True)
 class Designing(Sweeping):
-    """A new machine at every point; `anchors`: sizes [SI] of machines from which the first search of a chunk begins."""
+    """Optimum at every point; `anchors`: dimensions [SI] of machines from which the first search of a chunk starts."""
 
     backend: str
     anchors: tuple[tuple[tuple[str, float], ...], ...] = ()
 
     @cached_property
     def free(self) -> dict[str, Quantity]:
-        """The free sizes."""
+        """Design variables."""
         model = self.problem.model
         return {name: model.quantities[name] for name in model.free}
 
     @property
     def columns(self) -> list[str]:
-        """The axes, the free sizes in people's units, the objective in SI, and how it was found."""
+        """The axes, the design variables in display units, the objective in SI, and the outcome."""
         free = [f"{name}_{KINDS[quantity.kind].people}" for name, quantity in self.free.items()]
         kind = task_of(self.problem).unit_kind
         objective = column("objective", KINDS[kind].si.replace("**", "^") if kind else "")
@@ -70,7 +70,7 @@ class Designing(Sweeping):
 
     @cached_property
     def programme(self) -> Programme | None:
-        """The programme of all points; None where every point needs its own."""
+        """Common programme of all points; None if every point needs its own."""
         limits = [axis.key.rpartition(".") for axis in self.grid.axes]
         if not all(limit.startswith("limits.") and side in BOUNDS for limit, _, side in limits):
             return None
@@ -78,7 +78,7 @@ class Designing(Sweeping):
         return made if made.possible else None
 
     def lines(self, index: int) -> list[list[str]]:
-        """Rows of a chunk."""
+        """Return the rows of a chunk."""
         done: dict[int, MachineDesign] = {}
         rows = []
         for point in self.span(index):
@@ -95,7 +95,17 @@ class Designing(Sweeping):
         return rows
 
     def begun(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> MachineDesign:
-        """The machine of a point, searched from given sizes [SI]."""
+        """Return the machine of a point, searched from given dimensions.
+
+        Parameters
+        ----------
+        point : int
+            Index in the grid.
+        task : ProblemFile
+            Problem at the point.
+        sizes : mapping of str to float [SI]
+            Starting values of the design variables.
+        """
         found = None
         if self.programme is not None:
             bounds = {axis.key: value for axis, value in zip(self.grid.axes, self.grid.values(point), strict=True)}
@@ -103,7 +113,7 @@ class Designing(Sweeping):
         return solve_cycle(restarted(task, sizes), self.backend, starts=1) if found is None else found
 
     def searched(self, task: ProblemFile) -> MachineDesign:
-        """The machine of a problem for itself; where its peaks did not settle, searched once more from there."""
+        """Return the machine of a separate search, repeated once from its result if the peak exchange did not converge."""
         found = solve_cycle(task, self.backend)
         if found.valid or found.status is not Status.OPTIMAL:
             return found
@@ -121,12 +131,12 @@ class Designing(Sweeping):
 
 
 def _rank(found: MachineDesign) -> tuple[bool, float]:
-    """What comes first is better: proven, low."""
+    """Return a sort key: validated first, then by objective."""
     return not found.valid, found.objective
 
 
 class Programme:
-    """One programme for many bounds of its limits: what is traced and compiled for it serves them all."""
+    """One programme for many bounds of its limits, traced and compiled once."""
 
     def __init__(self, problem: ProblemFile, backend: str) -> None:
         task = problem.model
@@ -137,7 +147,7 @@ class Programme:
 
     @cached_property
     def nlp(self) -> CycleNLP:
-        """The programme with the limits of the problem."""
+        """Programme with the limits of the problem."""
         assert self.structure is not None
         task = self.trace.problem
         start = {name: task.quantities[name].value for name in task.free}
@@ -147,8 +157,15 @@ class Programme:
         return made
 
     def design(self, problem: ProblemFile, bounds: Mapping[str, float], near: Mapping[str, float]) -> MachineDesign | None:
-        """The machine of a problem that differs in `bounds` (by key, in the unit of the problem) alone, searched from sizes
-        `near` by [SI]; None where motions do not reverse there as they do in the programme.
+        """Return the machine of a problem with other bounds; None if the motion reverses in a different order at the start.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        bounds : mapping of str to float [unit of the problem]
+            Bounds by key, including their side.
+        near : mapping of str to float [SI]
+            Starting values of the design variables.
         """
         begin = time.perf_counter()
         structure = self.trace.structure(near)
@@ -177,7 +194,14 @@ class Programme:
 
 
 def held(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
-    """The programme with other bounds of limits, by key with its side, in the unit of the file; what is compiled is shared."""
+    """Return the programme with other bounds of limits; compiled parts are shared.
+
+    Parameters
+    ----------
+    nlp : CycleNLP
+    bounds : mapping of str to float [unit of the file]
+        Bounds by key, including their side.
+    """
     rows, watched, task = list(nlp.rows), list(nlp.watched), nlp.traced.problem
     followed = [""] * sum(goal.extreme for goal in task.goals)  # in the order of `watched`
     followed += [bound.key for bound in task.bounds if bound.term.extreme]
@@ -194,14 +218,14 @@ def held(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
             if side != ("min" if watched[k].sign > 0.0 else "max"):
                 watched[k] = replace(watched[k], bound=watched[k].sign * bound / rows[own[0]].scale.factor)
     p = nlp.p.copy()
-    kept = {  # programmes that were made of this one have its rows, then their own
+    kept = {  # derived programmes have the rows of this one, then their own
         key: _rebound(own, (*rows, *own.rows[len(rows) :]), p) if isinstance(own, NLP) else own for key, own in nlp.cache.items()
     }
     return _rebound(nlp, tuple(rows), p, watched=tuple(watched), cache=kept)
 
 
 def _rebound(nlp: N, rows: tuple[Row, ...], p: Array, **changes: Any) -> N:
-    """A programme with other bounds and parameters, and all that was compiled for it."""
+    """Return a programme with other bounds and parameters, and all compiled parts."""
     made = replace(nlp, rows=rows, p=p, **changes)
     for name in COMPILED:
         if name in vars(nlp):
@@ -210,7 +234,13 @@ def _rebound(nlp: N, rows: tuple[Row, ...], p: Array, **changes: Any) -> N:
 
 
 def restarted(problem: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
-    """The problem with its free sizes starting at others [SI], clipped to their bounds."""
+    """Return the problem with other starting values of its design variables, clipped to their bounds.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    values : mapping of str to float [SI]
+    """
     sizes = sizes_of(problem.model.mechanism.quantities)
     for name, value in values.items():
         low, high = problem.model.quantities[name].bounds
@@ -220,7 +250,7 @@ def restarted(problem: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
 
 
 def _begun(free: Any, fixed: Any) -> Any:
-    """A part of the file with the values of a settled one as the start of what is free."""
+    """Return a part of the file with fixed values as the starting values of design variables."""
     if isinstance(free, Mapping) and "bounds" in free:
         return {**free, "start": fixed}
     if isinstance(free, Mapping):

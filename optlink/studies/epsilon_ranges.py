@@ -1,4 +1,4 @@
-"""Where the limits of a front walk: from where the other objectives are best to the best of the one that is held."""
+"""Ranges of the epsilon constraints of a Pareto front, between the best of the other objectives and of the constrained one."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from optlink.tasks.function import solve
 Once = Callable[[str, Callable[[], Mapping[str, Any]]], Mapping[str, Any]]
 """(name, search) -> what the search finds, fit for JSON, done now or before"""
 
-NEAR = 1e-4  # of its extent by which an objective is let go at its own end, where nothing else could move
-NONE = 1e-6  # relative; an objective that moves less has no trade-off
+NEAR = 1e-4  # relative relaxation of an objective at its own end, where the others could not change otherwise
+NONE = 1e-6  # relative; an objective that varies less has no trade-off
 
 
 class NoEnd(InputError):
@@ -34,9 +34,9 @@ class NoEnd(InputError):
 
 @dataclass(frozen=True)
 class Walks:
-    """What the walks of a front depend on.
+    """Ranges of the epsilon constraints of a front.
 
-    `first`: number of the objective that is minimised; `count`: values of every limit that no range is asked for.
+    `first`: index of the minimised objective; `count`: values of every limit without a requested range.
     """
 
     problem: ProblemFile
@@ -47,22 +47,22 @@ class Walks:
 
     @cached_property
     def held(self) -> tuple[int, ...]:
-        """Numbers of the objectives that limits hold."""
+        """Indices of the constrained objectives."""
         return tuple(k for k in range(len(self.aims)) if k != self.first)
 
     @cached_property
     def bare(self) -> ProblemFile:
-        """A law's problem without the limits that hold objectives."""
+        """Problem of a law without the limits of the constrained objectives."""
         return bare(self.problem, [self.aims[k] for k in self.held])
 
     @cached_property
     def fixed(self) -> dict[int, Axis]:
-        """Values of the limits that are to walk along a range that was asked for, by the number of the objective.
+        """Values of the limits with a requested range, by the index of the objective.
 
         Raises
         ------
         InputError
-            ranges without sense; an objective that has to have one.
+            For invalid ranges, or an objective that requires one.
         """
         found = {}
         for k in self.held:
@@ -77,17 +77,17 @@ class Walks:
 
     @cached_property
     def open(self) -> tuple[int, ...]:
-        """Numbers of the objectives whose limits walk along ranges that have to be found."""
+        """Indices of the objectives whose ranges have to be searched."""
         return tuple(k for k in self.held if k not in self.fixed)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """How many values every limit takes."""
+        """Number of values of every limit."""
         return tuple(len(self.fixed[k].values) if k in self.fixed else self.count for k in self.held)
 
     @property
     def searches(self) -> int:
-        """How many searches it takes to find the ranges that were not asked for."""
+        """Number of searches for the ranges that were not requested."""
         if not self.open:
             return 0
         if self.problem.task != "cycle":
@@ -95,12 +95,14 @@ class Walks:
         return 1 + 2 * len(self.open) + bool(self.aims[self.first].key)
 
     def found(self, once: Once) -> tuple[ProblemFile, Grid, tuple[Mapping[str, float], ...]]:
-        """The problem in which one objective is minimised, the values of the limits that hold the others, and machines at the
-        ends (sizes [SI]), if those were searched.
+        """Return the problem with one minimised objective, the grid of the limits of the others, and the machines at the ends.
+
+        The machines (dimensions [SI]) are empty if no ends were searched.
 
         Raises
         ------
         NoEnd
+            If an end cannot be found.
         """
         axes = dict(self.fixed)
         anchors: tuple[Mapping[str, float], ...] = ()
@@ -116,14 +118,14 @@ class Walks:
         return restarted(base, anchors[0]) if anchors else base, grid, anchors
 
     def _with(self, number: int, value: Raw) -> ProblemFile:
-        """The problem with a value of the limit that holds an objective."""
+        """Return the problem with a value of the limit that constrains an objective."""
         if self.problem.task == "cycle":
             return walked(self.problem, self.aims, {self.first: 1.0}, {number: value})
         return self.bare.override({self.aims[number].key: value})
 
     @contextlib.contextmanager
     def _blamed(self, aim: Aim) -> Iterator[None]:
-        """Say of whatever is wrong that the objective is to blame."""
+        """Attribute errors to the objective."""
         said = f"{aim.said}={aim.span}" if aim.span else aim.said
         try:
             yield
@@ -135,12 +137,12 @@ class Walks:
         remedy = f'Say where to walk: "{aim.said}=LOW..HIGH{" " + aim.unit if aim.unit else ""}"'
         return NoEnd(Fault(f"the end with the {aim.best} cannot be found: {why}", remedy, self.problem.file, OPTION, aim.said))
 
-    # --- a four-bar for a law: from where the error alone decides to the tightest limit that a linkage meets --------------
+    # --- a four-bar for a law: from the optimum of the error alone to the tightest feasible limit ------------------------------
 
     def _law_ends(self, once: Once) -> dict[int, Axis]:
-        """Ranges of the limits that no range was asked for."""
+        """Return the ranges of the limits that were not requested."""
         aims, fixed, unbound = self.aims, self.fixed, self.open
-        free = self.bare.override({aims[k].key: axis.raw(0) for k, axis in fixed.items()})  # of what is held but the loosest
+        free = self.bare.override({aims[k].key: axis.raw(0) for k, axis in fixed.items()})  # with the loosest limits only
 
         def optimum(task: ProblemFile, blamed: Aim | None = None) -> dict[str, Any]:
             found = solve(task, self.backend)
@@ -167,10 +169,10 @@ class Walks:
         return found
 
     def _tight(self, free: ProblemFile, aim: Aim) -> dict[str, float]:
-        """The tightest value of a limit with which there is a design: the least relaxation of one that there is none with."""
+        """Return the tightest feasible value of a limit: the least relaxation of an infeasible one."""
         tight = free.override({aim.key: tightest(free, aim)})
         found = solve(tight, self.backend)
-        if found.solution is not None and found.solution.usable:  # there is one, at the edge of what can be stated
+        if found.solution is not None and found.solution.usable:  # feasible at the tightest bound that can be stated
             return {"limit": law_figure(tight.spec, aim, found.design)}
         sense = "<=" if aim.sense > 0 else ">="
         for item in found.conflict:
@@ -178,10 +180,10 @@ class Walks:
                 return {"limit": item.relaxed}
         raise self._no_end(aim, found.status.text)
 
-    # --- a machine: from where the other objectives are best to where the one that is held is -----------------------------
+    # --- a machine: from the best of the other objectives to the best of the constrained one ---------------------------------
 
     def _machine_ends(self, once: Once) -> tuple[dict[int, Axis], tuple[Mapping[str, float], ...]]:
-        """Ranges of the limits, from the designs best in one objective, and among those in the others; and these designs."""
+        """Return the ranges of the limits and the end designs: optimal in one objective, and then in the others."""
         problem, aims, first = self.problem, self.aims, self.first
         bounds = {k: axis.raw(0) for k, axis in self.fixed.items()}
         asked_for = [k for k in range(len(aims)) if k not in bounds]
@@ -193,19 +195,19 @@ class Walks:
             measured = cycle_figures(problem, aims, found.values)
             if found.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):
                 raise self._no_end(aims[k], found.status.text)
-            return {"sizes": dict(found.values), "figures": list(measured)}  # proven or not: it only says where to walk
+            return {"sizes": dict(found.values), "figures": list(measured)}  # validated or not: it only defines the range
 
         alone = {first: once(aims[first].best, partial(searched, first, walked(problem, aims, {first: 1.0}, bounds), None))}
         begin = alone[first]["sizes"]
         for k in asked_for:
-            if k != first:  # from a machine that meets all limits
+            if k != first:  # from a machine that satisfies all limits
                 alone[k] = once(aims[k].best, partial(searched, k, walked(problem, aims, {k: 1.0}, bounds), begin))
         best = {k: alone[k]["figures"][k] for k in asked_for}
         width = {k: max(abs(end["figures"][k] - best[k]) for end in alone.values()) or abs(best[k]) for k in asked_for}
         corner = {}
         for k in asked_for:
             rest = {j: width[j] for j in asked_for if j != k}
-            if not aims[k].key:  # a sum cannot be held
+            if not aims[k].key:  # a sum cannot be constrained
                 corner[k] = alone[k]
                 continue
             limit = text(aims[k].loose(best[k], NEAR * width[k]), aims[k].unit)
@@ -221,7 +223,7 @@ class Walks:
 
 
 def _axis(aim: Aim, tight: float, loose: float, count: int) -> Axis:
-    """Values of a limit from the loose end of the front to the tight one, both in short figures and inside it."""
+    """Return the values of a limit from the loose end of the front to the tight one, both rounded inwards."""
     width = abs(loose - tight)
     if not width > NONE * max(abs(tight), abs(loose)):
         return Axis(aim.key, aim.unit, (aim.loose(tight, NONE * abs(tight)),))
@@ -232,7 +234,7 @@ def _axis(aim: Aim, tight: float, loose: float, count: int) -> Axis:
 
 
 def _stated(aim: Aim, count: int, made: Callable[[Raw], ProblemFile]) -> Axis:
-    """The range that was asked for, from its loose end; `made` gives the problem with a value of the limit."""
+    """Return the requested range from its loose end; `made` gives the problem with a value of the limit."""
     axis = spanned(aim, count)
     for at in (0, len(axis.values) - 1):
         made(axis.raw(at))

@@ -1,6 +1,6 @@
-"""The model of a problem with other numbers, without reading the file again: ten times faster, for thousands of points.
+"""Change numbers in the model of a problem without reading the file again, ten times faster for thousands of points.
 
-Only for numbers between values that were read and checked; `ProblemFile.override` is what a result must equal.
+Valid only between values that were read and checked; results must equal those of `ProblemFile.override`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,18 @@ M = TypeVar("M", bound=BaseModel)
 Setter = Callable[[Any, float], Any]
 """(what a field holds, value [SI]) -> what it holds then"""
 
-_FIELDS = {"from": "start"}  # of the requirement, where the file's key is another
+_FIELDS = {"from": "start"}  # fields of the requirement with a different key in the file
 
 
 def fresh(model: M, **update: object) -> M:
-    """A copy of a checked model with other fields, and nothing that was derived from the old ones."""
+    """Return a copy of a checked model with other fields, without values cached from the old ones.
+
+    Parameters
+    ----------
+    model : pydantic.BaseModel
+    **update
+        New values by field.
+    """
     copy = model.model_copy(update=update)
     for name in set(vars(copy)) - set(type(copy).model_fields):
         del vars(copy)[name]
@@ -33,7 +40,7 @@ def fresh(model: M, **update: object) -> M:
 
 
 class Direct:
-    """Puts values of axes into the model of a problem; `possible` says whether all of them are plain numbers of it."""
+    """Sets values of axes in the model of a problem; `possible` states whether all of them are plain numbers of the model."""
 
     def __init__(self, template: DesignProblem, axes: Sequence[Axis]) -> None:
         self.template, self.places = template, [_place(template, axis) for axis in axes]
@@ -44,7 +51,7 @@ class Direct:
         return all(place is not None for place in self.places)
 
     def model(self, values: Sequence[float]) -> DesignProblem:
-        """The model at values in the units of the axes."""
+        """Return the model at values in the units of the axes."""
         sections: dict[str, dict[str, Any]] = {}
         for place, value in zip(self.places, values, strict=True):
             assert place is not None
@@ -55,7 +62,7 @@ class Direct:
 
 
 def _place(template: DesignProblem, axis: Axis) -> tuple[str, str, Setter, float] | None:
-    """Section, field, how a value is put there, and SI units in one of the axis."""
+    """Return section, field, setter, and SI units per unit of the axis."""
     section, *rest = axis.key.split(".")
     side = rest.pop() if rest and rest[-1] in SIDES else ""
     if section not in ("mechanism", "limits", "requirement") or len(rest) != 1:

@@ -1,4 +1,4 @@
-"""What a sweep varies: `mechanism.frame=450..550 mm:101`, a list of values, or steps of equal ratio."""
+"""Read the axes of a sweep: `mechanism.frame=450..550 mm:101`, a list of values, or steps of equal ratio."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from optlink.problem.file import ProblemFile
 from optlink.studies.toml_keys import Raw, text
 
 MAX_POINTS = 10_000_000
-ROW_BYTES, POINTS_PER_SECOND = 160, 200  # for the message that refuses more
+ROW_BYTES, POINTS_PER_SECOND = 160, 200  # for the error message on too many points
 EXAMPLE = 'Write KEY=LOW..HIGH UNIT:N, for example mechanism.frame="450..550 mm:101", or a list: "450 mm, 500 mm"'
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -26,13 +26,20 @@ _ENDLESS = re.compile(r"(?<![\w/*^])[-+]?(?:nan|inf|infinity)(?![\w/*^])", re.IG
 
 
 def column(name: str, unit: str) -> str:
-    """Name of a table's column, its unit at the end."""
+    """Return the name of a table column.
+
+    Parameters
+    ----------
+    name : str
+    unit : str
+        Appended to the name; may be empty.
+    """
     return f"{name}_{unit.replace('/', '_per_').replace('*', '').replace('^', '')}" if unit else name
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One parameter of a sweep and its values, in `unit` as written ("" for a plain number)."""
+    """One parameter of a sweep and its values, in `unit` as written (empty for a plain number)."""
 
     key: str
     unit: str
@@ -44,7 +51,7 @@ class Axis:
         return column(self.key, self.unit)
 
     def raw(self, index: int) -> Raw:
-        """A value as the problem file would state it."""
+        """Return a value as written in a problem file."""
         return text(self.values[index], self.unit)
 
 
@@ -54,6 +61,7 @@ def read_axis(assignment: str) -> Axis:
     Raises
     ------
     InputError
+        If the text is no valid range or list.
     """
     key, equals, values = assignment.partition("=")
     key, values = key.strip(), values.strip().strip("\"'").strip()
@@ -86,7 +94,7 @@ def read_axis(assignment: str) -> Axis:
         ratio = (b - a) / size * (1.0 + 1e-12)
         if ratio < 1.0:
             raise fault("the step is longer than the range", "Give a shorter step, or one value with --set")
-        if ratio >= MAX_POINTS:  # infinite too
+        if ratio >= MAX_POINTS:  # including infinity
             raise fault(f"so short a step makes more points than a sweep takes, {MAX_POINTS:,}", "Give a longer step")
         steps = math.floor(ratio)
         return Axis(key, unit, tuple(a + size * i for i in range(steps + 1)))
@@ -131,7 +139,7 @@ def _listed(key: str, values: str, fault: object) -> Axis:
 
 @dataclass(frozen=True)
 class Grid:
-    """All combinations of the values of the axes; the last axis changes fastest."""
+    """All combinations of the values of the axes; the last axis varies fastest."""
 
     axes: tuple[Axis, ...]
 
@@ -142,11 +150,11 @@ class Grid:
 
     @property
     def row(self) -> int:
-        """Points in which the last axis runs through once."""
+        """Number of values of the last axis."""
         return len(self.axes[-1].values)
 
     def place(self, index: int) -> tuple[int, ...]:
-        """Index along every axis of a point."""
+        """Return the index of a point along every axis."""
         found: list[int] = []
         for axis in reversed(self.axes):
             index, own = divmod(index, len(axis.values))
@@ -154,15 +162,15 @@ class Grid:
         return tuple(reversed(found))
 
     def values(self, index: int) -> list[float]:
-        """Values at a point, in the units of the axes."""
+        """Return the values at a point, in the units of the axes."""
         return [axis.values[i] for axis, i in zip(self.axes, self.place(index), strict=True)]
 
     def changes(self, index: int) -> dict[str, Raw]:
-        """What the problem file would state at a point."""
+        """Return the changes of the problem file at a point."""
         return {axis.key: axis.raw(i) for axis, i in zip(self.axes, self.place(index), strict=True)}
 
     def corners(self) -> Iterator[int]:
-        """Points at the first and the last values of all axes."""
+        """Yield the points at the first and the last values of all axes."""
         yield 0
         if self.count > 1:
             yield self.count - 1
@@ -170,7 +178,7 @@ class Grid:
 
 @contextlib.contextmanager
 def _of_axis(axis: Axis) -> Iterator[None]:
-    """Say of whatever is wrong with a value that it is one of --vary, and nothing that the file states."""
+    """Attribute errors to --vary instead of the file."""
     try:
         yield
     except InputError as error:
@@ -179,12 +187,18 @@ def _of_axis(axis: Axis) -> Iterator[None]:
 
 
 def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
-    """Read what is to be varied, and make sure that the problem has it.
+    """Read the axes of a sweep, and check them against the problem.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    vary : sequence of str
+        Axes as `KEY=VALUES`.
 
     Raises
     ------
     InputError
-        unknown keys (the nearest is named), empty ranges, values that are no quantities, more points than anybody waits for.
+        For unknown keys, empty ranges, values that are no quantities, or too many points.
     """
     if not vary:
         raise InputError(Fault("nothing is varied", EXAMPLE, key="--vary"))
@@ -205,7 +219,7 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
                 "--vary",
             )
         )
-    for axis in grid.axes:  # one by one, so that the fault is that of the axis
+    for axis in grid.axes:  # one by one, so that the error names the axis
         for at in {axis.values.index(end) for end in (min(axis.values), max(axis.values))}:
             with _of_axis(axis):
                 problem.override({axis.key: axis.raw(at)})

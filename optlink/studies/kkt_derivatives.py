@@ -1,9 +1,13 @@
-"""The optimality system at a design: how far everything moves with any number of it, and how far that holds.
+"""Derivatives of a design and its multipliers by parameters from the KKT system, and their range of validity.
 
-At an optimum the gradient of the Lagrangian vanishes and the active limits are met; the implicit function theorem gives how the
-design and the prices move with any number of that system (A. V. Fiacco, Introduction to Sensitivity and Stability Analysis in
-Nonlinear Programming, 1983, ch. 3): exact second derivatives, one linear system, no search. The derivative of the objective is
-that of the Lagrangian. Both hold until a price falls to zero or another limit is reached.
+At an optimum the gradient of the Lagrangian vanishes and the active limits are satisfied; the implicit function theorem gives the
+derivatives of design and multipliers by any parameter of that system from exact second derivatives and one linear system,
+without a search. The derivative of the objective is that of the Lagrangian. Both hold until a multiplier vanishes or another
+limit becomes active.
+
+References
+----------
+A. V. Fiacco, Introduction to Sensitivity and Stability Analysis in Nonlinear Programming (1983), ch. 3.
 """
 
 from __future__ import annotations
@@ -21,16 +25,16 @@ from optlink.studies.parameters import Parameter
 from optlink.symbolic import Compiled
 
 Array = NDArray[np.float64]
-TIGHT = 1e-9  # scaled units; a limit this close is active: nearer than a neighbour of it in a finely divided span
-STRONG = 1e-8  # of the objective's scale; a smaller price is none
-STILL = 1e-11  # scaled units; a slower change is rounding
-CURVED = 1e-10  # share of the largest second derivative below which one is rounding
-SAME = 1e-6  # share of its slopes by which one of two equal rows may differ
+TIGHT = 1e-9  # scaled units; tolerance of active limits, less than the distance of neighbours in a finely divided span
+STRONG = 1e-8  # relative to the scale of the objective; smaller multipliers count as zero
+STILL = 1e-11  # scaled units; slower changes are rounding errors
+CURVED = 1e-10  # relative to the largest second derivative; smaller ones are rounding errors
+SAME = 1e-6  # relative difference of the slopes of duplicate rows
 
 
 @dataclass(frozen=True)
 class End:
-    """Where first-order reasoning ends: at `value` of the parameter, because of `event`; infinite where nothing ends it."""
+    """End of the first-order validity: at `value` of the parameter, because of `event`; infinite if unlimited."""
 
     value: float
     event: str
@@ -38,7 +42,7 @@ class End:
 
 @dataclass(frozen=True)
 class Push:
-    """What one unit of a parameter changes where everything else stays.
+    """Change of the optimality system per unit of a parameter at fixed unknowns.
 
     `slope`: of the Lagrangian; `gradient` (unknowns,): of its derivatives by the unknowns; `entries` (n + rows,): of x and the
     rows; `lower`, `upper` (n + rows,): of their bounds.
@@ -53,7 +57,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Answer:
-    """What follows from one unit of a parameter: change of the objective [SI], of the unknowns and of the multipliers."""
+    """Response to one unit of a parameter: change of the objective [SI], of the unknowns and of the multipliers."""
 
     objective: float
     moved: Array
@@ -61,7 +65,7 @@ class Answer:
 
 
 class _Lagrangian:
-    """Second derivatives of a programme by its variables and its parameters, compiled once."""
+    """Second derivatives of a programme by its variables and parameters, compiled once."""
 
     def __init__(self, nlp: NLP) -> None:
         both = casadi.vertcat(nlp.x_symbol, nlp.p_symbol)
@@ -72,23 +76,23 @@ class _Lagrangian:
         self._call = Compiled(inputs, [hessian, gradient, casadi.jacobian(nlp.g_expression, both)])
 
     def __call__(self, x: Array, p: Array, prices: Array) -> tuple[Array, Array, Array]:
-        """Hessian and gradient of f + prices . g by (x, p), and the Jacobian of g."""
+        """Return Hessian and gradient of f + prices . g by (x, p), and the Jacobian of g."""
         hessian, gradient, jacobian = self._call(x, p, prices)
         size = len(gradient)
         return hessian.reshape(size, size), gradient, jacobian.reshape((len(prices), size), order="F")
 
 
 def lagrangian(nlp: NLP) -> _Lagrangian:
-    """The second derivatives of a programme, made once."""
+    """Return the second derivatives of a programme, cached."""
     if "lagrangian" not in nlp.cache:
         nlp.cache["lagrangian"] = _Lagrangian(nlp)
     return nlp.cache["lagrangian"]  # type: ignore[no-any-return]
 
 
 class System:
-    """The optimality system at a solution: what is active, and how everything answers to a push.
+    """The optimality system at a solution: its active set, and its response to parameters.
 
-    `unknown`: places in (x, p) of what moves, x first, then positions of the largest error or force, which move along.
+    `unknown`: indices in (x, p) of the unknowns, x first, then positions of the largest error or force, which move along.
     """
 
     def __init__(self, solution: Solution) -> None:
@@ -105,12 +109,12 @@ class System:
         self.multipliers[strong] = proof.multipliers[strong]
         self.values = np.concatenate([x, point.g])
         hessian, gradient, rows = lagrangian(nlp)(x, p, self.multipliers[n:])
-        whole = np.vstack([np.eye(n, n + len(p)), rows])  # of x and the rows, by x and p
+        whole = np.vstack([np.eye(n, n + len(p)), rows])  # derivatives of x and the rows by x and p
         self.active = self._distinct(strong, whole[:, :n])
         if len(self.active) < len(strong):
             hessian, gradient, _ = lagrangian(nlp)(x, p, self.multipliers[n:])
         self.by_p = gradient[n:]
-        # such positions are held by the vanishing slope of what is largest there
+        # such positions are determined by the vanishing slope of the quantity that is largest there
         first, bend = 1 + len(nlp.constants), float(np.max(np.abs(hessian), initial=1.0))
         roaming = [n + k for k in range(first, len(p)) if abs(hessian[n + k, n + k]) > CURVED * bend and p[k] != 0.0]
         roaming = [k for k in roaming if abs(gradient[k]) <= 1e-4 * abs(hessian[k, k])]
@@ -123,7 +127,7 @@ class System:
         self.singular = bool(singular[-1] <= 1e-11 * singular[0])
 
     def _distinct(self, strong: list[int], slopes: Array) -> NDArray[np.int_]:
-        """Those active entries that are not the same row once more, as where a position lies on another; their prices add up."""
+        """Return the active entries without duplicate rows, as where two positions coincide; their multipliers are added."""
         kept: list[int] = []
         for entry in strong:
             twin = next((k for k in kept if self._alike(entry, k, slopes)), None)
@@ -144,7 +148,7 @@ class System:
         return bool(np.max(np.abs(slopes[entry] - slopes[other])) <= SAME * np.max(np.abs(slopes[entry])))
 
     def push(self, parameter: Parameter) -> Push:
-        """What a parameter of the programme changes: a fixed quantity, or a bound."""
+        """Return the effect of a parameter of the programme: a fixed quantity, or a bound."""
         rate, size = parameter.rate(), len(self.values)
         slope, gradient, entries = 0.0, np.zeros(self.count), np.zeros(size)
         if parameter.constant >= 0:
@@ -159,7 +163,7 @@ class System:
         return Push(float(slope), gradient, entries, lower, upper)
 
     def answer(self, push: Push) -> Answer:
-        """How the optimum answers."""
+        """Return the response of the optimum to a change of the optimality system."""
         size = len(self.values)
         bounds = np.where(self.multipliers > 0.0, push.upper, push.lower)
         slope = push.slope - float(self.multipliers[self.active] @ bounds[self.active])
@@ -175,7 +179,20 @@ class System:
         return Answer(slope * self.price, solved[: self.count], multipliers)
 
     def ends(self, parameter: Parameter, push: Push, answer: Answer) -> tuple[End, End]:
-        """How far a parameter can go, to first order, until a price falls to zero or another limit is reached."""
+        """Return the first-order range of a parameter, until a multiplier vanishes or another limit becomes active.
+
+        Parameters
+        ----------
+        parameter : Parameter
+        push : Push
+            Effect of the parameter on the optimality system.
+        answer : Answer
+            Response of the optimum.
+
+        Returns
+        -------
+        lower, upper : End
+        """
         rates = self.jacobian[:, self.unknown] @ answer.moved + push.entries
         least, most = (-math.inf, "nothing"), (math.inf, "nothing")
         held = set(self.active.tolist())
@@ -193,7 +210,7 @@ class System:
                     if math.isfinite(room) and abs(change) > STILL:
                         events.append((-max(room, 0.0) / change, "is reached"))
             for at, what in events:
-                if at == 0.0 and what == "is reached":  # a limit that is touched without a price ends one side at once
+                if at == 0.0 and what == "is reached":  # an active limit with a zero multiplier ends one side at once
                     continue
                 if 0.0 <= at < most[0]:
                     most = (at, f"{self._name(entry)} {what}")

@@ -1,10 +1,12 @@
-"""The design of which the largest share keeps a limit of the error when it is built.
+"""Find the design with the largest yield for a limit of the error.
 
-The share is that of samples that stay the same from design to design, each moved exactly. It is made smooth by letting a sample
-pass with the probability of a normal deviate about the limit, first a wide one, and searched without derivatives, in coordinates
-in which a step to any side changes the error by as much.
+The yield is that of common random samples, each moved exactly. It is smoothed by letting a sample
+pass with the probability of a normal deviate about the limit, first a wide one, and maximised without derivatives, in coordinates
+in which equal steps in any direction have equal effect on the error.
 
-Source: T. M. Ragonneau, Z. Zhang, COBYQA (2024), as scipy.optimize.minimize(method="COBYQA").
+References
+----------
+T. M. Ragonneau, Z. Zhang, COBYQA (2024), as scipy.optimize.minimize(method="COBYQA").
 """
 
 from __future__ import annotations
@@ -28,12 +30,12 @@ from optlink.studies.tolerance_options import read_deviations
 from optlink.tasks.function import validate
 
 Array = NDArray[np.float64]
-SIGMAS = 2.0  # of the robust design that is one of the starts
-STAGES = ((1 << 12, 1.0, 1.0), (1 << 14, 0.1, 0.3))  # samples, and as shares of the scatter: width of the limit, first step
+SIGMAS = 2.0  # standard deviations of the robust starting design
+STAGES = ((1 << 12, 1.0, 1.0), (1 << 14, 0.1, 0.3))  # samples, and relative to the scatter: smoothing width, first step
 LAST_STEP, MOST_STEPS = 0.01, 300
-NEVER = 1e-5  # added to the share of scrap: one of a few samples is no reason to go on
-FLAT = 1e-3  # of the steepest direction's slope: a flatter one counts as that
-LOST = 10.0  # rad, the error of what cannot be assembled
+NEVER = 1e-5  # added to the scrap rate, so that single samples do not drive the search
+FLAT = 1e-3  # least slope, relative to that of the steepest direction
+LOST = 10.0  # rad, error of a linkage that cannot be assembled
 
 
 def most_yield(
@@ -46,20 +48,29 @@ def most_yield(
     shape: str = NORMAL,
     backend: str = "ipopt",
 ) -> Robust:
-    """The design with the most yield of those found from the best as drawn and from a robust one, and of these two.
+    """Return the design with the largest yield, searched from the nominal optimum and a robust design and compared with both.
 
     Parameters
     ----------
-    problem : ProblemFile with a motion law
-    tolerances : texts, see `optlink.studies.tolerance.tolerance`
-    limit : of the error's size, anywhere along the span [rad]
-    samples, seed : by which the designs found are compared; the search draws others
-    shape : distribution where none is said
-    backend : "slsqp" or "ipopt", for the designs that it begins with
+    problem : ProblemFile
+        With a motion law.
+    tolerances : sequence of str
+        See `optlink.studies.tolerance.tolerance`.
+    limit : float [rad]
+        Largest error anywhere along the span.
+    samples : int
+        Samples for the comparison of the designs found.
+    seed : int
+        Seed of these samples; the search uses the next one.
+    shape : str
+        Default distribution of tolerances.
+    backend : "slsqp" or "ipopt"
+        Solver for the two starting designs.
 
     Raises
     ------
     InputError
+        If there is no motion law, no validated design, or a tolerance is invalid.
     """
     redesign = Redesign(problem, tolerances, shape, backend)
     file = redesign.problem.override({"requirement.robust": None})
@@ -80,7 +91,7 @@ def most_yield(
 
 
 class _Search:
-    """The search from one design: x = x_start + steps @ z, where z = 1 changes the error by as much as it scatters."""
+    """Search from one design: x = x_start + steps @ z, where z = 1 changes the error by as much as it scatters."""
 
     def __init__(
         self,
@@ -100,7 +111,7 @@ class _Search:
         self.steps = self.scatter * axes.T / np.maximum(np.pad(size, (0, len(axes) - len(size))), FLAT * size[0])
 
     def end(self) -> dict[str, float]:
-        """The design [SI] where it ends."""
+        """Return the final design [SI]."""
         from scipy.optimize import minimize
         from scipy.special import ndtr
 
@@ -126,16 +137,16 @@ class _Search:
         return list(drawn(self.deviations, samples, self.seed))
 
     def _sizes(self, x: Array, batches: Sequence[Array]) -> Array:
-        """The largest error of every sample [rad]."""
+        """Return the largest error of every sample [rad]."""
         try:
             nominal = drawing(self.file, None, None, self.nlp.design(x))
-        except InputError:  # it cannot be assembled even as drawn
+        except InputError:  # it cannot be assembled as drawn
             return np.full(sum(map(len, batches)), LOST)
         found = np.concatenate([largest_errors(nominal, self.deviations, batch) for batch in batches])
         return np.where(np.isfinite(found), found, LOST)
 
     def _room(self, x: Array) -> Array:
-        """How far it is to bounds and limits; negative beyond one."""
+        """Return the slack of bounds and limits; negative if violated."""
         entries = np.concatenate([x, self.nlp.values(x, self.nlp.p)[1]])
         low, high = self.bounded
         room = np.concatenate([(entries - self.nlp.lower)[low], (self.nlp.upper - entries)[high]])

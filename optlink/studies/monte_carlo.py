@@ -1,4 +1,4 @@
-"""Linkages with deviations that were drawn, each assembled and moved exactly: scatter, extremes and yield."""
+"""Monte Carlo analysis of tolerances with exact kinematics: scatter, extremes and yield."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
     from optlink.studies.tolerance import Tolerance
 
 Array = NDArray[np.float64]
-PORTION = 12_000  # positions that are worked on at a time: their intermediate arrays stay in the processor's cache
-BINS, ROOM = 400, 1.25  # of the histogram, which reaches that many worst cases to both sides of the drawing
+PORTION = 12_000  # positions per block, so that intermediate arrays fit in the processor cache
+BINS, ROOM = 400, 1.25  # of the histogram, which extends by that multiple of the worst case about the nominal value
 Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
 class Carlo:
-    """What samples of the parts gave.
+    """Result of the Monte Carlo analysis.
 
-    `mean`, `sigma` and the latter's standard error (angles,) [SI] of the change of the output; `least`, `most` of it; `counts` of
-    samples by the largest size that what is judged has at any crank angle, between `edges` [SI]; `stuck`: samples that cannot be
-    assembled at some angle; `good`: those within the limit everywhere, by the linear model `linear`; -1 where no limit is given.
+    `mean`, `sigma` and the standard error of sigma (angles,) [SI] of the change of the output; `least`, `most` of it; `counts` of
+    samples by the largest absolute judged value over all crank angles, between `edges` [SI]; `stuck`: samples that cannot be
+    assembled at some angle; `good`: samples within the limit everywhere, `linear`: by the linear model; -1 without a limit.
     """
 
     samples: int
@@ -49,28 +49,28 @@ class Carlo:
 
     @property
     def share(self) -> float:
-        """The yield."""
+        """Yield."""
         return self.good / self.samples if self.good >= 0 else math.nan
 
     @property
     def linear_share(self) -> float:
-        """The yield by the linear model, of the same samples."""
+        """Yield by the linear model, for the same samples."""
         return self.linear / self.samples if self.linear >= 0 else math.nan
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The ends of its interval of 95 % confidence, as of independent samples: quasi-random ones lie closer."""
+        """Ends of the 95 % confidence interval of the yield for independent samples; quasi-random ones are more accurate."""
         return wilson(self.good, self.samples) if self.good >= 0 else (math.nan, math.nan)
 
     def below(self, share: float) -> float:
-        """The size [SI] that a share of the samples stays below: to a bin of the histogram; infinite beyond its end."""
+        """Return the value [SI] below which a share of the samples lies, to one histogram bin; infinite beyond its end."""
         reached = np.cumsum(self.counts) >= share * self.samples
         place = int(np.argmax(reached))
         return float(self.edges[place + 1]) if reached[-1] and place < len(self.counts) - 1 else math.inf
 
 
 def sampled_document(carlo: Carlo) -> dict[str, Any]:
-    """Samples as part of a JSON document."""
+    """Return the samples as part of a JSON document."""
     asked = carlo.good >= 0
     return {
         "samples": carlo.samples,
@@ -91,14 +91,23 @@ def sampled_document(carlo: Carlo) -> dict[str, Any]:
 
 
 def _histogram(carlo: Carlo) -> dict[str, Any]:
-    """The bins that hold samples: their edges [SI], one more than bins, and how many samples each holds."""
+    """Return the non-empty range of bins: their edges [SI], one more than bins, and their counts."""
     held = np.flatnonzero(carlo.counts)
     first, last = (int(held[0]), int(held[-1]) + 1) if len(held) else (0, 0)
     return {"edges": carlo.edges[first : last + 1], "counts": carlo.counts[first:last]}
 
 
 def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | None = None) -> Carlo:
-    """Linkages with deviations that were drawn, each assembled and moved exactly; memory does not grow with their number."""
+    """Assemble and move random linkages exactly, and return their statistics; memory does not grow with their number.
+
+    Parameters
+    ----------
+    study : Tolerance
+    samples : int
+    seed : int
+        Seed of the Sobol points.
+    progress : function of the completed fraction, optional
+    """
     begin = time.perf_counter()
     nominal, shift, angles = study.nominal, study.shift, len(study.nominal.crank_angles)
     limit, middle = study.limit, float(np.max(np.abs(nominal.base)))
@@ -122,7 +131,7 @@ def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | 
             if limit is not None:
                 good += int(np.sum(largest <= limit))
                 linear += int(np.sum(np.max(np.abs(nominal.base + part @ study.by), axis=1) <= limit))
-            change -= shift  # so that the sums of powers lose no digits
+            change -= shift  # keeps the sums of powers accurate
             power = change
             for i in range(4):
                 sums[i] += np.sum(power, axis=0)
@@ -149,12 +158,19 @@ def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | 
 
 
 def largest_errors(nominal: Nominal, deviations: Sequence[Deviation], batch: Array) -> Array:
-    """Largest size of what is judged, of linkages with deviations (samples, deviations) [SI]; nan where one sticks."""
+    """Return the largest absolute judged value of each linkage (samples,) [SI]; NaN if it cannot be assembled at some angle.
+
+    Parameters
+    ----------
+    nominal : Nominal
+    deviations : sequence of Deviation
+    batch : array (samples, deviations) [SI]
+    """
     return np.concatenate([np.max(np.abs(nominal.base + change), axis=1) for _, change in _moved(nominal, deviations, batch)])
 
 
 def _moved(nominal: Nominal, deviations: Sequence[Deviation], batch: Array) -> Iterator[tuple[Array, Array]]:
-    """Deviations in portions, and the change of what is judged that each makes."""
+    """Yield blocks of deviations, with the change of the judged value of each."""
     rows = max(1, PORTION // len(nominal.crank_angles))
     for first in range(0, len(batch), rows):
         part = batch[first : first + rows]
@@ -162,7 +178,7 @@ def _moved(nominal: Nominal, deviations: Sequence[Deviation], batch: Array) -> I
 
 
 def _by_size(deviations: Sequence[Deviation], batch: Array) -> dict[str, Array]:
-    """Deviations (samples, 1) of each size; several may add to one."""
+    """Return deviations (samples, 1) by dimension; several may add up."""
     found: dict[str, Array] = {}
     for i, deviation in enumerate(deviations):
         own = batch[:, i : i + 1]
@@ -171,7 +187,7 @@ def _by_size(deviations: Sequence[Deviation], batch: Array) -> dict[str, Array]:
 
 
 def _moments(sums: Array, count: int) -> tuple[Array, Array, Array]:
-    """Mean, standard deviation and the latter's standard error, from sums of the first four powers."""
+    """Return mean, standard deviation and its standard error from sums of the first four powers."""
     if count < 2:
         nothing = np.full(sums.shape[1], math.nan)
         return nothing, nothing, nothing

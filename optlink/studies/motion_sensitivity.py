@@ -1,6 +1,6 @@
-"""How the motion answers to a size: derivatives of output angles and points by every size of a linkage, at given crank angles.
+"""Derivatives of output angles and points by every dimension of a linkage, at given crank angles.
 
-Linear tolerances are sums of these. They are exact: casadi differentiates the formulas that the motion itself is made of.
+Linear tolerance analysis sums these derivatives. They are exact: casadi differentiates the formulas of the motion itself.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class OutputSensitivity:
 
 
 def output_names(mechanism: Mechanism) -> list[str]:
-    """Outputs of a linkage: the angle of every moving body by its name, and `P.x`, `P.y` of every point that moves."""
+    """Return the outputs of a linkage: the angle of every moving body by its name, and `P.x`, `P.y` of every moving point."""
     bodies = [name for name in mechanism.bodies if name != FRAME]
     points = [p for p, owners in mechanism.owners.items() if FRAME not in owners]
     return [*bodies, *(f"{point}.{axis}" for point in points for axis in "xy")]
@@ -46,20 +46,22 @@ def output_names(mechanism: Mechanism) -> list[str]:
 def output_sensitivity(
     mechanism: Mechanism, sizes: Mapping[str, float], crank_angles: ArrayLike, output: str, by: Sequence[str] = ()
 ) -> OutputSensitivity:
-    """Derivatives of an output by sizes, at crank angles that stay as they are.
+    """Return the derivatives of an output by dimensions at fixed crank angles.
 
     Parameters
     ----------
     mechanism : Mechanism
-    sizes : mapping of quantity to value [SI]
-    crank_angles : array [rad]
-    output : name of a body (its angle, counter-clockwise from +x), or "P.x", "P.y" of a point
-    by : names of quantities; all sizes if left out
+    sizes : mapping of str to float [SI]
+    crank_angles : array (angles,) [rad]
+    output : str
+        Body (its angle, counter-clockwise from +x), or "P.x", "P.y" of a point.
+    by : sequence of str
+        Names of quantities. Default: all.
 
     Raises
     ------
     InputError
-        unknown output or size.
+        For an unknown output or quantity.
     """
     if output not in output_names(mechanism):
         raise InputError(Fault("unknown output", nearest(output, output_names(mechanism)), key="output", value=output))

@@ -1,4 +1,4 @@
-"""A linkage as drawn, found first if something of it is free, and the output of it that tolerances are judged by."""
+"""Nominal linkage of a tolerance analysis, optimised first if it has design variables, and its judged output."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ AROUND = 36  # crank angles of a revolution
 
 @dataclass(frozen=True)
 class Nominal:
-    """A linkage as drawn and one output of it over crank angles (angles,) [rad].
+    """A nominal linkage and one output of it over crank angles (angles,) [rad].
 
-    `value`: the output [rad or m]; `base`: what a limit judges where nothing deviates: the error of the design itself, or zeros;
-    `sign`: change of what is judged per change of the output.
+    `value`: the output [rad or m]; `base`: judged value without deviations: the error of the design, or zeros;
+    `sign`: change of the judged value per change of the output.
     """
 
     mechanism: Mechanism
@@ -69,29 +69,39 @@ class Nominal:
             return pose.point(point)["xy".index(axis)]
 
     def change(self, deviations: Mapping[str, Value]) -> Array:
-        """Change of what is judged, exactly, where sizes deviate by (samples, 1) arrays: (samples, angles)."""
+        """Return the exact change (samples, angles) of the judged value for deviations of dimensions, arrays (samples, 1)."""
         found = self._where({**self.sizes, **{name: self.sizes[name] + by for name, by in deviations.items()}})
         with np.errstate(all="ignore"):
             by = np.arctan2(cross(self._drawn, found), dot(self._drawn, found)) if self.angular else found - self._drawn
         samples = max((np.shape(column)[0] for column in deviations.values()), default=1)
-        whole = np.broadcast_to(self.sign * by, (samples, len(self.crank_angles)))  # an output that none of them moves
+        whole = np.broadcast_to(self.sign * by, (samples, len(self.crank_angles)))  # an output independent of the deviations
         return np.array(whole, dtype=float)
 
 
 def people(nominal: Nominal) -> tuple[float, str]:
-    """Units of an output as people read them: how many are one SI unit, and its name."""
+    """Return the display units per SI unit of an output, and the display unit."""
     return (math.degrees(1.0), "deg") if nominal.angular else (1e3, "mm")
 
 
 def drawing(
     problem: ProblemFile, output: str | None, crank_angles: Array | None = None, design: Mapping[str, float] | None = None
 ) -> Nominal:
-    """The linkage as drawn, found first if something of it is free, and the output that is judged.
+    """Return the nominal linkage, optimised first if it has design variables, and its judged output.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    output : str, optional
+        Body (its angle), "P.x", "P.y" of a point, or "error" of a motion law (its default).
+    crank_angles : array (angles,) [rad], optional
+        Default: the span of a motion law, the points of a path, otherwise a revolution.
+    design : mapping of str to float [SI], optional
+        Design variables. Default: the optimum.
 
     Raises
     ------
     InputError
-        unknown output, no design, a linkage that cannot be assembled at a crank angle.
+        For an unknown output, no valid design, or a linkage that cannot be assembled at a crank angle.
     """
     file, values, angles = _design(problem, design)
     mechanism, pivots = loosened(file.model.mechanism, file.model.linkage)
@@ -130,7 +140,7 @@ def _placed(
 
 
 def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[ProblemFile, dict[str, float], Array | None]:
-    """The problem with definite assembly modes, every quantity of the design [SI], and crank angles that it is about, if any."""
+    """Return the problem with definite assembly modes, all quantities of the design [SI], and its crank angles, if any."""
     model = problem.model
     if isinstance(model, GenerationProblem):
         from optlink.tasks.path import solve as solve_path

@@ -1,4 +1,4 @@
-"""What an optimum depends on: the quantities that are fixed, and every bound and limit, as numbers in people's units."""
+"""Parameters of an optimum: fixed quantities, and all bounds and limits, in display units."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ SHARE = 0.01
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that is given.
+    """One parameter.
 
-    `value` in `unit`; `constant`: its place among the fixed quantities of the programme, -1 if it is none of them; `entries`:
-    those of x, then of the rows, whose lower or `upper` bound it is (both where it is a wanted value: `equal`).
+    `value` in `unit`; `constant`: its index among the fixed quantities of the programme, else -1; `entries`:
+    indices in x, then in the rows, whose lower or `upper` bound it is (both for a prescribed value: `equal`).
     """
 
     key: str
@@ -32,29 +32,35 @@ class Parameter:
     entries: tuple[int, ...] = ()
     upper: bool = False
     equal: bool = False
-    stated: bool = True  # whether the problem file holds this number, so that it can be changed there
+    stated: bool = True  # whether the problem file contains this number, so that it can be changed there
 
     @property
     def kind(self) -> str:
-        """What it is, in words."""
+        """Kind of the parameter, in words."""
         return "limit" if self.entries else "fixed quantity"
 
     @property
     def positive(self) -> bool:
-        """Whether it is a mass, a force or another figure that has no other side of zero, or is not meant to."""
+        """Whether it is a mass, a force or another positive number that cannot or should not change its sign."""
         return self.constant < 0 and not self.entries and self.value > 0.0 and self.unit != "deg"
 
     @property
     def step(self) -> float:
-        """The change by which effects are compared: 1 deg of an angle, else 1 % of the value (0.01 of a zero)."""
+        """Reference change for the comparison of effects: 1 deg of an angle, else 1 % of the value (0.01 of a zero)."""
         return 1.0 if self.unit == "deg" else SHARE * (self.value or 1.0)
 
     def rate(self) -> float:
-        """Change of the programme's own number per unit of this one."""
+        """Return the change of the scaled number of the programme per unit of the parameter."""
         return 1.0 / self.scale.slope(self.scale.own(self.value))
 
     def place(self, nlp: NLP, value: float) -> None:
-        """Give the programme another value of this number [unit]."""
+        """Set another value of the parameter in the programme.
+
+        Parameters
+        ----------
+        nlp : NLP
+        value : float [unit of the parameter]
+        """
         own = self.scale.own(value)
         if self.constant >= 0:
             nlp.p[1 + self.constant] = own
@@ -66,7 +72,7 @@ class Parameter:
 
 
 def parameters(nlp: NLP) -> list[Parameter]:
-    """Every fixed quantity, then every finite bound of a free one and every limit.
+    """Return all fixed quantities, then all finite bounds of design variables and limits.
 
     Rows that share a limit and a label are one limit, with one bound.
     """
@@ -96,6 +102,6 @@ def parameters(nlp: NLP) -> list[Parameter]:
 
 
 def _told(own: float, scale: Scale) -> float:
-    """A number of the programme as people read it, without the digits that scaling to and fro has left."""
+    """Return a number of the programme in display units, without rounding errors of scaling."""
     value, size = scale.people(own), abs(scale.people(1.0) - scale.people(0.0))
     return 0.0 if abs(value) <= ROUNDING * size else float(f"{value:.14g}")

@@ -1,9 +1,13 @@
-"""Trade-offs: the front of two or three objectives by the epsilon constraint method, every point an optimum that is proven.
+"""Pareto fronts of two or three objectives by the epsilon-constraint method; every point is a validated optimum.
 
-One objective is minimised, each of the others is held by a limit that walks from its best value to the one that it has where the
-others are best (Y. Y. Haimes, L. S. Lasdon, D. A. Wismer, "On a bicriterion formulation of the problems of integrated system
-identification and system optimization", IEEE Trans. SMC-1 (1971) 296-297). Unlike weighted sums that finds fronts that bulge
-either way. Grid, chunks, resuming and engines are those of a sweep.
+One objective is minimised, each of the others is constrained by a limit that varies from its best value to its value at the
+optimum of the others. Unlike weighted sums, the method finds non-convex parts of a front. Grid, chunks, resuming and engines are
+those of a sweep.
+
+References
+----------
+Y. Y. Haimes, L. S. Lasdon, D. A. Wismer, "On a bicriterion formulation of the problems of integrated system identification and
+system optimization", IEEE Trans. SMC-1 (1971) 296-297.
 """
 
 from __future__ import annotations
@@ -40,14 +44,14 @@ from optlink.version import VERSION
 Array = NDArray[np.float64]
 
 SCHEMA = "optlink/pareto/1"
-POINTS = {1: 15, 2: 7}  # per objective that is held, by how many are held
-ENDS = "ends.json"  # what was searched before the walk, kept in the folder
-MOST = 100_000  # points of a grid
+POINTS = {1: 15, 2: 7}  # per constrained objective, by their number
+ENDS = "ends.json"  # results of the searches for the ends, kept in the folder
+MOST = 100_000  # largest number of points of a grid
 
 
 @dataclass(frozen=True)
 class Point:
-    """A design of the front: objectives in the order and the units of the aims, free sizes by column, limits that hold it."""
+    """A design of the front: objectives in the order and units of the aims, design variables by column, its active limits."""
 
     values: tuple[float, ...]
     design: Mapping[str, float]
@@ -57,11 +61,11 @@ class Point:
 
 @dataclass(frozen=True, repr=False)
 class Pareto(Summary):
-    """A front, from the best of the first objective on.
+    """A Pareto front, from the best of the first objective on.
 
-    `ends`: number of the best point of every objective; `knee`: its number and its distance from the chord of the ends, if it has
-    one; `given`: the objectives of the given machine, or of what the file asks for; `solved` points of the grid, of which `valid`
-    are proven, `infeasible` hold no design, and `dominated` are beaten by others.
+    `ends`: index of the best point of every objective; `knee`: its index and its distance from the chord of the ends, if any;
+    `given`: the objectives of the given machine, or of the optimum for the limits of the file; `solved` points of the grid, of
+    which `valid` are validated, `infeasible` have no design, and `dominated` are dominated by others.
     """
 
     problem: ProblemFile
@@ -83,27 +87,27 @@ class Pareto(Summary):
     cpu: float
     engine: str
     workers: int | None
-    keep: Any = None  # a temporary folder, as long as the result lives
+    keep: Any = None  # keeps a temporary folder during the lifetime of the result
 
     @property
     def costs(self) -> Array:
-        """Objectives of the points (n, k), with the sign that makes less better."""
+        """Objectives of the points (n, k), with the sign for minimisation."""
         return np.array([point.values for point in self.points]) * [aim.sense for aim in self.aims]
 
     @property
     def complete(self) -> bool:
-        """Whether there is a front, and every point of the grid is proven or has no design."""
+        """Whether there is a front, and every point of the grid is validated or infeasible."""
         return bool(self.points) and self.valid + self.infeasible == self.solved
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """The front as a table: objectives, free sizes, what holds them, and the marks."""
+        """The front as a table: objectives, design variables, active limits, and marks."""
         found: dict[str, list[Any]] = {aim.column: [p.values[k] for p in self.points] for k, aim in enumerate(self.aims)}
         found |= {name: [p.design[name] for p in self.points] for name in (self.points[0].design if self.points else ())}
         return found | {key: [getattr(p, key) for p in self.points] for key in ("active", "mark")}
 
     def to_dict(self) -> dict[str, Any]:
-        """As a JSON document."""
+        """Return the front as a JSON document."""
         named = [aim.column for aim in self.aims]
         document = head(SCHEMA, self.problem, "complete" if self.complete else "not valid everywhere")
         document |= {
@@ -155,26 +159,26 @@ def pareto(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> Pareto:
-    """The front of two or three objectives.
+    """Compute the Pareto front of two or three objectives.
 
     Parameters
     ----------
     problem : ProblemFile
-        A machine that is designed by its cycle, or a four-bar for a law.
-    objectives : text such as "peak torque, guide force in F"
-        See `optlink.studies.pareto_objectives`.
-    out : folder, optional
-        Where chunks are kept as they are done, and every point of the grid at the end (`sweep.csv`).
+        A machine with an objective over its cycle, or a four-bar for a law.
+    objectives : str
+        For example "peak torque, guide force in F"; see `optlink.studies.pareto_objectives`.
+    out : Path, optional
+        Folder for the chunks as they complete, and for every point of the grid (`sweep.csv`).
     points : int, optional
-        Of the front, or per objective that is held if there are three; 15 or 7 if left out.
+        Points of the front, or per constrained objective for three objectives. Default: 15 or 7.
     resume, backend, engine, workers, scheduler
-        As for a sweep.
-    progress : function of the points done and of all, optional
+        As in `optlink.studies.sweep.sweep`.
+    progress : function of (completed points, all points), optional
 
     Raises
     ------
     InputError
-        see `read_aims`; an end that cannot be found; a folder that holds another study.
+        As `read_aims`; if an end cannot be found, or the folder holds another study.
     """
     begin = time.perf_counter()
     aims = read_aims(problem, objectives)
@@ -269,7 +273,7 @@ def _task(base: ProblemFile, grid: Grid, backend: str, anchors: Sequence[Mapping
 
 
 def _about(problem: ProblemFile, aims: tuple[Aim, ...], count: int, backend: str) -> dict[str, Any]:
-    """What makes a front this one and no other; where its limits walk follows from that."""
+    """Return the definition of a front; the ranges of its limits follow from it."""
     return {
         "schema": "optlink/study/1",
         "optlink": VERSION,
@@ -283,14 +287,14 @@ def _about(problem: ProblemFile, aims: tuple[Aim, ...], count: int, backend: str
 
 
 class _Once:
-    """Searches that are done once in the life of a study: what they find is kept in its folder."""
+    """Searches that are done once per study: their results are kept in its folder."""
 
     def __init__(self, store: Store, progress: Callable[[int], None] | None) -> None:
         self.store, self.progress, self.done = store, progress, 0
         self.known: dict[str, Any] = store.kept(ENDS)
 
     def __call__(self, name: str, search: Callable[[], Mapping[str, Any]]) -> Mapping[str, Any]:
-        """What a search finds, which need not be done if it was before."""
+        """Return the result of a search, from the folder if available."""
         if self.progress is not None:
             self.progress(self.done)
         if name not in self.known:
@@ -304,7 +308,7 @@ class _Once:
 
 
 def _point(base: ProblemFile, task: Sweeping, aims: tuple[Aim, ...], row: Mapping[str, str]) -> Point | None:
-    """A row with its objectives measured: of a machine by its inverse dynamics, of a law's limits by those of the linkage."""
+    """Return a row with its objectives evaluated: by inverse dynamics for a machine, from the limits of the linkage for a law."""
     assert isinstance(task, Designing | Reoptimising)
     columns = {name: f"{name}_{KINDS[quantity.kind].people}" for name, quantity in task.free.items()}
     design = {column: float(row[column]) for column in columns.values()}
@@ -332,7 +336,7 @@ def _marked(point: Point, number: int, aims: Sequence[Aim], corner: Sequence[int
 def _given(
     problem: ProblemFile, base: ProblemFile, aims: tuple[Aim, ...], backend: str, once: _Once
 ) -> tuple[str, tuple[float, ...] | None]:
-    """What the front is compared with: the given machine; of a law the optimum for the limits that the file states."""
+    """Return the reference of the front: the given machine, or for a law the optimum for the limits of the file."""
     if problem.task == "cycle":
         found = cycle_figures(problem, aims, {})
         return "given machine", found if np.all(np.isfinite(found)) else None

@@ -1,8 +1,8 @@
-"""What a front trades against each other: objectives read from words, the limit that holds each, and its figure of a design.
+"""Objectives of a Pareto front: reading, the limit that constrains each, and their values for a design.
 
-A machine that is designed by its cycle has terms ("peak torque", "guide force in F", "stroke of ram"), sizes ("crank.length"),
-its limits by their names, and the file's own `objective`. A four-bar that is designed for a law has `error`, its measure, and
-whatever side of a limit or of a free size may move: `limits.transmission_angle.max`, `mechanism.coupler.max`.
+A machine optimised over its cycle has terms ("peak torque", "guide force in F", "stroke of ram"), dimensions ("crank.length"),
+its limits by name, and the `objective` of the file. A four-bar for a law has `error`, its measure, and
+any movable side of a limit or of a design variable: `limits.transmission_angle.max`, `mechanism.coupler.max`.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from optlink.validation.cycle import Cycle
 OPTION = "--objectives"
 ERROR, OWN = "error", "objective"
 MOVABLE = ("transmission_angle", "transmission_cosine", "swing_angle", "time_ratio", "frame_length", "link_ratio")
-SEVERAL = ("transmission_angle", "transmission_cosine", "link_ratio")  # what has a largest and a smallest value
+SEVERAL = ("transmission_angle", "transmission_cosine", "link_ratio")  # limits with a largest and a smallest value
 GENERATED = {
     "path": "points of a path are",
     "motion": "poses of a body are",
     "function": "values of a function are",
     "transmission": "a swing and a good transmission are",
 }
-ROOM = 1e-3  # of a limit, between its sides where one is made as tight as it can be
+ROOM = 1e-3  # relative distance between the sides of a limit with one side at its tightest
 EXAMPLES = (
     'For example --objectives "peak torque, guide force in F" of a machine, "error, limits.transmission_angle.max" of a law'
 )
@@ -55,10 +55,10 @@ _TERM = re.compile(
 
 @dataclass(frozen=True)
 class Aim:
-    """One objective of a front: as it was `said`, and what people call it.
+    """One objective of a Pareto front: its text, `said`, and its `name`.
 
-    `sense`: 1 where less is better, -1 where more is; `key`: what limits it in the problem file, with its side, empty for what is
-    always minimised itself; `term`: of a machine, as the file would state it; `span`: the range that was asked for, if any.
+    `sense`: 1 to minimise, -1 to maximise; `key`: the limit that constrains it in the problem file, with its side, empty for an
+    objective that can only be minimised itself; `term`: of a machine, as in the file; `span`: the requested range, if any.
     """
 
     said: str
@@ -76,33 +76,44 @@ class Aim:
 
     @property
     def best(self) -> str:
-        """What people call its end of the front."""
+        """Name of its end of the front."""
         if self.name.startswith(("largest", "least", "smallest")):
             return f"best {self.name}"
         return f"{'least' if self.sense > 0 else 'largest'} {self.name}"
 
     @property
     def side(self) -> str:
-        """The side of the limit that holds it."""
+        """Side of the limit that constrains it."""
         return "max" if self.sense > 0 else "min"
 
     @property
     def made(self) -> Term:
-        """The term of a machine."""
+        """Term of a machine."""
         return Term.model_validate(dict(self.term))
 
     def loose(self, value: float, by: float) -> float:
-        """A value that is worse by an amount."""
+        """Return a value that is worse by an amount.
+
+        Parameters
+        ----------
+        value, by : float [unit of the objective]
+        """
         return value + self.sense * by
 
 
 def read_aims(problem: ProblemFile, objectives: str) -> tuple[Aim, ...]:
-    """Read two or three objectives, separated by commas; `NAME=LOW..HIGH UNIT` walks along that range alone.
+    """Read two or three objectives, separated by commas; `NAME=LOW..HIGH UNIT` restricts an objective to a range.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    objectives : str
+        For example "peak torque, guide force in F".
 
     Raises
     ------
     InputError
-        unknown ones (the nearest is named), one or more than three, such as have no trade-off.
+        For unknown objectives, fewer than two or more than three, or objectives without a trade-off.
     """
     parts = [part.strip() for part in objectives.split(",")]
     if not all(parts):
@@ -126,7 +137,7 @@ def read_aims(problem: ProblemFile, objectives: str) -> tuple[Aim, ...]:
 
 
 def _no_front(problem: ProblemFile) -> InputError:
-    """Why a problem has no front, and what it has instead."""
+    """Return the error that a problem has no Pareto front, with an alternative."""
     whose = "Fronts are those of machines with an [objective] over their cycle, and of four-bars for a law"
     if isinstance(problem.model, GenerationProblem):
         instead = f"what a limit costs here: optlink study sweep {problem.name} --vary KEY=LOW..HIGH:N"
@@ -154,22 +165,30 @@ def _ranged(problem: ProblemFile, reader: Any, part: str, number: int) -> Aim:
 
 
 def spanned(aim: Aim, count: int) -> Axis:
-    """The values of the range that was asked for, `count` of them where it does not say how many.
+    """Return the values of the requested range of an objective.
+
+    Parameters
+    ----------
+    aim : Aim
+        With a `span`.
+    count : int
+        Number of values, unless the range states it.
 
     Raises
     ------
     InputError
+        If the range is not valid.
     """
     return read_axis(f"{aim.key}={aim.span}" if ":" in aim.span or "step" in aim.span else f"{aim.key}={aim.span}:{count}")
 
 
 def _check_bounds(problem: ProblemFile, aim: Aim) -> None:
-    """Make sure that the bounds of a size leave room beside every value of the range that one of them is to walk along."""
+    """Check that the bounds of a dimension leave room beside every value of the requested range."""
     name = aim.key.removeprefix("mechanism.").rpartition(".")[0]
     quantity = problem.spec.quantities[name]
     try:
         values = [value * factor(axis.unit, quantity.kind) for axis in [spanned(aim, 2)] for value in axis.values]
-    except (InputError, UnitProblem):  # no range: told when it is walked along
+    except (InputError, UnitProblem):  # no valid range: reported when it is used
         return
     low, high = quantity.bounds
     if (aim.sense > 0 and min(values) <= low) or (aim.sense < 0 and max(values) >= high):
@@ -212,7 +231,14 @@ def _of_law(problem: ProblemFile, name: str, number: int) -> Aim:
 
 
 def asked(problem: ProblemFile, key: str) -> Raw | None:
-    """What the file itself states at a side of a limit."""
+    """Return the value in the file at one side of a limit, or None.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    key : str
+        Key of the limit, including its side.
+    """
     above, _, side = key.rpartition(".")
     whole = raw_at(problem, above)
     if isinstance(whole, Mapping):
@@ -223,7 +249,15 @@ def asked(problem: ProblemFile, key: str) -> Raw | None:
 
 
 def tightest(problem: ProblemFile, aim: Aim) -> Raw:
-    """A bound that is as tight as it can be stated, whether a linkage meets it or not."""
+    """Return the tightest bound that can be stated, whether or not a linkage satisfies it.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With a law.
+    aim : Aim
+        With a `key`.
+    """
     above = aim.key.rpartition(".")[0]
     name = above.rpartition(".")[2]
     other: float | None = None
@@ -237,7 +271,7 @@ def tightest(problem: ProblemFile, aim: Aim) -> Raw:
     if other is not None:
         assert held is not None
         own = other / factor(aim.unit, held.kind) if held.kind else other
-        return text(aim.loose(own, ROOM * abs(own)), aim.unit)  # equal sides would ask for one value at all positions
+        return text(aim.loose(own, ROOM * abs(own)), aim.unit)  # equal sides would prescribe one value at all positions
     small, large = {"deg": (1.0, 179.0), "mm": (1e-3, 1e8)}.get(aim.unit, (1e-3, 1e3))
     if isinstance(held, StrokeRatio):
         small, large = (1.0 if held.stroke in (None, "slow") else small), (1.0 if held.stroke == "quick" else large)
@@ -249,13 +283,22 @@ def tightest(problem: ProblemFile, aim: Aim) -> Raw:
 
 
 def law_figure(task: DesignProblem, aim: Aim, design: Mapping[str, float]) -> float:
-    """What a limit limits, of a design [SI], in the aim's unit; the problem states that side of the limit."""
+    """Return the value that a limit constrains, in the unit of the objective.
+
+    Parameters
+    ----------
+    task : DesignProblem
+        States that side of the limit.
+    aim : Aim
+        With a `key`.
+    design : mapping of str to float [SI]
+    """
     above, _, side = aim.key.rpartition(".")
     name = above.removeprefix("mechanism.")
     if above.startswith("mechanism."):
         return design[name] / factor(aim.unit, task.quantities[name].kind)
     values = task.design(design)
-    keys = {above} | ({"limits.alignment"} if name.startswith("transmission") else set())  # which may be the tighter one
+    keys = {above} | ({"limits.alignment"} if name.startswith("transmission") else set())  # which may be tighter
     rows = [row for row in limit_rows(task, values, task.reach(values), values["frame"]) if row.limit in keys]
     held = [row for row in rows if math.isfinite(row.high if (side == "max") != row.scale.cosine else row.low)]
     figures = [row.scale.people(float(row.value)) for row in held]
@@ -303,7 +346,7 @@ def _of_machine(problem: ProblemFile, name: str, number: int) -> Aim:
 
 
 def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, name: str) -> Aim:
-    """The aim of a term, once the model has accepted it as an objective."""
+    """Return the objective of a term, after validation by the model."""
     stated = {**raw, "sense": "maximise" if sense < 0 else "minimise"}
     document = {key: value for key, value in problem.raw.items() if key != "expected"}
     try:
@@ -319,8 +362,18 @@ def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, 
 
 
 def walked(problem: ProblemFile, aims: Sequence[Aim], goals: Mapping[int, float], bounds: Mapping[int, Raw]) -> ProblemFile:
-    """A machine's problem with other objectives: `goals` (number of the aim: what counts as one, in its unit) are minimised,
-    `bounds` hold others. A limit of the file on the same side of the term of an aim gives way; all others stay.
+    """Return the problem of a machine with other objectives and bounds.
+
+    A limit of the file on the same side of the term of an objective is removed; all others remain.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    aims : sequence of Aim
+    goals : mapping of int to float
+        Minimised objectives: index, and the reference value in the unit of the objective.
+    bounds : mapping of int to value with unit
+        Constrained objectives: index, and bound.
     """
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
     given = _model(problem)
@@ -340,7 +393,7 @@ def walked(problem: ProblemFile, aims: Sequence[Aim], goals: Mapping[int, float]
 
 
 def _goals(problem: ProblemFile, aim: Aim, one: float) -> list[dict[str, Any]]:
-    """Terms of the objective that an aim is, `one` [its unit] counting as one."""
+    """Return the terms of an objective, with the reference value `one` [its unit]."""
     if aim.key:
         sense = "maximise" if aim.sense < 0 else "minimise"
         return [{**dict(aim.term), "sense": sense, "scale": text(one, aim.unit)}]
@@ -354,14 +407,14 @@ def _same(one: Term, other: Term) -> bool:
 
 
 def _gives_way(limit: Limit, aim: Aim) -> bool:
-    """Whether a limit holds the term of an aim on the side on which it is walked along."""
+    """Return whether a limit constrains the term of an objective on the side that is varied."""
     if not aim.key:
         return False
     return _same(limit, aim.made) and (limit.exactly is not None or getattr(limit, aim.side) is not None)
 
 
 def _rest(problem: ProblemFile, name: str, aims: Sequence[Aim]) -> dict[str, Any] | None:
-    """What stays of a limit that gives way: its other side."""
+    """Return the other side of a limit that is removed, or None."""
     limit, raw = _model(problem).limits.named[name], dict(problem.raw["limits"][name])
     raw.pop("exactly", None)
     for aim in aims:
@@ -371,7 +424,19 @@ def _rest(problem: ProblemFile, name: str, aims: Sequence[Aim]) -> dict[str, Any
 
 
 def cycle_figures(problem: ProblemFile, aims: Sequence[Aim], values: Mapping[str, float]) -> tuple[float, ...]:
-    """Every aim of a machine with sizes [SI], by the ordinary inverse dynamics, in its unit; NaN where the crank cannot turn."""
+    """Return the values of all objectives of a machine by ordinary inverse dynamics; NaN if the crank cannot turn fully.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    aims : sequence of Aim
+    values : mapping of str to float [SI]
+        Dimensions; those not named have their value in the file.
+
+    Returns
+    -------
+    tuple of float, each in the unit of its objective
+    """
     task = _model(problem)
     cycle = Cycle(task, values)
     found = []
@@ -385,7 +450,16 @@ def cycle_figures(problem: ProblemFile, aims: Sequence[Aim], values: Mapping[str
 
 
 def bare(problem: ProblemFile, aims: Sequence[Aim]) -> ProblemFile:
-    """A law's problem without the limits that its aims walk along; bounds of a size stay, their search begins in the middle."""
+    """Return the problem of a law without the limits that its objectives vary.
+
+    Bounds of a dimension remain; its search starts from their middle.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    aims : sequence of Aim
+        Objectives with a `key`.
+    """
     for aim in aims:
         above, _, side = aim.key.rpartition(".")
         whole = raw_at(problem, above)
@@ -396,7 +470,7 @@ def bare(problem: ProblemFile, aims: Sequence[Aim]) -> ProblemFile:
             sides = dict(whole) if isinstance(whole, Mapping) else dict(zip(SIDES, pair, strict=True))
             sides |= dict.fromkeys(SIDES, sides.pop("exactly")) if "exactly" in sides else {}
             sides.pop(side, None)
-            if list(sides) == ["stroke"]:  # a limit that every linkage meets keeps the stroke
+            if list(sides) == ["stroke"]:  # a limit that every linkage satisfies keeps the stroke
                 other = "max" if side == "min" else "min"
                 extreme = {"min": 1.0 if sides["stroke"] == "slow" else 1e-6, "max": 1.0 if sides["stroke"] == "quick" else 1e6}
                 sides[other] = extreme[other]

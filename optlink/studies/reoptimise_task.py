@@ -1,8 +1,8 @@
-"""The task that finds a new optimum at every point of a grid.
+"""Sweep task that finds an optimum at every point of a grid.
 
-The programme is built once: what varies are its parameters and bounds. Within a chunk each search begins at the optimum of a
-neighbour that is done, and mostly ends after a few steps of Newton's method; the first search of a chunk begins where the problem
-says, so that no chunk depends on another. Every optimum is proven by the validator, as a single one is.
+The programme is built once: what varies are its parameters and bounds. Within a chunk each search starts from the optimum of a
+completed neighbour, and usually ends after a few Newton steps; the first search of a chunk starts from the start of the problem,
+so that no chunk depends on another. Every optimum is validated like a single one.
 """
 
 from __future__ import annotations
@@ -33,19 +33,20 @@ from optlink.units import KINDS, factor
 from optlink.validation import validate
 
 Array = NDArray[np.float64]
-CHUNK, SLOW_CHUNK = 100, 4  # points; the second where every point is a search of its own
+CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs a separate search
 TAIL = ("status", "valid", "failed", "active", "found")
-NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")  # that a programme holds as such
+NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")  # keys of parameters of a programme
 SEARCHED = "searched"
-OTHER = 3.0  # times as large or as small: a machine of another size, for which the programme is not scaled well
+OTHER = 3.0  # ratio of sizes beyond which the scaling of the programme is unsuitable
 
 
 def check_backend(name: str) -> None:
-    """Make sure that a study knows the back end.
+    """Check that studies support a solver.
 
     Raises
     ------
     InputError
+        If they do not.
     """
     if name == "both":
         remedy = (
@@ -57,7 +58,14 @@ def check_backend(name: str) -> None:
 
 
 def buildable(problem: ProblemFile, keys: tuple[str, ...]) -> bool:
-    """Whether one programme serves all values of these keys."""
+    """Return whether one programme serves all values of these keys.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    keys : tuple of str
+        Keys of the file, including the side of a limit.
+    """
     task = problem.model
     if not isinstance(task, DesignProblem) or task.everywhere or task.mechanism.assembly == EITHER:
         return False
@@ -66,7 +74,7 @@ def buildable(problem: ProblemFile, keys: tuple[str, ...]) -> bool:
 
 @dataclass(frozen=True)
 class _Optimum:
-    """What a row is made of; `design` [SI] by free quantity."""
+    """Contents of a row; `design` [SI] by design variable."""
 
     design: Mapping[str, float]
     objective: float
@@ -79,24 +87,24 @@ class _Optimum:
 
 @dataclass(frozen=True)
 class Reoptimising(Sweeping):
-    """A new optimum at every point."""
+    """Optimum at every point."""
 
     backend: str
 
     @cached_property
     def template(self) -> ProblemFile:
-        """The problem at the first point: what is free there is free everywhere."""
+        """The problem at the first point, whose design variables are those of all points."""
         return self.problem.override(self.grid.changes(0))
 
     @cached_property
     def free(self) -> dict[str, Quantity]:
-        """The free quantities."""
+        """Design variables."""
         model = self.template.model
         return {name: model.quantities[name] for name in model.free}
 
     @property
     def columns(self) -> list[str]:
-        """The axes, the free quantities in people's units, the objective in SI, and how it was found."""
+        """The axes, the design variables in display units, the objective in SI, and the outcome."""
         from optlink.studies.sweep import objective_column
 
         free = [f"{name}_{KINDS[quantity.kind].people}" for name, quantity in self.free.items()]
@@ -104,18 +112,18 @@ class Reoptimising(Sweeping):
 
     @cached_property
     def programme(self) -> Programme | None:
-        """The programme of all points; None where every point needs its own."""
+        """Common programme of all points; None if every point needs its own."""
         keys = tuple(axis.key for axis in self.grid.axes)
         return Programme(self.template) if buildable(self.template, keys) else None
 
     @cached_property
     def direct(self) -> Direct | None:
-        """Puts values into the model; None where the file has to be read again for each."""
+        """Sets values in the model; None if the file has to be read again for each."""
         found = Direct(self.template.spec, self.grid.axes) if self.programme is not None else None
         return found if found is not None and found.possible else None
 
     def lines(self, index: int) -> list[list[str]]:
-        """Rows of a chunk."""
+        """Return the rows of a chunk."""
         done: dict[int, Solution] = {}
         rows = []
         for point in self.span(index):
@@ -127,13 +135,13 @@ class Reoptimising(Sweeping):
         return rows
 
     def model(self, point: int) -> DesignProblem:
-        """The problem at a point of the grid."""
+        """Return the problem at a point of the grid."""
         if self.direct is not None:
             return self.direct.model(self.grid.values(point))
         return self.problem.override(self.grid.changes(point)).spec
 
     def _again(self, programme: Programme, point: int, done: dict[int, Solution]) -> _Optimum:
-        """The optimum at a point, from that of a neighbour of this chunk if there is one."""
+        """Return the optimum at a point, from that of a neighbour of this chunk if available."""
         task = self.model(point)
         programme.bind(task)
         before = point - 1 if point % self.grid.row else point - self.grid.row
@@ -171,7 +179,7 @@ class Programme:
         self.size = problem.spec.quantities["frame"].value
 
     def bind(self, task: DesignProblem) -> None:
-        """Take fixed quantities, bounds and limits from a problem of the same structure."""
+        """Set fixed quantities, bounds and limits from a problem of the same structure."""
         nlp, quantities = self.nlp, task.quantities
         for i, constant in enumerate(nlp.constants):
             value = quantities[constant.name].value if constant.name in quantities else task.counted[constant.name]
@@ -190,7 +198,14 @@ class Programme:
             nlp.limit(n + j, row.high, upper=True)
 
     def solve(self, near: Solution | None, backend: str) -> tuple[Solution, str]:
-        """The optimum for the parameters that are bound, from a neighbour's if there is one."""
+        """Return the optimum for the present parameters, and how it was found.
+
+        Parameters
+        ----------
+        near : Solution, optional
+            Optimum of a neighbour.
+        backend : "slsqp" or "ipopt"
+        """
         nlp = self.nlp
         if near is not None:
             solution = follow(nlp, near)
@@ -206,7 +221,7 @@ class Programme:
 
 
 def _alone(task: ProblemFile, backend: str) -> _Optimum:
-    """The optimum of a problem that is built and searched for itself."""
+    """Return the optimum of a problem that is built and searched separately."""
     result = solve(task, backend)
     assert not isinstance(result, Balance)
     failed = tuple(check.name for check in result.validation.checks if not check.passed)
@@ -216,7 +231,7 @@ def _alone(task: ProblemFile, backend: str) -> _Optimum:
 
 
 def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the limits that a design misses, and of those at whose bound it stands, each once."""
+    """Return the labels of the violated limits, and of the other limits at their bound, each once."""
     nlp, g = solution.nlp, solution.g
     with np.errstate(invalid="ignore"):
         beyond = np.maximum(nlp.low - g, g - nlp.high)
@@ -228,7 +243,7 @@ def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def active(solution: Solution) -> tuple[str, ...]:
-    """Names of the limits and bounds that hold a design, each once."""
+    """Return the labels of the active limits and bounds of a design, each once."""
     nlp, prices = solution.nlp, solution.proof.multipliers
     n = len(nlp.variables)
     names = []

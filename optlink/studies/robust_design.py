@@ -1,7 +1,7 @@
-"""A design that stays good when it is built: the largest of error plus k standard deviations, or plus the worst case, made least.
+"""Robust designs: minimise the largest error plus k standard deviations, or plus the worst case.
 
-That is what `optlink solve` does with a problem file that is robust; here the tolerances may come from the command line, and the
-best design as drawn is found beside it.
+`optlink solve` does this for a robust problem file; here the tolerances may come from the command line, and the
+nominal optimum is found as well.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from optlink.studies.tolerance_options import stated
 from optlink.tasks.function import Result, solve, validate
 
 YIELD = "yield"
-STEPS, CLOSE = 12, 1e-5  # of the search for most standard deviations, and the share to which the limit is met
-LEVEL = 1e-12  # rad per standard deviation; where they change nothing, any number keeps the limit
+STEPS, CLOSE = 12, 1e-5  # of the search for the largest number of standard deviations, and its relative accuracy
+LEVEL = 1e-12  # rad per standard deviation; least slope of the secants
 
 
 @dataclass(frozen=True)
 class Robust:
-    """A robust design, `result`, and the best as drawn, `nominal` [SI]; `before` [rad]: what was made least, of the latter.
+    """A robust design, `result`, and the nominal optimum, `nominal` [SI]; `before` [rad]: objective of the latter.
 
-    `sigmas`: how many standard deviations count, None: the worst case; `by_yield`: the yield was made most instead.
+    `sigmas`: number of standard deviations, None: the worst case; `by_yield`: the yield was maximised instead.
     """
 
     result: Result
@@ -44,28 +44,28 @@ class Robust:
 
     @property
     def value(self) -> float:
-        """What was made least [rad]; the largest error as drawn where that was not."""
+        """Minimised value [rad]; the largest nominal error if the yield was maximised."""
         return self.result.objective
 
     @property
     def valid(self) -> bool:
-        """Whether it is an optimum, and its limits are proven by the validator."""
+        """Whether it is optimal and passes validation."""
         return self.result.valid
 
     @property
     def counted(self) -> str:
-        """What is added to the size of the error, in words; or that the yield counts."""
+        """What is added to the error, in words; or that the yield counts."""
         if self.by_yield:
             return YIELD
         return "the worst case" if self.sigmas is None else f"{self.sigmas:.4g} standard deviations"
 
     @property
     def free(self) -> dict[str, float]:
-        """The free quantities of the design [SI]."""
+        """Design variables [SI]."""
         return {name: self.design[name] for name in self.result.problem.model.free}
 
     def to_dict(self) -> dict[str, Any]:
-        """As part of a JSON document."""
+        """Return the robust design as part of a JSON document."""
         return {
             "counted": self.counted,
             "status": self.result.status.value,
@@ -81,19 +81,24 @@ class Robust:
 def robust(
     problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None = 3.0, *, shape: str = NORMAL, backend: str = "ipopt"
 ) -> Robust:
-    """The design whose largest error over the span, with its scatter, is least.
+    """Minimise the largest error over the span, including its scatter.
 
     Parameters
     ----------
-    problem : ProblemFile with a motion law
-    tolerances : texts, see `optlink.studies.tolerance.tolerance`
-    sigmas : standard deviations that are added to the size of the mean error; None: the worst case is
-    shape : distribution where none is said
+    problem : ProblemFile
+        With a motion law.
+    tolerances : sequence of str
+        See `optlink.studies.tolerance.tolerance`.
+    sigmas : float, optional
+        Standard deviations added to the absolute mean error; None: the worst case is added.
+    shape : str
+        Default distribution of tolerances.
     backend : "slsqp" or "ipopt"
 
     Raises
     ------
     InputError
+        If there is no motion law, no validated design, or an argument is invalid.
     """
     if sigmas is not None and not 0.0 <= sigmas <= MOST:
         remedy = f"Give 0 to {MOST:g} standard deviations, or worst, margin or yield"
@@ -104,12 +109,26 @@ def robust(
 def safest(
     problem: ProblemFile, tolerances: Sequence[str], limit: float, *, shape: str = NORMAL, backend: str = "ipopt"
 ) -> Robust:
-    """The design that keeps a limit [rad] of its error with most standard deviations: those whose least value is the limit.
+    """Return the design that keeps a limit of its error with the largest number of standard deviations.
+
+    Its number of standard deviations is that for which the minimised value equals the limit.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With a motion law.
+    tolerances : sequence of str
+        See `optlink.studies.tolerance.tolerance`.
+    limit : float [rad]
+        Largest error anywhere along the span.
+    shape : str
+        Default distribution of tolerances.
+    backend : "slsqp" or "ipopt"
 
     Raises
     ------
     InputError
-        as `robust`; where no design keeps the limit even as drawn.
+        As `robust`, or if no nominal design keeps the limit.
     """
     redesign = Redesign(problem, tolerances, shape, backend)
     before = redesign.least(0.0)
@@ -118,7 +137,7 @@ def safest(
         message = f"no design keeps the limit, not even as drawn: the least largest error that was found is {least}"
         raise InputError(Fault(message, f"Give more than {least}", problem.file, "--limit", f"{math.degrees(limit):.4g} deg"))
     here, sigmas = redesign.least(1.0, before.free), 1.0
-    for _ in range(STEPS):  # by secants: the least value is nearly linear in them
+    for _ in range(STEPS):  # secant method: the minimum is nearly linear in them
         rise = (here.value - before.value) / (sigmas - (before.sigmas or 0.0))
         wanted = min(max(sigmas + (limit - here.value) / max(rise, LEVEL), 0.0), MOST)
         if abs(here.value - limit) <= CLOSE * limit or wanted == sigmas:
@@ -128,11 +147,12 @@ def safest(
 
 
 def check_law(problem: ProblemFile) -> None:
-    """Make sure that there is an error over a span, of which the largest can be made least.
+    """Check that the problem has an error over a span.
 
     Raises
     ------
     InputError
+        If it is no motion law of a four-bar.
     """
     if not isinstance(problem.model, DesignProblem):
         message = "a robust design is found for motion laws of a four-bar only"
@@ -140,7 +160,7 @@ def check_law(problem: ProblemFile) -> None:
 
 
 class Redesign:
-    """Searches robust designs of one problem, from its best design as drawn, `nominal` [SI]; `problem`: with its tolerances."""
+    """Search of robust designs of one problem from its nominal optimum, `nominal` [SI]; `problem`: with its tolerances."""
 
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str, backend: str) -> None:
         check_law(problem)
@@ -156,14 +176,22 @@ class Redesign:
             raise InputError(faults) from None
 
     def least(self, sigmas: float | None, start: Mapping[str, float] | None = None) -> Robust:
-        """The design with the least largest error and scatter, searched from a start [SI]."""
+        """Minimise the largest error including its scatter.
+
+        Parameters
+        ----------
+        sigmas : float or None
+            Number of standard deviations; None: the worst case.
+        start : mapping of str to float [SI], optional
+            Starting design. Default: the nominal optimum.
+        """
         problem = self.problem.override({"requirement.robust": WORST if sigmas is None else f"{sigmas!r} sigma"})
         found = solve(problem, self.backend, begin=self.nominal if start is None else start)
         return Robust(found, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)
 
 
 def _told(fault: Fault, tolerances: Sequence[str]) -> Fault:
-    """A fault of a tolerance, by the key under which it was given."""
+    """Return an error of a tolerance with the key under which it was stated."""
     if not tolerances:
         return fault
     return replace(fault, key=(fault.key or "").replace("tolerances.", "--tolerance ", 1))

@@ -1,7 +1,7 @@
-"""Where the chunks of a study are done: on processes of this machine, or on a Dask cluster. Results do not depend on it.
+"""Run the chunks of a study in local processes or on a Dask cluster, with identical results.
 
-A chunk is done by a task (`optlink.studies.worker.Task`), from its number to its result, which depends on nothing else. They come
-back in any order.
+A task (`optlink.studies.worker.Task`) maps the number of a chunk to its result, which depends on nothing else. Results arrive
+in any order.
 """
 
 from __future__ import annotations
@@ -21,23 +21,29 @@ from optlink.problem.quantity import nearest
 from optlink.studies.worker import ONE_THREAD, Answer, Task, answered, packed, perform
 
 ENGINES = ("local", "dask")
-ATTEMPTS = 3  # processes that a chunk may outlive
-WAIT = 0.2  # s, how often who waits looks whether it is to stop
+ATTEMPTS = 3  # attempts per chunk if its process dies
+WAIT = 0.2  # s, polling interval of waiting threads
 MAX_WORKERS = 1024
 
 
 def cores() -> int:
-    """Processor cores that this process may use."""
+    """Return the number of processor cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check(engine: str, workers: int | None, scheduler: str | None) -> None:
-    """Make sure that chunks can be done so; see `run`.
+    """Check the execution options; see `run`.
+
+    Parameters
+    ----------
+    engine : str
+    workers : int or None
+    scheduler : str or None
 
     Raises
     ------
     InputError
-        unknown engine, Dask not installed, a number of workers that is none.
+        For an unknown engine, a missing Dask installation, or an invalid number of workers.
     """
     if engine not in ENGINES:
         raise InputError(Fault("unknown engine", nearest(engine, ENGINES), key="--engine", value=engine))
@@ -54,24 +60,25 @@ def check(engine: str, workers: int | None, scheduler: str | None) -> None:
 def run(
     task: Task, todo: Iterable[int], engine: str = "local", workers: int | None = None, scheduler: str | None = None
 ) -> Iterator[tuple[int, Answer]]:
-    """Do chunks; give each with its number as it is done.
+    """Run chunks, and yield each result with its number on completion.
 
     Parameters
     ----------
-    task : callable
-    todo : numbers of chunks
+    task : Task
+    todo : iterable of int
+        Numbers of chunks.
     engine : "local" or "dask"
     workers : int, optional
-        Processes; as many as there are cores if left out. One: this process itself.
+        Number of processes. Default: the number of cores. With one worker, the present process.
     scheduler : str, optional
-        Address of a Dask scheduler; a cluster of this machine if left out.
+        Address of a Dask scheduler. Default: a local cluster.
 
     Raises
     ------
     InputError
-        unknown engine, a number of workers that is none, a scheduler that does not answer; and what the task raises.
+        For an unknown engine, an invalid number of workers, a scheduler that does not answer; and as raised by the task.
     SolverError
-        where a chunk breaks down.
+        If a chunk breaks down.
     """
     check(engine, workers, scheduler)
     if engine == "dask":
@@ -108,7 +115,7 @@ def _local(task: Task, todo: list[int], workers: int) -> Iterator[tuple[int, Ans
 
 
 class _Hand(threading.Thread):
-    """Hands chunks to one process, and to another one if that dies."""
+    """Thread that passes chunks to one process, and to a new one if that dies."""
 
     def __init__(self, task: str, jobs: queue.SimpleQueue[int], answers: queue.Queue[tuple[int, Any]]) -> None:
         super().__init__(daemon=True)
@@ -148,7 +155,7 @@ class _Hand(threading.Thread):
                     return answered(line)
             except BrokenPipeError:
                 pass
-            self._end()  # it died: only this chunk is lost, and done again
+            self._end()  # the process died: only this chunk is repeated
         raise SolverError(f"chunk {index} of the study ended {ATTEMPTS} processes; is there enough memory?")
 
     def _begin(self) -> subprocess.Popen[str]:
@@ -160,7 +167,7 @@ class _Hand(threading.Thread):
             stdout=subprocess.PIPE,
             encoding="utf-8",
             env={**os.environ, **ONE_THREAD, "PYTHONPATH": path},
-            start_new_session=True,  # Ctrl-C is for who asked
+            start_new_session=True,  # Ctrl-C is handled by the parent process
         )
         assert self.process.stdin is not None
         self.process.stdin.write(self.task)
@@ -179,7 +186,7 @@ class _Hand(threading.Thread):
         process.wait()
 
     def stop(self) -> None:
-        """Do no further chunk, and give up the one in hand."""
+        """Start no further chunk, and abandon the current one."""
         self.stopped.set()
         process = self.process
         if process is not None:

@@ -1,4 +1,4 @@
-"""Quasi-random samples of deviations, how sure a yield that was counted is, and the options of the command read from texts."""
+"""Quasi-random samples of deviations, confidence intervals of a yield, and options of the tolerance command."""
 
 from __future__ import annotations
 
@@ -12,15 +12,25 @@ from optlink.errors import Fault, InputError
 from optlink.problem.tolerances import Deviation
 
 Array = NDArray[np.float64]
-BATCH = 1 << 13  # samples that are drawn at a time; a power of two keeps Sobol points balanced
-TINY = 2.0**-31  # half of the last bit of scipy's Sobol points: keeps shares off 0, where a normal deviation is infinite
+BATCH = 1 << 13  # samples per batch; a power of two keeps Sobol points balanced
+TINY = 2.0**-31  # half of the last bit of scipy's Sobol points: avoids 0, where a normal deviate is infinite
 CONFIDENCE = 0.95
 
 
 def drawn(deviations: Sequence[Deviation], samples: int, seed: int) -> Iterator[Array]:
-    """Deviations [SI] in batches (samples, deviations) of scrambled Sobol points; memory does not grow with their number.
+    """Yield deviations [SI] in batches (samples, deviations) of scrambled Sobol points; memory does not grow with their number.
 
-    Source: A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14 (1998); scipy.stats.qmc.
+    Parameters
+    ----------
+    deviations : sequence of Deviation
+    samples : int
+        Total number.
+    seed : int
+        Seed of the scrambling.
+
+    References
+    ----------
+    A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14 (1998); scipy.stats.qmc.
     """
     from scipy.stats import qmc
 
@@ -31,9 +41,20 @@ def drawn(deviations: Sequence[Deviation], samples: int, seed: int) -> Iterator[
 
 
 def wilson(good: int, count: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Ends of the interval in which a share lies, `good` of `count` independent samples having been so.
+    """Return the Wilson confidence interval of a proportion.
 
-    Source: E. B. Wilson, Probable inference, the law of succession, and statistical inference, J. Am. Stat. Assoc. 22 (1927).
+    Parameters
+    ----------
+    good : int
+        Number of successes.
+    count : int
+        Number of independent samples.
+    confidence : float
+        Confidence level, between 0 and 1.
+
+    References
+    ----------
+    E. B. Wilson, Probable inference, the law of succession, and statistical inference, J. Am. Stat. Assoc. 22 (1927).
     """
     from scipy.special import ndtri
 
@@ -46,11 +67,12 @@ def wilson(good: int, count: int, confidence: float = CONFIDENCE) -> tuple[float
 
 
 def read_yield(text: str) -> float:
-    """A share written as "99.7 %" or 0.997.
+    """Read a yield such as "99.7 %" or 0.997.
 
     Raises
     ------
     InputError
+        If it is not between 0 and 1.
     """
     plain = text.strip()
     try:
@@ -63,11 +85,12 @@ def read_yield(text: str) -> float:
 
 
 def read_sigmas(text: str) -> float | str:
-    """A number of standard deviations, or "worst", "margin" or "yield"; also as problem files have it, "3 sigma", "worst case".
+    """Read a number of standard deviations, or "worst", "margin" or "yield"; also "3 sigma" or "worst case" as in problem files.
 
     Raises
     ------
     InputError
+        If the text is neither.
     """
     word = text.strip().removesuffix(" case")
     if word in ("worst", "margin", "yield"):
@@ -81,11 +104,12 @@ def read_sigmas(text: str) -> float | str:
 
 
 def read_costs(texts: Sequence[str]) -> dict[str, float]:
-    """Cost coefficients by name, of texts such as "coupler=2".
+    """Read cost coefficients by name from texts such as "coupler=2".
 
     Raises
     ------
     InputError
+        If a text is no positive coefficient.
     """
     found: dict[str, float] = {}
     for text in texts:

@@ -1,6 +1,6 @@
-"""What one more costs: derivatives of an optimum by everything that is given, and how far they hold.
+"""Parametric sensitivities: derivatives of an optimum by all its parameters, and their range of validity.
 
-How they are found: `optlink.studies.kkt_derivatives`.
+The method is described in `optlink.studies.kkt_derivatives`.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ from optlink.tasks.run import solve
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/sensitivity/1"
-SMALL = 1e-2  # of the objective, by a change of the parameter by itself: where less changes, gaps are shares of this
-SLIGHT = 1e-3  # the same of the design
-ROUNDING = 1e-13  # share of the objective, or of a change in scaled units, that is none
-STEP, ROOM = 3e-5, 0.4  # of the value, by which the check solves again to either side, and of the range of validity at most
-MACHINE_STEP, MACHINE_ROOM = 3e-4, 0.02  # the same of a machine: its sizes are found less exactly, its figures bend more
+SMALL = 1e-2  # least reference of relative differences: of the objective, per parameter change of its own value
+SLIGHT = 1e-3  # the same for the design
+ROUNDING = 1e-13  # relative to the objective, or in scaled units: changes that count as zero
+STEP, ROOM = 3e-5, 0.4  # step of the check relative to the value, and its largest share of the range of validity
+MACHINE_STEP, MACHINE_ROOM = 3e-4, 0.02  # the same for a machine: less accurate optima, stronger curvature
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """Derivatives by central differences of `step` [unit of the parameter] between designs that were searched again."""
+    """Derivatives by central differences of `step` [unit of the parameter] between re-optimised designs."""
 
     step: float
     objective: float
     design: Mapping[str, float]
-    gap: float  # largest difference to the exact ones, as a share of the largest of the kind
+    gap: float  # largest difference from the exact derivatives, relative to the largest of the kind
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How an optimum answers to one number.
+    """Sensitivity of an optimum to one parameter.
 
-    `objective`: change of the objective [SI] per `parameter.unit`; `design`: change of each free quantity [its unit] per
-    `parameter.unit`; `below`, `above`: how far this holds.
+    `objective`: change of the objective [SI] per `parameter.unit`; `design`: change of each design variable [its unit] per
+    `parameter.unit`; `below`, `above`: range of validity.
     """
 
     parameter: Parameter
@@ -70,13 +70,13 @@ class Sensitivity:
 
     @property
     def moves(self) -> bool:
-        """Whether anything changes at all."""
+        """Whether the parameter has any effect."""
         return self.objective != 0.0 or any(self.design.values())
 
 
 @dataclass(frozen=True, repr=False)
 class Sensitivities(Summary):
-    """All of an optimum: `rows` by the size of their effect, largest first; `units` of the free quantities."""
+    """All sensitivities of an optimum: `rows` by decreasing effect; `units` of the design variables."""
 
     problem: ProblemFile
     solution: Solution
@@ -90,22 +90,22 @@ class Sensitivities(Summary):
 
     @property
     def moving(self) -> tuple[Sensitivity, ...]:
-        """Those that change anything."""
+        """Sensitivities to parameters with an effect."""
         return tuple(row for row in self.rows if row.moves)
 
     @property
     def gap(self) -> float | None:
-        """Largest difference to the derivatives of designs that were searched again; None if that was not asked for."""
+        """Largest difference from the derivatives of re-optimised designs; None without this check."""
         gaps = [row.check.gap for row in self.rows if row.check is not None]
         return max(gaps) if gaps else None
 
     @property
     def values(self) -> dict[str, float]:
-        """The free quantities of the optimum, in their units."""
+        """Design variables of the optimum, in their units."""
         return {v.name: v.scale.people(float(x)) for v, x in _shown(self.solution.nlp, self.solution.x)}
 
     def to_dict(self) -> dict[str, Any]:
-        """As a JSON document: the objective in SI, everything else in the unit that stands beside it."""
+        """Return the sensitivities as a JSON document: the objective in SI, everything else in the unit stated beside it."""
         rows = []
         for row in self.rows:
             p = row.parameter
@@ -141,7 +141,7 @@ class Sensitivities(Summary):
 
 
 def _shown(nlp: NLP, x: Sequence[float] | Array) -> list[tuple[Any, float]]:
-    """The free quantities (no helpers) with what belongs to them."""
+    """Return the design variables (no auxiliary variables) with their values."""
     return [(v, float(value)) for v, value in zip(nlp.variables, x, strict=False) if v.name not in nlp.helpers]
 
 
@@ -154,7 +154,7 @@ def sensitivities(
     check: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Sensitivities:
-    """Find the optimum of a problem, and how it answers to everything that is given.
+    """Find the optimum of a problem and its sensitivities to all parameters.
 
     Parameters
     ----------
@@ -163,13 +163,13 @@ def sensitivities(
     backend, starts, seed
         As in `optlink.solve`.
     check : bool
-        Whether every parameter that matters is also moved a little to both sides and the design searched again.
-    progress : function of the share that is done, optional
+        Whether to verify each parameter with an effect by re-optimisation on both sides.
+    progress : function of the completed fraction of the check, optional
 
     Raises
     ------
     InputError
-        when no optimum is found, whose sensitivity could be asked for; and as `optlink.solve` does.
+        If no optimum is found; and as `optlink.solve`.
     """
     if problem.task == "balance":
         remedy = "`optlink balance` lists the shadow prices of its limits"
@@ -193,7 +193,20 @@ def of_solution(
     check: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Sensitivities:
-    """How an optimum that is known answers to everything that is given; `problem` with a definite assembly mode."""
+    """Return the sensitivities of a known optimum to all parameters.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With a definite assembly mode.
+    solution : Solution
+        Optimum of the problem.
+    backend : "slsqp" or "ipopt"
+        Solver of the check.
+    check : bool
+        Whether to verify each parameter with an effect by re-optimisation on both sides.
+    progress : function of the completed fraction of the check, optional
+    """
     nlp = solution.nlp
     if isinstance(nlp, CycleNLP):
         solution = sharpened(nlp, solution)
@@ -204,7 +217,7 @@ def of_solution(
     for parameter in parameters(nlp) if machine is None else machine.parameters:
         try:
             push = system.push(parameter) if machine is None else machine.push(parameter)
-        except InputError as error:  # at the end of what can be stated
+        except InputError as error:  # at the end of the valid range of input values
             notes.append(f"{parameter.name} is left out, as it cannot be changed to both sides: {error.faults[0].message}")
             continue
         answer = system.answer(push)
@@ -252,9 +265,11 @@ def _notes(system: System, solution: Solution) -> list[str]:
 
 
 def _searched_again(problem: ProblemFile, solution: Solution, row: Sensitivity, backend: str, *, loose: bool) -> Resolved | None:
-    """Central differences between optima on either side; None where the range of validity leaves no room, or there is none.
+    """Return central differences between optima on either side, or None.
 
-    `loose`: several designs are equally good, so that the objective alone can be compared.
+    None if the range of validity is too small, or an optimum is missing.
+
+    `loose`: several designs are equally good, so that only the objective can be compared.
     """
     parameter = row.parameter
     size = abs(parameter.value) or 1.0
@@ -286,14 +301,14 @@ def _searched_again(problem: ProblemFile, solution: Solution, row: Sensitivity, 
 
 
 def _pace(nlp: NLP, row: Sensitivity) -> float:
-    """How fast the free quantities move with a parameter: scaled units per unit."""
+    """Return the rate of change of the design variables with a parameter: scaled units per unit."""
     return float(max(abs(row.design[v.name] / v.scale.slope(x)) for v, x in _shown(nlp, nlp.x_start)))
 
 
 def _rebuilt(
     problem: ProblemFile, solution: Solution, parameter: Parameter, value: float, backend: str
 ) -> tuple[float, dict[str, float]]:
-    """Objective and design of the problem file with another value: built, scaled and searched anew."""
+    """Return objective and design of the problem file with another value: built, scaled and searched anew."""
     from optlink.tasks.function import solve
 
     other = problem.override({parameter.key: text(value, parameter.unit)})
@@ -306,7 +321,7 @@ def _rebuilt(
 def _moved(
     problem: ProblemFile, solution: Solution, parameter: Parameter, value: float, backend: str
 ) -> tuple[float, dict[str, float]]:
-    """Objective and design of the same programme with another value, which is taken back."""
+    """Return objective and design of the same programme with another value, which is reset afterwards."""
     from optlink.solvers import multistart
 
     nlp = solution.nlp

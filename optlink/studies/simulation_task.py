@@ -1,4 +1,4 @@
-"""The task that simulates the machine at every point of a grid: speed, clearance, friction or sizes vary."""
+"""Sweep task that simulates the machine at every point of a grid: speed, clearance, friction or dimensions vary."""
 
 from __future__ import annotations
 
@@ -24,9 +24,12 @@ class Simulating(Sweeping):
 
     Parameters
     ----------
-    figures : names of the figures of a simulation at the first point
-    options : revolutions, points, control, tolerance, duration [s], speed [rad/s]; by name, as far as they are stated
-    design : design [SI] of what is free and not varied
+    figures : tuple of str
+        Names of the figures, those of a simulation at the first point.
+    options : tuple of (str, value)
+        Stated options: revolutions, points, control, tolerance, duration [s], speed [rad/s].
+    design : tuple of (str, float) [SI]
+        Design variables that are not varied.
     """
 
     figures: tuple[str, ...]
@@ -35,11 +38,11 @@ class Simulating(Sweeping):
 
     @property
     def columns(self) -> list[str]:
-        """The axes, the figures, and how the simulation ended."""
+        """The axes, the figures, and the outcome."""
         return [*(axis.column for axis in self.grid.axes), *self.figures, "status", "valid", "reason"]
 
     def lines(self, index: int) -> list[list[str]]:
-        """Rows of a chunk."""
+        """Return the rows of a chunk."""
         rows = []
         for point in self.span(index):
             figures, status, reason = self.outcome(point)
@@ -54,20 +57,20 @@ class Simulating(Sweeping):
         return is_loose(self.problem.override(self.grid.changes(0)))
 
     def outcome(self, point: int) -> tuple[Figures, str, str]:
-        """Figures of a simulation, how it ended, and the reason where it did not end as it should."""
+        """Return the figures of a simulation, its ending, and the reason of an incomplete one."""
         try:
             file = self.problem.override(self.grid.changes(point))
             design = {name: value for name, value in self.design if name in file.model.free} or None
             found = simulated(file, dict(self.options), design, loose=self.loose)
         except InputError as error:
             return {}, "not simulated", error.faults[0].message
-        if found[1] == Ending.INTERRUPTED.value:  # a row is whole or not there
+        if found[1] == Ending.INTERRUPTED.value:  # a row is complete or absent
             raise KeyboardInterrupt
         return found
 
 
 def is_loose(problem: ProblemFile) -> bool:
-    """Whether a simulation of the problem is one with clearance."""
+    """Return whether the problem has joint clearance."""
     return bool(problem.model.loose)
 
 
@@ -81,17 +84,21 @@ def simulated(
     problem : ProblemFile
     options : mapping
         See `Simulating`.
-    design : mapping of quantity to value [SI], optional
+    design : mapping of str to float [SI], optional
     loose : bool
         Whether joints have clearance.
 
     Returns
     -------
-    figures by name, the status, and the reason where the run did not finish
+    figures : mapping of str to float
+    status : str
+    reason : str
+        Empty unless the run is incomplete.
 
     Raises
     ------
     InputError
+        If the simulation is not possible.
     """
     known = dict(options)
     if loose:

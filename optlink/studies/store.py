@@ -1,7 +1,7 @@
-"""The folder of a study: what it is (study.json), its chunks as they are done, and the one table that they become.
+"""Study folder: its definition (study.json), its chunks as they complete, and the final table.
 
-Every file is complete or not there, so a run that was killed goes on from the chunks that it left: nothing is lost and nothing
-is done twice. A folder that holds another study is never written to.
+Every file is complete or absent, so an interrupted run resumes from its completed chunks without loss or repetition.
+A folder that holds another study is never written to.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from optlink.studies.runner import run
 from optlink.studies.worker import Task
 
 ABOUT, TABLE, CHUNKS = "study.json", "sweep.csv", "chunks"
-SPREAD = 1000  # chunks in one folder
-SUM = "crc32 "  # begins the last line of a chunk, which tells whether the others are as they were written
+SPREAD = 1000  # chunks per folder
+SUM = "crc32 "  # prefix of the last line of a chunk, the check sum of the others
 
 Rows = Iterator[list[str]]
 Progress = Callable[[int, int], None]
@@ -37,14 +37,14 @@ class Store:
     ----------
     path : Path
     about : mapping
-        What the study is, fit for JSON: two studies are the same if and only if this is the same.
+        Definition of the study, JSON compatible: two studies are the same if and only if it is equal.
     resume : bool
-        Go on with what is there.
+        Continue with the completed chunks.
 
     Raises
     ------
     InputError
-        when the folder holds another study, or this one and `resume` is not said; when it cannot be written to.
+        If the folder holds another study, or this one without `resume`, or cannot be written to.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Any], *, resume: bool = False) -> None:
@@ -77,7 +77,7 @@ class Store:
         self._lock.close()
 
     def _begin(self, about: dict[str, Any], resume: bool) -> None:
-        """Make sure that the folder holds this study or none; note what it is."""
+        """Check that the folder holds this study or none; write the definition."""
         path, known = self.path, self._known()
         if known is None and resume and all(one.name == LOCK for one in path.iterdir()):
             raise _nothing(path)
@@ -88,7 +88,7 @@ class Store:
             if not resume:
                 remedy = "Add --resume to go on with it (what is done is kept), or choose another folder"
                 raise InputError(Fault("this very study is in the folder already", remedy, str(path), "--out"))
-        self._mine: list[Path] = []  # what this run has written; the first, if it began the study, is what that is
+        self._mine: list[Path] = []  # files written by this run; the first is the definition if it began the study
         self._begun = known is None
         if self._begun:
             try:
@@ -98,7 +98,15 @@ class Store:
                 raise
 
     def divide(self, sizes: Callable[[int], int], count: int) -> None:
-        """Say into how many chunks the study is divided, and how many rows each has: `sizes` is a function of its number."""
+        """Set the division of the study into chunks.
+
+        Parameters
+        ----------
+        sizes : function of int to int
+            Number of rows of a chunk by its number.
+        count : int
+            Number of chunks.
+        """
         self.sizes, self.count = sizes, count
         if not self.finished:
             self._folder(self.chunks)
@@ -132,24 +140,32 @@ class Store:
                 remedy = "Choose another folder; nothing was overwritten"
                 raise InputError(Fault(message, remedy, str(self.path), "--out"))
 
-    # --- what is found before there are chunks ---------------------------------------------------------------------------
+    # --- documents ----------------------------------------------------------------------------------------------------------
 
     def kept(self, name: str) -> dict[str, Any]:
-        """A document of the study; empty if there is none, or none that can be read."""
+        """Return a document of the study; empty if there is none that can be read."""
         return _read(self.path / name) or {}
 
     def keep(self, name: str, document: Mapping[str, Any]) -> None:
-        """Write a document of the study."""
+        """Write a document of the study.
+
+        Parameters
+        ----------
+        name : str
+            File name in the folder.
+        document : mapping
+            JSON compatible.
+        """
         write_json(self.path / name, dict(document))
         self._mine.append(self.path / name)
 
     def withdraw(self) -> None:
-        """Leave the folder as it was, if it was this run that began the study."""
+        """Restore the folder to its previous state, if this run began the study."""
         if self._begun:
             self._withdraw()
         self.close()
         if self._begun and self._made:
-            with contextlib.suppress(OSError):  # somebody else's files are there
+            with contextlib.suppress(OSError):  # other files remain in the folder
                 self.path.rmdir()
 
     def _withdraw(self) -> None:
@@ -170,11 +186,11 @@ class Store:
             raise InputError(Fault(f"cannot make the folder: {error.strerror}", remedy, str(path), "--out")) from None
 
     def missing(self) -> list[int]:
-        """Numbers of the chunks that are not done."""
+        """Return the numbers of the chunks that are not complete."""
         return [] if self.finished else [index for index in range(self.count) if self._lines(index) is None]
 
     def _lines(self, index: int) -> str | None:
-        """The lines of a chunk; None where it is not there, or not as it was written."""
+        """Return the lines of a chunk; None if it is absent or corrupt."""
         try:
             text = self._file(index).read_text(encoding="utf-8")
         except (OSError, ValueError):
@@ -184,7 +200,15 @@ class Store:
         return lines if whole else None
 
     def write(self, index: int, text: str) -> None:
-        """Keep a chunk: lines of CSV without a head, one per row."""
+        """Write a chunk.
+
+        Parameters
+        ----------
+        index : int
+            Number of the chunk.
+        text : str
+            Lines of CSV without a header, one per row.
+        """
         path = self._file(index)
         self._folder(path.parent)
         with whole(path) as temporary:
@@ -194,11 +218,22 @@ class Store:
     def fill(
         self, task: Task, engine: str, workers: int | None, scheduler: str | None, progress: Progress | None
     ) -> tuple[int, float]:
-        """Do the chunks that are missing, see `optlink.studies.runner.run`.
+        """Run the missing chunks; see `optlink.studies.runner.run`.
+
+        Parameters
+        ----------
+        task : Task
+        engine : "local" or "dask"
+        workers : int or None
+        scheduler : str or None
+        progress : function of (completed rows, all rows), optional
 
         Returns
         -------
-        rows that were done, processor time of all processes for them [s]
+        rows : int
+            Rows completed by this call.
+        cpu : float [s]
+            Their processor time over all processes.
         """
         todo, total = self.missing(), sum(map(self.sizes, range(self.count)))
         before, mine, cpu = total - sum(map(self.sizes, todo)), 0, 0.0
@@ -211,13 +246,13 @@ class Store:
                 if progress is not None:
                     progress(before + mine, total)
         except InputError:
-            if len(self._mine) == 1:  # nothing is lost
+            if len(self._mine) == 1:  # no chunk is lost
                 self.withdraw()
             raise
         return mine, cpu
 
     def rows(self) -> Rows:
-        """Rows of all chunks in their order, one at a time."""
+        """Yield the rows of all chunks in order."""
         for index in range(self.count):
             lines = self._lines(index)
             if lines is None:
@@ -226,7 +261,14 @@ class Store:
             yield from csv.reader(io.StringIO(lines, newline=""))
 
     def finish(self, columns: list[str], rows: Rows) -> None:
-        """Write the table from all rows, then drop the chunks."""
+        """Write the table from all rows, then remove the chunks.
+
+        Parameters
+        ----------
+        columns : list of str
+            Header.
+        rows : iterator of list of str
+        """
         with whole(self.table) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(columns)
@@ -234,16 +276,16 @@ class Store:
         self.drop()
 
     def drop(self) -> None:
-        """Remove chunks that the table holds."""
+        """Remove the chunks that the table contains."""
         shutil.rmtree(self.chunks, ignore_errors=True)
 
     def finished_rows(self, columns: list[str]) -> Rows:
-        """Rows of the finished table.
+        """Yield the rows of the finished table.
 
         Raises
         ------
         InputError
-            when it is not the one that was written.
+            If the table was changed.
         """
         number, wanted = 0, sum(map(self.sizes, range(self.count)))
         with self.table.open(encoding="utf-8", newline="", errors="replace") as file:
@@ -265,7 +307,7 @@ def _nothing(path: Path) -> InputError:
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """A document; None where there is none that can be read."""
+    """Return a document; None if there is none that can be read."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

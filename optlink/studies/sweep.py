@@ -1,4 +1,4 @@
-"""A sweep: the problem solved again, or designs analysed, at every point of a grid; resumable, on one machine or on a cluster."""
+"""Parameter sweeps: optimise, analyse or simulate at every point of a grid; resumable, local or on a cluster."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from optlink.studies.sweep_task import Sweeping
 
 SCHEMA = "optlink/sweep/1"
 CHANGED = "active_set_changed"
-OPTIMISE = "optimise"  # the mode of a sweep that searches an optimum at every point
-MOST_ANGLES = 10_000  # of an analysis
-KEPT = 200  # changes of the active set that a result names; the table marks all
+OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
+MOST_ANGLES = 10_000  # largest number of crank angles of an analysis
+KEPT = 200  # active-set changes listed in a result; the table marks all
 TEXT = ("status", "failed", "active", "found", "reason")
 
 
 def objective_column(problem: ProblemFile) -> str:
-    """Name of the objective's column, with its SI unit."""
+    """Return the name of the objective column, with its SI unit."""
     if problem.task == "path":
         from optlink.problem.path import GenerationProblem
         from optlink.tasks.path_result import objective_unit
@@ -53,7 +53,7 @@ def objective_column(problem: ProblemFile) -> str:
 
 @dataclass(frozen=True)
 class Change:
-    """Where another set of limits begins to hold the design: at a point `at`, the next after one that others hold."""
+    """Change of the active set: at a point `at`, relative to the preceding one."""
 
     at: Mapping[str, float]
     before: str
@@ -62,7 +62,7 @@ class Change:
 
 @dataclass
 class _Summary:
-    """What a table says, gathered row by row."""
+    """Summary of a table, accumulated row by row."""
 
     objective: str | None
     valid: int = 0
@@ -75,11 +75,11 @@ class _Summary:
 
 @dataclass(frozen=True, repr=False)
 class Sweep(Summary):
-    """A finished sweep. Its table is a file; nothing of it is held in memory until it is asked for.
+    """A finished sweep. Its table is a file that is read on demand.
 
-    `valid`, `searched`, `changed`: how many points have a proven optimum (or a sound analysis), needed more than steps from a
-    neighbour, have another active set than the point before; `statuses`: how many points have each status; `cpu` [s] of all
-    processes for the `done` points that this run did itself.
+    `valid`, `searched`, `changed`: number of points with a validated optimum (or a sound analysis), with a search instead of
+    continuation from a neighbour, with an active set other than that of the preceding point; `statuses`: number of points by
+    status; `cpu` [s] of all processes for the `done` points of this run.
     """
 
     problem: ProblemFile
@@ -98,11 +98,11 @@ class Sweep(Summary):
     cpu: float
     engine: str
     workers: int | None
-    keep: Any = None  # a temporary folder, as long as the result lives
+    keep: Any = None  # keeps a temporary folder during the lifetime of the result
 
     @cached_property
     def columns(self) -> dict[str, Any]:
-        """The table: arrays by name, of texts where a column holds words."""
+        """The table: arrays by name, of texts for columns of words."""
         with self.path.open(encoding="utf-8", newline="") as file:
             rows = csv.reader(file)
             names = next(rows)
@@ -111,26 +111,26 @@ class Sweep(Summary):
 
     @property
     def evaluated(self) -> bool:
-        """Whether designs were analysed or simulated as they are, rather than optimised."""
+        """Whether designs were analysed or simulated instead of optimised."""
         return self.mode != OPTIMISE
 
     @property
     def complete(self) -> bool:
-        """Whether every point has a proven optimum, or all figures that it was analysed for."""
+        """Whether every point has a validated optimum, or all requested figures."""
         return self.valid == self.grid.count
 
     @property
     def successful(self) -> bool:
-        """Whether the sweep serves: every optimum proven; of an analysis, where some points may lie out of reach, any valid."""
+        """Whether the sweep is usable: every optimum validated; for an analysis, at least one valid point."""
         return self.complete or (self.evaluated and self.valid > 0)
 
     @property
     def infeasible(self) -> int:
-        """How many points hold no design."""
+        """Number of points without a design."""
         return self.statuses.get(Status.INFEASIBLE.value, 0)
 
     def to_dict(self) -> dict[str, Any]:
-        """As a JSON document."""
+        """Return the sweep as a JSON document."""
         axes = [
             {"key": a.key, "unit": a.unit, "first": a.values[0], "last": a.values[-1], "values": len(a.values)}
             for a in self.grid.axes
@@ -171,7 +171,7 @@ def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
 
 
 class Folder:
-    """A temporary folder that goes with whoever holds it."""
+    """A temporary folder that is removed with its owner."""
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="optlink-sweep-"))
@@ -195,32 +195,37 @@ def sweep(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> Sweep:
-    """Solve a problem, or analyse its linkage, at every point of a grid.
+    """Optimise, analyse or simulate a problem at every point of a grid.
 
     Parameters
     ----------
     problem : ProblemFile
-    vary : texts such as "mechanism.frame=450..550 mm:101"
-        The last one changes fastest. See `optlink.studies.grid`.
-    out : folder, optional
-        Where chunks are kept as they are done, and the table `sweep.csv` at the end.
+    vary : sequence of str
+        Axes such as "mechanism.frame=450..550 mm:101"; the last one varies fastest. See `optlink.studies.grid`.
+    out : Path, optional
+        Folder for the chunks as they complete, and for the final table `sweep.csv`.
     resume : bool
-        Go on with a run of before that ended early in that folder.
+        Continue an interrupted run in that folder.
     analyze : bool
-        No optimisation: `columns` of the analysis, their exact least and largest value and their rms at `points` crank angles, or
-        single figures such as "slider.stroke_m"; `design` [SI] of what is free and not varied, its start if left out.
+        Analyse instead of optimising.
+    columns : sequence of str
+        Columns of the analysis, each with its exact least and largest value and its rms value, or single figures such as
+        "slider.stroke_m".
+    points : int
+        Crank angles of rms values.
+    design : mapping of str to float [SI], optional
+        Design variables of an analysis or simulation that are not varied. Default: their starting values.
     simulate : mapping, optional
-        No optimisation: the figures of a simulation with these options (revolutions, points, control, tolerance or duration, as
-        far as they are stated) of the machine at every point.
+        Simulate instead of optimising, with these options (revolutions, points, control, tolerance or duration).
     backend : "slsqp" or "ipopt"
     engine, workers, scheduler
         See `optlink.studies.runner.run`.
-    progress : function of the points done and of all, optional
+    progress : function of (completed points, all points), optional
 
     Raises
     ------
     InputError
-        see `read_grid`; a folder that holds another study; a disk that is full (what is done is kept).
+        As `read_grid`; for a folder that holds another study, or a full disk (completed chunks are kept).
     """
     begin = time.perf_counter()
     grid = read_grid(problem, vary)
@@ -229,7 +234,7 @@ def sweep(
     else:
         task = _task(problem, grid, analyze, columns, points, design, backend)
     evaluated = mode_of(task) != OPTIMISE
-    run(task, (), engine, workers, scheduler)  # raises if it cannot
+    run(task, (), engine, workers, scheduler)  # raises if the options are invalid
     holder = Folder() if out is None else None
     with Store(holder.path if holder is not None else Path(str(out)), _about(task), resume=resume) as store:
         store.divide(task.size, task.chunks)
@@ -240,7 +245,7 @@ def sweep(
             store.drop()
             rows = store.finished_rows(names)
             for _ in _marked(rows if evaluated else (row[:-1] for row in rows), grid, names, summary):
-                pass  # for the sake of the summary
+                pass  # accumulates the summary
         else:
             store.finish(names, _marked(store.rows(), grid, names, summary))
         return Sweep(
@@ -283,7 +288,7 @@ def _task(
             **stated, grid=grid, chunk=MANY, quantities=quantities, asked=tuple(columns), points=points, design=given
         )
         first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
-        replace(whole, grid=first).lines(0)  # whatever is wrong with columns or sizes shows now
+        replace(whole, grid=first).lines(0)  # detects invalid columns or dimensions early
         return whole
     if design is not None:
         raise InputError(Fault("a given design is not optimised", "Leave --design out, or add --analyze", key="--design"))
@@ -301,7 +306,7 @@ def _task(
 
 
 def _simulating(problem: ProblemFile, grid: Grid, options: Mapping[str, Any], design: Mapping[str, float] | None) -> Simulating:
-    """The task that simulates; the names of its figures are those of a short run at the first point."""
+    """Return the simulation task; the names of its figures are those of a short run at the first point."""
     first = problem.override(grid.changes(0))
     short = {**options, "revolutions": 1} if is_loose(first) else options
     figures, _, _ = simulated(first, short, design, loose=is_loose(first))
@@ -312,19 +317,19 @@ def _simulating(problem: ProblemFile, grid: Grid, options: Mapping[str, Any], de
 
 
 def _with_something_free(task: Designing | Reoptimising, problem: ProblemFile) -> Sweeping:
-    """The task, if there is something to find."""
+    """Return the task if there are design variables."""
     if not task.free:
         raise InputError(Fault("nothing is free, there is nothing to find", "Add --analyze, or free a size", problem.file))
     return task
 
 
 def mode_of(task: Sweeping) -> str:
-    """What a sweep does at every point."""
+    """Return the mode of a sweep."""
     return "analyse" if isinstance(task, Analysing) else "simulate" if isinstance(task, Simulating) else OPTIMISE
 
 
 def _about(task: Sweeping) -> dict[str, Any]:
-    """What makes a study this one and no other."""
+    """Return the definition of a study."""
     about: dict[str, Any] = {
         "schema": "optlink/study/1",
         "optlink": task.version,
@@ -345,7 +350,7 @@ def _about(task: Sweeping) -> dict[str, Any]:
 
 
 def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _Summary) -> Iterator[list[str]]:
-    """Rows with the mark of a new active set, if they have one; the summary is gathered on the way."""
+    """Yield rows with a mark of active-set changes, if applicable, and accumulate the summary."""
     before: str | None = None
     held, status = (names.index(name) if summary.objective is not None else -1 for name in ("active", "status"))
 

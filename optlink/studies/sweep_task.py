@@ -1,6 +1,6 @@
-"""What a sweep does with its grid: the division into chunks.
+"""Common part of sweep tasks: division of the grid into chunks.
 
-A chunk depends on its number alone, so the rows are the same whatever the engine, the number of workers and the order.
+A chunk depends on its number only, so the rows are identical for any engine, number of workers and order.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from optlink.version import VERSION
 
 
 def figure(value: float) -> str:
-    """A number for a table: every digit, nothing where it is not finite."""
+    """Return a number as text for a table: all digits, empty if not finite."""
     return repr(float(value)) if math.isfinite(value) else ""
 
 
@@ -33,7 +33,7 @@ def _tuples(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Sweeping(ABC):
-    """What every chunk needs to know: the problem as written, the grid, and how many points a chunk has."""
+    """Common state of all chunks: the problem as written, the grid, and the number of points per chunk."""
 
     raw: Mapping[str, Any]
     name: str
@@ -46,7 +46,7 @@ class Sweeping(ABC):
 
     @classmethod
     def stated(cls, problem: ProblemFile) -> dict[str, Any]:
-        """The part that comes from the problem."""
+        """Return the fields that come from the problem."""
         return {
             "raw": problem.raw,
             "name": problem.name,
@@ -62,31 +62,31 @@ class Sweeping(ABC):
         return math.ceil(self.grid.count / self.chunk)
 
     def span(self, index: int) -> range:
-        """Points of a chunk."""
+        """Return the points of a chunk."""
         return range(index * self.chunk, min((index + 1) * self.chunk, self.grid.count))
 
     def size(self, index: int) -> int:
-        """Number of points of a chunk."""
+        """Return the number of points of a chunk."""
         return len(self.span(index))
 
     def state(self) -> dict[str, Any]:
-        """Everything stated, fit for JSON."""
+        """Return all fields, JSON compatible."""
         axes = [[axis.key, axis.unit, list(axis.values)] for axis in self.grid.axes]
         return {**self.__getstate__(), "folder": str(self.folder), "grid": axes}
 
     @classmethod
     def revived(cls, state: dict[str, Any]) -> Self:
-        """The task that such a state is of."""
+        """Return the task of such a state."""
         grid = Grid(tuple(Axis(key, unit, tuple(values)) for key, unit, values in state["grid"]))
         rest = {name: _tuples(value) for name, value in state.items() if name != "raw"}
         return cls(**{**rest, "raw": state["raw"], "folder": Path(state["folder"]), "grid": grid})
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}  # not what was built from them
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # without cached values
 
     @cached_property
     def problem(self) -> ProblemFile:
-        """The problem, read where the chunk is done."""
+        """The problem, read in the process of the chunk."""
         if self.version != VERSION:
             message = f"this worker runs optlink {VERSION}, the study optlink {self.version}"
             raise InputError(Fault(message, "Install one version everywhere", self.file))
@@ -97,7 +97,7 @@ class Sweeping(ABC):
 
     @cached_property
     def mark(self) -> str:
-        """Tells tasks apart."""
+        """Key that distinguishes tasks."""
         text = repr([type(self).__name__, *(getattr(self, field.name) for field in fields(self))])
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -108,10 +108,10 @@ class Sweeping(ABC):
 
     @abstractmethod
     def lines(self, index: int) -> list[list[str]]:
-        """Rows of a chunk."""
+        """Return the rows of a chunk."""
 
     def __call__(self, index: int) -> str:
-        """A chunk as lines of CSV."""
+        """Return a chunk as lines of CSV."""
         if self.mark not in _kept:
             _kept.clear()
             _kept[self.mark] = self

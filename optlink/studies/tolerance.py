@@ -1,6 +1,6 @@
-"""How exact must it be built: what deviations of the sizes do to an output, to first order and by quasi-random samples.
+"""Tolerance analysis: effect of deviations of the dimensions on an output, to first order and by quasi-random samples.
 
-The crank angle, and with a motion law its start, stay as drawn: the drive is set by the drawing, the parts deviate.
+The crank angle, and with a motion law its start, stay nominal: the drive is set to the drawing, the parts deviate.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SAMPLES, MAX_SAMPLES = 1 << 17, 100_000_000
 
 @dataclass(frozen=True, repr=False)
 class Tolerance(Summary):
-    """Tolerances of a design and what they do; `by` (deviations, angles): change of what is judged per deviation [SI]."""
+    """Tolerances of a design and their effect; `by` (deviations, angles): change of the judged value per deviation [SI]."""
 
     problem: ProblemFile
     nominal: Nominal
@@ -46,12 +46,12 @@ class Tolerance(Summary):
     limit: float | None
     carlo: Carlo | None = None
     allocation: Allocation | None = None
-    robust: Robust | None = None  # what the design is, if it was searched for its tolerances
-    unrobust: Carlo | None = None  # samples of the best design as drawn, then
+    robust: Robust | None = None  # the robust design, if requested
+    unrobust: Carlo | None = None  # samples of the nominal optimum beside a robust design
 
     @property
     def beaten(self) -> bool:
-        """Whether the best design as drawn yields more than the robust one, of the same samples."""
+        """Whether the nominal optimum has a larger yield than the robust design, for the same samples."""
         if self.limit is None or self.unrobust is None or self.carlo is None:
             return False
         return self.unrobust.good > self.carlo.good
@@ -63,14 +63,14 @@ class Tolerance(Summary):
 
     @cached_property
     def worst(self) -> tuple[Array, Array]:
-        """Least and largest change (angles,) to first order where all deviations are at their worst end together."""
+        """Least and largest change (angles,) to first order with all deviations at their worst ends."""
         ends = np.array([d.ends for d in self.deviations])
         both = ends[:, :, None] * self.by[:, None, :]
         return np.sum(np.min(both, axis=1), axis=0), np.sum(np.max(both, axis=1), axis=0)
 
     @cached_property
     def rss(self) -> Array:
-        """Root of the sum of squares (angles,): each tolerance times its derivative; of measured deviations three sigma."""
+        """Root sum square (angles,) of each tolerance times its derivative; for measured deviations three sigma."""
         sizes = np.array([3.0 * d.sigma if d.values else d.tolerance for d in self.deviations])
         return np.asarray(np.sqrt(np.sum(np.square(sizes[:, None] * self.by), axis=0)), dtype=float)
 
@@ -85,12 +85,12 @@ class Tolerance(Summary):
 
     @property
     def where(self) -> int:
-        """Place of the crank angle at which the output scatters most."""
+        """Index of the crank angle of largest scatter."""
         return int(np.argmax(self.sigma))
 
     @cached_property
     def contributions(self) -> Array:
-        """Share of the variance (deviations, angles) that each is to blame for; zeros where nothing scatters."""
+        """Share of each deviation in the variance (deviations, angles); zeros without scatter."""
         whole = np.sum(self._variances, axis=0)
         return self._variances / np.where(whole > 0.0, whole, 1.0)
 
@@ -109,7 +109,7 @@ class Tolerance(Summary):
         return found | shares
 
     def to_dict(self) -> dict[str, Any]:
-        """As a JSON document: SI, or the unit that the key ends in."""
+        """Return the analysis as a JSON document: SI, or the unit that ends the key."""
         worst, at = self.worst, self.where
         document = head(SCHEMA, self.problem, "done", None if self.carlo is None else self.carlo.seed)
         document |= {
@@ -170,31 +170,42 @@ def tolerance(
     robust: float | str | None = None,
     progress: Progress | None = None,
 ) -> Tolerance:
-    """What tolerances do to an output.
+    """Analyse the effect of tolerances on an output.
 
     Parameters
     ----------
     problem : ProblemFile
-        What is free is searched first, unless a `design` is given.
-    tolerances : texts such as "coupler=0.1 mm", "D.x=0.05 mm uniform", "C.clearance=0.02 mm", "rocker=parts.csv"
-        Left out: those of the file.
-    output : name of a body (its angle), "P.x", "P.y" of a point, or "error" of a motion law (that is what it is if left out)
-    crank_angles : array [rad], optional
-        The span of a motion law, the points of a path, else a revolution.
-    limit : text such as "0.5 deg", optional
-        What the error, or the change of another output, may be at any of the crank angles.
-    samples, seed : of the Monte Carlo analysis; 0 samples: none
-    shape : distribution where none is said
-    design : mapping [SI], optional
-    wanted : share of the linkages that shall keep the limit, optional
-        The loosest tolerances that do are searched; see `optlink.studies.allocation`.
-    costs : mapping of a tolerance's name to its cost coefficient; that of the file, or 1, where none is given
-    robust : number of standard deviations, "worst", "margin" (as many as keep the limit) or "yield" (most that keep it), optional
-        Judge the design that is best with its scatter, and the best as drawn beside it; see `optlink.studies.robust_design`.
+        Design variables are optimised first, unless a `design` is given.
+    tolerances : sequence of str
+        For example "coupler=0.1 mm", "D.x=0.05 mm uniform", "C.clearance=0.02 mm", "rocker=parts.csv". Default: those of the
+        file.
+    output : str, optional
+        Body (its angle), "P.x", "P.y" of a point, or "error" of a motion law (its default).
+    crank_angles : array (angles,) [rad], optional
+        Default: the span of a motion law, the points of a path, otherwise a revolution.
+    limit : str, optional
+        For example "0.5 deg": largest absolute error, or change of another output, over all crank angles.
+    samples : int
+        Samples of the Monte Carlo analysis; 0: none.
+    seed : int
+        Seed of the samples.
+    shape : str
+        Default distribution of tolerances.
+    design : mapping of str to float [SI], optional
+        Design variables.
+    wanted : float, optional
+        Required yield, between 0 and 1: allocate tolerances of least cost; see `optlink.studies.allocation`.
+    costs : mapping of str to float, optional
+        Cost coefficients by name of the deviation. Default: those of the file, or 1.
+    robust : float or str, optional
+        Number of standard deviations, "worst", "margin" (as many as keep the limit) or "yield" (largest yield): analyse the
+        robust design, and the nominal optimum beside it; see `optlink.studies.robust_design`.
+    progress : function of the completed fraction of the samples, optional
 
     Raises
     ------
     InputError
+        If an argument is invalid, or there is no validated design.
     """
     _check(samples, seed, shape, wanted, limit)
     file, again = problem, None
@@ -218,7 +229,7 @@ def tolerance(
             from optlink.studies.maximum_yield import most_yield
 
             again = most_yield(problem, tolerances, allowed, samples, seed, shape=shape)
-        file, design = again.result.problem, again.free  # with the assembly mode that was found
+        file, design = again.result.problem, again.free  # with a definite assembly mode
     nominal = drawing(file, output, crank_angles, design)
     deviations = read_deviations(problem, nominal, tolerances, shape)
     for name in costs or {}:
@@ -238,7 +249,16 @@ def tolerance(
 
 
 def analysed(problem: ProblemFile, nominal: Nominal, deviations: Sequence[Deviation], limit: float | None) -> Tolerance:
-    """The linear analysis: exact derivatives at the drawing."""
+    """Return the linear analysis with exact derivatives at the nominal design.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    nominal : Nominal
+    deviations : sequence of Deviation
+    limit : float [rad or m], optional
+        Largest absolute judged value.
+    """
     sizes = list(dict.fromkeys(d.size for d in deviations))
     slopes = output_sensitivity(nominal.mechanism, nominal.sizes, nominal.crank_angles, nominal.output, sizes).by
     return Tolerance(problem, nominal, tuple(deviations), nominal.sign * np.array([slopes[d.size] for d in deviations]), limit)

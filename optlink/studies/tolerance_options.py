@@ -1,4 +1,4 @@
-"""What the command line says of tolerances, or else the problem file, as deviations of a linkage."""
+"""Read tolerances from the command line, or from the problem file, as deviations of a linkage."""
 
 from __future__ import annotations
 
@@ -16,13 +16,21 @@ OPTION = "--tolerance"
 
 
 def stated(problem: ProblemFile, texts: Sequence[str], shape: str = NORMAL) -> dict[str, Stated]:
-    """Tolerances by name, of texts NAME=TOLERANCE; those of the file where there is none.
+    """Return tolerances by name from texts NAME=TOLERANCE; without texts, those of the file.
 
-    A file of measured deviations that a text names lies in the working folder.
+    Files of measured deviations are read from the working folder.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    texts : sequence of str
+    shape : str
+        Default distribution; measured deviations and clearances have their own.
 
     Raises
     ------
     InputError
+        If there are no tolerances, or one is invalid.
     """
     found: dict[str, Stated] = {} if texts else dict(problem.model.tolerances)
     if not texts and not found:
@@ -43,11 +51,20 @@ def stated(problem: ProblemFile, texts: Sequence[str], shape: str = NORMAL) -> d
 
 
 def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str], shape: str = NORMAL) -> tuple[Deviation, ...]:
-    """Deviations of a linkage as drawn, see `stated`.
+    """Return the deviations of a nominal linkage; see `stated`.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    nominal : Nominal
+    texts : sequence of str
+    shape : str
+        Default distribution.
 
     Raises
     ------
     InputError
+        If there are no tolerances, or one is invalid.
     """
     said = stated(problem, texts, shape)
     try:

@@ -1,4 +1,4 @@
-"""Values at keys of a problem file, as a study writes them there."""
+"""Read and write values at keys of a problem file."""
 
 from __future__ import annotations
 
@@ -11,14 +11,28 @@ Raw = str | float | int
 
 
 def text(value: float, unit: str) -> Raw:
-    """A value as problem files state it, every digit of it."""
+    """Return a value with all its digits as written in a problem file.
+
+    Parameters
+    ----------
+    value : float [unit]
+    unit : str
+        Empty for a plain number.
+    """
     if unit:
         return f"{float(value)!r} {unit}"
     return int(value) if float(value).is_integer() and abs(value) < 1e15 else value
 
 
 def raw_at(problem: ProblemFile, key: str) -> Any:
-    """What the file says at a key; None where it says nothing."""
+    """Return the value of the file at a key, or None.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    key : str
+        Names separated by dots.
+    """
     found: Any = problem.raw
     for step in key.split("."):
         if not isinstance(found, Mapping) or step not in found:
@@ -28,7 +42,13 @@ def raw_at(problem: ProblemFile, key: str) -> Any:
 
 
 def begun(problem: ProblemFile, design: Mapping[str, float]) -> ProblemFile:
-    """The problem with its free quantities starting at a design [SI], as far as the file states them."""
+    """Return the problem with its design variables starting at a design, as far as the file states them.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : mapping of str to float [SI]
+    """
     from optlink.solvers.solution import key_of
     from optlink.units import KINDS
 

@@ -1,4 +1,4 @@
-"""One process of a study: takes a task once, then numbers of chunks, and answers with their results, as lines of JSON."""
+"""Worker process of a study: receives a task once, then numbers of chunks, and returns their results as lines of JSON."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 
 class Task(Protocol):
-    """From the number of a chunk to its result, fit for JSON; nothing else goes into it than what it states."""
+    """Maps the number of a chunk to its result, JSON compatible; depends on its own state only."""
 
     def __call__(self, index: int) -> Any:
-        """The result of a chunk."""
+        """Return the result of a chunk."""
         ...
 
     def state(self) -> dict[str, Any]:
-        """What makes this task, fit for JSON."""
+        """Return the state that defines this task, JSON compatible."""
         ...
 
     @classmethod
     def revived(cls, state: dict[str, Any]) -> Self:
-        """The task that such a state is of."""
+        """Return the task of a state."""
         ...
 
 
@@ -38,7 +38,7 @@ _ALONE = threading.Lock()
 
 
 class Answer(NamedTuple):
-    """What became of a chunk: its value and the processor time it took [s], or faults, or the text of a breakdown."""
+    """Outcome of a chunk: its value and processor time [s], or input errors, or the text of a breakdown."""
 
     value: Any = None
     cpu: float = 0.0
@@ -46,12 +46,12 @@ class Answer(NamedTuple):
     broken: str = ""
 
     def checked(self, index: int) -> Answer:
-        """This answer, if it is a result.
+        """Return this answer if it is a result.
 
         Raises
         ------
         InputError, SolverError
-            where it is none.
+            Otherwise.
         """
         if self.faults:
             raise InputError(self.faults)
@@ -61,7 +61,14 @@ class Answer(NamedTuple):
 
 
 def perform(task: Task, index: int) -> Answer:
-    """Do a chunk; whatever goes wrong is an answer too. One at a time in a process: a task keeps what it has built."""
+    """Run a chunk and catch all errors; one at a time per process, as a task caches what it builds.
+
+    Parameters
+    ----------
+    task : Task
+    index : int
+        Number of the chunk.
+    """
     with _ALONE:
         begin = time.process_time()
         try:
@@ -75,26 +82,26 @@ def perform(task: Task, index: int) -> Answer:
 
 
 def packed(task: Task) -> str:
-    """A task as a line of JSON."""
+    """Return a task as a line of JSON."""
     kind = type(task)
     return json.dumps({"room": kind.__module__, "name": kind.__qualname__, "state": task.state()}) + "\n"
 
 
 def unpacked(line: str) -> Task:
-    """The task of such a line."""
+    """Return the task of such a line."""
     document = json.loads(line)
     kind = getattr(importlib.import_module(document["room"]), document["name"])
     return kind.revived(document["state"])  # type: ignore[no-any-return]
 
 
 def answered(line: str) -> Answer:
-    """The answer of a line that a process wrote."""
+    """Return the answer of a line written by a process."""
     document = json.loads(line)
     return Answer(**{**document, "faults": tuple(Fault(**fault) for fault in document["faults"])})
 
 
 def main() -> None:
-    """Serve standard input until it ends; what a library prints goes to standard error."""
+    """Serve standard input until it ends; output of libraries goes to standard error."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     try:
@@ -105,4 +112,4 @@ def main() -> None:
             answers.write(json.dumps({**answer._asdict(), "faults": faults}, default=str) + "\n")
             answers.flush()
     except BrokenPipeError:
-        pass  # who asked has ended
+        pass  # the parent process has ended
