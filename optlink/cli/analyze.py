@@ -1,4 +1,4 @@
-"""The commands `analyze` and `balance`: parse, call one library function, print, exit code. They are made known by `cli`."""
+"""The commands `analyze` and `balance`: parse, call one library function, print, exit code."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from optlink.cli.options import Csv, Design, Json, Out, Problem, Set, Speed, who
 
 
 def register(app: typer.Typer) -> None:
-    """Make the commands known."""
+    """Register the commands."""
     app.command()(analyze)
     app.command()(balance)
 

@@ -1,7 +1,7 @@
-"""The command line: every command made known, and its entry point.
+"""Command line: registration of all commands, and the entry point.
 
-0: done and valid. 1: solved, but not valid or not feasible. 2: bad input. 3: the solver failed. 130: interrupted. 141: nobody
-reads the output any more.
+Exit codes: 0: done and valid. 1: solved, but not valid or not feasible. 2: invalid input. 3: solver failure. 130: interrupted.
+141: the output pipe is closed.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ def _options(
 
 
 def main() -> None:
-    """Entry point of the `optlink` command."""
+    """Run the `optlink` command."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a terminal that lacks a letter is no reason to break down
+            stream.reconfigure(errors="backslashreplace")  # unsupported characters must not raise
     interrupts.listen()
     output = sys.stdout
     try:
         try:
             app()
         finally:
-            if sys.stdout is not output:  # typer has seen that the pipe is closed
+            if sys.stdout is not output:  # typer has detected a closed pipe
                 raise BrokenPipeError(errno.EPIPE, "the pipe is closed")
             output.flush()
     except SystemExit as end:
@@ -88,7 +88,7 @@ def main() -> None:
 
 
 def _discard(stream: TextIO | None) -> None:
-    """Send what a stream still has to write to nowhere: Python writes it when it ends."""
+    """Redirect a stream to the null device: Python flushes its buffer at exit."""
     if stream is not None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 

@@ -1,4 +1,4 @@
-"""What every command shares: errors become messages, results tables or JSON; bars, units of options, places for files."""
+"""Common functions of the commands: error messages, tables or JSON, progress bars, units of options, output folders."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
 
 
-printed = False  # whether the one JSON document is out
-_kept: list[contextlib.ExitStack] = []  # what the command at work keeps until its end
+printed = False  # whether the JSON document is printed
+_kept: list[contextlib.ExitStack] = []  # contexts held until the command ends
 
 
-# --- what is told ------------------------------------------------------------------------------------------------------------
+# --- output ------------------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def reported(as_json: bool) -> Iterator[None]:
-    """Turn an error that optlink raises on purpose into a message on standard error (and JSON, if asked) and its exit code.
+    """Print an `OptlinkError` as a message on standard error (and as JSON on request), and exit with its code.
 
-    An interrupted command ends with the exit code 130, also where it has shown what was complete.
+    An interrupted command ends with the exit code 130, also if it has shown complete results.
     """
     try:
         with contextlib.ExitStack() as stack:
@@ -64,21 +64,41 @@ def reported(as_json: bool) -> Iterator[None]:
 
 
 def print_json(document: dict[str, Any]) -> None:
-    """Print the one JSON document of a command."""
+    """Print the single JSON document of a command."""
     global printed  # noqa: PLW0603
     printed = True
     print(json.dumps(document, indent=2))
 
 
 def print_failure(message: str, faults: list[dict[str, Any]]) -> None:
-    """Print why there is no result, as JSON."""
+    """Print a failure as JSON.
+
+    Parameters
+    ----------
+    message : str
+    faults : list of dict
+        Fields of each `Fault`, JSON compatible.
+    """
     print_json({"schema": "optlink/error/1", "status": "error", "message": message, "faults": faults})
 
 
 def told(result: Any, table: str, files: str, csv: Path | None, as_json: bool, out: Path | None) -> None:
-    """Write a result where it is wanted, and show it as JSON or as a table.
+    """Write result files and print JSON or a table.
 
-    `table` is the function that shows it and `files` the module whose `write_all` writes its pictures, both of the report.
+    Parameters
+    ----------
+    result : Any
+        Result with `to_dict`, and `columns` if there is a `csv`.
+    table : str
+        Function of `optlink.report` that returns the table, as "MODULE.FUNCTION".
+    files : str
+        Module of `optlink.report` whose `write_all` writes the files.
+    csv : Path or None
+        File for the columns.
+    as_json : bool
+        Whether to print JSON instead of a table.
+    out : Path or None
+        Folder for the files; after an interrupt it gets result.json only.
     """
     if csv is not None:
         from optlink.report.files import write_csv
@@ -101,12 +121,12 @@ def told(result: Any, table: str, files: str, csv: Path | None, as_json: bool, o
         function_tables.console().print(getattr(importlib.import_module(f"optlink.report.{room}"), name)(result))
 
 
-# --- while it works ----------------------------------------------------------------------------------------------------------
+# --- progress ----------------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def working(what: str) -> Iterator[None]:
-    """Say on standard error what is going on, where nobody knows how long it takes."""
+    """Show on standard error what is in progress, without an estimate of its duration."""
     from optlink.report.views import function_tables
 
     with function_tables.console(stderr=True).status(what):
@@ -115,9 +135,9 @@ def working(what: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def share(what: str) -> Iterator[Callable[[float], None] | None]:
-    """A bar with the share done and the time left on standard error; None where that is no terminal.
+    """Yield a progress function for a bar with the remaining time on standard error; None if that is no terminal.
 
-    The bar appears with the first share below 1: work of a single step shows none.
+    The bar appears with the first fraction below 1: work of a single step shows none.
     """
     if not sys.stderr.isatty():
         yield None
@@ -146,11 +166,19 @@ def _bar(what: str) -> Iterator[Callable[[float], None]]:
         yield lambda done: bar.update(task, completed=done)
 
 
-# --- what is given -----------------------------------------------------------------------------------------------------------
+# --- input -------------------------------------------------------------------------------------------------------------------
 
 
 def load(problem: str, changes: list[str] | None) -> ProblemFile:
-    """Load a problem with the changes of `--set`."""
+    """Load a problem with the changes of `--set`.
+
+    Parameters
+    ----------
+    problem : str
+        Name of a shipped problem, or the path of a file.
+    changes : list of str or None
+        KEY=VALUE.
+    """
     from optlink.problem.file import load as read
     from optlink.problem.file import parse_assignment
 
@@ -158,7 +186,14 @@ def load(problem: str, changes: list[str] | None) -> ProblemFile:
 
 
 def given(file: ProblemFile, design: list[str] | None) -> dict[str, float] | None:
-    """The design of `--design` [SI]; None if there is none."""
+    """Read the design of `--design` [SI]; None without the option.
+
+    Parameters
+    ----------
+    file : ProblemFile
+    design : list of str or None
+        "NAME=VALUE", or the path of a result.json.
+    """
     if not design:
         return None
     from optlink.tasks.function import read_design
@@ -167,7 +202,21 @@ def given(file: ProblemFile, design: list[str] | None) -> dict[str, float] | Non
 
 
 def quantity(text: str | None, kind: str, option: str) -> float | None:
-    """An option that is a number with a unit [SI]."""
+    """Read an option that is a number with a unit [SI]; None without the option.
+
+    Parameters
+    ----------
+    text : str or None
+    kind : str
+        Kind of quantity, a key of `optlink.units.KINDS`.
+    option : str
+        Name of the option in error messages.
+
+    Raises
+    ------
+    InputError
+        If the text is no such quantity.
+    """
     if text is None:
         return None
     from optlink.units import UnitProblem, parse
@@ -179,17 +228,32 @@ def quantity(text: str | None, kind: str, option: str) -> float | None:
 
 
 def refuse(options: Mapping[str, object], message: str, remedy: str, file: str | None = None) -> None:
-    """Refuse the first of these options that is given: it would do nothing here."""
+    """Raise an error for the first of these options that is used: it would have no effect.
+
+    Parameters
+    ----------
+    options : mapping of str to object
+        Values by option; None and False count as unused.
+    message : str
+    remedy : str
+    file : str, optional
+        Named in the error message.
+
+    Raises
+    ------
+    InputError
+        If one of the options is used.
+    """
     for option, value in options.items():
         if value is not None and value is not False:
             raise InputError(Fault(message, remedy, file, option, None if value is True else str(value)))
 
 
-# --- where it goes -----------------------------------------------------------------------------------------------------------
+# --- output folders ----------------------------------------------------------------------------------------------------------
 
 
 def places(csv: Path | None, out: Path | None, command: str, problem: str) -> None:
-    """Make sure that results can be written before any work is done, and keep their folder until the command ends.
+    """Check before any work that results can be written, and lock their folder until the command ends.
 
     Parameters
     ----------
@@ -201,7 +265,7 @@ def places(csv: Path | None, out: Path | None, command: str, problem: str) -> No
     Raises
     ------
     InputError
-        where nothing can be written, or the folder holds or takes the results of something else.
+        If nothing can be written, or the folder holds or receives the results of another command or problem.
     """
     _table(csv)
     if out is not None:
@@ -219,7 +283,15 @@ def _table(csv: Path | None) -> None:
 
 
 def kept(out: Path, command: str, problem: str) -> None:
-    """Make a folder and keep it for this command until that ends; see `optlink.cli.run_folder`."""
+    """Create a folder and lock it until the command ends; see `optlink.cli.run_folder`.
+
+    Parameters
+    ----------
+    out : Path
+    command : str
+    problem : str
+        Name of the problem, or its file.
+    """
     from optlink.cli.run_folder import run_folder
     from optlink.io import folder
 
@@ -229,7 +301,15 @@ def kept(out: Path, command: str, problem: str) -> None:
 
 
 def kept_for_study(out: Path, command: str, problem: str) -> None:
-    """Keep a folder that exists for a study until the command ends; it may hold the study that is to be resumed."""
+    """Lock an existing folder for a study until the command ends; it may hold the study to be resumed.
+
+    Parameters
+    ----------
+    out : Path
+    command : str
+    problem : str
+        Name of the problem, or its file.
+    """
     from optlink.cli.run_folder import check_owner
     from optlink.io import locked
 
@@ -238,7 +318,7 @@ def kept_for_study(out: Path, command: str, problem: str) -> None:
 
 
 def _no_study(out: Path) -> None:
-    """Refuse a folder that holds a sweep or a front: its table would stay beside the result of something else."""
+    """Refuse a folder that holds a sweep or a Pareto front: its table would remain beside another result."""
     from optlink.studies.store import ABOUT
 
     place = out / ABOUT
@@ -257,7 +337,15 @@ def _no_study(out: Path) -> None:
 
 @contextlib.contextmanager
 def made(out: Path | None, command: str, problem: str) -> Iterator[None]:
-    """The folder of the results, kept for this command; gone again where it is new and the input is refused."""
+    """Create and lock the result folder; remove it again if it is new and the input is invalid.
+
+    Parameters
+    ----------
+    out : Path or None
+    command : str
+    problem : str
+        Name of the problem, or its file.
+    """
     if out is None:
         yield
         return

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share: each is worded once."""
+"""Arguments and options shared by several commands."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def whole_number(text: object) -> int:
     Raises
     ------
     typer.BadParameter
-        when it is none; the command line then ends with exit code 2.
+        If it is none; the command line then ends with exit code 2.
     """
     try:
         return int(str(text))
@@ -51,7 +51,7 @@ Speed = Annotated[
     str | None, typer.Option("--speed", metavar="SPEED", help='Of the crank: --speed "64 rpm"; negative: clockwise.')
 ]
 
-# --- of a search -------------------------------------------------------------------------------------------------------------
+# --- search ------------------------------------------------------------------------------------------------------------------
 
 Searcher = Annotated[Backend, typer.Option("--backend", help="Both: each searches for itself, and they must agree.")]
 Starts = Annotated[
@@ -66,7 +66,7 @@ Starts = Annotated[
 ]
 Seed = Annotated[int, typer.Option("--seed", parser=whole_number, metavar="S", help="Seed of the starts.")]
 
-# --- of a page or a drawing --------------------------------------------------------------------------------------------------
+# --- reports and exports -----------------------------------------------------------------------------------------------------
 
 Subjected = Annotated[
     str,

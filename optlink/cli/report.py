@@ -1,4 +1,4 @@
-"""The commands `report` and `export`: parse, call one library function, print, exit code. They are made known by `cli`."""
+"""The commands `report` and `export`: parse, call one library function, print, exit code."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SCHEMA = "optlink/written/1"
 
 
 def register(app: typer.Typer) -> None:
-    """Make the commands known."""
+    """Register the commands."""
     app.command()(report)
     app.command()(export)
 
@@ -115,7 +115,7 @@ def _subject(
     changes: list[str] | None,
     design: list[str] | None,
 ) -> Subject | Studied:
-    """What is asked for: a result as it is, or a problem with its answer."""
+    """Return the subject of the command: a stored result, or a problem with its solution."""
     from optlink.report.report_model import answered, subject_of
     from optlink.report.stored.loader import is_result, opened
 
@@ -132,7 +132,7 @@ def _subject(
 
 
 def _refuse(about: Subject, as_json: bool) -> None:
-    """Say why an invalid design is not written."""
+    """Report why an invalid design is not written."""
     from optlink.io import head
     from optlink.report.html.page import verdict
 
@@ -145,7 +145,7 @@ def _refuse(about: Subject, as_json: bool) -> None:
 
 
 def _written(about: Subject | Studied, output: Path, as_json: bool) -> None:
-    """Say what was written, and end with exit code 1 where it is no valid design."""
+    """Report the written file, and exit with code 1 for an invalid design."""
     from optlink.report.html.page import verdict
     from optlink.report.stored.stored_study import Studied
 

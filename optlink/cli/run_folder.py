@@ -1,4 +1,4 @@
-"""The folder of one run: locked while the run lasts, refused to another command or problem, free of files of an earlier run."""
+"""Folder of one run: locked during the run, refused to another command or problem, cleared of files of an earlier run."""
 
 from __future__ import annotations
 
@@ -48,6 +48,7 @@ def check_owner(path: Path, command: str, problem: str) -> None:
     Raises
     ------
     InputError
+        If it does.
     """
     about = _read(path / MANIFEST)
     if not (path / RESULT).is_file():
@@ -67,9 +68,9 @@ def check_owner(path: Path, command: str, problem: str) -> None:
 
 @contextlib.contextmanager
 def run_folder(path: Path, command: str, problem: str) -> Iterator[None]:
-    """Lock an existing folder for a run; afterwards remove what an earlier run wrote and this one did not write again.
+    """Lock an existing folder for a run; afterwards remove files of an earlier run that this one did not rewrite.
 
-    Only files that are as the earlier run left them are removed, and only when this run has written its result.
+    Only files unchanged since the earlier run are removed, and only if this run has written its result.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ def run_folder(path: Path, command: str, problem: str) -> Iterator[None]:
     Raises
     ------
     InputError
-        when another run has the folder, or it holds a result of another command or problem.
+        If another run holds the folder, or it contains a result of another command or problem.
     """
     with locked(path):
         check_owner(path, command, problem)
@@ -94,14 +95,14 @@ def run_folder(path: Path, command: str, problem: str) -> Iterator[None]:
 
 
 def _replaced(path: Path, before: Any, written: set[Path], about: dict[str, Any]) -> None:
-    """Remove what the run before wrote and this one did not; note what this one wrote."""
+    """Remove files of the earlier run that this one did not write; record the files of this one."""
     names = {file.name for file in written if file.parent.resolve() == path.resolve()}
     if RESULT not in names:
         return
     for name, total in before.items() if isinstance(before, dict) else ():
         if name not in names and Path(name).name == name and _sum(path / name) == total:
             (path / name).unlink(missing_ok=True)
-    with contextlib.suppress(InputError):  # the results are there; a full disk may have no room for this
+    with contextlib.suppress(InputError):  # the results are complete; the disk may be full
         write_json(path / MANIFEST, {**about, "files": {name: _sum(path / name) for name in sorted(names)}})
 
 
@@ -113,7 +114,7 @@ def _sum(path: Path) -> str | None:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """A JSON object; empty where there is none that can be read."""
+    """Return a JSON object; empty if none can be read."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""The commands `list` and `show`: what there is to solve. They are made known by `cli`."""
+"""The commands `list` and `show`: shipped problems and their contents."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from optlink.cli.options import Json, Problem, Set
 
 
 def register(app: typer.Typer) -> None:
-    """Make the commands known."""
+    """Register the commands."""
     app.command("list")(list_problems)
     app.command()(show)
 

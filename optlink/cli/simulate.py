@@ -1,7 +1,7 @@
-"""The command `simulate`: parse, call one library function, print, exit code. It is made known by `cli`.
+"""The command `simulate`: parse, call one library function, print, exit code.
 
-Three libraries stand behind it: an ideal machine, one with clearance, and the comparison of all kinds of control. An option that
-the one asked for has no use for is refused, never passed over.
+It calls one of three library functions: for an ideal machine, for one with clearance, or for the comparison of all kinds of
+control. Options without effect are refused.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ GAP = "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207
 
 
 def register(app: typer.Typer) -> None:
-    """Make the command known."""
+    """Register the command."""
     app.command()(simulate)
 
 
 @dataclass(frozen=True)
 class Run:
-    """What any simulation is asked [SI]: the machine, how long, in how many steps, and where it all goes.
+    """Common inputs of all simulations [SI]: machine, duration, number of steps, and outputs.
 
-    None stands for what the library has by itself.
+    None stands for the default of the library.
     """
 
     file: ProblemFile
@@ -171,7 +171,7 @@ def simulate(
 
 
 def _ideal(asked: Run) -> None:
-    """A machine whose joints have no play."""
+    """Simulate a machine without joint clearance."""
     from optlink.tasks.simulate import simulate as run
 
     with console.share("simulating") as progress:
@@ -190,7 +190,7 @@ def _ideal(asked: Run) -> None:
 
 
 def _loose(asked: Run, revolutions: int | None, control: str, tolerance: float | None, resume: bool) -> None:
-    """A machine with clearance."""
+    """Simulate a machine with joint clearance."""
     from optlink.report.files import checkpoint, write_json
     from optlink.tasks.clearance import simulate_clearance
 
@@ -217,7 +217,7 @@ def _loose(asked: Run, revolutions: int | None, control: str, tolerance: float |
 
 
 def _compared(asked: Run, revolutions: int | None, resume: bool, **options: Any) -> None:
-    """All kinds of control in one table."""
+    """Compare all kinds of control."""
     from optlink.tasks.control_comparison import compare
 
     turns = _revolutions(asked, revolutions)
@@ -234,7 +234,7 @@ def _compared(asked: Run, revolutions: int | None, resume: bool, **options: Any)
 
 
 def _tuned(asked: Run, revolutions: int | None, control: str, names: list[str], resume: bool, **options: Any) -> None:
-    """Parameters of a controller."""
+    """Tune controller parameters."""
     from optlink.tasks.control_comparison import tune
 
     turns: dict[str, Any] = (
@@ -250,7 +250,7 @@ def _tuned(asked: Run, revolutions: int | None, control: str, names: list[str], 
 
 
 def _many(options: dict[str, Any]) -> dict[str, Any]:
-    """Options of many runs: as many processes as there are cores, if nothing else is stated."""
+    """Return the options of many runs: as many processes as cores by default."""
     from optlink.tasks.parallel_runs import cores
 
     return {"workers": cores(), **_said(**options)}
@@ -268,7 +268,7 @@ def _shown(asked: Run, found: Any, table: str) -> None:
 
 @contextlib.contextmanager
 def _kept(asked: Run, resume: bool, parts: str, what: str) -> Iterator[dict[str, Any]]:
-    """What a comparison and a search for parameters share: a bar, a checkpoint, and what to say when it is interrupted."""
+    """Provide a comparison or a tuning with a progress bar, a checkpoint, and a message on interruption."""
     from optlink.report.files import checkpoint, write_json
 
     place = None if asked.out is None else asked.out / "checkpoint.json"
@@ -304,12 +304,12 @@ def _kept(asked: Run, resume: bool, parts: str, what: str) -> Iterator[dict[str,
 
 
 def _said(**options: Any) -> dict[str, Any]:
-    """The options that are given; a library has its own value for every other."""
+    """Return the options that are not None; the library has defaults for the others."""
     return {name: value for name, value in options.items() if value is not None}
 
 
 def _revolutions(asked: Run, revolutions: int | None) -> int:
-    """How many revolutions are asked for."""
+    """Return the number of revolutions."""
     duration, drive = asked.duration, asked.file.model.drive
     if revolutions is not None and duration is not None:
         raise InputError(Fault("revolutions and a duration are given", "Give one of the two", key="--duration"))
@@ -325,7 +325,7 @@ def _revolutions(asked: Run, revolutions: int | None) -> int:
 
 @contextlib.contextmanager
 def _streamed(csv: Path | None, done: int) -> Iterator[Any]:
-    """A table that is written while the work goes on."""
+    """Provide a table that is written during the simulation."""
     if csv is None:
         yield None
         return

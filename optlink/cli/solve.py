@@ -1,4 +1,4 @@
-"""The commands `solve` and `validate`: parse, call one library function, print, exit code. They are made known by `cli`."""
+"""The commands `solve` and `validate`: parse, call one library function, print, exit code."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ VIEWS = {
 
 
 def register(app: typer.Typer) -> None:
-    """Make the commands known."""
+    """Register the commands."""
     app.command()(solve)
     app.command()(validate)
 
@@ -82,7 +82,7 @@ def _validate(problem: str, design: list[str], changes: list[str] | None, as_jso
 
 
 def _contradictions(design: list[str], file: ProblemFile, found: Result | Generation | MachineDesign) -> tuple[Check, ...]:
-    """What a result file that is the design says and its design does not have; a file of another problem is named."""
+    """Check a result file used as the design against the recomputed result; report a file of another problem."""
     from optlink.validation.consistency import contradictions
 
     failed: list[Check] = []
@@ -97,11 +97,11 @@ def _contradictions(design: list[str], file: ProblemFile, found: Result | Genera
 
 
 def _show(result: Result | Generation | MachineDesign | Balance, as_json: bool, out: Path | None) -> None:
-    """Show a result, and end with the exit code that its status has."""
+    """Show a result, and exit with the code of its status."""
     table, files = VIEWS[result.problem.task]
     console.told(result, table, files, None, as_json, out)
     failed = (Status.STALLED, Status.NON_FINITE, "stalled")
-    if result.status in failed and result.problem.task != "path":  # of several polished designs one may stall
+    if result.status in failed and result.problem.task != "path":  # one of several designs may stall
         raise typer.Exit(3)
     if not result.valid:
         raise typer.Exit(1)

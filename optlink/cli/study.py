@@ -1,4 +1,4 @@
-"""The commands of `study`: parse, call one library function, print, exit code; made known by `cli`."""
+"""The commands of `study`: parse, call one library function, print, exit code."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 OUTPUT_SCHEMA = "optlink/output-sensitivity/1"
 SIMULATED = ("the option is one of simulations", "Add --simulate")
-AROUND = "0..330 deg:12"  # crank angles of an output where none are said
+AROUND = "0..330 deg:12"  # default crank angles of an output
 
 Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="slsqp or ipopt.")]
 Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="local (processes) or dask.")]
@@ -40,7 +40,7 @@ study = typer.Typer(no_args_is_help=True, help="What if: how an optimum answers 
 
 
 def register(app: typer.Typer) -> None:
-    """Make the commands known."""
+    """Register the commands."""
     app.add_typer(study, name="study")
 
 
@@ -95,7 +95,7 @@ def sensitivity(
 
 
 def _crank_angles(text: str) -> Any:
-    """Crank angles [rad] of an option, "0 deg, 60 deg" or "0..330 deg:12"."""
+    """Read crank angles [rad] such as "0 deg, 60 deg" or "0..330 deg:12"."""
     import numpy as np
 
     from optlink.errors import Fault, InputError
@@ -114,7 +114,7 @@ def _crank_angles(text: str) -> Any:
 
 
 def _output(file: ProblemFile, output: str, angles: str, design: list[str] | None, as_json: bool, out: Path | None) -> None:
-    """Derivatives of an output by every size."""
+    """Print the derivatives of an output by every dimension."""
     import numpy as np
 
     from optlink.io import finite, head
@@ -234,7 +234,7 @@ def sweep(
 
 
 def _options(**options: Any) -> dict[str, Any]:
-    """The options of a simulation that are stated."""
+    """Return the simulation options that are not None."""
     return {name: value for name, value in options.items() if value is not None}
 
 
@@ -371,7 +371,7 @@ def pareto(
 
 
 def _resumable(resume: bool, out: Path | None) -> None:
-    """What goes on must be somewhere."""
+    """Check that `--resume` has a folder."""
     from optlink.errors import Fault, InputError
 
     if resume and out is None:
@@ -379,14 +379,14 @@ def _resumable(resume: bool, out: Path | None) -> None:
 
 
 def _owned(out: Path | None, command: str, problem: str) -> None:
-    """Refuse a folder that holds the result of another command, and keep one that is there until this command ends."""
+    """Refuse a folder that holds the result of another command, and lock an existing one until this command ends."""
     if out is not None and out.is_dir():
         console.kept_for_study(out, command, problem)
 
 
 @contextlib.contextmanager
 def _interruptible(out: Path | None) -> Iterator[None]:
-    """Say what is kept of a study that is interrupted."""
+    """Report on interruption what is kept of a study."""
     try:
         yield
     except KeyboardInterrupt:
@@ -397,7 +397,7 @@ def _interruptible(out: Path | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _points(what: str = "sweeping") -> Iterator[Callable[[int, int], None]]:
-    """A bar with the points done, their rate and the time left, on standard error."""
+    """Show a bar with the completed points, their rate and the remaining time on standard error."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from optlink.report.views import function_tables

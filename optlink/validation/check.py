@@ -1,4 +1,4 @@
-"""What a validation is: checks, each a question with its answer; and how closely limits must be met."""
+"""Checks of a validation, and the tolerances of limits."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 from optlink.problem.quantity import Interval, Quantity, StrokeRatio
 
-POSITIONS = 1440  # per revolution: every quarter of a degree, dead centres and extremes refined from there
-ANGLE_TOLERANCE = 1e-6  # deg; solvers meet limits to 1e-8 of a radian
+POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and extremes are refined
+ANGLE_TOLERANCE = 1e-6  # deg; solvers satisfy limits to 1e-8 of a radian
 LENGTH_TOLERANCE = 1e-9  # of the frame, or of the size of a curve
 RATIO_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True)
 class Check:
-    """One question and its answer: `value` was found, `limit` is allowed, in `unit`."""
+    """One check: the measured `value` and the allowed `limit`, in `unit`."""
 
     name: str
     passed: bool
@@ -27,7 +27,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Validation:
-    """All checks of a design, and what was measured on the way (SI): objective, extremes, dead centres."""
+    """All checks of a design, and its measured objective [SI]."""
 
     checks: tuple[Check, ...]
     objective: float
@@ -39,12 +39,22 @@ class Validation:
 
 
 def nan_last(value: float) -> float:
-    """A key that sorts what has no value last."""
+    """Return a sort key that places NaN last."""
     return math.inf if math.isnan(value) else value
 
 
 def bound(name: str, quantity: Quantity, value: float, size: float) -> Check:
-    """Whether a quantity [SI] lies within its bounds, to 1e-8 of a reference length [m] or of a radian."""
+    """Check whether a quantity lies within its bounds, to 1e-8 of a reference length or of a radian.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity.
+    quantity : Quantity
+    value : float [m, rad]
+    size : float [m]
+        Reference length.
+    """
     low, high = quantity.bounds
     length = quantity.kind in ("length", "coordinate")
     factor, unit = (1e3, "mm") if length else (math.degrees(1.0), "deg")
@@ -54,14 +64,14 @@ def bound(name: str, quantity: Quantity, value: float, size: float) -> Check:
 
 
 def time_ratio(forward: float, backward: float, stroke: str | None) -> float:
-    """Time of a stroke over that of the other at constant crank speed.
+    """Return the time ratio of two strokes at constant crank speed.
 
     Parameters
     ----------
-    forward, backward : float
-        Crank rotation of the two strokes [rad], positive.
+    forward, backward : float [rad]
+        Positive crank rotation of the two strokes.
     stroke : "forward", "backward", "slow", "quick" or None
-        Whose time is divided by the other's; None is the slow one.
+        Stroke in the numerator. None: the slow one.
     """
     if stroke in ("forward", "backward"):
         return forward / backward if stroke == "forward" else backward / forward
@@ -70,13 +80,35 @@ def time_ratio(forward: float, backward: float, stroke: str | None) -> float:
 
 
 def time_ratio_checks(forward: float, backward: float, limit: StrokeRatio) -> Iterator[Check]:
-    """Checks of a limit of the time ratio by the crank rotations of the two strokes [rad]; NaN where there are no strokes."""
+    """Yield the checks of a limit of the time ratio.
+
+    Parameters
+    ----------
+    forward, backward : float [rad]
+        Crank rotation of the two strokes; NaN if there are no strokes.
+    limit : StrokeRatio
+    """
     name = f"time ratio, {limit.strokes}" if limit.stroke else "time ratio"
     yield from limit_checks(name, time_ratio(forward, backward, limit.stroke), limit, RATIO_TOLERANCE, 1.0, "")
 
 
 def limit_checks(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:
-    """One check per side of an interval; value and tolerance in people's unit, `factor` people per SI."""
+    """Yield one check per side of an interval.
+
+    Parameters
+    ----------
+    name : str
+        Name of the limited quantity.
+    value : float [unit]
+    interval : Interval
+        Limits [SI].
+    tolerance : float [unit]
+        Permitted violation.
+    factor : float
+        Display units per SI unit.
+    unit : str
+        Display unit.
+    """
     if interval.low is not None:
         low = interval.low * factor
         yield Check(f"{name}, least", bool(value >= low - tolerance), value, f">= {low:.6g}", unit)

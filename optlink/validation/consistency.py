@@ -1,4 +1,4 @@
-"""Whether a result file agrees with the design in it: objective, angles and figures against those computed from the design."""
+"""Check whether a result file agrees with its design: objective, angles and figures are recomputed."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ ANGLE = 0.05
 
 
 def contradictions(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> tuple[Check, ...]:
-    """Checks that fail: figures of a result file that its design does not have.
+    """Return the failed checks: values of a result file that differ from those of its design.
 
     Parameters
     ----------
     recorded : mapping
-        The document of the file.
+        Document of the file.
     computed : mapping
-        The document of the same design, computed anew.
+        Recomputed document of the same design.
     """
     found = []
     theirs, ours = _objective(recorded), _objective(computed)
@@ -47,7 +47,7 @@ def contradictions(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> 
 
 
 def _angles(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Angles [deg] of the design, and crank angles of its strokes."""
+    """Return the angles [deg] of the design, and the crank angles of its strokes."""
     found = {key: value for key, value in _part(document, "design").items() if key.endswith("_deg")}
     for output, strokes in _part(document, "strokes").items():
         for name in ("forward", "backward"):
@@ -57,7 +57,7 @@ def _angles(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _lengths(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterator[Check]:
-    """Lengths that the problem fixes at another value."""
+    """Yield lengths for which the problem prescribes another value."""
     ours = _part(computed, "design")
     for key, value in _part(recorded, "design").items():
         other = ours.get(key)
@@ -66,7 +66,7 @@ def _lengths(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterat
 
 
 def _figures(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterator[Check]:
-    """Figures of a machine, by their names, that the design does not have."""
+    """Yield figures of a machine, matched by name, that differ from those of the design."""
     theirs, ours = (_by_name(document.get("figures")) for document in (recorded, computed))
     for name in theirs.keys() & ours.keys():
         one, other = theirs[name].get("found"), ours[name].get("found")
@@ -85,7 +85,7 @@ def _by_name(rows: object) -> dict[str, dict[str, Any]]:
 
 
 def _best(document: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The part about the best design, or the nearest miss; the document itself where it is about one design."""
+    """Return the part about the best design, or the nearest miss; the document itself if it is about one design."""
     designs = document.get("designs")
     if isinstance(designs, list) and designs and isinstance(designs[0], dict):
         return designs[0]

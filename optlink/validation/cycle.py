@@ -1,4 +1,4 @@
-"""A machine designed by its cycle, proven: ordinary inverse dynamics on a fine sweep, refined, one-sided where forces jump."""
+"""Validate a machine optimised over its cycle by ordinary inverse dynamics on a refined sweep, one-sided at load jumps."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from optlink.validation.margins import alignment_checks
 
 Array = NDArray[np.float64]
 
-AGREE = 1e-6  # relative, of a figure that was measured by two routes
-MEET = 1e-6  # relative, by which a limit may be missed
-ROUNDING = 1e-6  # of the size of its course, below which a mean or a work is taken for zero
-NOTHING = 1e-3  # of the same, by which the room of a limit of zero is measured
-BALANCE = 1e-9  # relative, to which the work of the drive is that of the loads
+AGREE = 1e-6  # relative difference of a value computed by two methods
+MEET = 1e-6  # relative violation permitted for a limit
+ROUNDING = 1e-6  # of the size of the signal, below which a mean or a work counts as zero
+NOTHING = 1e-3  # of the size of the signal, the reference for the tolerance of a limit of zero
+BALANCE = 1e-9  # relative difference permitted between the work of the drive and of the loads
 
 
 class _Weight:
-    """Gravity on a body as a load of its own: what is left of a body whose inertia is taken away."""
+    """Gravity on a body as a separate load, which remains if its inertia is removed."""
 
     switching = False
 
@@ -47,47 +47,57 @@ class _Weight:
         self.name, self.body, self.parameters, self.gravity = f"weight of {body}", body, parameters, gravity
 
     def act(self, moving: Moving) -> Iterator[Acting]:
-        """The weight at the start of the body, and its moment."""
+        """Yield the weight at the start of the body, and its moment."""
         state, (mass, along, across, _) = moving.state(self.body), self.parameters
         x, y = turn((along, across), state.axis)
         force = mass * self.gravity[0] + 0.0 * state.alpha, mass * self.gravity[1] + 0.0 * state.alpha
         yield Acting(self.body, state.start, force, x * self.gravity[1] - y * self.gravity[0])
 
     def reversing(self, moving: Moving) -> None:
-        """It never jumps."""
+        """Return None: the weight never jumps."""
         return
 
     def potential(self, moving: Moving) -> Value:
-        """Not asked for here."""
+        """Return 0: the potential is not used here."""
         return 0.0
 
 
 def without_inertia(machine: Machine) -> Machine:
-    """The same machine with weights and loads alone."""
+    """Return the machine with weights and loads only."""
     weights = tuple(_Weight(body, mass.parameters, machine.gravity) for body, mass in machine.inertias.items())
     return machine.with_(inertias={}, gravity=(0.0, 0.0), loads=(*machine.loads, *weights))
 
 
 @dataclass(frozen=True)
 class Course:
-    """One machine over its revolution: its records, on either side of where loads jump."""
+    """One machine over its revolution, evaluated on either side of load jumps."""
 
     machine: Machine
     speed: float
     jumps: Array
 
     def values(self, columns: Callable[[Record], Array], angles: Array, side: int = 1) -> Array:
-        """A quantity at crank angles (n,)."""
+        """Return a quantity at crank angles.
+
+        Parameters
+        ----------
+        columns : function of Record to array (n,)
+            Reads the quantity.
+        angles : array (n,) [rad]
+        side : int
+            Side of load jumps, +1 after, -1 before.
+        """
         return columns(Record(self.machine.moving(angles, self.speed, side=side)))
 
 
 class Cycle:
-    """A design in motion: what its terms are, measured.
+    """A design in motion, with the measured values of its terms.
 
     Parameters
     ----------
     problem : CycleProblem
-    design : mapping of quantity to float [SI]; the start of the file where one is not named
+    design : mapping of str to float [SI]
+        Quantities; those not named have their value in the file.
     """
 
     def __init__(self, problem: CycleProblem, design: Mapping[str, float]) -> None:
@@ -100,7 +110,7 @@ class Cycle:
 
     @cached_property
     def work(self) -> Work:
-        """Work of the drive from crank angle 0 on."""
+        """Work of the drive from crank angle 0."""
         low, high = (0.0, TURN) if self.speed > 0.0 else (-TURN, 0.0)
         return Work(self.machine, 0.0, low, high, self.speed)
 
@@ -113,13 +123,13 @@ class Cycle:
         return without_inertia(self.machine)
 
     def travel(self, term: Term) -> Travel | None:
-        """The motion of an output between its dead centres."""
+        """Return the motion of an output between its dead centres."""
         kind, name = output_of(term, self.mechanism)
         swings, strokes = self._travels
         return strokes.get(name) if kind == "guide" else swings.get(name)
 
     def figure(self, term: Term) -> float:
-        """A term of the problem [SI]; NaN where it has no value."""
+        """Return the value of a term [SI]; NaN if it is undefined."""
         if not self.full:
             return self.design[str(term.of)] if term.quantity == "length" else math.nan
         if term.nature.cyclic:
@@ -141,7 +151,7 @@ class Cycle:
         return time_ratio(strokes["forward"], strokes["backward"], term.stroke) if strokes else math.nan
 
     def _point(self, term: Term) -> float:
-        """Stroke of a point along a direction, one of its ends, or its time ratio, from the extremes of its course."""
+        """Return the stroke, an end, or the time ratio of a point along a direction, from the extremes of its path."""
         assert term.direction is not None
         way = np.array([math.cos(term.direction.value), math.sin(term.direction.value)])
         grid = np.linspace(0.0, TURN, POSITIONS + 1)
@@ -169,7 +179,7 @@ class Cycle:
         return one if end >= begin else one + whole
 
     def course(self, term: Term) -> tuple[Machine, Callable[[Record], Array]]:
-        """The machine that a cyclic term is of, and how its size is read from a record."""
+        """Return the machine of a cyclic term, and a function that reads the term from a record."""
         what, name = term.quantity, str(term.of)
         machine = self._still if term.static else self.machine
 
@@ -204,7 +214,7 @@ class Cycle:
         return machine, lambda record: record[column[what]]
 
     def _transmission(self, joint: str, record: Record) -> Array:
-        """Angle at a joint by its cosine [rad]: between two links, or of a link with the normal of the slider's line."""
+        """Return the transmission angle at a joint [rad]: between two links, or between a link and the normal of the guide."""
         group = next(group for group in self.mechanism.groups if group.joint == joint)
         if isinstance(group, RRR):
             return record[f"{joint}.transmission_rad"]
@@ -213,7 +223,7 @@ class Cycle:
         link = np.asarray(motion.position(joint) - motion.position(group.outer))
         line = record.moving.line(group.guide.name)
         cosine = (line[0] * link[:, 1] - line[1] * link[:, 0]) / np.linalg.norm(link, axis=1)
-        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))  # beyond +-1 is rounding
+        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))  # values beyond +-1 are rounding errors
 
     def _cyclic(self, term: Term) -> float:
         machine, read = self.course(term)
@@ -232,7 +242,7 @@ class Cycle:
         return float({"least": least, "largest": largest, "peak": max(-least, largest)}[term.how])
 
     def _average(self, machine: Machine, read: Callable[[Record], Array], *, square: bool) -> float:
-        """Mean, or root of the mean square, over the revolution: Gauss's rule between the knots of the work."""
+        """Return the mean, or root mean square, over the revolution by Gauss quadrature between the knots of the work."""
         a, b = self.work.knots[:-1], self.work.knots[1:]
         half = 0.5 * (b - a)
         points = (0.5 * (a + b))[:, None] + half[:, None] * NODES
@@ -241,7 +251,7 @@ class Cycle:
         return math.sqrt(mean) if square else mean
 
     def objective(self) -> float:
-        """What is minimised: a term [SI], negative where it shall be large, or a weighted sum."""
+        """Return the minimised value: a term [SI], negative if maximised, or a weighted sum."""
         found = []
         for goal, scale in zip(self.problem.goals, self.problem.scales, strict=True):
             value = self.figure(goal) * (-1.0 if goal.sense == "maximise" else 1.0)
@@ -249,7 +259,7 @@ class Cycle:
         return math.fsum(found)
 
     def size(self, term: Term) -> float:
-        """The size of what a term is made of [SI], where the term itself may vanish; zero where it does so by nature alone."""
+        """Return a reference value of the signal of a term [SI] if the term itself may vanish; otherwise zero."""
         if term.quantity in ("end", "slide", "length"):
             return max(abs(value) for name, value in self.design.items() if self.problem.quantities[name].kind != "angle")
         if not self.full or (term.how != "mean" and term.quantity != "work"):
@@ -260,7 +270,7 @@ class Cycle:
         return float(np.max(np.abs(values))) * (1.0 if term.how == "mean" else TURN)
 
     def natural(self) -> float:
-        """Below what the objective is zero but for rounding [its unit]."""
+        """Return the value [unit of the objective] below which the objective is a rounding error."""
         sizes = [ROUNDING * self.size(goal) for goal in self.problem.goals]
         if self.problem.single:
             return sizes[0]
@@ -268,10 +278,10 @@ class Cycle:
         return math.fsum(goal.weight * size / (scale or 1.0) for goal, scale, size in shares)
 
     def imbalance(self) -> float:
-        """Work per revolution that drive and loads leave over, as a share of the energy that goes to and fro: zero in a cycle.
+        """Return the work per revolution not balanced between drive and loads, relative to the exchanged energy; zero in a cycle.
 
-        That energy is the sum of the sizes of their powers over the revolution, and the kinetic energy: of a machine without
-        loads the works themselves all vanish, of one that is balanced on its crank the powers too.
+        The exchanged energy is the integral of the absolute powers over the revolution plus the kinetic energy: without
+        loads the works all vanish, in a machine balanced on its crank the powers too.
         """
         a, b = self.work.knots[:-1], self.work.knots[1:]
         half = 0.5 * (b - a)
@@ -296,14 +306,15 @@ class Cycle:
 
 
 def validate_cycle(problem: CycleProblem, design: Mapping[str, float], objective: float | None = None) -> Validation:
-    """Prove a design, or show where it fails.
+    """Validate a design, or show where it fails.
 
     Parameters
     ----------
     problem : CycleProblem
-    design : mapping of quantity to float [SI]
+    design : mapping of str to float [SI]
+        Quantities; those not named have their value in the file.
     objective : float, optional
-        What the optimiser claims; compared with what is measured.
+        Objective of the optimiser, compared with the measured one.
     """
     try:
         tested = Cycle(problem, design)
@@ -320,7 +331,7 @@ def validate_cycle(problem: CycleProblem, design: Mapping[str, float], objective
 
 
 def _sizes(tested: Cycle) -> Iterator[Check]:
-    """Free quantities within their bounds, fixed ones as given; links keep their length while they move."""
+    """Check bounds of design variables, fixed quantities, and constant link lengths in motion."""
     size = max(abs(value) for name, value in tested.design.items() if tested.problem.quantities[name].kind != "angle")
     for name, quantity in tested.problem.quantities.items():
         if quantity.free:
@@ -341,7 +352,7 @@ def _sizes(tested: Cycle) -> Iterator[Check]:
 
 
 def _motion(tested: Cycle) -> Iterator[Check]:
-    """The crank turns fully on one branch, with finite forces everywhere; what the drive gives the loads take."""
+    """Check full rotation on one branch, finite forces, and the energy balance of drive and loads."""
     yield Check("the crank turns fully", tested.full, float(tested.full), "= 1", "")
     if not tested.full:
         return
@@ -361,7 +372,7 @@ def _motion(tested: Cycle) -> Iterator[Check]:
 
 
 def _limit(tested: Cycle, item: Bound) -> Iterator[Check]:
-    """A limit, measured."""
+    """Check a limit."""
     kind, unit = item.interval.kind, item.interval.unit
     size = 1.0 / factor(unit or KINDS[kind].people, kind) if kind else 1.0
     value = tested.figure(item.term)

@@ -1,8 +1,8 @@
-"""Is it true? A design is proven by sweeping the mechanism itself, by other routes than the optimiser's formulas.
+"""Validate a four-bar design by a sweep of the mechanism itself, independent of the optimiser's formulas.
 
-Link lengths are measured again between joint positions, the transmission angle between two unit vectors, dead centres where the
-rocker's velocity changes its sign, the crank condition by closing the loop at every crank angle. Nothing here imports the
-optimiser's terms or solvers.
+Link lengths are measured between joint positions, the transmission angle between two unit vectors, dead centres at sign changes
+of the rocker velocity, the crank condition by closing the loop at every crank angle. The optimiser's terms and solvers are not
+imported.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from optlink.validation.margins import alignment_checks, at_least, grashof_check
 
 Array = NDArray[np.float64]
 
-CLOSING = 4  # rounds of closing in on an extreme: to 6e-6 of a step of the sweep, where it is flat to rounding
-ROUNDING = 1e-12  # rad; two routes to an error that is all but zero need not agree more closely
-STEP = 1e-5  # of the frame, by which a size is made larger and smaller to see what that does
+CLOSING = 4  # refinement rounds of an extreme: to 6e-6 of a step of the sweep, where it is flat within rounding
+ROUNDING = 1e-12  # rad; absolute agreement required of nearly zero errors
+STEP = 1e-5  # of the frame; step of central differences by dimensions
 
 
 def validate(
@@ -49,17 +49,17 @@ def validate(
     objective: float | None = None,
     mechanism: Mechanism | None = None,
 ) -> Validation:
-    """Prove a design, or show where it fails.
+    """Validate a design, or show where it fails.
 
     Parameters
     ----------
     problem : DesignProblem
-    design : mapping [m, rad]
+    design : mapping of str to float [m, rad]
         crank, coupler, rocker, frame, phi0, psi0.
     objective : float, optional
-        What the optimiser claims; compared with what the kinematics core measures.
+        Objective of the optimiser, compared with the measured one.
     mechanism : Mechanism, optional
-        What is to be tested instead of the problem's own linkage (its bodies and joints must have the same names).
+        Mechanism to be tested instead of the linkage of the problem (its bodies and joints must have the same names).
     """
     tested = _Tested(problem, design, mechanism or problem.linkage)
     found = tested.objective()
@@ -74,7 +74,7 @@ def validate(
 
 
 class _Tested:
-    """A design in motion: the sweeps that the checks share."""
+    """A design in motion: the sweeps shared by the checks."""
 
     def __init__(self, problem: DesignProblem, design: Mapping[str, float], mechanism: Mechanism) -> None:
         self.problem, self.design, self.mechanism = problem, design, mechanism
@@ -92,7 +92,7 @@ class _Tested:
         return sweep(self.mechanism, self.sizes, angles)
 
     def _placed(self, angles: Array) -> list[Vector]:
-        """Coordinates of B, C and D at crank angles: where nothing but positions matters, speeds are not asked for."""
+        """Return the coordinates of B, C and D at crank angles, without velocities."""
         with np.errstate(all="ignore"):
             pose = self.mechanism.pose(self.sizes, unit(angles))
         return [pose.point(name) for name in "BCD"]
@@ -113,19 +113,25 @@ class _Tested:
         return self.revolution if self.turns else self.span
 
     def transmission(self, b: Vector, c: Vector, d: Vector) -> Array:
-        """Angle B-C-D [rad] at each position."""
+        """Return the angle B-C-D [rad] at each position.
+
+        Parameters
+        ----------
+        b, c, d : Vector
+            Coordinates [m] of the joints.
+        """
         to_b, to_d = minus(b, c), minus(d, c)
         gamma: Array = np.abs(np.arctan2(cross(to_b, to_d), dot(to_b, to_d)))
         return gamma
 
     def transmission_extremes(self, motion: Motion) -> tuple[float, float]:
-        """Least and largest transmission angle [rad], refined around the extreme positions of the sweep."""
+        """Return the least and largest transmission angle [rad], refined around the extreme positions of the sweep."""
         angles = motion.crank_angle
         gamma = self.transmission(*self._placed(angles))
         if not np.all(np.isfinite(gamma)):
             return math.nan, math.nan
         low, high = sorted((angles[0], angles[-1])) if motion is self.span else (-np.inf, np.inf)
-        signs = np.array([[1.0], [-1.0]])  # both extremes are closed in on together
+        signs = np.array([[1.0], [-1.0]])  # both extremes are refined together
         centres, width = angles[np.argmin(signs * gamma, axis=1)], abs(angles[1] - angles[0])
         for _ in range(CLOSING):
             near = np.clip(centres[:, None] + width * np.linspace(-1.0, 1.0, 41), low, high)
@@ -136,7 +142,7 @@ class _Tested:
         return float(least), float(largest)
 
     def dead_centres(self) -> list[tuple[float, float]]:
-        """Crank and rocker angle [rad] where the rocker's angular velocity changes its sign, refined by secants."""
+        """Return crank and rocker angles [rad] at sign changes of the rocker velocity, refined by secants."""
 
         def velocity(angle: float) -> float:
             return float(self._sweep(np.array([angle])).body_angle("rocker").rate[0])
@@ -165,14 +171,14 @@ class _Tested:
         return found
 
     def reach(self, crank_angle: float) -> float:
-        """Distance A-C [m]: large at the outer, small at the inner dead centre."""
+        """Return the distance A-C [m], large at the outer, small at the inner dead centre."""
         motion = self._sweep(np.array([crank_angle]))
         return float(np.linalg.norm(motion.position("C")[0] - motion.position("A")[0]))
 
     def wanted_minus_actual(self, offsets: Array | None = None) -> Array:
-        """Error of the rocker angle [rad], from two angles and their difference modulo a turn.
+        """Return the error of the rocker angle [rad], from two angles and their difference modulo a turn.
 
-        At crank rotations from the start, those of the design positions if no `offsets` are given.
+        At crank rotations from the start. Default: the design positions.
         """
         law = self.problem.law
         at, tabulated = (law.offsets, law.tabulated) if offsets is None else (offsets, 0.0)
@@ -183,9 +189,9 @@ class _Tested:
         return error
 
     def _rocker(self, at: Array, name: str, by: float) -> Array:
-        """Rocker angle [rad] at crank rotations from the start, with one size or coordinate of a pivot larger by that [m].
+        """Return rocker angles [rad] at crank rotations from the start, with one dimension or coordinate larger by `by` [m].
 
-        The crank angle is that of the drawing. Pivots that move make another frame, in which the crank has turned otherwise.
+        The crank angle is that of the drawing. Displaced pivots rotate the frame, and thus the crank angle relative to it.
         """
         sizes = {**self.sizes, **({name: self.sizes[name] + by} if name in self.sizes else {})}
         along = sizes["frame"] - (by if name == "A.x" else 0.0)
@@ -197,9 +203,9 @@ class _Tested:
         return np.asarray(np.arctan2(c[1] - d[1], c[0] - d[0]) + tilt, dtype=float)
 
     def scattered(self, offsets: Array | None = None) -> tuple[Array, Array]:
-        """Middle of the error [rad] as it is built, and how far it counts to either side; by central differences of the motion.
+        """Return the mean error [rad] with tolerances and its scatter to either side, by central differences of the motion.
 
-        Standard deviations as many as the requirement asks for (one where the expected square is wanted), or the worst case.
+        The scatter is the requested number of standard deviations (one for an expected square), or the worst case.
         """
         at, robust = self.problem.law.offsets if offsets is None else offsets, self.problem.requirement.robust
         middle, spread = self.wanted_minus_actual(offsets), np.zeros(len(at))
@@ -217,7 +223,7 @@ class _Tested:
         return middle, spread
 
     def objective(self) -> float:
-        """The figure that the requirement minimises; the largest error of a function is that of its whole range."""
+        """Return the minimised value; the largest error of a function is that over its whole range."""
 
         def sides(at: Array) -> Array:
             middle, spread = self.scattered(at)
@@ -234,7 +240,7 @@ class _Tested:
 
 
 def _sizes(tested: _Tested) -> Iterator[Check]:
-    """Free quantities within their bounds, fixed ones as given; links keep their length while they move."""
+    """Check bounds, fixed quantities, and constant link lengths in motion."""
     frame = tested.design["frame"]
     for name, quantity in tested.problem.quantities.items():
         yield bound(name, quantity, tested.design[name], frame)
@@ -254,7 +260,7 @@ def _sizes(tested: _Tested) -> Iterator[Check]:
 
 
 def _crank(tested: _Tested) -> Iterator[Check]:
-    """The crank condition from the lengths, and the loop closed at every position."""
+    """Check the crank condition from the lengths, and the closure of the loop at every position."""
     limits, longest = tested.problem.limits, max(tested.design[name] for name in LENGTHS)
     if tested.turns:
         yield grashof_check(tested.design, limits)
@@ -269,7 +275,7 @@ def _crank(tested: _Tested) -> Iterator[Check]:
 
 
 def _circuit(tested: _Tested) -> Iterator[Check]:
-    """One branch: C stays on its side of the line B-D. One circuit: C moves without a jump, and comes back to where it was."""
+    """Check one branch (C stays on its side of the line B-D) and one circuit (continuous, closed path of C)."""
     motion = tested.required
     b, c, d = (motion.position(name) for name in "BCD")
     diagonal, coupler = d - b, c - b
@@ -291,7 +297,7 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
 
 
 def _transmission(tested: _Tested) -> Iterator[Check]:
-    """Transmission angle at its extremes, by sweep and refinement."""
+    """Check the extremes of the transmission angle, by sweep and refinement."""
     limits = tested.problem.limits
     interval = limits.transmission_angle
     if limits.transmission_cosine is not None:
@@ -310,7 +316,7 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
 
 
 def _requirement(tested: _Tested) -> Iterator[Check]:
-    """The requirement starts where it says, and has a value at every design position."""
+    """Check the start of the requirement, and that it is defined at every design position."""
     problem, start = tested.problem, tested.problem.requirement.start
     if start in DEAD_CENTRES and "phi0" not in problem.quantities:
         rate = abs(float(sweep(tested.mechanism, tested.sizes, [tested.phi0]).body_angle("rocker").rate[0]))
@@ -342,7 +348,7 @@ def _requirement(tested: _Tested) -> Iterator[Check]:
 
 
 def _extra(tested: _Tested) -> Iterator[Check]:
-    """Swing angle and time ratio from the dead centres of the motion; lengths by ratio."""
+    """Check swing angle and time ratio from the dead centres of the motion, and length ratios."""
     limits = tested.problem.limits
     if limits.swing_angle is not None or limits.time_ratio is not None:
         centres = tested.dead_centres()

@@ -1,6 +1,6 @@
-"""Distance from positions where a mechanism locks or its assembly modes meet, measured in motion: angles and lengths.
+"""Check the distance of a mechanism from singular positions, measured in motion as angles and lengths.
 
-Nothing here knows the optimiser's formulas: the angle between two links comes from measured distances of their joints.
+The optimiser's formulas are not used: the angle between two links follows from measured distances of their joints.
 """
 
 from __future__ import annotations
@@ -26,12 +26,33 @@ SHORT = 5e-3
 
 
 def at_least(name: str, value: float, limit: float, unit: str) -> Check:
-    """Whether a figure reaches a least margin, both in `unit`; NaN does not."""
+    """Check whether a value reaches a least margin; NaN does not.
+
+    Parameters
+    ----------
+    name : str
+        Name of the check.
+    value : float [unit]
+    limit : float [unit]
+        Least margin.
+    unit : str
+        Display unit.
+    """
     return Check(name, bool(value >= limit * (1.0 - SHORT)), value, f">= {limit:.6g}", unit)
 
 
 def grashof_check(design: Mapping[str, float], limits: Limits) -> Check:
-    """Whether the crank of a four-bar turns fully: shortest and longest link below the other two by the length margin."""
+    """Check whether the crank of a four-bar turns fully.
+
+    The sum of shortest and longest link must be below that of the other two by the length margin.
+
+    Parameters
+    ----------
+    design : mapping of str to float [m]
+        Contains crank, coupler, rocker and frame.
+    limits : Limits
+        Kind of crank rotation and length margin.
+    """
     lengths = [design[name] for name in LENGTHS]
     kind = grashof(*lengths)
     wanted = Inversion.DOUBLE_CRANK if limits.crank == "double-crank" else Inversion.CRANK_ROCKER
@@ -40,10 +61,10 @@ def grashof_check(design: Mapping[str, float], limits: Limits) -> Check:
 
 
 def squared_sines(motion: Motion) -> Array:
-    """Squared sine of every group's angle from alignment (groups, positions); negative or NaN where it cannot close."""
+    """Return the squared sine of the angle of each group from alignment (groups, positions); negative or NaN if not closed."""
     found, crank = [], motion.mechanism.crank
     for group in motion.mechanism.groups:
-        if isinstance(group, RPR):  # the slide, in lengths of the crank
+        if isinstance(group, RPR):  # the slide, relative to the crank length
             places = [motion.position(name) for name in (*group.outer, crank.start, crank.end)]
             apart, arm = (np.sum((places[k] - places[k + 1]) ** 2, axis=-1) for k in (0, 2))
             found.append(motion.margin(group.joint) * apart / arm)
@@ -60,14 +81,15 @@ def squared_sines(motion: Motion) -> Array:
 
 
 def alignment_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Alignment, where: str) -> Iterator[Check]:
-    """Whether every group keeps its least angle from alignment.
+    """Check that every group keeps its least angle from alignment.
 
     Parameters
     ----------
-    sweep : crank angles (n,) [rad] -> the mechanism in motion
-    grid : array (n,) [rad], rising
-        The required motion; extremes are refined between its positions.
+    sweep : function of crank angles (n,) [rad] to Motion
+    grid : array (n,) [rad]
+        Required motion, rising; extremes are refined between its positions.
     limits : Alignment
+        Least angle from alignment.
     where : str
         Name of the required motion.
     """

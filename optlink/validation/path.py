@@ -1,4 +1,4 @@
-"""Path and motion generation proven: the mechanism is driven through the points, and through all that lies between them."""
+"""Validate path and motion synthesis: sweep the mechanism through the points and all positions between them."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from optlink.validation.margins import alignment_checks, grashof_check
 
 Array = NDArray[np.float64]
 
-ROUNDING = 1e-11  # of the size of the curve; two routes to a deviation that is all but zero need not agree more closely
+ROUNDING = 1e-11  # of the size of the curve; absolute agreement required of nearly zero deviations
 
 
 @dataclass(frozen=True)
 class Deviations:
-    """What was measured at the positions, and the objective [SI].
+    """Measured deviations at the positions, and the objective [SI].
 
     `generated` (positions, 2) [m]: points; of a function (positions, 1): its output [m or rad]; of the transmission (positions,
-    joints): angles [rad]. `distances` (positions,): from the points [m], of the output, of the cosine farthest from 0.
-    `turned`: errors of the angle [rad] of poses.
+    joints): angles [rad]. `distances` (positions,): from the points [m], of the output [m or rad], largest absolute cosine of the
+    transmission angles. `turned`: angle errors [rad] of poses.
     """
 
     generated: Array
@@ -51,7 +51,16 @@ class Deviations:
 
 
 def deviations(problem: GenerationProblem, design: Mapping[str, float], crank_angles: Array) -> Deviations:
-    """Drive the mechanism to the crank angles and measure how far it misses what is wanted, weighted as the problem asks."""
+    """Move the mechanism to the crank angles and measure its deviations from the targets, weighted as in the problem.
+
+    Parameters
+    ----------
+    problem : GenerationProblem
+        With definite assembly modes.
+    design : mapping of str to float [m, rad]
+        All quantities.
+    crank_angles : array (positions,) [rad]
+    """
     motion = sweep(problem.linkage, design, crank_angles)
     wanted, weights = problem.data.columns, problem.data.roots**2
     kind, turned = problem.requirement.kind, None
@@ -85,7 +94,14 @@ def deviations(problem: GenerationProblem, design: Mapping[str, float], crank_an
 
 
 def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
-    """Angle between the two links of every RRR group [rad], 0 ... pi, (positions, groups)."""
+    """Return the angle between the two links of every RRR group (positions, groups) [rad], from 0 to pi.
+
+    Parameters
+    ----------
+    motion : Motion
+    mechanism : Mechanism
+        The mechanism in motion.
+    """
     found = []
     for group in mechanism.groups:
         if isinstance(group, RRR):
@@ -99,17 +115,18 @@ def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
 def validate_generation(
     problem: GenerationProblem, design: Mapping[str, float], crank_angles: Array, objective: float | None = None
 ) -> Validation:
-    """Prove a design, or show where it fails.
+    """Validate a design, or show where it fails.
 
     Parameters
     ----------
     problem : GenerationProblem
         With definite assembly modes.
-    design : mapping of every quantity [m, rad]
+    design : mapping of str to float [m, rad]
+        All quantities.
     crank_angles : array (points,) [rad]
-        At which the points are met.
+        Crank angles of the points.
     objective : float, optional
-        What the optimiser claims; compared with what the kinematics core measures.
+        Objective of the optimiser, compared with the measured one.
     """
     tested = _Tested(problem, design, np.asarray(crank_angles, dtype=float))
     found = tested.measured.objective
@@ -120,7 +137,7 @@ def validate_generation(
         gap = abs(found - objective) / max(abs(found), 1e-300)
         error, claimed = (math.sqrt(f) if squared else f for f in (max(found, 0.0), max(objective, 0.0)))
         missed = abs(error - claimed) / problem.whole
-        if gap <= 1e-6 or not missed <= ROUNDING:  # not a number is not nearly zero
+        if gap <= 1e-6 or not missed <= ROUNDING:  # NaN does not count as nearly zero
             checks.append(Check("objective measured in motion", gap <= 1e-6, gap, "<= 1e-06", ""))
         else:
             checks.append(Check("objective measured in motion", True, missed, f"<= {ROUNDING:.0e} of the size", ""))
@@ -128,7 +145,7 @@ def validate_generation(
 
 
 class _Tested:
-    """A design in motion: the sweeps that the checks share."""
+    """A design in motion: the sweeps shared by the checks."""
 
     def __init__(self, problem: GenerationProblem, design: Mapping[str, float], crank_angles: Array) -> None:
         self.problem, self.design, self.crank_angles = problem, dict(design), crank_angles
@@ -142,7 +159,7 @@ class _Tested:
         self.measured = deviations(problem, design, crank_angles)
 
     def sweep(self, angles: Array) -> Motion:
-        """The mechanism at crank angles."""
+        """Return the mechanism at crank angles."""
         return sweep(self.mechanism, self.design, angles)
 
     @property
@@ -151,13 +168,13 @@ class _Tested:
         return self.span if self.revolution is None else self.revolution
 
     def asked(self) -> Motion:
-        """The motion over which the transmission angle is limited."""
+        """Return the motion over which the transmission angle is limited."""
         whole = self.problem.transmission_over == "revolution" and self.revolution is not None
         return self.revolution if whole and self.revolution is not None else self.span
 
 
 def _sizes(tested: _Tested) -> Iterator[Check]:
-    """Free quantities within their bounds, fixed ones as given; links keep their length while they move."""
+    """Check bounds, fixed quantities, and constant link lengths in motion."""
     size = tested.problem.size
     for name, quantity in tested.problem.quantities.items():
         yield bound(name, quantity, tested.design[name], size)
@@ -174,7 +191,7 @@ def _sizes(tested: _Tested) -> Iterator[Check]:
 
 
 def _closure(tested: _Tested) -> Iterator[Check]:
-    """The crank condition from the lengths, and every loop closed at every position."""
+    """Check the crank condition from the lengths, and the closure of every loop at every position."""
     problem = tested.problem
     if tested.turns and isinstance(problem.mechanism, FourBarSection):
         yield grashof_check(tested.design, problem.limits)
@@ -186,7 +203,7 @@ def _closure(tested: _Tested) -> Iterator[Check]:
 
 
 def _circuit(tested: _Tested) -> Iterator[Check]:
-    """One branch: each joint of two links stays on its side. One circuit: all points move without a jump, and come back."""
+    """Check one branch (each joint of two links stays on its side) and one circuit (continuous, closed paths of all points)."""
     motion = tested.required
     groups = [group for group in tested.mechanism.groups if isinstance(group, RRR)]
     if groups:
@@ -210,7 +227,7 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
 
 
 def _least_height(tested: _Tested, groups: Sequence[RRR]) -> float:
-    """Least distance [m] of a joint from the line of its outer pins, negative on the wrong side; NaN where not assembled."""
+    """Return the least distance [m] of a joint from the line of its outer pins: negative on the wrong side, NaN if open."""
     motion, least = tested.required, math.inf
     for group in groups:
         p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
@@ -221,7 +238,7 @@ def _least_height(tested: _Tested, groups: Sequence[RRR]) -> float:
 
 
 def _order(tested: _Tested) -> Iterator[Check]:
-    """The points are met in the order listed, within one revolution, the crank turning one way."""
+    """Check that the points are passed in order within one revolution, with one direction of the crank."""
     steps = np.diff(tested.crank_angles) * tested.way
     if len(steps) and tested.problem.pointed:
         least = math.degrees(float(np.min(steps)))
@@ -246,7 +263,7 @@ def _order(tested: _Tested) -> Iterator[Check]:
 
 
 def _points(tested: _Tested) -> Iterator[Check]:
-    """Every point has a position, and is met within its tolerance."""
+    """Check that every point has a position, and is passed within its tolerance."""
     distances, tolerances = tested.measured.distances, tested.problem.data.tolerances
     whole = bool(np.all(np.isfinite(distances)))
     factor, unit = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}[tested.problem.unit]
@@ -258,7 +275,7 @@ def _points(tested: _Tested) -> Iterator[Check]:
 
 
 def _transmission(tested: _Tested) -> Iterator[Check]:
-    """Transmission angle of every group of two links at its extremes, by sweep and refinement."""
+    """Check the extremes of the transmission angle of every group of two links, by sweep and refinement."""
     limits = tested.problem.limits
     low, high = (
         (None, None) if limits.transmission_angle is None else (limits.transmission_angle.low, limits.transmission_angle.high)
@@ -293,7 +310,7 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
 
 
 def _strokes(tested: _Tested) -> Iterator[Check]:
-    """Proportions, swing angle and time ratio of a four-bar."""
+    """Check proportions, swing angle and time ratio of a four-bar."""
     from optlink.linkage.stroke import travels
 
     limits = tested.problem.limits
@@ -316,7 +333,7 @@ def _strokes(tested: _Tested) -> Iterator[Check]:
 
 
 def _pivots(tested: _Tested) -> Iterator[Check]:
-    """Every point of the frame inside the region."""
+    """Check that every point of the frame is inside the region."""
     region = tested.problem.limits.pivots
     if region is None:
         return

@@ -1,6 +1,8 @@
-"""The crank angles at which a given linkage passes points or poses best, in their order: by dynamic programming.
+"""Find the crank angles at which a linkage best passes points or poses in order, by dynamic programming.
 
-Source: R. Bellman, Dynamic Programming, Princeton University Press (1957).
+References
+----------
+R. Bellman, Dynamic Programming, Princeton University Press (1957).
 """
 
 from __future__ import annotations
@@ -15,25 +17,29 @@ from optlink.problem.path import MARK, STEP, TURN, GenerationProblem
 
 Array = NDArray[np.float64]
 
-GRID = 720  # crank angles of the first look
+GRID = 720  # crank angles of the coarse search
 NEAR = 25  # crank angles per point and round of the refinement
 ROUNDS = 16
 SHRINK = 6.0
-FAR = 1e3  # sizes of the curve: the distance of a position that does not exist
+FAR = 1e3  # sizes of the curve: distance assigned to a position that does not exist
 
 
 def passing(problem: GenerationProblem, design: Mapping[str, float]) -> tuple[Array, float]:
-    """Crank angles at which a design passes what is wanted, and the objective there, without the limits.
+    """Return the crank angles at which a design best passes the targets, and the objective there, without the limits.
 
     Parameters
     ----------
     problem : GenerationProblem
         With definite assembly modes.
-    design : mapping of every quantity [m, rad]
+    design : mapping of str to float [m, rad]
+        All quantities.
 
     Returns
     -------
-    angles, figure : array (points,) [rad] that rises or falls within one revolution; sum of squares (largest one of "max")
+    angles : array (points,) [rad]
+        Monotonic, within one revolution.
+    figure : float
+        Sum of squares (for "max" with free timing: the largest square).
     """
     if problem.data.offsets is not None or not problem.pointed:
         return problem.crank_angles(design, None), float(np.sum(_squares(problem, design, problem.crank_angles(design, None))))
@@ -43,7 +49,7 @@ def passing(problem: GenerationProblem, design: Mapping[str, float]) -> tuple[Ar
 
 
 def _squares(problem: GenerationProblem, design: Mapping[str, float], angles: Array) -> Array:
-    """Weighted squares of the deviations of every point (points,) at its crank angles (points, k) or (points,)."""
+    """Return the weighted squares of the deviations of every point (points, k) at crank angles (points, k) or (points,)."""
     data, at = problem.data, np.atleast_2d(angles.T).T
     motion = sweep(problem.linkage, design, at.ravel())
     far = (FAR * problem.size) ** 2
@@ -73,7 +79,7 @@ def _one_way(problem: GenerationProblem, design: Mapping[str, float], way: float
     start = int(np.argmin(np.min(best, axis=1)))
     rolled = np.roll(cost, -start, axis=1)
     rolled[0, 1:] = np.inf
-    if problem.meets_again:  # the last point is the first again, and may be met there
+    if problem.meets_again:  # the last point equals the first, and may be passed there
         rolled = np.concatenate([rolled, np.where(np.arange(count) == count - 1, rolled[:, 0], np.inf)[:, None]], axis=1)
     steps = TURN / GRID * np.arange(rolled.shape[1])
     angles, _ = _ordered(rolled, np.full((count, 1), grid[start]) + steps, joined)
@@ -87,7 +93,7 @@ def _one_way(problem: GenerationProblem, design: Mapping[str, float], way: float
 
 
 def _ordered(cost: Array, angles: Array, joined: np.ufunc) -> tuple[Array, float]:
-    """One angle of every row (points, k), rising by STEP at least, with the least figure of the costs (points, k)."""
+    """Choose one angle of every row (points, k), rising by at least STEP, that minimises the total of the costs (points, k)."""
     best, origins = cost[0], []
     for row, at, before in zip(cost[1:], angles[1:], angles[:-1], strict=True):
         least = np.minimum.accumulate(best)
