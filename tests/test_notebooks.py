@@ -89,6 +89,7 @@ def test_stored_outputs_are_fit_to_read(path: Path) -> None:
     assert not [text for text in words if FOREIGN["machine path"].search(text)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blocked", [False, True], ids=["with ipywidgets", "without"])
 def test_sliders_where_they_can_be_and_pictures_everywhere(blocked: bool) -> None:
     if not blocked:

@@ -86,6 +86,7 @@ def generated(name: str) -> optlink.Generation:
     return optlink.solve(optlink.load(name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GENERATED)
 def test_best_known_objective_is_reached_or_beaten(name):
     result, expected = generated(name), optlink.load(name).model.expected

@@ -272,6 +272,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_motion_and_forces_are_those_of_the_oracle(case):
     off = differences(case)
@@ -321,6 +322,7 @@ def _journal_does_not_turn(monkeypatch):
     monkeypatch.setattr(Motion, "slip", slip)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", [_no_moment, _stale_approach, _radius_of_the_bearing, _journal_does_not_turn])
 def test_oracle_sees_a_defect(monkeypatch, spoil):
     spoil(monkeypatch)
@@ -365,6 +367,7 @@ def assert_ideal(raw: Mapping, revolutions: int, near: float = 1e-3, points: int
 TIGHT = {"clearance": "1e-7 m", "friction": 1e-3, "restitution": 0.5}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gaps", ["A", "B", "C", "ABC"])
 def test_gap_that_vanishes_leaves_the_ideal_slider_crank(gaps):
     """A load keeps the joints pressed together: a journal that flies is not where an ideal one is."""
@@ -402,12 +405,14 @@ def drift_of_six_bar(found: LooseSimulation, cut: str) -> float:
     return max(largest(np.subtract(one, other)) for pin, (one, other) in points.items() if pin != cut)
 
 
+@pytest.mark.slow
 def test_six_bar_whose_first_loop_stays_closed():
     found = assert_ideal(shipped("six-bar", "E", "link5", clearance="1e-7 m", friction=1e-3), 2)
     assert drift_of_six_bar(found, "E") < 1e-12
     assert imbalance(found) < 1e-7
 
 
+@pytest.mark.slow
 def test_shaper_with_a_block_without_mass():
     """The rocker's pivot is loose; crank, block, coupler and ram close two loops with guides."""
     raw = shipped("shaper", "C", "rocker", clearance="1e-7 m", friction=1e-3)
@@ -415,6 +420,7 @@ def test_shaper_with_a_block_without_mass():
     assert imbalance(assert_ideal(raw, 2)) < 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pin", "journal"), [("E", "link5"), ("B", "link2"), ("D", "frame")])
 def test_loops_stay_closed_in_a_machine_that_knocks(pin, journal):
     found = simulate(shipped("six-bar", pin, journal, friction=0.05), 2)
@@ -491,6 +497,7 @@ def test_mirrored_machine_moves_mirrored(case):
         assert largest(sign * one[name] - other[name]) < 1e-5 * size, name
 
 
+@pytest.mark.slow
 def test_turned_machine_moves_turned():
     """Guide, start and gravity turned by 35 degrees."""
     turn, case = math.radians(35.0), Case("upright", {"B": "rod", "C": "rod"}, speed=2000.0)
@@ -552,6 +559,7 @@ def hanging(gaps: str, nominal: float, restitution: float) -> dict:
     return edited(case.raw, {"mechanism.guides.G": guide, "drive": drive})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gaps", ["A", "B", "C", "ABC"])
 def test_resting_contact_stays_at_rest(gaps):
     """0.5 mm of fall, some bounces, and then the penetration of the weight, to seven digits, without an end."""
@@ -574,6 +582,7 @@ def bouncing(nominal: float, points: int = 360) -> LooseSimulation:
     return simulate(hanging("C", nominal, 0.9), max(1, round(0.6 * nominal / 60.0)), points, 1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nominal", [6.0, 60.0, 600.0, 6000.0])
 def test_bounces_do_not_depend_on_the_rows(nominal):
     """The nominal speed sets no more than how far apart the rows are: 28 ms down to 28 us, contacts last 0.2 ms."""
@@ -609,6 +618,7 @@ def test_slow_crank_carries_its_load_without_chatter():
 # --- energy --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", DAMPING)
 def test_no_contact_creates_energy(law):
     joint = {"friction": 0.1, "damping": "5 N*s/m", "law": law, "restitution": 0.6}
@@ -847,6 +857,7 @@ def test_twin_does_not_disturb_the_run():
     assert np.array_equal(one["slider.s_m"], other["slider.s_m"])
 
 
+@pytest.mark.slow
 def test_memory_is_bounded_and_all_rows_are_streamed():
     streamed: list[dict] = []
     shares: list[float] = []
@@ -929,6 +940,7 @@ PEAKED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", PEAKED, ids=str)
 def test_peaks_do_not_depend_on_the_rows(case):
     """Of forces, penetrations and torque, and of every contact, that which is still on at the end too."""
@@ -1005,6 +1017,7 @@ def test_interrupted_run_returns_what_was_computed():
     assert found.to_dict()["status"] == "interrupted"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("twin", [False, True])
 def test_interrupt_from_the_keyboard(twin):
     """It meets the integrator at work, mostly."""

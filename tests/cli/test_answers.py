@@ -151,6 +151,7 @@ def test_a_function_is_answered_with_its_assembly_mode_and_a_machine_to_analyze(
     assert run("analyze", tmp_path / "out" / "design.toml").exit_code in (0, 1)  # 1: the crank of a function need not turn fully
 
 
+@pytest.mark.slow
 def test_the_best_of_the_distinct_optima_is_the_figure_of_the_headline(file: Any) -> None:
     found = answer("solve", file(FUNCTION), "--starts", 8)
     assert found["optima"][0]["objective"] == found["objective"]["value"]
@@ -174,6 +175,7 @@ def test_a_poor_fit_does_not_read_like_a_success_and_its_own_start_is_a_hit(file
     assert "fixed: 0 mm, 0 mm" in next(line for line in run("show", path).stdout.splitlines() if line.startswith("pivot"))
 
 
+@pytest.mark.slow
 def test_a_path_that_no_linkage_keeps_names_the_limits_in_conflict(file: Any) -> None:
     narrow = PATH.replace('crank = { bounds = ["10 mm", "300 mm"] }', 'crank = "290 mm"').replace('"300 mm"] }', '"280 mm"] }')
     found = answer("solve", file(narrow), "--starts", 40)
@@ -189,6 +191,7 @@ def test_an_evaluated_sweep_without_valid_points_is_exit_code_1() -> None:
     assert "reachable" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_second_run_may_not_write_into_the_folder_of_the_first(tmp_path: Path) -> None:
     out = tmp_path / "out"
     sweep = ["study", "sweep", "crank-rocker", "--vary", "mechanism.frame=450..550 mm:30000", "--workers", "1", "--out", str(out)]

@@ -369,6 +369,7 @@ def dense(count: int) -> np.ndarray:
     return np.column_stack([30.0 + 20.0 * np.cos(t), 10.0 * np.sin(t) + 5.0 * np.sin(2.0 * t)])
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_rows_are_reduced_with_a_note(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "curve.csv", dense(100_000), "%.9f", ",", header="x_mm,y_mm", comments="")
     file = written(altered(PATH, {ROWS: {"csv": "curve.csv", "points": 30}}), tmp_path)
@@ -408,6 +409,7 @@ def test_a_folder_that_is_a_file(tmp_path: Path) -> None:
     assert (tmp_path / "results").read_text(encoding="utf-8") == "kept"
 
 
+@pytest.mark.slow
 def test_a_problem_without_an_answer_is_a_result(tmp_path: Path) -> None:
     """Nothing within the limits: exit code 1, why, and a result.json."""
     narrow = {"limits": {"link_ratio": [0.9, 1.0], "transmission_angle": ["85 deg", "95 deg"]}}

@@ -31,6 +31,7 @@ def process(*arguments: str, cwd: Path | None = None):
     )
 
 
+@pytest.mark.slow
 def test_solve_as_json_has_the_promised_keys():
     done = process("solve", "crank-rocker", "--backend", "both", "--json")
     assert done.returncode == 0
@@ -62,6 +63,7 @@ def test_solve_as_json_has_the_promised_keys():
     assert active[0]["multiplier"] == pytest.approx(-1.4646960e-4, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_solve_for_people():
     done = process("solve", "crank-rocker")
     assert done.returncode == 0
@@ -96,6 +98,7 @@ def test_validate_printed_design_is_exit_one():
     assert run("solve", *arguments[1:]).exit_code == 1
 
 
+@pytest.mark.slow
 def test_out_writes_everything_and_can_be_validated_again(tmp_path):
     out = tmp_path / "new" / "folder"
     done = run("solve", "crank-rocker", "--backend", "both", "--out", str(out), "--json")
@@ -117,6 +120,7 @@ def test_out_writes_everything_and_can_be_validated_again(tmp_path):
     assert json.loads(again.stdout)["design"] == pytest.approx(json.loads(done.stdout)["design"], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_infeasible_with_out_still_writes_the_result(tmp_path):
     done = run("solve", "crank-rocker", "--set", "mechanism.crank=950 mm", "--out", str(tmp_path))
     assert done.exit_code == 1
@@ -164,6 +168,7 @@ def test_out_that_cannot_be_written_is_refused_before_any_work(tmp_path, where):
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
 
 
+@pytest.mark.slow
 def test_error_with_json_is_one_document():
     done = process("solve", "crank-rocker", "--json", "--set", "mechanism.frame=480", "--set", "requirement.points=0")
     assert done.returncode == 2
@@ -195,6 +200,7 @@ NASTY = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", NASTY)
 @pytest.mark.parametrize("as_json", [False, True])
 def test_nasty_values_get_a_sentence_and_no_traceback(arguments, as_json):

@@ -272,6 +272,7 @@ ENDLESS = {
 }
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize("case", ENDLESS)
 @pytest.mark.parametrize("name", ["/dev/zero", "pipe.csv", "folder.csv", "x" * 300 + ".csv", "large.csv"])

@@ -102,6 +102,7 @@ sweep(optlink.load("crank-rocker"), ["mechanism.frame=450..550 mm:700"], Path(sy
 """
 
 
+@pytest.mark.slow
 def test_two_resumes_at_once_of_one_study_are_refused_but_for_the_first(tmp_path):
     out = tmp_path / "out"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -125,6 +126,7 @@ def test_two_resumes_at_once_of_one_study_are_refused_but_for_the_first(tmp_path
     assert not (out / LOCK).exists()
 
 
+@pytest.mark.slow
 def test_pictures_of_an_earlier_run_are_removed_and_files_of_the_user_kept(tmp_path):
     out, path = tmp_path / "out", tmp_path / "press.toml"
     text = (ROOT / "problems" / "slider-crank.toml").read_text()
@@ -150,6 +152,7 @@ def test_pictures_of_an_earlier_run_are_removed_and_files_of_the_user_kept(tmp_p
     assert not (out / LOCK).exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("manifest", [True, False])
 def test_a_folder_with_the_result_of_another_command_or_problem_is_refused(tmp_path, manifest):
     out = tmp_path / "out"

@@ -499,6 +499,7 @@ def check_covariance(parts: Parts, phi: np.ndarray, change: Change, changed: Mec
         np.testing.assert_allclose(other.body_angle(link.body).rate, sense * rate, rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.slow
 @every_kind
 def test_mirror_turn_scale_and_shift(kind):
     met = []

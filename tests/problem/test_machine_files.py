@@ -591,6 +591,7 @@ def mutate(tree: dict[str, Any], rng: random.Random) -> None:
         node[key][rng.randrange(len(node[key]))] = copy.deepcopy(rng.choice(JUNK))
 
 
+@pytest.mark.slow
 def test_three_thousand_mutated_machines_never_break_the_loader():
     """Every mutated machine either loads, and moves, or is refused with faults; no other exception (or warning), ever."""
     rng = random.Random(23)

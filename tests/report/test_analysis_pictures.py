@@ -601,6 +601,7 @@ def test_rounding_is_not_drawn_as_motion():
 # --- film ----------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["six-bar", "partial"])
 def test_film_is_smooth_small_and_does_not_flicker(name, tmp_path):
     files = analysis_pictures.write_all(analysed(name), tmp_path)

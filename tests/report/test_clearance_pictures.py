@@ -186,6 +186,7 @@ def test_turns_know_their_revolutions() -> None:
 # --- every picture of every machine ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MACHINES)
 def test_every_picture_can_be_drawn_and_says_its_units(name: str) -> None:
     for kind in clearance_pictures.PICTURES:

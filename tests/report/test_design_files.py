@@ -218,6 +218,7 @@ def check_balance(result: dict[str, Any], machine: dict[str, Any]) -> None:
 KINDS = ["law", "function", "path", "timed path", "motion", "transmission", "six-bar", "cycle", "balance"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_design_file_of_every_kind_of_answer_is_a_machine(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (function_pictures, path_pictures, cycle_pictures, balance_pictures):

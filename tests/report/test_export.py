@@ -390,6 +390,7 @@ app(sys.argv[1:])
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [*FORMATS, ".html"])
 def test_a_file_that_may_not_grow_leaves_the_former_one(tmp_path, ending):
     """A limit of the system on the size of files, met in the middle of the writing, in a process of its own."""

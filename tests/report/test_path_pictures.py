@@ -217,6 +217,7 @@ def test_points_stand_where_they_are_wanted(name):
         assert np.all((wanted > low) & (wanted < high))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["path", "tolerances", "poses", "slider", "many"])
 def test_the_curve_passes_where_the_oracle_says(name):
     own = SLIDER if name == "slider" else oracle_of(result(name).best)
@@ -475,6 +476,7 @@ def test_a_failing_write_leaves_nothing_half(tmp_path, monkeypatch):
 # --- files ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_everything_is_written_and_the_film_is_whole(tmp_path):
     written = path_pictures.write_all(result("cognates"), tmp_path)
     names = ["result.json", "points.csv", "design.toml", "path.png", "errors.png", "designs.png", "motion.gif"]

@@ -96,6 +96,7 @@ def test_map_only_for_two_free_quantities(crank_rocker):
     assert function_pictures.objective_map(optlink.solve(changed)) is None
 
 
+@pytest.mark.slow
 def test_film_moves_through_the_revolution(solved, tmp_path):
     pictures = function_pictures.frames(solved, count=12)
     assert len(pictures) == 12
@@ -115,6 +116,7 @@ def test_a_design_that_cannot_be_assembled_leaves_out_its_pictures(crank_rocker,
     assert json.loads((tmp_path / "result.json").read_text())["objective"]["value"] is None
 
 
+@pytest.mark.slow
 def test_crank_that_only_swings_is_drawn_over_its_reachable_range(crank_rocker, tmp_path):
     """A triple-rocker: the pictures cover the range that can be reached, and no more."""
     raw = {**crank_rocker.raw, "limits": {"crank": "span"}}

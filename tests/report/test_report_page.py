@@ -237,6 +237,7 @@ def results(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["crank-rocker", "motion-3-poses", "function-sin", "shaper"])
 def test_a_result_is_shown_as_the_problem_would_be(results, tmp_path, name):
     path = tmp_path / "a.html"
@@ -321,6 +322,7 @@ def test_a_result_finds_its_problem_beside_it(tmp_path):
         (folder / "mine.toml").unlink()
 
 
+@pytest.mark.slow
 def test_the_hash_of_a_problem_is_the_same_in_every_process():
     """Else no result file would find its problem again; a set is told in another order with another seed of hashes."""
     code = "import optlink; print([optlink.load(name).hash for name in optlink.shipped()])"
@@ -390,6 +392,7 @@ def slide_to(driver, index: int) -> None:
     driver.execute_script(script, index)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["crank-rocker", "motion-3-poses", "shaper", "oscillating-cylinder"])
 def test_a_page_in_a_browser(driver, tmp_path, name):
     """No complaint, no request, all charts drawn; the slider moves the linkage to where the kinematics has it."""
@@ -460,6 +463,7 @@ def test_the_play_button_moves_and_stops(driver, tmp_path, crank_rocker_subject)
     assert driver.execute_script("return document.querySelector('[data-layer=traces]').style.display") == "none"
 
 
+@pytest.mark.slow
 def test_a_page_prints(driver, tmp_path, crank_rocker_subject):
     """On paper: a few sheets, no controls, and the charts as wide as the sheet."""
     path = tmp_path / "a.html"

@@ -112,6 +112,7 @@ def test_schemas_are_those_of_the_commands():
         assert schema in (room.SCHEMA, getattr(room, "COMPARISON", ""))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDED)
 def test_a_page_is_complete_small_and_safe(results, tmp_path, name):
     path = tmp_path / "a.html"
@@ -348,6 +349,7 @@ def damaged(results: Path, name: str):
             yield place, value, copy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDED)
 def test_whatever_is_damaged_is_shown_or_refused_in_a_sentence(results, tmp_path, name):
     for beside in results.joinpath(name).glob("*.csv"):
@@ -476,6 +478,7 @@ def picked(driver) -> list[str]:
     return driver.execute_script("return [...document.querySelectorAll('[data-pick]')].map(one => one.textContent)")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*RECORDED, "sensitivity"])
 def test_a_page_in_a_browser(driver, results, tmp_path, name):
     """No complaint, no request, every chart drawn; the slider moves the linkage; the keyboard goes from point to point."""
@@ -516,6 +519,7 @@ def test_a_page_in_a_browser(driver, results, tmp_path, name):
     assert requests(driver, path) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["front", "map"])
 def test_pointing_at_a_place_tells_its_design(driver, results, tmp_path, name):
     """The mouse goes there as a person's would."""
@@ -539,6 +543,7 @@ def test_pointing_at_a_place_tells_its_design(driver, results, tmp_path, name):
     assert picked(driver) == list(chart["picks"]["rows"][wanted])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDED)
 @pytest.mark.parametrize("width", [1400, 400])
 def test_nothing_is_wider_than_the_screen(driver, results, tmp_path, name, width):
@@ -553,6 +558,7 @@ def test_nothing_is_wider_than_the_screen(driver, results, tmp_path, name, width
         driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
+@pytest.mark.slow
 def test_a_page_prints_its_points_without_sliders(driver, results, tmp_path):
     path = tmp_path / "a.html"
     assert run("report", str(results / "front"), "-o", str(path)).exit_code == 0

@@ -88,6 +88,7 @@ def rotations(result: MachineDesign) -> dict[str, float]:
     return {"forward": 360.0 * share, "backward": 360.0 * (1.0 - share)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", ["120 rpm", "-120 rpm"])
 @pytest.mark.parametrize("stroke", ["forward", "backward"])
 def test_a_time_ratio_with_a_direction_makes_that_stroke_the_slow_one(stroke, speed):
@@ -185,6 +186,7 @@ def test_more_starting_points_are_never_worse(seed):
     assert usual.objective == found[-1].objective
 
 
+@pytest.mark.slow
 def test_without_a_feasible_point_no_objective_is_searched(monkeypatch):
     """A stroke longer than any crank makes: the conflict is named although no local search of the objective ran."""
     from optlink.solvers import multistart

@@ -36,6 +36,7 @@ def found() -> Explanation:
     return reason
 
 
+@pytest.mark.slow
 def test_the_limits_of_transmission_and_proportions_are_named(found: Explanation) -> None:
     named = {(item.key, item.sense): item for item in found.conflict}
     both = ("<=", ">=")

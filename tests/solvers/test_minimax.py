@@ -102,6 +102,7 @@ def test_slsqp_finds_nothing_better_beside_it(name):
 BEST = {"path-ellipse10": 7.88636153e-6, "path-arc5": 5.01620959e-7, "path-bean": 2.09034401e-4, "path-conveyor": 2.17564088e-3}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BEST)
 def test_largest_distance_is_no_more_than_the_best_known(name):
     """Values of IPOPT and SLSQP from the same candidates, which took them up to a hundred times as long."""

@@ -63,6 +63,7 @@ def shaper():
     return sensitivities(optlink.load("shaper-design"), starts=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "value", "unit"),
     [
@@ -104,6 +105,7 @@ def test_who_moves_the_pivot_moves_the_guide(pump):
         assert abs(pump[key].design["crank.length"]) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_shaper_on_another_place_is_the_same(shaper):
     row = shaper["mechanism.ground.A.x"]
     assert row.design == pytest.approx({"C.x": 1.0} | dict.fromkeys(set(row.design) - {"C.x"}, 0.0), abs=1e-7)
@@ -147,6 +149,7 @@ def test_every_figure_of_the_file_is_there(pump):
     assert len(keys) == len(pump.rows)
 
 
+@pytest.mark.slow
 def test_a_result_is_shown_as_it_was_found(pump, tmp_path):
     file = tmp_path / "pump.toml"
     file.write_text(tomli_w.dumps(PUMP), encoding="utf-8")
@@ -205,6 +208,7 @@ def changed(**changes):
     return optlink.read(PUMP).override({key.replace("__", "."): value for key, value in changes.items()})
 
 
+@pytest.mark.slow
 def test_only_figures_are_figures():
     """Not the digits in an expression, a file's name or a unit; of a table all values together."""
     force = {"expression": "-20*v - 5*sin(phi)", "unit": "N"}

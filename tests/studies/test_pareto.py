@@ -202,6 +202,7 @@ def test_a_size_is_walked_along_as_well():
     assert np.all(np.diff([point.values[1] for point in front.points]) < 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limit", "sense", "end"),
     [
@@ -341,6 +342,7 @@ def test_one_design_best_in_everything_is_no_trade_off(press):
 # --- engines, resuming, files --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_same_front_whatever_the_workers_and_after_an_interruption(tmp_path):
     words, problem = f"error, {ANGLE}=100..150 deg, coupler=330..400 mm", optlink.load("crank-rocker")
     whole = pareto(problem, words, tmp_path / "one", points=15, workers=1)
@@ -428,6 +430,7 @@ def killed(arguments: list[str], out: Path, pattern: str, wait: float) -> None:
     run.wait()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
 def test_killed_three_times_and_resumed(press, tmp_path):
     """SIGKILL while the ends are searched, and twice on the walk: the same front, byte for byte, and nothing is done twice."""
@@ -453,6 +456,7 @@ def test_killed_three_times_and_resumed(press, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_front(press):
     pytest.importorskip("distributed")
     words = f"rod.length, {LEAST}=66..80 deg"

@@ -178,6 +178,7 @@ def test_measured_pivots_move_as_they_are_measured(problem, tmp_path):
         assert found.objective == pytest.approx(np.max(np.abs(errors(coupler, rocker) + 1.5e-3 * way * by)), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_function_is_robust_anywhere_in_its_range():
     """The largest error with its scatter along a fine grid, and the alternations that a minimax error has."""
     problem = optlink.load(
@@ -425,6 +426,7 @@ def test_what_the_safest_design_yields(problem, law, span, limit, texts, better)
         assert carlo.interval[0] <= carlo.share <= carlo.interval[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("problem", "law", "span", "limit", "texts"),
     [

@@ -296,6 +296,7 @@ def undisturbed(tmp_path_factory) -> bytes:
     return (out / "sweep.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_workers_and_order_do_not_matter(undisturbed, tmp_path, monkeypatch):
     sweep(problem(), [f"{FRAME}:700"], tmp_path / "two", workers=2)
     assert (tmp_path / "two" / "sweep.csv").read_bytes() == undisturbed
@@ -314,6 +315,7 @@ def command(out: Path, *more: str) -> list[str]:
     return [sys.executable, "-m", "optlink", "study", "sweep", "crank-rocker", *vary, "--out", str(out), *more]
 
 
+@pytest.mark.slow
 def test_killed_three_times_and_resumed(undisturbed, tmp_path):
     """SIGKILL, each time a random while after the next chunk was written: nothing is lost, nothing is done twice."""
     out, rng, kept = tmp_path / "run", random.Random(7), 0
@@ -335,6 +337,7 @@ def test_killed_three_times_and_resumed(undisturbed, tmp_path):
     assert not (out / "chunks").exists()
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_read_again(undisturbed, tmp_path):
     sweep(problem(), [f"{FRAME}:700"], tmp_path, workers=1)
     again = sweep(problem(), [f"{FRAME}:700"], tmp_path, resume=True)
@@ -361,6 +364,7 @@ def test_a_finished_table_that_was_changed_is_not_believed(tmp_path, damage):
         sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     [
@@ -383,6 +387,7 @@ def test_a_chunk_that_is_damaged_is_done_again(tmp_path, monkeypatch, damage):
     assert (tmp_path / "sweep.csv").read_bytes() == (tmp_path / "whole" / "sweep.csv").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has neither this signal nor this limit")
 def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
     out = tmp_path / "run"
@@ -409,6 +414,7 @@ main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has neither this signal nor this limit")
 @pytest.mark.parametrize(("bytes_left", "kept"), [(4_000, 0), (60_000, 7)])
 def test_no_room_for_a_chunk_or_for_the_table_costs_nothing_that_is_done(undisturbed, tmp_path, bytes_left, kept):
@@ -425,6 +431,7 @@ def test_no_room_for_a_chunk_or_for_the_table_costs_nothing_that_is_done(undistu
     assert (out / "sweep.csv").read_bytes() == undisturbed
 
 
+@pytest.mark.slow
 def test_a_chunk_that_is_cut_short_is_done_again(undisturbed, tmp_path, monkeypatch):
     stopped = interrupted_after(monkeypatch, 3)
     with pytest.raises(KeyboardInterrupt):
@@ -448,6 +455,7 @@ def interrupted_after(monkeypatch, count: int):
     return progress
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_costs_nothing_that_is_done(undisturbed, tmp_path, monkeypatch):
     real, written = Path.write_text, []
 

@@ -472,6 +472,7 @@ def test_candidates_keep_order_and_rotation(rotation: str) -> None:
         assert again + np.sum(h**2) == pytest.approx(candidate.cost, rel=1e-9, abs=1e-20)
 
 
+@pytest.mark.slow
 def test_the_same_seed_finds_the_same() -> None:
     def once(seed: int) -> list[float]:
         problem = model(document(four_bar_section("left"), crank=ANGLES5, timing="from start"))

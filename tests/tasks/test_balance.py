@@ -949,6 +949,7 @@ def test_a_given_design_is_balanced_in_place_of_the_start():
     assert one.balanced.model.free == ()
 
 
+@pytest.mark.slow
 def test_a_given_design_at_the_command_line(tmp_path):
     import json
     import subprocess

@@ -556,6 +556,7 @@ def drawn_long_cycles(count, seed):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lengths", drawn_long_cycles(4, 3))
 @pytest.mark.parametrize("speed", ["2 rad/s", "-2 rad/s"])
 def test_slow_stroke_of_a_cycle_of_two_revolutions_is_that_of_both(lengths, speed):

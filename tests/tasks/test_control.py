@@ -172,6 +172,7 @@ def test_inverse_command_follows_a_clockwise_crank(problem):
 # --- what it comes to -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_resumed_run_is_the_uninterrupted_one_to_the_last_digit(problem):
     for control in ("none", "inverse+pid"):
         whole = optlink.simulate_clearance(problem, 3, 100, control=control, tolerance=1e-8)
@@ -186,6 +187,7 @@ def test_resumed_run_is_the_uninterrupted_one_to_the_last_digit(problem):
             optlink.simulate_clearance(problem, 3, 100, speed=100.0, control=control, tolerance=1e-8, resume=saved)
 
 
+@pytest.mark.slow
 def test_compare_puts_all_kinds_in_one_table(problem):
     found = optlink.compare(problem, 2, 2, seed=3, points=100)
     assert list(found.trials) == ["none", "inverse", "pid", "inverse+pid"]
@@ -203,6 +205,7 @@ def test_compare_puts_all_kinds_in_one_table(problem):
     json.dumps(document, allow_nan=False)
 
 
+@pytest.mark.slow
 def test_tuning_never_ends_worse_than_it_says(problem):
     found = optlink.tune(problem, "inverse", ("regularisation", "bandwidth"), evaluations=4, starts=1, revolutions=2)
     assert found.cost == min(found.before, np.min(found.costs))
@@ -216,6 +219,7 @@ def test_tuning_never_ends_worse_than_it_says(problem):
         optlink.tune(problem, names=("gain",))
 
 
+@pytest.mark.slow
 def test_shipped_gains_are_better_than_either_part_alone(problem):
     """The PID on top of the inverse model takes away more than the inverse model."""
     kinds = ("inverse", "inverse+pid")
@@ -230,6 +234,7 @@ def rocker():
     return optlink.load("crank-rocker-clearance", {"drive.speed": "400 rpm", "joints.C.friction": 0.2})
 
 
+@pytest.mark.slow
 def test_comparison_in_processes_is_the_same_to_the_bit():
     alone, shared = (optlink.compare(rocker(), starts=2, seed=7, kinds=("none", "pid"), workers=n, **SHORT) for n in (None, 2))
     for kind in ("none", "pid"):
@@ -238,6 +243,7 @@ def test_comparison_in_processes_is_the_same_to_the_bit():
         np.testing.assert_array_equal(alone.examples[kind]["rocker.error_rad"], shared.examples[kind]["rocker.error_rad"])
 
 
+@pytest.mark.slow
 def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
     kept: list[dict] = []
     options = {"starts": 3, "seed": 2, "kinds": ("none", "inverse"), **SHORT}
@@ -264,6 +270,7 @@ def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
         optlink.compare(rocker(), resume={**kept[-1], "runs": [{"control": "none"}]}, **options)
 
 
+@pytest.mark.slow
 def test_tuning_resumes_and_stops_runs_that_cannot_win():
     kept: list[dict] = []
     options = {"evaluations": 5, "starts": 2, "seed": 4, **SHORT}
@@ -277,6 +284,7 @@ def test_tuning_resumes_and_stops_runs_that_cannot_win():
     assert not parallel_runs.perform(replace(job, limit=1.0)).hopeless
 
 
+@pytest.mark.slow
 def test_interrupt_ends_a_comparison_at_once_and_keeps_what_is_complete(tmp_path):
     """One sentence, exit code 130, no result that looks whole; the runs that are complete stay for --resume."""
     code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from optlink.cli.app import main; main()"

@@ -190,6 +190,7 @@ def test_result_is_json_and_the_design_a_machine(tmp_path):
     assert peak(optlink.analyze(machine), "input.torque_Nm") == pytest.approx(peak(shaper().found, "input.torque_Nm"), rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

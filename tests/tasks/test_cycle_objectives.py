@@ -189,6 +189,7 @@ OBJECTIVES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", OBJECTIVES)
 def test_every_objective_is_solved_and_both_back_ends_agree(case):
     name, changes = OBJECTIVES[case]
@@ -212,6 +213,7 @@ def crank_of(stroke: float, rod: float, offset: float) -> float:
     return 0.5 * (low + high)
 
 
+@pytest.mark.slow
 def test_press_against_a_simplex_search_over_its_free_sizes():
     """Offset and rod are searched by Nelder and Mead, the crank follows from the stroke; the cycle is measured as a machine's."""
     file = machine("press", objective=term("guide force", of="F"), limits__guide=None)
@@ -241,6 +243,7 @@ BESIDE = {
 """A toggle press in whose programme two positions beside one peak seem to hold what is still free [mm]."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["slsqp", "ipopt"])
 def test_positions_beside_a_peak_hold_nothing(name):
     """A search that took those for a proof ended there; along the free direction the measured peak is lower."""

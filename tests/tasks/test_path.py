@@ -63,6 +63,7 @@ def test_best_known_value_is_reached(name):
         np.testing.assert_allclose(report.sse, 1e6 * design.objective, rtol=1e-6, atol=1e-20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [5, 9, 18])
 @pytest.mark.parametrize("timed", [True, False])
 @pytest.mark.parametrize("size", [1e-5, 1.0, 1e5])
@@ -91,6 +92,7 @@ FUNCTIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", FUNCTIONS)
 def test_function_reaches_the_best_known_error(function):
     x, turned, best = FUNCTIONS[function]
@@ -121,6 +123,7 @@ def test_best_transmission_of_a_crank_rocker():
     assert math.degrees(best.least_transmission) == pytest.approx(37.733, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_same_seed_same_answer_and_files(tmp_path):
     raw, _ = CASES["closed18"]
     one, two = (solve(optlink.read(raw), seed=3) for _ in range(2))
@@ -178,6 +181,7 @@ def test_points_out_of_reach_are_a_nearest_miss():
     assert result.best is None or result.best.objective > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", ["sum of squares", "rms"])
 def test_the_price_of_an_active_limit_is_what_solving_again_finds(measure):
     """The frame of the ellipse is at its bound of 80 mm: central differences of 0.2 % against the multiplier."""
@@ -199,6 +203,7 @@ def test_the_price_of_an_active_limit_is_what_solving_again_finds(measure):
     assert price < 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["path-closed18", "path-vline6", "path-closed18-untimed", "motion-5-poses", "path-watt-leg"])
 def test_a_given_design_is_proven_at_crank_angles_found_by_another_route(name):
     """Dynamic programming on the given sizes finds the crank angles again that the search found with them."""
@@ -212,6 +217,7 @@ def test_a_given_design_is_proven_at_crank_angles_found_by_another_route(name):
     assert np.max(np.abs(turned)) < 1e-5
 
 
+@pytest.mark.slow
 def test_a_given_design_that_fails_says_where():
     task = optlink.load("path-ellipse10")
     found = solve(task, starts=240, designs=1).best
@@ -225,6 +231,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "problem-files.md").read_text(encod
 EXAMPLES = re.findall(r"```toml design\n(.*?)```", PAGE, re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda text: tomllib.loads(text)["title"])
 def test_every_example_of_the_reference_page_is_solved(example):
     task = optlink.read(tomllib.loads(example))

@@ -105,6 +105,7 @@ def monotone(seed: int, numbers: tuple[int | None, ...]) -> None:
         best = objective
 
 
+@pytest.mark.slow
 def test_more_starts_never_give_a_worse_path() -> None:
     monotone(1, (50, 100))
 
@@ -116,6 +117,7 @@ def test_more_starts_never_give_a_worse_path_or_motion(seed: int) -> None:
     monotone(seed, (50, 100, None, 600))
 
 
+@pytest.mark.slow
 def test_hits_are_counted_after_polishing_with_limits() -> None:
     """An active transmission limit, and the largest distance: many starts reach the polished value, none the unpolished one."""
     for measure in ("sum of squares", "max"):
@@ -128,6 +130,7 @@ def test_hits_are_counted_after_polishing_with_limits() -> None:
         assert found.evidence.starts >= found.hits
 
 
+@pytest.mark.slow
 def test_a_search_says_what_it_may_have_missed() -> None:
     task = optlink.read(random_points(1))
     short = solve(task, starts=1, designs=1)

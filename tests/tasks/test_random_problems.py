@@ -38,6 +38,7 @@ def judged(seed: int) -> int:
     return len(found.designs)
 
 
+@pytest.mark.slow
 def test_few_random_problems() -> None:
     answers = [judged(seed) for seed in range(FEW)]
     assert sum(answers) >= FEW
@@ -68,6 +69,7 @@ def judged_law(seed: int, *, slides: bool) -> bool:
     return result.valid
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slides", [False, True], ids=["four-bar", "slider-crank"])
 def test_few_random_laws(slides: bool) -> None:
     assert sum(judged_law(seed, slides=slides) for seed in range(5)) >= 3

@@ -26,6 +26,7 @@ def test_own_curve_is_recovered(timing: str, count: int) -> None:
         assert found.recovered, (seed, found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", [name for name in VARIANTS if name != "plain"])
 @pytest.mark.parametrize("timing", TIMINGS)
 def test_size_and_place_of_the_curve_do_not_matter(timing: str, variant: str) -> None:
@@ -62,6 +63,7 @@ def test_a_variant_is_the_same_linkage_moved() -> None:
     assert abs(other[0] - one[0]) == pytest.approx(30.0 * np.hypot(*np.ptp(plain.points, axis=0)), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("timing", TIMINGS)
 def test_a_curve_of_no_four_bar_is_not_recovered(timing: str) -> None:
     """One point off the curve by a hundredth of its size: the best linkage misses, and says so."""

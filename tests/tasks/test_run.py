@@ -37,6 +37,7 @@ def test_a_machine_without_a_requirement_names_the_commands_that_fit(name: str) 
         optlink.solve(QUESTIONS[name])
 
 
+@pytest.mark.slow
 def test_a_solved_design_validates() -> None:
     for name in ("crank-rocker", "path-arc5", "shaper-design"):
         result = optlink.solve(SOLVED[name])
@@ -83,6 +84,7 @@ def test_the_command_solves_a_balancing_problem(tmp_path) -> None:
     assert (tmp_path / "out" / "result.json").exists()
 
 
+@pytest.mark.slow
 def test_results_are_told_in_one_line() -> None:
     """Whatever a result holds, a prompt shows its problem, status and objective."""
     made = [optlink.solve(SOLVED[name]) for name in ("crank-rocker", "path-arc5", "shaper-design", "balance-four-bar")]

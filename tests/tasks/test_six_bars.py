@@ -32,6 +32,7 @@ def test_peaks_are_found_between_positions_of_the_grid() -> None:
     assert isinstance(found[0], Peak)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("watt", [False, True])
 def test_a_six_bar_contains_the_curve_of_its_four_bar(watt: bool) -> None:
     """Starts that grow from a four-bar repeat its curve exactly and keep all limits: a coincident joint, and a pantograph."""

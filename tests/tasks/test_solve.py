@@ -98,6 +98,7 @@ def test_freedom_never_hurts(crank_rocker, solved):
     assert optlink.solve(crank_rocker.override(VARIATIONS["transmission 50..130"])).objective > solved.objective
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_thousand_random_starts(crank_rocker, backend):
     """At least 999 of 1000 starts in [100, 900]^2 mm end at the optimum; none is called optimal elsewhere."""

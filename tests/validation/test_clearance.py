@@ -110,6 +110,7 @@ def test_first_impact_does_not_depend_on_the_rows():
 # --- the periodic motion, with friction ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rpm", SPEEDS)
 def test_revolution_eleven(rpm):
     """Within 5 nm: the deviation of the slider itself is 0.5 mm."""
