@@ -1,1 +1,1 @@
-"""Problem files: the TOML sections as pydantic models, and the problems that they state."""
+"""Problem files: the TOML sections as pydantic models, and the problems they define."""

@@ -1,4 +1,4 @@
-"""What every table of a problem file has in common, and names."""
+"""Base class of all sections of a problem file, and names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RESERVED = (FRAME, "input", "energy")
 class Section(BaseModel):
     """A table of the problem file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)  # most go unused
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)  # most unused
 
 
 def _read_name(raw: object) -> str:

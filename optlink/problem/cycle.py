@@ -1,4 +1,4 @@
-"""CycleProblem: a machine whose free sizes are chosen by what happens over its cycle."""
+"""CycleProblem: a machine whose design variables are optimised for quantities of its cycle."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Bound:
 
     @property
     def key(self) -> str:
-        """Its key in the problem file."""
+        """Key of the limit in the problem file."""
         return f"limits.{self.name}"
 
 
@@ -55,7 +55,7 @@ class CycleProblem(Problem):
 
     @property
     def task(self) -> str:
-        """Kind of question: the best machine by quantities of its cycle."""
+        """Kind of task: cycle optimisation."""
         return "cycle"
 
     @cached_property
@@ -77,7 +77,7 @@ class CycleProblem(Problem):
 
     @cached_property
     def scales(self) -> tuple[float | None, ...]:
-        """What counts as one of each goal [SI]; None where the file does not say."""
+        """Scale of each objective term [SI]; None if the file gives none."""
         return tuple(None if goal.scale is None else read_figure(goal.scale, self.kind(goal), "scale")[0] for goal in self.goals)
 
     @property
@@ -91,24 +91,24 @@ class CycleProblem(Problem):
         return not self.objective.terms
 
     def kind(self, term: Term) -> str:
-        """Physical kind of a term."""
+        """Return the physical kind of a term."""
         if term.quantity == "length":
             return self.quantities[str(term.of)].kind
         return term.kind(self.linkage)
 
     def inertias(self, values: Mapping[str, Value]) -> dict[str, Inertia]:
-        """Mass properties of all bodies for sizes that may be symbols [SI]: centroids and bars follow the lengths."""
+        """Return mass properties of all bodies for dimensions that may be symbols [SI]; centroids and bars follow the lengths."""
         sizes = {**sizes_of(self.mechanism.quantities), **values}
         return {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
 
 
 def cross_check_cycle(problem: CycleProblem) -> None:
-    """Find what no single key shows.
+    """Check that the sections of a cycle problem are consistent.
 
     Raises
     ------
     Unusable
-        with the full key that is to blame.
+        with the full key of the cause.
     """
     check_one_mode(problem.mechanism)
     mechanism = problem.linkage

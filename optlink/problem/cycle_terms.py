@@ -1,4 +1,4 @@
-"""Terms over the cycle of a machine, each to be minimised or limited: torque, forces, motion, strokes, work, sizes."""
+"""Terms over the cycle of a machine, each to be optimised or limited: torque, forces, motion, strokes, work, dimensions."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ EXTREME = ("peak", "largest", "least")
 
 @dataclass(frozen=True)
 class Nature:
-    """What a quantity is: its physical kind ("" for a plain number), the measures that it has, and what `of` must name.
+    """Properties of a quantity: physical kind ("" for a plain number), its measures, and the element that `of` must name.
 
-    `vector`: it has two components and only its size counts; `cyclic`: it has a value at every crank angle.
+    `vector`: it has two components and only its magnitude counts; `cyclic`: it has a value at every crank angle.
     """
 
     kind: str
@@ -110,37 +110,37 @@ class Term(Section):
 
     @property
     def nature(self) -> Nature:
-        """What the quantity is."""
+        """Properties of the quantity."""
         return NATURES[self.quantity]
 
     @property
     def how(self) -> str:
-        """The measure, the usual one where the file says none; empty for what is one figure."""
+        """The measure, with the default of the quantity; empty for a quantity with a single value."""
         return (self.measure or self.nature.measures[0]) if self.nature.cyclic else ""
 
     @property
     def extreme(self) -> bool:
-        """Whether a single position decides it."""
+        """Whether a single position determines the term."""
         return self.how in EXTREME
 
     @property
     def integral(self) -> bool:
-        """Whether it is an integral over the cycle."""
+        """Whether the term is an integral over the cycle."""
         return self.how in ("rms", "mean") or self.quantity == "work"
 
     @property
     def ended(self) -> bool:
-        """Whether it is told from where the strokes of an output end."""
+        """Whether the term depends on the ends of an output's strokes."""
         return self.quantity in ("stroke", "end", "time ratio") or self.stroke is not None
 
     @property
     def by_pace(self) -> bool:
-        """Whether the sizes decide in which direction its stroke is: a time ratio of the slow or the quick stroke."""
+        """Whether the dimensions determine the direction of its stroke: a time ratio of the slow or the quick stroke."""
         return self.quantity == "time ratio" and self.stroke in (None, "slow", "quick")
 
     @property
     def words(self) -> str:
-        """The term as people call it."""
+        """Name of the term for display."""
         measure = {"": "", "rms": "RMS "}.get(self.how, f"{self.how} ")
         words = f"{measure}{'static ' if self.static else ''}{self.quantity}"
         if self.quantity == "work":
@@ -157,19 +157,19 @@ class Term(Section):
         return words + (f" along {self.direction}" if self.direction is not None else "")
 
     def kind(self, mechanism: Mechanism) -> str:
-        """Physical kind: the stroke of a body that turns is an angle, a size of the file may be an angle."""
+        """Return the physical kind: the stroke of a rotating body is an angle, and a quantity of the file may be an angle."""
         if self.quantity == "stroke" and output_of(self, mechanism)[0] == "body":
             return "angle"
         return self.nature.kind
 
 
 def check_shape(term: Term) -> None:
-    """Whether the keys of a term go together.
+    """Check that the keys of a term are consistent.
 
     Raises
     ------
     Unusable
-        naming the key below the term.
+        with the key below the term.
     """
     nature, what = term.nature, term.quantity
     if term.measure is not None and not nature.cyclic:
@@ -246,7 +246,7 @@ class Objective(Section):
                 "nothing is to be minimised", f'Add quantity = "torque"; known: {", ".join(get_args(What))}', "quantity"
             )
         if not self.terms:
-            _ = self.goals  # its own checks
+            _ = self.goals  # runs its checks
         for k, goal in enumerate(self.terms):
             if goal.scale is None and len(self.terms) > 1:
                 raise Unusable(
@@ -256,7 +256,7 @@ class Objective(Section):
 
     @property
     def goals(self) -> tuple[Goal, ...]:
-        """The terms of the sum."""
+        """Terms of the sum."""
         if self.terms:
             return self.terms
         stated = {key: getattr(self, key) for key in type(self).model_fields if key != "terms"}
@@ -267,12 +267,12 @@ class Objective(Section):
 
 
 def check_sense(goal: Goal) -> None:
-    """The largest value can only be made smaller, the least one only larger.
+    """Check that a largest value is minimised and a least value maximised.
 
     Raises
     ------
     Unusable
-        where the other is asked for: a peak that is raised at one position says nothing of the others.
+        for the opposite sense: raising a peak at one position does not bound the others.
     """
     wanted = {"peak": "minimise", "largest": "minimise", "least": "maximise"}.get(goal.how)
     if wanted is not None and goal.sense != wanted:
@@ -317,12 +317,18 @@ class Limit(Term):
         return f'"{KINDS[self.nature.kind].example}"' if self.nature.kind else "1.8"
 
     def interval(self, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> Interval:
-        """Bounds [SI].
+        """Return the bounds [SI].
+
+        Parameters
+        ----------
+        mechanism : Mechanism
+        quantities : mapping of str to Quantity
+            Quantities of the file.
 
         Raises
         ------
         Unusable
-            naming the key below the limit.
+            with the key below the limit.
         """
         named = quantities.get(str(self.of)) if self.quantity == "length" else None
         kind = self.kind(mechanism) if named is None else named.kind
@@ -345,7 +351,22 @@ class Limit(Term):
 
 
 def read_figure(raw: object, kind: str, key: str) -> tuple[float, str]:
-    """A value in SI and its unit as written; a plain number where the kind is empty."""
+    """Return a value in SI units and its unit as written.
+
+    Parameters
+    ----------
+    raw : object
+        Value as read from the file.
+    kind : str
+        Physical kind; empty for a plain number.
+    key : str
+        Key of the value, for errors.
+
+    Raises
+    ------
+    Unusable
+        when the value cannot be read.
+    """
     if kind:
         return read_scalar(raw, kind, key)
     if isinstance(raw, bool) or not isinstance(raw, int | float) or not math.isfinite(raw):
@@ -357,11 +378,18 @@ def _a(words: str) -> str:
     return f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
 
 
-# --- what `of` names ---------------------------------------------------------------------------------------------------
+# --- elements named by `of` --------------------------------------------------------------------------------------------
 
 
 def guide_of(name: str, mechanism: Mechanism) -> str | None:
-    """The guide of that name, or the only one in which a body of that name slides."""
+    """Return the guide of that name, or the only guide of a slider of that name; None if there is none.
+
+    Parameters
+    ----------
+    name : str
+        Name of a guide or slider.
+    mechanism : Mechanism
+    """
     if any(guide.name == name for guide in mechanism.guides):
         return name
     own = [guide.name for guide in mechanism.guides if guide.slider == name]
@@ -369,12 +397,17 @@ def guide_of(name: str, mechanism: Mechanism) -> str | None:
 
 
 def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
-    """Whose stroke is meant: ("guide" | "body" | "point", name).
+    """Return the output of a term: ("guide" | "body" | "point", name).
+
+    Parameters
+    ----------
+    term : Term
+    mechanism : Mechanism
 
     Raises
     ------
     Unusable
-        naming the key below the term.
+        with the key below the term.
     """
     name = str(term.of)
     points = [point for point, bodies in mechanism.owners.items() if FRAME not in bodies]
@@ -394,12 +427,19 @@ def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
 
 
 def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> None:
-    """Whether what a term names exists.
+    """Check that the elements named by a term exist.
+
+    Parameters
+    ----------
+    term : Term
+    mechanism : Mechanism
+    quantities : mapping of str to Quantity
+        Quantities of the file.
 
     Raises
     ------
     Unusable
-        naming the key below the term.
+        with the key below the term.
     """
     what, name = term.quantity, str(term.of)
     if what in ("stroke", "end", "time ratio"):

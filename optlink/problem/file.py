@@ -1,4 +1,4 @@
-"""Problem files: TOML to DesignProblem and back, shipped problems, `--set` overrides; every fault named with file and key."""
+"""Problem files: TOML to problem models and back, shipped problems, `--set` overrides; errors name file and key."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ SIDES = ("min", "max")
 
 @dataclass(frozen=True, repr=False)
 class ProblemFile:
-    """A problem with where it came from.
+    """A problem with its origin.
 
-    `name` and `file` for people, `raw` as written (overrides applied), `model` read and checked.
+    `name` and `file` for display, `raw` as written (overrides applied), `model` read and checked.
     """
 
     name: str
@@ -48,12 +48,12 @@ class ProblemFile:
 
     @property
     def spec(self) -> DesignProblem:
-        """The model of a problem that states a requirement.
+        """The model of a function synthesis problem.
 
         Raises
         ------
         InputError
-            when it states none: there is nothing to solve.
+            when the problem has no requirement.
         """
         if isinstance(self.model, DesignProblem):
             return self.model
@@ -62,12 +62,12 @@ class ProblemFile:
 
     @property
     def task(self) -> str:
-        """Kind of question: "function", "path", "cycle", "balance" or "analysis"; the name of its module in `optlink.tasks`."""
+        """Kind of task: "function", "path", "cycle", "balance" or "analysis"; the name of its module in `optlink.tasks`."""
         return self.model.task
 
     @property
     def kind(self) -> str:
-        """The type of the linkage, and what is asked of it."""
+        """Type of the linkage and kind of the task, for display."""
         asked = "cycle design" if self.task == "cycle" else "analysis" if self.model.balance is None else "balancing"
         if isinstance(self.model, DesignProblem | GenerationProblem):
             asked = f"{self.model.requirement.kind} design"
@@ -75,10 +75,10 @@ class ProblemFile:
 
     @property
     def hash(self) -> str:
-        """Sixteen hexadecimal digits that change with anything that can change the answer."""
+        """Hash of everything that can change the result, sixteen hexadecimal digits."""
         task = getattr(self.model, "requirement", None)
         law = getattr(task, "law", getattr(task, "points", None))
-        read = [repr(part) for part in (self.model.loads, self.model.drive)] if self._tabled else []  # from files beside this
+        read = [repr(part) for part in (self.model.loads, self.model.drive)] if self._tabled else []  # from CSV files
         read += [repr(deviation.values) for deviation in self.model.deviations if deviation.values]
         stated = _stated({key: value for key, value in self.raw.items() if key not in _WORDS})
         text = json.dumps([stated, repr(law), *read], sort_keys=True, default=str)
@@ -89,11 +89,11 @@ class ProblemFile:
         return "csv" in json.dumps([self.raw.get("loads"), self.raw.get("drive")], default=str)
 
     def override(self, changes: Mapping[str, object]) -> ProblemFile:
-        """The same problem with other values: {"mechanism.frame": "480 mm"}; None takes a key away.
+        """Return the same problem with other values, for example {"mechanism.frame": "480 mm"}; None removes a key.
 
         One side of a range has a key too: "limits.transmission_angle.max", "mechanism.coupler.min".
 
-        `[expected]` is dropped when something that it depends on changes.
+        `[expected]` is dropped when a key that affects the result changes.
         """
         raw = copy.deepcopy(dict(self.raw))
         for key, value in changes.items():
@@ -107,7 +107,7 @@ _WORDS = ("title", "source", "about", "expected")
 
 
 def _stated(raw: dict[str, Any]) -> dict[str, Any]:
-    """Without limits that say what holds by default anyhow."""
+    """Remove limits that equal their defaults."""
     limits = raw.get("limits")
     if not isinstance(limits, dict) or not any(limits.get(key) == value for key, value in MARGINS.items()):
         return raw
@@ -116,30 +116,31 @@ def _stated(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def problems_folder() -> Path:
-    """Where the shipped problems are: inside the installed package, or beside it in a checkout."""
+    """Return the folder of the shipped problems: inside the installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parent.parent
     inside = package / "problems"
     return inside if inside.is_dir() else package.parent / "problems"
 
 
 def shipped() -> dict[str, Path]:
-    """Names of the shipped problems and their files."""
+    """Return names and files of the shipped problems."""
     return {path.stem: path for path in sorted(problems_folder().glob("*.toml"))}
 
 
 def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> ProblemFile:
-    """Load a shipped problem by its name, or a problem file by its path.
+    """Load a shipped problem by name or a problem file by path.
 
     Parameters
     ----------
     problem : str or Path
         "crank-rocker", or "my/problem.toml".
-    overrides : mapping of dotted key to value, applied before checking
+    overrides : mapping of str to object, optional
+        Values by dotted key, applied before checking.
 
     Raises
     ------
     InputError
-        whatever is wrong with the file or the overrides.
+        when the file or an override is invalid.
     """
     text = str(problem)
     names = shipped()
@@ -148,7 +149,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
     else:
         path = Path(text)
         name = path.stem
-        if not text.endswith(".toml") and not os.path.exists(text):  # false, no error, for a name that is too long
+        if not text.endswith(".toml") and not os.path.exists(text):  # False for a name that is too long
             raise InputError(
                 Fault("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
             )
@@ -162,12 +163,23 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
 
 
 def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", folder: Path | None = None) -> ProblemFile:
-    """Check a problem given as nested tables (the content of a TOML file).
+    """Read and check a problem given as nested tables (the content of a TOML file).
+
+    Parameters
+    ----------
+    raw : mapping
+        Nested tables.
+    name : str
+        Name of the problem.
+    file : str
+        Name of the file, for errors.
+    folder : Path, optional
+        Folder to which names of other files are relative; default: the working folder.
 
     Raises
     ------
     InputError
-        with one fault per thing to mend.
+        with one fault per error.
     """
     where = folder or Path()
     _check_integers(raw, file)
@@ -206,7 +218,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
 
 
 def _check_integers(raw: Mapping[str, Any], file: str) -> None:
-    """Refuse integers beyond the 64 bits of TOML, wherever they stand: no float holds them."""
+    """Refuse integers beyond the 64 bits of TOML at any level."""
     todo: list[tuple[str, object]] = [("", raw)]
     while todo:
         key, value = todo.pop()
@@ -219,12 +231,12 @@ def _check_integers(raw: Mapping[str, Any], file: str) -> None:
 
 
 def _dyads(raw: Mapping[str, Any]) -> bool:
-    """Whether the linkage is stated as links and guides."""
+    """Return whether the linkage is defined by links and guides."""
     return isinstance(raw.get("mechanism"), dict) and raw["mechanism"].get("type") == "dyads"
 
 
 def _typed(raw: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A mechanism without a type is a four-bar, unless it has links."""
+    """Add the type of a mechanism without one: dyads if it has links, ground or guides, else four-bar."""
     mechanism = raw.get("mechanism")
     if isinstance(mechanism, dict) and "type" not in mechanism:
         kind = "dyads" if {"links", "ground", "guides"} & set(mechanism) else "four-bar"
@@ -233,14 +245,14 @@ def _typed(raw: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def dump(problem: ProblemFile) -> str:
-    """The problem as TOML text that `load` reads back."""
+    """Return the problem as TOML text that `load` can read."""
     import tomli_w
 
     return tomli_w.dumps(problem.raw)
 
 
 def complete(problem: ProblemFile) -> dict[str, Any]:
-    """The problem as nested tables, with the limits that hold by default."""
+    """Return the problem as nested tables, including default limits."""
     raw = copy.deepcopy(dict(problem.raw))
     limits = getattr(problem.model, "limits", None)
     if isinstance(limits, Alignment):
@@ -252,12 +264,19 @@ def complete(problem: ProblemFile) -> dict[str, Any]:
 
 
 def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
-    """Split KEY=VALUE; the value is read as TOML, or as plain text if it is not TOML (so that quotes may be left out).
+    """Split KEY=VALUE; the value is read as TOML, or as plain text if it is not TOML (quotes are optional).
+
+    Parameters
+    ----------
+    text : str
+        The assignment.
+    option : str
+        Command-line option, for errors.
 
     Raises
     ------
     InputError
-        when there is no "=" or no key, or when a list or table is broken.
+        when there is no "=" or no key, or when a list or table is malformed.
     """
     key, equals, value = text.partition("=")
     key, value = key.strip(), value.strip()
@@ -332,7 +351,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
 
 
 def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
-    """Number of a coordinate in the pair that it belongs to, `mechanism.ground.A.x`; None where the key means something else."""
+    """Return the index of a coordinate in its pair, as in `mechanism.ground.A.x`; None if the key is no coordinate."""
     placed = path[:1] == ("mechanism",) or path == ("gravity",) or path[-1:] == ("centroid",)
     if not placed or not isinstance(table, list) or len(table) != 2 or path[-1] in ("bounds", "joints"):
         return None
@@ -341,7 +360,7 @@ def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
 
 
 def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[str, object]:
-    """A side of a range, `limits.transmission_angle.max`, or of a free quantity, `mechanism.coupler.min`, as the whole of it."""
+    """Return key and value of a whole range for one side of it: `limits.transmission_angle.max`, `mechanism.coupler.min`."""
     above, _, side = key.rpartition(".")
     known: Any = raw
     steps = above.split(".")
@@ -352,7 +371,7 @@ def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[
         return key, value
     if isinstance(known, Mapping):
         bounds = known.get("bounds")
-        if "exactly" in known:  # a value that had to be met
+        if "exactly" in known:  # an equality becomes a range
             both = dict.fromkeys(SIDES, known["exactly"]) | {side: value}
             return above, {**{name: item for name, item in known.items() if name != "exactly"}, **both}
         return (above, {**known, "bounds": _side(bounds, side, value)}) if isinstance(bounds, list) else (key, value)
@@ -360,7 +379,7 @@ def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[
         if above.startswith("mechanism."):
             message = f"{above.removeprefix('mechanism.')} is fixed at {known}, it has no bounds"
             raise InputError(Fault(message, f"Name {above} itself, or free it", file, key, value))
-        known = [known, known]  # a value that had to be met
+        known = [known, known]  # an equality becomes a range
     return above, _side(known, side, value)
 
 
@@ -369,11 +388,11 @@ def _side(pair: list[Any], side: str, value: object) -> list[Any]:
 
 
 def _known(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
-    """Keys that a model of these kinds (of any kind if none is given) knows at a path of sections."""
+    """Return the keys that models of these kinds (default: any kind) have at a path of sections."""
     models: list[Any] = list(kinds) or [DesignProblem, GenerationProblem, CycleProblem, Problem]
     for step in path:
         fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
-        if fields:  # else the step is the name of a body, a point ...: what it names has the fields of the models
+        if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same
             models = [model for f in fields for model in _models(f.annotation)]
         if not models:
             return ["start", "bounds"]
@@ -381,7 +400,7 @@ def _known(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
 
 
 def _fixed(path: tuple[str, ...]) -> bool:
-    """Whether the keys at a path are those of a section, not names that the file gives."""
+    """Return whether the keys at a path are those of a section, not names defined by the file."""
     return path not in {
         ("mechanism", "ground"),
         ("mechanism", "links"),
@@ -394,7 +413,7 @@ def _fixed(path: tuple[str, ...]) -> bool:
 
 
 def _models(annotation: Any) -> Iterator[Any]:
-    """The sections that a key may hold; of the limits of a cycle also what is named there."""
+    """Yield the sections that a key can contain; for the limits of a cycle also the named limits."""
     if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
         yield annotation
         if annotation is CycleLimits:
@@ -404,7 +423,7 @@ def _models(annotation: Any) -> Iterator[Any]:
 
 
 def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
-    """Keys that go with what a file asks for, at a path of sections."""
+    """Return the keys at a path of sections that are valid for the task of the file."""
     known = _known(path, model)
     if model is GenerationProblem and len(path) == 1:
         others = foreign(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not _dyads(raw))
@@ -417,7 +436,7 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
         path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
         path = [step for step in path if step != "[key]"]
         if path[:1] == ["mechanism"] and path[1:2] in (["four-bar"], ["dyads"]):
-            del path[1]  # the type that pydantic chose the model by
+            del path[1]  # the tag of the union type
         key = ".".join(str(step) for step in path)
         value, kind, context = item["input"], item["type"], item.get("ctx", {})
         problem = context.get("error")

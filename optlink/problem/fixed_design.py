@@ -1,4 +1,4 @@
-"""A problem with every size settled: the machine alone, as a file that `analyze`, `simulate` and pictures take."""
+"""The problem with all design variables fixed at a given design: a machine for `analyze`, `simulate` and pictures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,14 @@ ASKED = ("requirement", "objective", "limits", "expected")
 
 
 def settled(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
-    """The machine of a problem with its sizes [SI] written as fixed values, and nothing that is wanted of it."""
+    """Return the machine of a problem with its quantities fixed at given values, without requirement, objective and limits.
+
+    Parameters
+    ----------
+    file : ProblemFile
+    values : mapping of str to float [m, rad]
+        Value of every quantity of the mechanism.
+    """
     raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in ASKED})
     for name, quantity in file.model.mechanism.quantities.items():
         unit = KINDS[quantity.kind].people
@@ -28,12 +35,12 @@ def settled(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
 
 
 def portable(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]:
-    """The problem with every CSV or SVG file that it refers to renamed to one beside it, and the contents of these files by name.
+    """Return the problem with every CSV or SVG file renamed to one beside it, and the contents of these files by name.
 
     Raises
     ------
     Unusable
-        when a file cannot be read any more.
+        when a file cannot be read.
     """
     raw: dict[str, Any] = copy.deepcopy(dict(file.raw))
     files: dict[str, bytes] = {}
@@ -51,7 +58,7 @@ def portable(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]:
 
 
 def _references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], str, str]]:
-    """Tables and keys that name another file, with its suffix; "" where the value of a tolerance decides it."""
+    """Yield tables and keys that name another file, with its suffix; "" for the value of a tolerance."""
     if isinstance(raw, list):
         for value in raw:
             yield from _references(value, within)
@@ -65,7 +72,17 @@ def _references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], st
 
 
 def write(mechanism: dict[str, Any], name: str, value: object) -> None:
-    """Write one quantity in the section that it comes from."""
+    """Write one quantity into the section [mechanism] at its place.
+
+    Parameters
+    ----------
+    mechanism : dict
+        Section [mechanism] as nested tables, modified in place.
+    name : str
+        Name of the quantity.
+    value : object
+        New value as in a TOML file.
+    """
     *steps, last = place(mechanism, name)
     if steps == ["pivot"]:
         mechanism["pivot"] = list(mechanism.get("pivot") or ["0 mm", "0 mm"])
@@ -76,9 +93,17 @@ def write(mechanism: dict[str, Any], name: str, value: object) -> None:
 
 
 def place(mechanism: Mapping[str, Any], name: str) -> list[str | int]:
-    """Where a quantity stands in the section [mechanism]: keys, and the number of a coordinate."""
+    """Return the path of a quantity in the section [mechanism]: keys, and the index of a coordinate.
+
+    Parameters
+    ----------
+    mechanism : mapping
+        Section [mechanism] as nested tables.
+    name : str
+        Name of the quantity.
+    """
     parts = name.split(".")
-    if "links" not in mechanism:  # a four-bar
+    if "links" not in mechanism:  # four-bar
         if name in (*LENGTHS, "direction"):
             return [name]
         if parts[0] == "A":

@@ -1,4 +1,4 @@
-"""DesignProblem: what is wanted, checked. The file's sections are the models of this module; its keys are their fields."""
+"""DesignProblem: function synthesis. The file's sections are the models of this module; its keys are their fields."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, Table, read_law
 
 MAX_POINTS = 10_000
-POSITIONS = 60  # design positions of a function, where the file does not say how many
+POSITIONS = 60  # default number of design positions of a function
 DEAD_CENTRES = ("outer dead centre", "inner dead centre")
-EPIGRAPH = "largest error"  # name of the extra variable of a minimax programme, and of its rows
-ABSURD = 1e3  # rad; a rocker that shall turn further follows a slip of the pen, or a pole
+EPIGRAPH = "largest error"  # name of the extra variable of a minimax NLP, and of its rows
+ABSURD = 1e3  # rad; a larger rocker angle indicates an input error or a pole
 FULL_TURN = 2.0 * float(np.pi)
 
 
@@ -76,7 +76,7 @@ class Requirement(Section):
 
 @dataclass(frozen=True)
 class StartPosition:
-    """Where the requirement begins: crank direction, crank angle and wanted rocker angle [rad] there."""
+    """Start of the requirement: crank direction, crank angle and prescribed rocker angle [rad] there."""
 
     crank: Vector
     phi0: Value
@@ -97,12 +97,12 @@ class DesignProblem(Problem):
 
     @property
     def task(self) -> str:
-        """Kind of question: the output follows a law or a function."""
+        """Kind of task: function synthesis."""
         return "function"
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
-        """Every quantity that can be fixed or free, by name: the four lengths, phi0 and psi0 where they are given."""
+        """Fixed quantities and design variables by name: the four lengths, phi0 and psi0 where they are defined."""
         found = dict(self.mechanism.quantities)
         anywhere = Quantity(0.0, "angle", "deg", -FULL_TURN, FULL_TURN)
         if isinstance(self.requirement.start, Quantity):
@@ -134,22 +134,22 @@ class DesignProblem(Problem):
 
     @property
     def sense(self) -> int:
-        """Sense in which the crank turns: +1 counter-clockwise, -1 clockwise."""
+        """Sense of crank rotation: +1 counter-clockwise, -1 clockwise."""
         return 1 if self.span > 0.0 else -1
 
     @property
     def tied(self) -> bool:
-        """Whether psi0 is the rocker's own angle at the start."""
+        """Whether psi0 is the actual rocker angle at the start."""
         return "psi0" not in self.quantities
 
     @property
     def _itself(self) -> bool:
-        """Whether the error at the start is nothing by definition."""
+        """Whether the error at the start is zero by definition."""
         return self.tied and self.requirement.robust is None
 
     @property
     def counted(self) -> dict[str, float]:
-        """Tolerances [SI] that the objective counts with, by their keys; those of measured deviations are no numbers."""
+        """Tolerances [SI] that enter the objective, by key; measured deviations are excluded."""
         if self.requirement.robust is None:
             return {}
         return {f"tolerances.{d.name}": d.tolerance for d in self.deviations if not d.values}
@@ -158,8 +158,8 @@ class DesignProblem(Problem):
     def law(self) -> Law:
         """The law at its design positions.
 
-        Where psi0 is the rocker's own start, the start position would compare the rocker with itself and is left out; of a robust
-        design it is that of the drawing, from which what is built differs there too.
+        If psi0 is the actual rocker angle at the start, the error there is zero by definition and the start position is left out.
+        For a robust design it is kept, as the built linkage deviates there too.
         """
         source, points = self.requirement.law, self.requirement.points
         first = 0.0
@@ -175,16 +175,16 @@ class DesignProblem(Problem):
 
     @property
     def everywhere(self) -> bool:
-        """Whether the largest error is that of the whole range, not of the design positions alone: so for functions."""
+        """Whether the largest error is taken over the whole range, not only at the design positions: for functions."""
         return self.requirement.measure == "max" and isinstance(self.requirement.law, Function)
 
     @property
     def transmission_over(self) -> str:
-        """Where the transmission limits hold: "revolution" or "span"."""
+        """Crank range of the transmission limits: "revolution" or "span"."""
         return self.limits.transmission_over or ("span" if self.limits.crank == "span" else "revolution")
 
     def start_position(self, values: Mapping[str, Value]) -> StartPosition:
-        """Start of the requirement for given quantities; elementwise, NaN where it does not exist."""
+        """Return the start of the requirement for given quantities; elementwise, NaN where it does not exist."""
         lengths = lengths_of(values)
         if "phi0" in self.quantities:
             phi0 = values["phi0"]
@@ -196,27 +196,27 @@ class DesignProblem(Problem):
         return StartPosition(crank, phi0, values["psi0"] if "psi0" in self.quantities else angle(rocker))
 
     def reach(self, values: Mapping[str, Value]) -> Reach:
-        """Crank angles that the law asks for, for given quantities."""
+        """Return the crank angles of the law for given quantities."""
         return Reach(self.start_position(values).phi0, self.span, self.sense)
 
     def sizes(self, design: Mapping[str, float]) -> dict[str, float]:
-        """Every size of the linkage [SI], as a design has it or else the file: places of further points need not be given."""
+        """Return every dimension of the linkage [SI] from a design, with values of the file where it has none."""
         return {name: float(design.get(name, quantity.value)) for name, quantity in self.mechanism.quantities.items()}
 
     def design(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Complete free quantities [SI] to a design: every length, phi0 and psi0."""
+        """Return the complete design [SI] for values of the design variables: every length, phi0 and psi0."""
         full = {name: float(values.get(name, quantity.value)) for name, quantity in self.quantities.items()}
         start = self.start_position(full)
         return {**full, "phi0": float(start.phi0), "psi0": float(start.psi0)}
 
 
 def cross_check_design(problem: DesignProblem) -> None:
-    """Find what no single key shows.
+    """Check that the sections of a function synthesis problem are consistent.
 
     Raises
     ------
     Unusable
-        with the full key that is to blame.
+        with the full key of the cause.
     """
     requirement, limits = problem.requirement, problem.limits
     function = requirement.law if isinstance(requirement.law, Function) else None
@@ -303,7 +303,7 @@ def cross_check_design(problem: DesignProblem) -> None:
 
 
 def _check_law(problem: DesignProblem) -> None:
-    """Follow an expression over the span: it must have a sensible value everywhere, whatever the start angle."""
+    """Check that an expression has a plausible value over the span for some start angle."""
     law = problem.requirement.law
     if not isinstance(law, Expression | Function):
         return
@@ -322,7 +322,7 @@ def _check_law(problem: DesignProblem) -> None:
 
 
 def _worry(law: Expression | Function, span: float, phi0: float, psi0: float) -> str | None:
-    """What is wrong with a law along the span, if anything; poles of even order are found by closing in on the largest value."""
+    """Return the defect of a law along the span, or None; poles of even order are found by refining around the largest value."""
     low, high = 0.0, 1.0
     for _ in range(5):
         share = np.linspace(low, high, 721)

@@ -1,4 +1,4 @@
-"""What must hold beside the requirement: the limits of a four-bar, and their sense."""
+"""Limits of a four-bar, and their crank range."""
 
 from __future__ import annotations
 
@@ -85,7 +85,13 @@ class Limits(Margins):
 
 
 def check_ranges(limits: Limits) -> None:
-    """A limit that no linkage can reach is a slip of the pen, not a design problem."""
+    """Refuse limits outside the physically possible range.
+
+    Raises
+    ------
+    Unusable
+        with the full key of the limit.
+    """
     for key, lowest, highest, example in (
         ("transmission_angle", 0.0, np.pi, '["45 deg", "135 deg"]'),
         ("transmission_cosine", -1.0, 1.0, "[-0.7071, 0.7071]"),
@@ -105,7 +111,7 @@ def check_ranges(limits: Limits) -> None:
 
 @dataclass(frozen=True)
 class Reach:
-    """The crank angles of a requirement: from `start` on by `span` [rad], negative clockwise; `sense`: the sign of the span."""
+    """Crank range of a requirement: from `start` by `span` [rad], negative clockwise; `sense`: the sign of the span."""
 
     start: Value
     span: Value

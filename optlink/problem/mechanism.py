@@ -1,4 +1,4 @@
-"""The linkage of a problem file: a four-bar in four lengths, or any chain of dyads as ground points, links and guides."""
+"""The linkage of a problem file: a four-bar by four lengths, or any chain of dyads by ground points, links and guides."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ class FourBarSection(Section):
 
     @property
     def side(self) -> int:
-        """Assembly mode: +1 left, -1 right of B -> D; of parallelograms at a crank angle of 90 deg."""
+        """Assembly mode: +1 left, -1 right of B -> D; for parallelograms at a crank angle of 90 deg."""
         return -1 if self.assembly in ("right", "right, continue", "antiparallelogram") else 1
 
     @property
     def follows(self) -> bool:
-        """Whether the motion is followed through change points."""
+        """Whether the motion continues through change points."""
         return self.assembly not in ("left", "right", "either")
 
     def check_mode(self, sizes: Mapping[str, Any]) -> None:
@@ -89,6 +89,7 @@ class FourBarSection(Section):
         Raises
         ------
         Unusable
+            when opposite links of a parallelogram differ in length.
         """
         crank, coupler, rocker, frame = (sizes[name] for name in LENGTHS)
         if "parallelogram" in self.assembly:
@@ -99,12 +100,12 @@ class FourBarSection(Section):
 
     @property
     def placed(self) -> bool:
-        """Whether the file says where the frame lies."""
+        """Whether the file defines the pose of the frame."""
         return self.pivot is not None or self.direction is not None
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
-        """The four lengths; P.along and P.across of each point; A.x, A.y and direction where the frame is placed."""
+        """The four lengths; P.along and P.across of each point; A.x, A.y and direction if the pose of the frame is defined."""
         found = {name: getattr(self, name) for name in LENGTHS}
         for point, (along, across) in self.points.items():
             found[f"{point}.along"], found[f"{point}.across"] = along, across
@@ -115,7 +116,20 @@ class FourBarSection(Section):
         return found
 
     def linkage(self, name: str, driver: str | None) -> Mechanism:
-        """The mechanism as data; an assembly mode that is to be chosen counts as left."""
+        """Return the kinematic model; an undetermined assembly mode counts as left.
+
+        Parameters
+        ----------
+        name : str
+            Title of the mechanism; not used for a four-bar.
+        driver : str or None
+            Driven body; None or "crank".
+
+        Raises
+        ------
+        Unusable
+            when another body is driven, or a point has a reserved name.
+        """
         if driver not in (None, "crank"):
             raise Unusable("a four-bar is driven at its crank", 'Leave body out, or write body = "crank"', "drive.body", driver)
         for point in self.points:
@@ -125,14 +139,14 @@ class FourBarSection(Section):
         return four_bar(self.side, self.points, placed=self.placed, follow=self.follows, holds_at=upright)
 
     def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
-        """Changes of the file that settle what the search shall choose, one per combination of assembly modes."""
+        """Return changes of the file that determine the assembly modes left open, one per combination."""
         if self.assembly != EITHER:
             return [{}]
         return [{"mechanism.assembly": "left"}, {"mechanism.assembly": "right"}]
 
     @property
     def friction(self) -> dict[str, float]:
-        """It has no guides."""
+        """Coefficients of friction: none, as a four-bar has no guides."""
         return {}
 
 
@@ -201,15 +215,15 @@ class DyadsSection(Section):
 
     @property
     def follows(self) -> bool:
-        """Whether the motion is followed through change points anywhere."""
+        """Whether the motion continues through change points in any group."""
         return any(mode.rpartition(",")[2].strip() == CONTINUE for mode in self.assembly.values())
 
     def check_mode(self, sizes: Mapping[str, Any]) -> None:
-        """Any lengths have the assembly modes of a dyad."""
+        """Accept any lengths: dyads of any lengths have their assembly modes."""
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
-        """Every size of the file by name: D.x, crank.length, link2.P.along, F.offset, F.direction."""
+        """Every dimension of the file by name: D.x, crank.length, link2.P.along, F.offset, F.direction."""
         found = {}
         for point, (x, y) in self.ground.items():
             found[f"{point}.x"], found[f"{point}.y"] = x, y
@@ -228,11 +242,11 @@ class DyadsSection(Section):
 
     @property
     def friction(self) -> dict[str, float]:
-        """Coefficients of friction of the guides that have one."""
+        """Coefficients of friction of the guides with friction."""
         return {name: guide.friction for name, guide in self.guides.items() if guide.friction}
 
     def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
-        """Changes of the file that settle what the search shall choose, one per combination of assembly modes."""
+        """Return changes of the file that determine the assembly modes left open, one per combination."""
         found: list[dict[str, str]] = [{}]
         for group in mechanism.groups:
             if self.assembly.get(group.joint) == EITHER:
@@ -240,7 +254,14 @@ class DyadsSection(Section):
         return found
 
     def linkage(self, name: str, driver: str | None) -> Mechanism:
-        """The mechanism as data; assembly modes that are to be chosen count as left, or forward.
+        """Return the kinematic model; undetermined assembly modes count as left or forward.
+
+        Parameters
+        ----------
+        name : str
+            Title of the mechanism.
+        driver : str or None
+            Driven body; None: the body named "crank".
 
         Raises
         ------
@@ -333,11 +354,12 @@ class DyadsSection(Section):
 
 
 def check_one_mode(mechanism: FourBarSection | DyadsSection) -> None:
-    """Refuse to design a linkage that changes its assembly mode in motion.
+    """Refuse a design problem for a linkage that passes through change points.
 
     Raises
     ------
     Unusable
+        with the key of the assembly mode.
     """
     if mechanism.follows:
         message = "a linkage is designed for one assembly mode, without change points"
@@ -348,5 +370,5 @@ def check_one_mode(mechanism: FourBarSection | DyadsSection) -> None:
 
 
 def sizes_of(quantities: Mapping[str, Quantity]) -> dict[str, float]:
-    """Values [SI] of quantities; the start of those that are free."""
+    """Return the values [SI] of quantities; the start of design variables."""
     return {name: quantity.value for name, quantity in quantities.items()}

@@ -1,7 +1,6 @@
-"""GenerationProblem: a linkage whose point shall pass points, whose body shall take poses, whose output shall be a function of
-the crank angle, or which shall transmit force as well as it can.
+"""GenerationProblem: path, motion and function synthesis of any linkage, or optimal force transmission.
 
-Its unknowns are the free sizes of the mechanism and, where the file leaves them open, the crank angles at the points.
+Its unknowns are the design variables of the mechanism and, without prescribed timing, the crank angles at the points.
 """
 
 from __future__ import annotations
@@ -44,9 +43,9 @@ START, MARK, ZERO = "start", "mark", "zero"
 """Names of the quantities that a task adds to those of the mechanism."""
 
 KINDS = ("path", "motion", "function", "transmission")
-POSITIONS = 60  # of an expression or a function, where the file does not say how many
-FINE = 721  # positions at which the travel of a law is measured
-GRID = 36  # crank angles at which the transmission of a mechanism that is no four-bar is followed
+POSITIONS = 60  # default number of positions of an expression or a function
+FINE = 721  # positions at which the travel of a law is computed
+GRID = 36  # crank angles at which the transmission of a mechanism other than a four-bar is evaluated
 
 STEP = 1e-4  # rad, least crank rotation from a point to the next
 
@@ -137,11 +136,10 @@ class GenerationLimits(Limits):
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """What is wanted at each point, as arrays.
+    """Targets at each point, as arrays.
 
-    `columns` (points, k): x, y [m] and, of poses, cosine and sine of the angle; `roots` (points,) of the weights;
-    `offsets` (points,) [rad]: crank angles as given, or None where they are free; `tolerances` (points,) [m], infinite where
-    there is none.
+    `columns` (points, k): x, y [m] and, for poses, cosine and sine of the angle; `roots` (points,): square roots of the weights;
+    `offsets` (points,) [rad]: prescribed crank angles, or None; `tolerances` (points,) [m], infinite where there is none.
     """
 
     columns: Array
@@ -160,12 +158,12 @@ class GenerationProblem(Problem):
 
     @property
     def task(self) -> str:
-        """Kind of question: points, poses, an output or the transmission over a path."""
+        """Kind of task: path, motion or function synthesis, or transmission."""
         return "path"
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
-        """Every quantity that can be fixed or free, by name: those of the mechanism, and what the task adds."""
+        """Fixed quantities and design variables by name: those of the mechanism and those of the task."""
         found, task = dict(self.mechanism.quantities), self.requirement
         anywhere = Quantity(0.0, "angle", "deg", -math.pi, math.pi)
         if task.kind == "function" and isinstance(task.law, Table) and not task.law.from_start:
@@ -183,7 +181,7 @@ class GenerationProblem(Problem):
 
     @property
     def based(self) -> bool:
-        """Whether the law starts from the output at the start (psi0, s0), not from the frame."""
+        """Whether the law is relative to the output at the start (psi0, s0), not to the frame."""
         source = self.requirement.law
         return source.from_start if isinstance(source, Table) else "psi0" in source.names
 
@@ -198,7 +196,7 @@ class GenerationProblem(Problem):
 
     @property
     def rotation_of_law(self) -> float:
-        """Crank rotation [rad] over which the law holds, negative clockwise."""
+        """Crank rotation [rad] of the law, negative clockwise."""
         source = self.requirement.law
         if isinstance(source, Table):
             return source.span
@@ -209,17 +207,27 @@ class GenerationProblem(Problem):
 
     @cached_property
     def travel(self) -> float:
-        """How far the output shall move [rad or m], with the crank starting at its first angle."""
+        """Prescribed travel of the output [rad or m], with the crank at its start angle."""
         begin = self.requirement.start.value if self.requirement.start is not None else 0.0
         offsets = np.linspace(self.law.offsets[0], self.law.offsets[-1], FINE)
         return float(np.ptp(self.law.curve(offsets, begin, 0.0)))
 
     def prescribed(self, values: Mapping[str, Value], offset: Value, tabulated: Value) -> Value:
-        """Output [rad or m] that the law prescribes at a crank rotation [rad] from the start; elementwise."""
+        """Return the prescribed output [rad or m]; elementwise.
+
+        Parameters
+        ----------
+        values : mapping of str to float, array or symbol [m, rad]
+            Value of every quantity.
+        offset : float, array or symbol [rad]
+            Crank rotation from the start.
+        tabulated : float, array or symbol
+            `Law.tabulated` at that offset.
+        """
         return self.law.wanted(offset, tabulated, values[START], values.get(ZERO, 0.0))
 
     def prescribed_outputs(self, values: Mapping[str, float]) -> Array:
-        """Output [rad or m] that the law prescribes at every position, (positions,)."""
+        """Return the prescribed output [rad or m] at every position, (positions,)."""
         law = self.law
         return np.asarray(self.prescribed(values, law.offsets, law.tabulated) + 0.0 * law.offsets, dtype=float)
 
@@ -230,7 +238,7 @@ class GenerationProblem(Problem):
 
     @property
     def measure(self) -> str:
-        """How deviations become one figure."""
+        """Measure that reduces the deviations to one value."""
         return self.requirement.measure or ("max" if self.requirement.kind == "transmission" else "sum of squares")
 
     @property
@@ -242,25 +250,25 @@ class GenerationProblem(Problem):
 
     @property
     def width(self) -> int:
-        """Components of the deviation at one position."""
+        """Number of components of the deviation at one position."""
         if self.requirement.kind == "transmission":
             return len([group for group in self.linkage.groups if isinstance(group, RRR)])
         return {"path": 2, "motion": 3, "function": 1}[self.requirement.kind]
 
     @property
     def whole(self) -> float:
-        """What a deviation is measured by in the programme: the size of the curve, 1 for angles and cosines."""
+        """Scale of a deviation in the NLP: the size of the curve, 1 for angles and cosines."""
         return self.size if self.unit == "m" else 1.0
 
     @property
     def wanted(self) -> Wanted:
-        """The points as they were read; none of a function or transmission."""
+        """The target points; none for a function or transmission."""
         points = self.requirement.points
         return points if isinstance(points, Wanted) else Wanted(points=())
 
     @property
     def timing(self) -> str:
-        """ "given": crank angles belong to the points; "from start": up to a common start; "free": in order."""
+        """Timing: "given" for prescribed crank angles, "from start" for angles relative to a common start, "free" for any."""
         if self.requirement.kind == "function":
             return "from start"
         if self.requirement.kind == "transmission":
@@ -269,14 +277,14 @@ class GenerationProblem(Problem):
 
     @cached_property
     def closed(self) -> bool:
-        """Whether the points go once round a closed curve: the last step leads back to the first point."""
+        """Whether the points form a closed curve: the last step leads back to the first point."""
         if self.requirement.closed is not None:
             return self.requirement.closed
         return len(self.wanted.points) > 3 and closed(self.wanted)
 
     @property
     def meets_again(self) -> bool:
-        """Whether the last point is the first again: only then may it be met at the first crank angle again."""
+        """Whether the last point coincides with the first: only then may the crank angles coincide."""
         columns = self.data.columns
         return bool(np.max(np.abs(columns[0, :2] - columns[-1, :2])) <= 1e-9 * self.size)
 
@@ -288,7 +296,7 @@ class GenerationProblem(Problem):
 
     @cached_property
     def data(self) -> Data:
-        """What is wanted, as arrays."""
+        """The targets as arrays."""
         wanted, task = self.wanted, self.requirement
         if task.kind == "function":
             law = self.law
@@ -309,12 +317,12 @@ class GenerationProblem(Problem):
 
     @property
     def pointed(self) -> bool:
-        """Whether points in the plane are wanted."""
+        """Whether points in the plane are prescribed."""
         return self.requirement.kind in ("path", "motion")
 
     @cached_property
     def centre(self) -> tuple[float, float]:
-        """Mean of the points [m]; the origin where there are none."""
+        """Mean of the points [m]; the origin if there are none."""
         if not self.pointed:
             return 0.0, 0.0
         x, y = np.mean(self.data.columns[:, :2], axis=0)
@@ -322,7 +330,7 @@ class GenerationProblem(Problem):
 
     @cached_property
     def size(self) -> float:
-        """How large the curve is [m]: root mean square of the points' distances from their centre; else the stroke, or a link."""
+        """Size of the curve [m]: root mean square distance of the points from their centre; else the stroke, or a link length."""
         if self.pointed:
             spread = self.data.columns[:, :2] - np.array(self.centre)
             size = float(np.sqrt(np.mean(np.sum(spread * spread, axis=1))))
@@ -336,7 +344,7 @@ class GenerationProblem(Problem):
 
     @cached_property
     def radian(self) -> float:
-        """Length [m] that one radian of a pose counts as."""
+        """Length [m] equivalent to one radian of a pose."""
         given = self.requirement.angle_length
         return self.size if given is None else given.value
 
@@ -347,10 +355,19 @@ class GenerationProblem(Problem):
         return owners[-1] if owners else ""
 
     def deviation(self, pose: Pose, values: Mapping[str, Value], wanted: tuple[Value, ...]) -> list[Value]:
-        """Generated minus wanted at one position, elementwise; `wanted` is a row of `Data.columns`.
+        """Return actual minus prescribed output at one position, elementwise.
 
-        Of a path x and y [m]; of a pose also the angle times `radian`; of a function the slide [m] or angle [rad]; for the
+        For a path, x and y [m]; for a pose also the angle times `radian`; for a function the slide [m] or angle [rad]; for
         transmission the cosine of the angle at each joint of two links.
+
+        Parameters
+        ----------
+        pose : Pose
+            The mechanism at the position.
+        values : mapping of str to float, array or symbol [m, rad]
+            Value of every quantity.
+        wanted : tuple
+            A row of `Data.columns`.
         """
         kind = self.requirement.kind
         if kind == "transmission":
@@ -369,11 +386,19 @@ class GenerationProblem(Problem):
 
     @property
     def transmission_over(self) -> str:
-        """Where the transmission limits hold: "revolution" or "span"."""
+        """Crank range of the transmission limits: "revolution" or "span"."""
         return self.limits.transmission_over or ("span" if self.limits.crank == "span" else "revolution")
 
     def crank_angles(self, values: Mapping[str, float], angles: Array | None) -> Array:
-        """Crank angle [rad] at each point: as found (`angles`) where they are free."""
+        """Return the crank angle [rad] at each point.
+
+        Parameters
+        ----------
+        values : mapping of str to float [m, rad]
+            Value of every quantity.
+        angles : array (points,) [rad] or None
+            Crank angles of the design; returned where the timing is free.
+        """
         offsets = self.data.offsets
         if offsets is None:
             assert angles is not None
@@ -382,12 +407,18 @@ class GenerationProblem(Problem):
 
 
 def _plain(columns: Array, offsets: Array) -> Data:
-    """Positions of equal weight without tolerances."""
+    """Return positions of equal weight without tolerances."""
     return Data(columns, np.ones(len(columns)), offsets, np.full(len(columns), np.inf))
 
 
 def joint_cosine(pose: Pose, group: RRR) -> Value:
-    """Cosine of the angle between the two links of a group."""
+    """Return the cosine of the angle between the two links of a group.
+
+    Parameters
+    ----------
+    pose : Pose
+    group : RRR
+    """
     joint = pose.point(group.joint)
     one, other = (minus(pose.point(pin), joint) for pin in group.pins)
     return dot(one, other) / np.sqrt(dot(one, one) * dot(other, other))

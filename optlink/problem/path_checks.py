@@ -1,4 +1,4 @@
-"""What no single key of a generation problem shows: whether its task, its points, its output and its limits go together."""
+"""Consistency checks of a path synthesis problem: task, points, output and limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import SLIDE, Table
 
-MAX_SHIFT = 1e6  # sizes of the curve that it may lie away from the origin
+MAX_SHIFT = 1e6  # largest distance of the curve from the origin, in multiples of its size
 
 BELONGS = {
     "law": ("function",),
@@ -35,12 +35,12 @@ FOUR_BAR_LIMITS = ("length_margin", "frame_length", "link_ratio", "swing_angle",
 
 
 def cross_check_generation(problem: GenerationProblem) -> None:
-    """Find what no single key shows.
+    """Check that the sections of a path synthesis problem are consistent.
 
     Raises
     ------
     Unusable
-        with the full key that is to blame.
+        with the full key of the cause.
     """
     check_one_mode(problem.mechanism)
     task, mechanism = problem.requirement, problem.linkage
@@ -64,7 +64,17 @@ def cross_check_generation(problem: GenerationProblem) -> None:
 
 
 def foreign(section: str, kind: str, *, four_bar: bool) -> set[str]:
-    """Keys of a section that a task of this kind cannot have."""
+    """Return the keys of a section that are not valid for a kind of task.
+
+    Parameters
+    ----------
+    section : str
+        "requirement" or "limits".
+    kind : str
+        Kind of the task.
+    four_bar : bool
+        Whether the mechanism is a four-bar.
+    """
     if section == "requirement":
         return {key for key, kinds in BELONGS.items() if kind not in kinds}
     return set() if section != "limits" or four_bar else set(FOUR_BAR_LIMITS)
@@ -94,7 +104,7 @@ def _check_output(problem: GenerationProblem, mechanism: Mechanism) -> None:
 
 
 def _check_span(problem: GenerationProblem) -> None:
-    """The span of a law: stated for an expression, that of a table or a function otherwise."""
+    """Check the span of a law: required for an expression, defined by a table or a function."""
     task = problem.requirement
     if isinstance(task.law, Function) and task.span is not None:
         raise Unusable("a function brings its own span, the input", "Leave span out", "requirement.span", str(task.span))
@@ -118,7 +128,7 @@ def _check_span(problem: GenerationProblem) -> None:
 
 
 def _check_values(problem: GenerationProblem) -> None:
-    """Follow an expression over the span: it must have a finite value everywhere, and move the output."""
+    """Check that an expression has a finite value over the span and moves the output."""
     task = problem.requirement
     if isinstance(task.law, Table):
         return

@@ -1,6 +1,7 @@
-"""Quantities and intervals as problem files state them, checked as they are read.
+"""Quantities and intervals of problem files, checked as they are read.
 
-A quantity is fixed when it is one value ("500 mm") and free when it is a table ({ start = "400 mm", bounds = [...] }).
+A quantity is fixed when it is one value ("500 mm") and a design variable when it is a table ({ start = "400 mm", bounds = [...]
+}).
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from pydantic import BeforeValidator
 from optlink.units import KINDS, UnitProblem, parse, show
 
 SIDES = ("min", "max", "exactly")
-SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow before anything is designed
+SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
 
 
 class Unusable(ValueError):
-    """A value that will not do: why, what would, and the key below the present one that is to blame."""
+    """An invalid value: the reason, a remedy, and the key below the present one."""
 
     def __init__(self, message: str, remedy: str, key: str = "", value: object = None) -> None:
         super().__init__(f"{message}. {remedy}")
@@ -29,7 +30,14 @@ class Unusable(ValueError):
 
 
 def nearest(key: str, known: Iterable[str]) -> str:
-    """A remedy for an unknown name: the nearest known one, and all of them."""
+    """Return a remedy for an unknown name: the closest known one, and all known ones.
+
+    Parameters
+    ----------
+    key : str
+        The unknown name.
+    known : iterable of str
+    """
     names = list(known)
     close = difflib.get_close_matches(key, names, n=1, cutoff=0.5)
     return (f'Did you mean "{close[0]}"? ' if close else "") + f"Known: {', '.join(names)}"
@@ -37,7 +45,7 @@ def nearest(key: str, known: Iterable[str]) -> str:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A value [SI] with the unit it was written in; free between `low` and `high` if these are given."""
+    """A value [SI] with the unit of the file; a design variable between `low` and `high` if these are not None."""
 
     value: float
     kind: str
@@ -47,12 +55,12 @@ class Quantity:
 
     @property
     def free(self) -> bool:
-        """Whether the optimiser may choose it."""
+        """Whether the quantity is a design variable."""
         return self.low is not None
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Lower and upper bound [SI]; both the value itself where it is fixed."""
+        """Lower and upper bound [SI]; both equal the value if it is fixed."""
         return (self.value, self.value) if self.low is None or self.high is None else (self.low, self.high)
 
     def __str__(self) -> str:
@@ -64,7 +72,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Interval:
-    """What a measure may be: at least `low`, at most `high` [SI]; None where that side is open; equal: a wanted value."""
+    """Limits of a measure: at least `low`, at most `high` [SI]; None for an open side; both equal for a target value."""
 
     low: float | None
     high: float | None
@@ -78,7 +86,7 @@ class Interval:
         return f"exactly {low}" if low == high else f"{low} ... {high}"
 
     def people(self, value: float) -> str:
-        """The value in the interval's own unit."""
+        """Return the value in the interval's own unit."""
         return show(value, self.kind, self.unit) if self.kind else f"{value:.6g}"
 
 
@@ -88,7 +96,7 @@ STROKES = {"forward": "backward", "backward": "forward", "slow": "quick", "quick
 
 @dataclass(frozen=True)
 class StrokeRatio(Interval):
-    """Limits of the duration of one stroke over that of the other: of `stroke`, or of the slow one where that is None."""
+    """Limits of the duration of one stroke over that of the other: of `stroke`, or of the slow one if that is None."""
 
     stroke: str | None = None
 
@@ -97,27 +105,27 @@ class StrokeRatio(Interval):
 
     @property
     def strokes(self) -> str:
-        """Which stroke is compared with which."""
+        """Names of the two strokes, for display."""
         stroke = self.stroke or "slow"
         return f"{stroke} over {STROKES[stroke]}"
 
 
 def check_time_ratio(stroke: str | None, value: float, key: str) -> None:
-    """Refuse a limit that no time ratio of a stroke over the other can meet.
+    """Refuse a limit that no time ratio can satisfy.
 
     Parameters
     ----------
     stroke : "forward", "backward", "slow", "quick" or None
-        Whose time is divided by the other's; None is the slow one.
+        Stroke whose time is divided by the other's; None is the slow one.
     value : float
         The limit.
     key : str
-        Where it is written.
+        Key of the limit, for errors.
 
     Raises
     ------
     Unusable
-        naming the key.
+        with the key.
     """
     if stroke in (None, "slow") and value < 1.0:
         raise Unusable("the slow stroke takes at least as long as the quick one", "Give 1 or more", key, value)
@@ -136,7 +144,22 @@ def _positive(value: float, text: object, kind: str, key: str = "") -> float:
 
 
 def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
-    """Read one value: SI number and the unit as written; `key` is named if it is not usable."""
+    """Read one value; return its SI number and the unit as written.
+
+    Parameters
+    ----------
+    text : object
+        Value as read from the file.
+    kind : str
+        Physical kind.
+    key : str
+        Key of the value, for errors.
+
+    Raises
+    ------
+    Unusable
+        when the value cannot be read or is out of range.
+    """
     try:
         value, unit = parse(text, kind)
     except UnitProblem as problem:
@@ -145,7 +168,20 @@ def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
 
 
 def read_quantity(raw: object, kind: str) -> Quantity:
-    """Read a fixed or free quantity."""
+    """Read a fixed quantity or a design variable.
+
+    Parameters
+    ----------
+    raw : object
+        Value as read from the file.
+    kind : str
+        Physical kind.
+
+    Raises
+    ------
+    Unusable
+        when the value cannot be read, with the key below the present one.
+    """
     if isinstance(raw, Quantity):
         return raw
     if not isinstance(raw, dict):
@@ -237,14 +273,40 @@ def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
 
 
 def read_fixed(raw: object, kind: str) -> Quantity:
-    """Read a quantity that cannot be free."""
+    """Read a quantity that must be fixed.
+
+    Parameters
+    ----------
+    raw : object
+        Value as read from the file.
+    kind : str
+        Physical kind.
+
+    Raises
+    ------
+    Unusable
+        when it is a table, or cannot be read.
+    """
     if isinstance(raw, dict):
         raise Unusable("this quantity cannot be free", f'Give one value, for example "{KINDS[kind].example}"', "", raw)
     return read_quantity(raw, kind)
 
 
 def read_positive(raw: object, kind: str) -> Quantity:
-    """Read a fixed quantity that is not negative."""
+    """Read a fixed quantity that must not be negative.
+
+    Parameters
+    ----------
+    raw : object
+        Value as read from the file.
+    kind : str
+        Physical kind.
+
+    Raises
+    ------
+    Unusable
+        when it is negative, or cannot be read.
+    """
     quantity = read_fixed(raw, kind)
     if quantity.value < 0.0:
         raise Unusable(f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} is not negative", "Give zero or more", "", raw)
@@ -252,7 +314,7 @@ def read_positive(raw: object, kind: str) -> Quantity:
 
 
 def _reader(function: Any, kind: str | None) -> BeforeValidator:
-    return BeforeValidator(functools.partial(function, kind=kind))  # the reference of problem files reads both back
+    return BeforeValidator(functools.partial(function, kind=kind))  # the key reference reads function and kind
 
 
 Length = Annotated[Quantity, _reader(read_quantity, "length")]

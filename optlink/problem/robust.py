@@ -1,6 +1,7 @@
-"""What is made least of an error that scatters because its sizes do: with standard deviations, the worst case, or on average.
+"""Robust objectives: an error with its scatter, as standard deviations, worst case or expected value.
 
-To first order a size that is off by d changes the error by its slope times d; the slopes are derivatives of the linkage.
+To first order, a deviation d of a dimension changes the error by its derivative times d; the derivatives are those of the
+linkage.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from optlink.problem.tolerances import Deviation
 
 MOST = 100.0  # standard deviations
 WORST, EXPECTED = "worst case", "expected value"
-SQUARES, LARGEST = ("sum of squares", "rms"), ("max",)  # measures that go with the expected value, and with the others
-FLOOR = 1e-24  # rad^2; keeps the slope of a standard deviation finite where nothing scatters, and is worth 1e-12 rad there
+SQUARES, LARGEST = ("sum of squares", "rms"), ("max",)  # measures for the expected value, and for the others
+FLOOR = 1e-24  # rad^2; keeps the derivative of a standard deviation finite where it vanishes; adds 1e-12 rad there
 _SIGMAS = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *sigma")
 _REMEDY = f'Write robust = "3 sigma" or "{WORST}" with measure = "max", or "{EXPECTED}" with squares'
 
 
 @dataclass(frozen=True)
 class Robust:
-    """How the scatter counts: `sigmas` standard deviations or the worst case beside each error, or the expected square of it."""
+    """Robustness: `sigmas` standard deviations or the worst case added to each error, or the expected square of the error."""
 
     text: str
     sigmas: float = 0.0
@@ -37,16 +38,16 @@ class Robust:
 
     @property
     def measures(self) -> tuple[str, ...]:
-        """Measures that it goes with."""
+        """Measures that can be combined with it."""
         return SQUARES if self.text == EXPECTED else LARGEST
 
     @property
     def band(self) -> str:
-        """What is drawn to both sides of an error."""
+        """Name of the band drawn around an error."""
         return "1 sigma" if self.text == EXPECTED else self.text
 
     def named(self, measure: str) -> str:
-        """The measure with it, in words."""
+        """Return the name of the robust measure for display."""
         if self.text != EXPECTED:
             return f"{measure} with {self.text}"
         return "root of the expected mean square" if measure == "rms" else f"expected {measure}"
@@ -58,6 +59,7 @@ def read_robust(raw: object) -> Robust | None:
     Raises
     ------
     Unusable
+        when the value is none of these.
     """
     if raw is None or isinstance(raw, Robust):
         return raw
@@ -77,21 +79,25 @@ Robustness = Annotated[Robust | None, BeforeValidator(read_robust)]
 
 
 def residuals(robust: Robust | None, deviations: Sequence[Deviation], error: Value, slopes: Sequence[Value]) -> list[Value]:
-    """What the measure is of at one position, elementwise: the error, or with its scatter.
+    """Return the residuals at one position, elementwise: the error, or the error with its scatter.
 
     Parameters
     ----------
-    robust : None where only the error as drawn counts
-    deviations : of sizes; their tolerances may be symbols
-    error : as drawn [rad]
-    slopes : its derivative by the size of every deviation [rad/SI]
+    robust : Robust or None
+        None: the nominal error only.
+    deviations : sequence of Deviation
+        Of dimensions; their tolerances may be symbols.
+    error : float, array or symbol [rad]
+        Nominal error.
+    slopes : sequence of float, array or symbol [rad/SI]
+        Derivatives of the error with respect to the dimension of every deviation.
 
     Returns
     -------
     list [rad]
-        The error. Or the upper and the lower end of what it counts as: the larger of their sizes is that of the mean error and
-        what is added to it. Or the mean error and the standard deviation that every size is to blame for, whose squares add up to
-        the expected square of the error.
+        Without robustness the error. For sigmas or the worst case, the upper and the lower end of the error band: the larger of
+        their magnitudes is that of the mean error plus the scatter. For the expected value, the mean error and the standard
+        deviation due to every dimension, whose squares add up to the expected square of the error.
     """
     if robust is None:
         return [error]
@@ -109,12 +115,20 @@ def residuals(robust: Robust | None, deviations: Sequence[Deviation], error: Val
 
 
 def check_robust(robust: Robust | None, measure: str, stated: int) -> None:
-    """Whether it goes with the measure and the tolerances that are stated.
+    """Check that the robustness measure is compatible with the measure and that tolerances are defined.
+
+    Parameters
+    ----------
+    robust : Robust or None
+    measure : str
+        Measure of the requirement.
+    stated : int
+        Number of tolerances of the file.
 
     Raises
     ------
     Unusable
-        with the full key that is to blame.
+        with the full key of the cause.
     """
     if robust is None:
         return
@@ -136,7 +150,7 @@ def check_robust(robust: Robust | None, measure: str, stated: int) -> None:
 
 
 def sizes_of(parts: Sequence[Value]) -> Value:
-    """Size of the error with what is added to it, of its upper and lower end; elementwise on arrays."""
+    """Return the largest magnitude of the upper and lower end of an error band; elementwise on arrays."""
     return np.max([np.abs(part) for part in parts], axis=0)
 
 

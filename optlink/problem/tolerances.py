@@ -1,4 +1,4 @@
-"""Tolerances of sizes: what a problem file or the command line says of them, read and checked; how a size may then deviate."""
+"""Tolerances of dimensions: input from a problem file or the command line, and the resulting deviations."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from optlink.units import UnitProblem, parse
 
 Array = NDArray[np.float64]
 NORMAL, CONTACT, MEASURED = "normal", "contact", "measured"
-SIGMAS = 3.0  # of a normal distribution that a tolerance stands for
+SIGMAS = 3.0  # standard deviations of a normal distribution within its tolerance
 CLEARANCE = ".clearance"
-LARGEST = 0.5  # of a length, that a tolerance may be
+LARGEST = 0.5  # largest tolerance as a share of its length
 KEYS = ("tolerance", "distribution", "cost")
 EXAMPLE = 'Write for example coupler="0.1 mm", coupler="0.1 mm uniform" or coupler="parts.csv"'
 
@@ -44,7 +44,7 @@ def _triangular(share: Array) -> Array:
 
 @dataclass(frozen=True)
 class Shape:
-    """A distribution with a tolerance of 1 and mean 0: its standard deviation, and the deviation below which a share lies."""
+    """A distribution with a tolerance of 1 and mean 0: its standard deviation and its quantile function."""
 
     sigma: float
     quantile: Callable[[Array], Array]
@@ -63,11 +63,11 @@ CHOICES = tuple(name for name in SHAPES if name != CONTACT)
 
 @dataclass(frozen=True)
 class Deviation:
-    """How a size may differ from its nominal value.
+    """Deviation of a dimension from its nominal value.
 
-    `name` as people call it, `size` the quantity of the linkage that it adds to; `kind` "length" or "angle"; `tolerance` [SI]: it
-    lies within +- that (normal: that is three sigma). `values` (parts,) [SI]: deviations that were measured, in place of a shape.
-    `cost`: a tolerance t costs cost/t.
+    `name` for display, `size` the quantity of the linkage to which it is added; `kind` "length" or "angle"; `tolerance` [SI]: the
+    deviation lies within +- tolerance (normal distribution: three sigma). `values` (parts,) [SI]: measured deviations, in place
+    of a distribution. `cost`: coefficient of the cost cost/t of a tolerance t.
     """
 
     name: str
@@ -94,23 +94,23 @@ class Deviation:
 
     @property
     def ends(self) -> tuple[Any, Any]:
-        """Least and largest deviation [SI] that the worst case counts with."""
+        """Least and largest deviation [SI] of the worst case."""
         return (float(self._sorted[0]), float(self._sorted[-1])) if self.values else (-self.tolerance, self.tolerance)
 
     def at(self, share: Array) -> Array:
-        """The deviation [SI] below which a share of all lies; of measured ones, one of them."""
+        """Return quantiles of the deviation [SI] for shares; for measured ones, one of the measured values."""
         if self.values:
             place = np.minimum((share * len(self.values)).astype(int), len(self.values) - 1)
             return np.asarray(self._sorted[place], dtype=float)
         return np.asarray(self.tolerance * SHAPES[self.shape].quantile(share), dtype=float)
 
 
-# --- what is said of a size --------------------------------------------------------------------------------------------
+# --- tolerances as specified -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What is said of one size: `text` is its tolerance with a unit, or a CSV file in `folder`; `shape` its distribution."""
+    """Tolerance of one dimension as specified: `text` with a unit, or a CSV file in `folder`; `shape` of the distribution."""
 
     text: str
     shape: str | None = None
@@ -123,22 +123,30 @@ class Stated:
 
     @property
     def measured(self) -> bool:
-        """Whether deviations were measured."""
+        """Whether the deviations are measured ones."""
         return self.text.lower().endswith(".csv")
 
     @property
     def raw(self) -> dict[str, Any]:
-        """As a problem file states it, wherever that lies."""
+        """Table for a problem file in any folder."""
         found: dict[str, Any] = {"tolerance": str((self.folder / self.text).resolve()) if self.measured else self.text}
         return found | ({"distribution": self.shape} if self.shape else {}) | ({"cost": self.cost} if self.cost != 1.0 else {})
 
 
 def read_stated(raw: object, folder: Path) -> Stated:
-    """Read "0.1 mm", "0.1 mm uniform", "parts.csv" or { tolerance, distribution, cost }; what the unit is, is not looked at.
+    """Read "0.1 mm", "0.1 mm uniform", "parts.csv" or { tolerance, distribution, cost }; the unit is not checked.
+
+    Parameters
+    ----------
+    raw : object
+        Value as read from the file.
+    folder : Path
+        Folder to which the name of a CSV file is relative.
 
     Raises
     ------
     Unusable
+        when the value cannot be read, with the key below the present one.
     """
     if isinstance(raw, Stated):
         return raw
@@ -164,7 +172,7 @@ def read_stated(raw: object, folder: Path) -> Stated:
     text = raw.strip().strip("\"'").strip()
     quantity, _, word = text.rpartition(" ")
     numbered = any(letter.isdigit() for letter in quantity)
-    if numbered and word.isalpha() and quantity.strip()[-1:].isalpha():  # two words after it: a unit and a distribution
+    if numbered and word.isalpha() and quantity.strip()[-1:].isalpha():  # two words after the number: a unit and a distribution
         if word not in CHOICES:
             raise Unusable("unknown distribution", nearest(word, CHOICES), "", word)
         return Stated(quantity.strip(), word)
@@ -173,7 +181,7 @@ def read_stated(raw: object, folder: Path) -> Stated:
 
 
 def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Entries by whole name: TOML reads D.x = "..." as a table D with an entry x, and "D.x" = "..." as one name."""
+    """Yield entries by full name: TOML reads D.x = "..." as a table D with an entry x, and "D.x" = "..." as one name."""
     for key, entry in table.items():
         if isinstance(entry, dict) and entry and not set(KEYS) & set(entry):
             yield from _flat(entry, f"{above}{key}.")
@@ -201,9 +209,16 @@ Tolerances = Annotated[dict[str, Any], BeforeValidator(_read_table)]
 
 
 def assigned(table: dict[str, Any], name: str, value: object) -> None:
-    """Give a size of a [tolerances] table another tolerance: distribution and cost stay, unless the new one says its own.
+    """Assign a tolerance in a [tolerances] table; distribution and cost are kept unless the new value specifies its own.
 
-    None takes it away.
+    Parameters
+    ----------
+    table : dict
+        The [tolerances] table, modified in place.
+    name : str
+        Name of the dimension.
+    value : object
+        New tolerance; None removes it.
     """
     before: Any = None
     for known, entry in list(_flat(table)):
@@ -215,7 +230,7 @@ def assigned(table: dict[str, Any], name: str, value: object) -> None:
     if before is not None and isinstance(value, str):
         try:
             old, new = read_stated(before, Path()), read_stated(value, Path())
-        except Unusable:  # told when the whole is read
+        except Unusable:  # reported when the whole file is read
             table[name] = value
             return
         shape = new.shape or (None if new.measured else old.shape)
@@ -225,7 +240,7 @@ def assigned(table: dict[str, Any], name: str, value: object) -> None:
 
 
 def _taken(table: dict[str, Any], name: str) -> None:
-    """Take an entry out, however its name is nested."""
+    """Remove an entry, whatever the nesting of its name."""
     if name in table:
         del table[name]
         return
@@ -236,11 +251,19 @@ def _taken(table: dict[str, Any], name: str) -> None:
                 del table[name[:cut]]
 
 
-# --- what it is of this linkage ----------------------------------------------------------------------------------------
+# --- deviations of a linkage -------------------------------------------------------------------------------------------
 
 
 def loosened(section: FourBarSection | DyadsSection, mechanism: Mechanism) -> tuple[Mechanism, dict[str, float]]:
-    """The linkage with pivots that may deviate, and their values: a plain four-bar has them in the origin and on the x axis."""
+    """Return the linkage with pivots that can deviate, and the values of these coordinates [m].
+
+    A four-bar without a defined frame pose has its pivots in the origin and on the x axis.
+
+    Parameters
+    ----------
+    section : FourBarSection or DyadsSection
+    mechanism : Mechanism
+    """
     if not isinstance(section, FourBarSection) or section.placed:
         return mechanism, {}
     pivots = {"A": ("A.x", "A.y"), "D": ("frame", "D.y")}
@@ -254,20 +277,25 @@ def deviations(
     sizes: Mapping[str, float],
     shape: str = NORMAL,
 ) -> tuple[Deviation, ...]:
-    """What is said of sizes, pivots and clearances, as deviations of a linkage.
+    """Return the deviations of dimensions, pivots and clearances of a linkage.
 
     Parameters
     ----------
-    stated : by name
-    mechanism : Mechanism, `loosened`
-    quantities : of the file, by name
-    sizes : every size of the mechanism [SI], by name
-    shape : the distribution where none is said
+    stated : mapping of str to Stated
+        Tolerances by name.
+    mechanism : Mechanism
+        Returned by `loosened`.
+    quantities : mapping of str to Quantity
+        Quantities of the file.
+    sizes : mapping of str to float [m, rad]
+        Every dimension of the mechanism.
+    shape : str
+        Default distribution.
 
     Raises
     ------
     Unusable
-        whose key is the name of the size.
+        whose key is the name of the dimension.
     """
     pins = {f"{pin}{CLEARANCE}": pin for pin in mechanism.pins}
     found: list[Deviation] = []
@@ -308,9 +336,10 @@ def _deviation(said: Stated, name: str, size: str, kind: str, shape: str) -> Dev
 
 
 def _stretched(mechanism: Mechanism, name: str, pin: str) -> str:
-    """The length that the clearance of a pin stretches or shortens: that of the nearest link that is not pinned to the frame.
+    """Return the length that the clearance of a pin changes: that of the nearest link not pinned to the frame.
 
-    Such a link without loads carries force along its line alone, so the journal rests there: the gap adds to its length.
+    Such a link without loads transmits force only along its line, so the journal contacts there and the clearance adds to its
+    length.
     """
     reached, bodies = {pin}, set[str]()
     held = {body for owners in mechanism.pins.values() if FRAME in owners for body in owners}

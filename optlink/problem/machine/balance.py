@@ -1,4 +1,4 @@
-"""The section [balance] of a problem file: which counterweights and springs may be added, what is made small, what is limited."""
+"""The section [balance] of a problem file: possible counterweights and springs, objective and limits."""
 
 from __future__ import annotations
 
@@ -39,11 +39,12 @@ _MEASURE = re.compile(
 
 
 def read_measure(text: object) -> Measure:
-    """Read a measure, for example "rms shaking force" or "largest reaction at D from 90 to 180 deg"; rms if neither is said.
+    """Read a measure, for example "rms shaking force" or "largest reaction at D from 90 to 180 deg"; default: rms.
 
     Raises
     ------
     Unusable
+        when the text is not a measure.
     """
     found = _MEASURE.fullmatch(" ".join(str(text).split())) if isinstance(text, str) else None
     if found is None:
@@ -67,11 +68,17 @@ def read_measure(text: object) -> Measure:
 
 
 def check_measure(measure: Measure, machine: Machine) -> None:
-    """Find what the machine does not have, and what is not linear.
+    """Check that the machine has the elements of a measure and that the measure is linear in the masses.
+
+    Parameters
+    ----------
+    measure : Measure
+    machine : Machine
 
     Raises
     ------
     Unusable
+        when an element is missing, or friction makes the measure nonlinear.
     """
     mechanism = machine.mechanism
     guides = [guide.name for guide in mechanism.guides]
@@ -110,7 +117,7 @@ def _read_goal(raw: object) -> tuple[tuple[Measure, float], ...]:
 
 @dataclass(frozen=True)
 class Ceiling:
-    """What a measure may be at most: `value` [SI], or `share` of its value in the given machine; `text` as written."""
+    """Upper bound of a measure: `value` [SI], or `share` of its value in the original machine; `text` as written."""
 
     measure: Measure
     value: float | None
@@ -118,16 +125,24 @@ class Ceiling:
     text: str
 
     def of(self, before: float) -> float:
-        """The limit [SI]."""
+        """Return the limit [SI] for the value of the measure in the original machine."""
         return self.share * before if self.share is not None else float(self.value or 0.0)
 
 
 def read_ceiling(name: str, raw: object) -> Ceiling:
-    """Read the limit of a measure: "50 N", "5 N*m", or "80 %" of its value in the given machine.
+    """Read the limit of a measure: "50 N", "5 N*m", or "80 %" of its value in the original machine.
+
+    Parameters
+    ----------
+    name : str
+        The measure.
+    raw : object
+        The limit as read from the file.
 
     Raises
     ------
     Unusable
+        when measure or limit cannot be read.
     """
     measure = read_measure(name)
     text = str(raw).strip()
@@ -146,7 +161,7 @@ def read_ceiling(name: str, raw: object) -> Ceiling:
 
 
 def _read_place(raw: object) -> Any:
-    """A point by its name, or two coordinates."""
+    """Read a point by name, or two coordinates."""
     if raw is None or isinstance(raw, str | tuple):
         return raw
     if not isinstance(raw, list) or len(raw) != 2:
@@ -190,12 +205,12 @@ class CounterweightSection(Section):
         return mass
 
     def counterweight(self, machine: Machine) -> Counterweight:
-        """The counterweight.
+        """Return the counterweight for a machine.
 
         Raises
         ------
         Unusable
-            naming the key below it.
+            with the key below the section.
         """
         mechanism = machine.mechanism
         if self.body not in mechanism.bodies:
@@ -236,7 +251,7 @@ class CounterweightSection(Section):
         )
 
     def _disc(self, low: float, most: float, thickness: float | None, density: float | None) -> tuple[float, float, float | None]:
-        """Least and largest mass, and the radius where that is fixed."""
+        """Return the least and largest mass of a disc, and its radius if that is fixed."""
         if density is not None and density <= 0.0:
             raise Unusable(
                 "a disc without density has no mass", 'Write density = "7850 kg/m^3" (steel)', "density", str(self.density)
@@ -264,7 +279,7 @@ class CounterweightSection(Section):
         return [point for point, bodies in machine.mechanism.owners.items() if self.body in bodies]
 
     def _local(self, machine: Machine, point: str, key: str) -> tuple[float, float]:
-        """A point of the body in its own axes [m]."""
+        """Return the coordinates of a point of the body in its own axes [m]."""
         if point not in self._points(machine):
             raise Unusable("the body has no such point", nearest(point, self._points(machine)), key, point)
         link, sizes = machine.mechanism.bodies[self.body], machine.sizes
@@ -321,12 +336,12 @@ class SpringSection(Section):
         return low, high
 
     def spring(self, machine: Machine) -> FreeSpring:
-        """The spring.
+        """Return the spring for a machine.
 
         Raises
         ------
         Unusable
-            naming the key below it.
+            with the key below the section.
         """
         mechanism = machine.mechanism
         taken = (*mechanism.bodies, *mechanism.owners, *(g.name for g in mechanism.guides), *(x.name for x in machine.loads))
@@ -379,17 +394,17 @@ class BalanceSection(Section):
 
     @property
     def goal(self) -> tuple[tuple[Measure, float], ...]:
-        """Measures that are made small, with their weights."""
+        """Measures to minimise, with their weights."""
         found: tuple[tuple[Measure, float], ...] = self.minimise
         return found
 
     def build(self, machine: Machine) -> tuple[tuple[Counterweight, ...], tuple[FreeSpring, ...]]:
-        """The counterweights and springs, all names checked.
+        """Return the counterweights and springs, with all names checked.
 
         Raises
         ------
         Unusable
-            naming the key below the section.
+            with the key below the section.
         """
         if not self.counterweights and not self.springs:
             example = '[[balance.counterweights]] with body = "crank", thickness = "10 mm", density = "7850 kg/m^3"'
@@ -427,7 +442,7 @@ class BalanceSection(Section):
         return tuple(weights), tuple(springs)
 
     def place(self, machine: Machine) -> tuple[float, float]:
-        """Where shaking moments are measured [m]: the crank's pivot if nothing is said."""
+        """Return the reference point of shaking moments [m]; default: the crank pivot."""
         mechanism = machine.mechanism
         if isinstance(self.about, tuple):
             x, y = self.about

@@ -1,4 +1,4 @@
-"""Masses, joints, gravity and the drive of a problem file, read and turned into those of a machine."""
+"""Mass properties, gravity and drive of a problem file."""
 
 from __future__ import annotations
 
@@ -54,12 +54,20 @@ class BodySection(Section):
     """Moment of inertia about the centroid, or `uniform bar`; required for a link that has a mass."""
 
     def inertia_of(self, body: str, mechanism: Mechanism, sizes: Mapping[str, Value]) -> Inertia:
-        """Mass properties for given sizes [SI].
+        """Return the mass properties for given dimensions.
+
+        Parameters
+        ----------
+        body : str
+            Name of the body.
+        mechanism : Mechanism
+        sizes : mapping of str to float, array or symbol [m, rad]
+            Dimensions of the mechanism.
 
         Raises
         ------
         Unusable
-            naming the key below the body, when no body can be so.
+            when the properties are inconsistent, with the key below the body.
         """
         link, mass = mechanism.bodies[body], self.mass.value
         length = (sizes[link.length] if isinstance(link.length, str) else link.length) if link.end else 0.0
@@ -152,7 +160,7 @@ class DriveSection(Section):
 
 
 def read_gravity(raw: object) -> Any:
-    """Gravity: a value along -y, or two components."""
+    """Read gravity: a value along -y, or two components."""
     if isinstance(raw, tuple):
         return raw
     if isinstance(raw, list):

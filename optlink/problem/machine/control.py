@@ -1,4 +1,4 @@
-"""The controller of a problem file: what it wants, what it knows of the machine, its gains."""
+"""The controller of a problem file: controlled output, inverse model and gains."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ class ServoSection(Section):
     """Damping ratio, above 0 and at most 10."""
 
     def check(self) -> None:
-        """Refuse what is no servo.
+        """Check the bandwidth and damping ratio of the servo.
 
         Raises
         ------
         Unusable
+            when a value is out of range, with the key below the section.
         """
         if not self.bandwidth.value > 0.0:
             raise Unusable("a servo has a bandwidth", 'Give for example "300 Hz"', "bandwidth", str(self.bandwidth))
@@ -42,7 +43,7 @@ def _read_joints(raw: object) -> Any:
 
 
 def _read_either(raw: object) -> Quantity:
-    """A length or an angle."""
+    """Read a length or an angle."""
     try:
         return read_fixed(raw, "length")
     except Unusable as error:
@@ -80,12 +81,18 @@ class ControlSection(Section):
     """The PID turns the crank by so much at most."""
 
     def check(self, machine: Machine, gaps: Sequence[Gap]) -> None:
-        """Refuse what does not fit the machine.
+        """Check that the controller fits the machine.
+
+        Parameters
+        ----------
+        machine : Machine
+        gaps : sequence of Gap
+            Joints with clearance.
 
         Raises
         ------
         Unusable
-            naming the key below the controller.
+            with the key below the controller.
         """
         known, points = outputs(machine), [gap.point for gap in gaps]
         if self.output is not None and self.output not in known:

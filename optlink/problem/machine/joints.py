@@ -105,12 +105,18 @@ class JointSection(Section):
         return self.clearance is not None or both
 
     def gap(self, point: str, mechanism: Mechanism) -> Gap:
-        """The joint with clearance.
+        """Return the joint with clearance.
+
+        Parameters
+        ----------
+        point : str
+            Name of the pin.
+        mechanism : Mechanism
 
         Raises
         ------
         Unusable
-            naming the key below the joint.
+            with the key below the joint.
         """
         bodies = mechanism.pins[point]
         journal = self.journal if self.journal is not None else bodies[-1] if len(bodies) == 2 else None
@@ -145,7 +151,7 @@ class JointSection(Section):
         )
 
     def _radii(self) -> tuple[float, float]:
-        """Clearance and radius of the journal [m]."""
+        """Return clearance and radius of the journal [m]."""
         bearing, journal, clearance = self.bearing_radius, self.journal_radius, self.clearance
         if bearing is not None and journal is not None:
             found = bearing.value - journal.value
@@ -185,11 +191,12 @@ class JointSection(Section):
         return float(stiffness(radius + clearance, radius, first, second))
 
     def check_unused(self) -> None:
-        """Refuse what says nothing without a clearance.
+        """Refuse keys without effect in a joint without clearance.
 
         Raises
         ------
         Unusable
+            with the first such key.
         """
         said = sorted(key for key in self.model_fields_set - {"on"} if getattr(self, key) is not None)
         if said and not self.loose:

@@ -1,4 +1,4 @@
-"""How large a force or torque is: a quantity, an expression with its unit, or a table over crank angle, slide or crank speed."""
+"""Size of a force or torque: a quantity, an expression with its unit, or a table over crank angle, slide or crank speed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
 
 @dataclass(frozen=True)
 class Constant:
-    """The same everywhere; `text` as written."""
+    """A constant value; `text` as written."""
 
     value: float
     text: str
@@ -31,13 +31,13 @@ class Constant:
         return self.text
 
     def __call__(self, known: Mapping[str, Value]) -> Value:
-        """The value [SI]."""
+        """Return the value [SI]."""
         return self.value
 
 
 @dataclass(frozen=True)
 class Formula:
-    """An expression, in a unit of `size` SI."""
+    """An expression in a unit of `size` SI."""
 
     expression: Expression
     unit: str
@@ -47,13 +47,13 @@ class Formula:
         return f"{self.expression.text} [{self.unit}]"
 
     def __call__(self, known: Mapping[str, Value]) -> Value:
-        """The value [SI]."""
+        """Return the value [SI]."""
         return self.expression(known) * self.size
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A table over one variable, straight between its rows; over the crank angle it repeats every turn, else its ends go on."""
+    """A table over one variable with linear interpolation; periodic over the crank angle, else constant beyond its ends."""
 
     over: str
     at: tuple[float, ...]
@@ -63,14 +63,14 @@ class Curve:
         return f"a table over {self.over}, {len(self.at)} rows"
 
     def __call__(self, known: Mapping[str, Value]) -> Value:
-        """The value [SI]."""
+        """Return the value [SI]."""
         x, period = known[self.over], 2.0 * np.pi if self.over == "phi" else None
         if isinstance(x, float | int | np.ndarray | np.generic):
             return np.interp(np.asarray(x, dtype=float), self.at, self.values, period=period)
         return self._ramps(x, period)
 
     def _ramps(self, x: Value, period: float | None) -> Value:
-        """The same for symbols, as a sum of ramps that begin at the rows."""
+        """Return the value for symbols, as a sum of ramps that begin at the rows."""
         at, values = list(self.at), list(self.values)
         if period is not None:
             x = x - period * np.floor((x - at[0]) / period)
@@ -87,7 +87,24 @@ Size = Constant | Formula | Curve
 
 
 def read_size(raw: object, kind: str, names: Iterable[str], folder: Path) -> Size:
-    """Read a force or torque: a quantity, an expression with its unit, or a table over phi, s or omega."""
+    """Read a force or torque: a quantity, an expression with its unit, or a table over phi, s or omega.
+
+    Parameters
+    ----------
+    raw : object
+        Value as read from the file.
+    kind : str
+        "force" or "torque".
+    names : iterable of str
+        Variables of an expression; a table may run over those of them in `OVER`.
+    folder : Path
+        Folder to which the name of a CSV file is relative.
+
+    Raises
+    ------
+    Unusable
+        when the value cannot be read, with the key below the present one.
+    """
     if isinstance(raw, Constant | Formula | Curve):
         return raw
     if not isinstance(raw, dict):

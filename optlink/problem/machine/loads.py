@@ -1,4 +1,4 @@
-"""The loads of a problem file, read and turned into those of a machine."""
+"""The loads of a problem file."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from optlink.problem.quantity import (
 
 
 class Samples(Protocol):
-    """What a load must know of the motion of its machine."""
+    """Properties of a machine's motion that a load depends on."""
 
     def slow(self, load: Load) -> Direction:
-        """Which stroke of a load's motion takes longer."""
+        """Return the stroke of a load's motion that takes longer."""
         ...
 
     def check_moves(self, load: Load) -> None:
@@ -37,7 +37,16 @@ class Samples(Protocol):
         ...
 
     def middle(self, body: str, against: str, free: float) -> float:
-        """The midst of the swing of a body against another [rad], at most half a turn from `free`."""
+        """Return the middle of the swing of a body relative to another [rad], within half a revolution of `free`.
+
+        Parameters
+        ----------
+        body : str
+        against : str
+            The other body.
+        free : float [rad]
+            Reference angle.
+        """
         ...
 
 
@@ -89,12 +98,20 @@ class LoadSection(Section):
         return read_size(raw, str(info.field_name), names, (info.context or {}).get("folder", Path()))
 
     def build(self, name: str, mechanism: Mechanism, motion: Samples) -> Load:
-        """The load of a machine; `motion` are samples of it over a revolution.
+        """Return the load of a machine.
+
+        Parameters
+        ----------
+        name : str
+            Name of the load.
+        mechanism : Mechanism
+        motion : Samples
+            Samples of the motion over a revolution.
 
         Raises
         ------
         Unusable
-            naming the key below the load.
+            with the key below the load.
         """
         self._check_keys()
         if self.force is not None:
@@ -148,11 +165,11 @@ class LoadSection(Section):
 
     @property
     def by_pace(self) -> bool:
-        """Whether the sizes decide in which direction it acts: in the slow or in the quick stroke."""
+        """Whether the dimensions determine its direction: it acts in the slow or in the quick stroke."""
         return self.stroke in ("slow", "quick")
 
     def _check_keys(self) -> None:
-        """Keys that say nothing together."""
+        """Refuse inconsistent combinations of keys."""
         given = {key for key in self.model_fields_set if getattr(self, key) is not None}
         kinds: dict[str, set[str]] = {
             "force": {"on", "at", "direction", "acts", "stroke", "against"},
@@ -182,7 +199,7 @@ class LoadSection(Section):
         return str(body)
 
     def _target(self, mechanism: Mechanism) -> tuple[str, str, str]:
-        """Body, point and guide (or "") of a force."""
+        """Return body, point and guide (or "") of a force."""
         body = self._body(mechanism, self.on, "on")
         guide = next((g for g in mechanism.guides if g.slider == body), None)
         link = mechanism.bodies[body]
@@ -204,7 +221,7 @@ class LoadSection(Section):
                 raise Unusable("a load does not act against itself", "Name another body, or frame", "against", self.against)
 
     def _stroke(self, load: Force | Torque, motion: Samples) -> dict[str, Any]:
-        """In which stroke it acts, and whether that goes with the sense of the crank."""
+        """Return the stroke in which the load acts, and whether it follows the sense of crank rotation."""
         if load.opposing or self.stroke != "both":
             motion.check_moves(load)
         if not self.by_pace:

@@ -1,4 +1,4 @@
-"""Problem: a linkage with its masses, loads and drive, checked; what `analyze` and `simulate` take."""
+"""Problem: a linkage with its masses, loads and drive, checked; input of `analyze` and `simulate`."""
 
 from __future__ import annotations
 
@@ -95,39 +95,39 @@ class Problem(Section):
 
     @property
     def task(self) -> str:
-        """Kind of question that the file asks: "function", "path", "cycle", "balance" or "analysis"."""
+        """Kind of task: "function", "path", "cycle", "balance" or "analysis"."""
         return "analysis" if self.balance is None else "balance"
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
-        """Every quantity that can be fixed or free, by name."""
+        """Fixed quantities and design variables by name."""
         return self.mechanism.quantities
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the free quantities, in the order of the design vector."""
+        """Names of the design variables, in the order of the design vector."""
         return tuple(name for name, quantity in self.quantities.items() if quantity.free)
 
     @cached_property
     def longest(self) -> float:
-        """The longest length of the file [m], of the start where it is free."""
+        """Largest length or coordinate of the file [m], at the start of design variables."""
         lengths = [q.value for q in self.mechanism.quantities.values() if q.kind == "length"]
         coordinates = [abs(q.value) for q in self.mechanism.quantities.values() if q.kind == "coordinate"]
         return max([*lengths, *coordinates, 1e-9])
 
     @cached_property
     def linkage(self) -> Mechanism:
-        """The mechanism as data."""
+        """Kinematic model of the mechanism."""
         return self.mechanism.linkage(self.title, self.drive.body)
 
     @cached_property
     def deviations(self) -> tuple[Deviation, ...]:
-        """How sizes may differ when the linkage is built.
+        """Manufacturing deviations of dimensions.
 
         Raises
         ------
         Unusable
-            whose key is the name of the size.
+            whose key is the name of the dimension.
         """
         quantities = self.mechanism.quantities
         mechanism, pivots = loosened(self.mechanism, self.linkage)
@@ -135,19 +135,20 @@ class Problem(Section):
         return deviations(self.tolerances, mechanism, quantities, largest | pivots)
 
     def machine(self, design: Mapping[str, Value] | None = None, slow: Mapping[str, Direction] | None = None) -> Machine:
-        """The machine for given quantities [SI] (the values and starts of the file where none are given).
+        """Return the machine for given quantities; values and starts of the file are the defaults.
 
         Parameters
         ----------
-        design : mapping of quantity to value [SI], optional
-        slow : mapping of load to "forward" or "backward", optional
-            The slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise; that of the machine
-            of this design if left out.
+        design : mapping of str to float, array or symbol [m, rad], optional
+            Values of quantities.
+        slow : mapping of str to "forward" or "backward", optional
+            The slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise; default: that of the
+            machine of this design.
 
         Raises
         ------
         Unusable
-            naming the full key that is to blame.
+            with the full key of the cause.
         """
         mechanism, sizes = self.linkage, {**sizes_of(self.mechanism.quantities), **(design or {})}
         for section, names in (("bodies", mechanism.bodies), ("joints", mechanism.pins)):
@@ -191,15 +192,16 @@ class Problem(Section):
 
     @property
     def slow_assumed(self) -> dict[str, Direction] | None:
-        """A slow stroke of every load where free sizes decide it, and the starts of the file may leave it open; else None."""
+        """Assumed slow stroke of every load if there are design variables, which determine it; else None."""
         return dict.fromkeys(self.loads, "forward") if self.free else None
 
     def slow_senses(self, design: Mapping[str, Value]) -> Array:
-        """Slow strokes of the loads that act by pace (loads, designs): 1 forward, -1 backward, 0 where neither is slow.
+        """Return the slow strokes of the loads that act by pace (loads, designs): 1 forward, -1 backward, 0 for equal strokes.
 
         Parameters
         ----------
-        design : mapping of quantity to array (designs, 1) [SI]
+        design : mapping of str to array (designs, 1) [m, rad]
+            Values of quantities.
         """
         machine = self.machine(design, dict.fromkeys(self.loads, "forward"))
         motion = Revolution(Machine(machine.mechanism, machine.sizes))
@@ -211,12 +213,12 @@ class Problem(Section):
         return any(joint.loose for joint in self.joints.values())
 
     def gaps(self, machine: Machine) -> tuple[Gap, ...]:
-        """The joints with clearance.
+        """Return the joints with clearance.
 
         Raises
         ------
         Unusable
-            naming the full key that is to blame.
+            with the full key of the cause.
         """
         found = []
         for name, joint in self.joints.items():
@@ -229,7 +231,7 @@ class Problem(Section):
 
 
 class _below:
-    """Put a key before the one that an error names."""
+    """Context that prefixes a key to the one named by an error."""
 
     def __init__(self, key: str) -> None:
         self.key = key
@@ -243,7 +245,7 @@ class _below:
 
 
 class Revolution:
-    """Samples of a machine's motion over a revolution (or as much of it as can be assembled)."""
+    """Samples of a machine's motion over a revolution, as far as it can be assembled."""
 
     def __init__(self, machine: Machine, slow: Mapping[str, Direction] | None = None) -> None:
         self.machine, self._slow = machine, slow or {}
@@ -254,7 +256,7 @@ class Revolution:
         return self.machine.moving(np.linspace(0.0, self.machine.mechanism.cycle, STROKES, endpoint=False) + 1e-4)
 
     def check_holds(self, gaps: Sequence[Gap]) -> None:
-        """Refuse clearances that let a group of the mechanism come apart, or turn over into its other assembly mode."""
+        """Refuse clearances that allow a group of the mechanism to disassemble or to change its assembly mode."""
         mechanism, assembled = self.machine.mechanism, self.moving.motion.assembled
         with np.errstate(all="ignore"):
             pose = mechanism.at(self.machine.sizes, self.moving.motion.crank_angle)
@@ -286,12 +288,12 @@ class Revolution:
         """Refuse a load that opposes a motion that does not exist."""
         rates = self._rates(load)
         size = float(np.max(self.machine.size)) if isinstance(load, Force) else 1.0
-        if rates.size and float(np.median(np.abs(rates))) <= 1e-12 * size:  # beside singular positions rounding is larger
+        if rates.size and float(np.median(np.abs(rates))) <= 1e-12 * size:  # near singular positions rounding errors are larger
             what = "does not move in this direction" if isinstance(load, Force) else "does not turn"
             raise Unusable(f"what it opposes {what}", 'Take the load out, or write acts = "constant"', "acts")
 
     def slow(self, load: Load) -> Direction:
-        """Which stroke of a load's motion takes longer while the crank turns evenly counter-clockwise.
+        """Return the stroke of a load's motion that takes longer at constant counter-clockwise crank speed.
 
         Raises
         ------
@@ -300,7 +302,7 @@ class Revolution:
         """
         if load.name in self._slow:
             return self._slow[load.name]
-        sense = self.slow_senses(load)  # many designs share one machine only where they have the same slow stroke
+        sense = self.slow_senses(load)  # many designs share one machine only if they have the same slow stroke
         found: Direction | None = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
         if found is None:
             least = f"{math.degrees(LEAST_DIFFERENCE):g} deg"
@@ -309,10 +311,10 @@ class Revolution:
         return found
 
     def slow_senses(self, load: Load) -> Array:
-        """Slow stroke of a load's motion for one or many designs: 1 forward, -1 backward, 0 where both take equally long.
+        """Return the slow stroke of a load's motion for one or many designs: 1 forward, -1 backward, 0 for equal strokes.
 
-        Of one design whose crank turns fully by the exact crank angles of its reversals, else by the sampled positions that can
-        be reached, reversals interpolated between them.
+        For one design with full crank rotation the exact crank angles of the reversals are used, else the sampled positions that
+        can be reached, with interpolated reversals.
         """
         assembled = self.moving.motion.assembled
         if np.ndim(assembled) == 1 and np.all(assembled):
@@ -328,12 +330,20 @@ class Revolution:
         return np.asarray(sense, dtype=float).reshape(-1)
 
     def middle(self, body: str, against: str, free: float) -> float:
-        """The midst of the swing of a body against another [rad], at most half a turn from `free`.
+        """Return the middle of the swing of a body relative to another [rad], within half a revolution of `free`.
+
+        Parameters
+        ----------
+        body : str
+        against : str
+            The other body.
+        free : float [rad]
+            Reference angle.
 
         Raises
         ------
         Unusable
-            when it turns fully: no torsion spring follows that.
+            when the body makes a full turn, as no torsion spring allows.
         """
         one, other = (self.moving.state(name).axis for name in (body, against))
         angle = np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle
@@ -349,12 +359,12 @@ class Revolution:
 
 
 def cross_check(problem: Problem) -> None:
-    """Find what no single key shows.
+    """Check that the sections of a problem are consistent.
 
     Raises
     ------
     Unusable
-        with the full key that is to blame.
+        with the full key of the cause.
     """
     machine = problem.machine(slow=problem.slow_assumed)
     gaps = problem.gaps(machine)

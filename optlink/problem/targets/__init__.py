@@ -1,1 +1,1 @@
-"""Targets of a design: motion laws, functions, points and poses, and the ways to state them."""
+"""Targets of a design: motion laws, functions, points and poses, and their input formats."""

@@ -1,4 +1,4 @@
-"""Curves sampled evenly by their arc length; and curves that expressions in t describe."""
+"""Curves sampled evenly by arc length, and curves defined by expressions in t."""
 
 from __future__ import annotations
 
@@ -17,23 +17,35 @@ from optlink.units import show
 
 Array = NDArray[np.float64]
 
-FINE = 100_000  # chords that a curve is measured by; of one turn of a circle, they miss 2e-10 of the length
+FINE = 100_000  # chords that approximate a curve; for a full circle the length error is 2e-10
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece of a curve: `at` gives its points (n, 2) [m] at u (n,) from 0 to 1; measured by `chords` chords."""
+    """A piece of a curve: `at` returns its points (n, 2) [m] at u (n,) from 0 to 1; `chords` chords approximate it."""
 
     at: Callable[[Array], Array]
     chords: int
 
 
 def evenly(pieces: Sequence[Piece], count: int) -> tuple[Array, bool, float]:
-    """Sample a curve evenly by its arc length.
+    """Sample a curve evenly by arc length.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        Consecutive pieces of the curve.
+    count : int
+        Number of points.
 
     Returns
     -------
     points (count, 2) [m], exactly on the curve; whether it is closed: then the first is not repeated; its length [m]
+
+    Raises
+    ------
+    Unusable
+        when the curve is too large or has no length.
     """
     traced = [piece.at(np.linspace(0.0, 1.0, piece.chords + 1)) for piece in pieces]
     chords = np.concatenate([np.hypot(*np.diff(points, axis=0).T) for points in traced])
@@ -56,13 +68,29 @@ def evenly(pieces: Sequence[Piece], count: int) -> tuple[Array, bool, float]:
 
 
 def sampled(points: Array, unit: str, loop: bool, note: str) -> Wanted:
-    """Points (n, 2) [m] that were sampled from a curve, apart from each other."""
+    """Return points sampled from a curve as targets.
+
+    Parameters
+    ----------
+    points : array (n, 2) [m]
+    unit : str
+        Display unit.
+    loop : bool
+        Whether the curve is closed.
+    note : str
+        Description of the sampling, for display.
+
+    Raises
+    ------
+    Unusable
+        when neighbouring points coincide.
+    """
     check_apart(Rows({"x": points[:, 0], "y": points[:, 1]}, unit, key="points"))
     return Wanted(pairs(points), unit=unit, note=f"{note}; closed, the first is not repeated" if loop else note, loop=loop)
 
 
 def expressed(raw: Mapping[str, Any]) -> Wanted:
-    """Points of a curve whose coordinates are expressions in t."""
+    """Return points of a curve whose coordinates are expressions in t."""
     for key, example in (("x", '"20*cos(t)"'), ("y", '"10*sin(t)"'), ("t", '[0, "2*pi"]'), ("unit", '"mm"')):
         if key not in raw:
             raise Unusable(

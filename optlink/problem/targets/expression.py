@@ -1,8 +1,8 @@
-"""The safe little language of target laws: "psi0 + 2/(3*pi)*(phi - phi0)^2".
+"""Expressions of target laws: "psi0 + 2/(3*pi)*(phi - phi0)^2".
 
-Numbers, the names that the caller allows, pi, + - * / ^ (or **), brackets and the functions of `FUNCTIONS`. A law is parsed
-here into a postfix programme and run on numpy ufuncs, so floats, arrays, casadi symbols and jets all pass; nothing is ever
-given to Python to evaluate.
+An expression consists of numbers, permitted names, pi, + - * / ^ (or **), brackets and the functions of `FUNCTIONS`. It is parsed
+into a postfix program and run on numpy ufuncs, so floats, arrays, casadi symbols and jets are all supported; no text is ever
+passed to Python for evaluation.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ Step = tuple[str, Any]
 
 
 class LawError(ValueError):
-    """A law that cannot be read: `message` says what is wrong and where, `remedy` what would do."""
+    """A law that cannot be parsed: `message` is the error and its column, `remedy` how to fix it."""
 
     def __init__(self, message: str, remedy: str) -> None:
         super().__init__(f"{message}. {remedy}")
@@ -66,20 +66,20 @@ class LawError(ValueError):
 
 @dataclass(frozen=True)
 class Expression:
-    """A parsed law: its text, the names it uses, and its postfix programme."""
+    """A parsed law: its text, the names it uses, and its postfix program."""
 
     text: str
     names: frozenset[str] = field(repr=False)  # a set has no order, and the hash of a problem reads this
     program: tuple[Step, ...]
 
     def __call__(self, values: Mapping[str, Value]) -> Value:
-        """Evaluate with a Value for every name; NaN or infinity where it is not defined, silently."""
+        """Evaluate with a Value for every name; NaN or infinity where it is undefined, without warnings."""
         return self._run(values, None)
 
     def hazards(self, values: Mapping[str, Value]) -> str | None:
-        """Say what goes wrong when the law is followed along arrays of values (one after the other), or None.
+        """Return the defect of a law along arrays of consecutive values, or None.
 
-        Finds poles that lie between two of the values too: a denominator that changes its sign.
+        Poles between two values are found too: a denominator that changes its sign.
         """
         found: list[str] = []
 
@@ -125,18 +125,19 @@ class Expression:
 
 
 def parse(text: str, names: Iterable[str]) -> Expression:
-    """Read a law.
+    """Parse a law.
 
     Parameters
     ----------
     text : str
         At most `MAX_CHARACTERS` characters, brackets nested at most `MAX_DEPTH` deep.
-    names : the variables that it may use, beside pi and the functions
+    names : iterable of str
+        Variables allowed beside pi and the functions.
 
     Raises
     ------
     LawError
-        when the text is anything else than such an expression.
+        when the text is not such an expression.
     """
     if len(text) > MAX_CHARACTERS:
         raise LawError(f"the law has {len(text):,} characters, more than {MAX_CHARACTERS:,}", "Shorten it, or give it as a table")
@@ -156,7 +157,7 @@ class _Token(NamedTuple):
 
 
 class _Parser:
-    """Precedence climbing (Pratt); emits postfix as it goes. `here` is the token that is read next, None at the end."""
+    """Precedence-climbing (Pratt) parser that emits postfix. `here` is the next token, None at the end."""
 
     def __init__(self, text: str, names: frozenset[str]) -> None:
         self.text, self.names = text, names
@@ -167,7 +168,7 @@ class _Parser:
         self.advance()
 
     def fail(self, message: str, remedy: str, column: int | None = None) -> NoReturn:
-        """Refuse the law, at the token that is read next if no column is given."""
+        """Refuse the law at a column, by default that of the next token."""
         at = column or (self.here.column if self.here is not None else len(self.text.rstrip(SPACE)) + 1)
         raise LawError(f"{message} (column {at})", remedy)
 

@@ -1,4 +1,4 @@
-"""A function y(x) to be generated: x runs evenly with the crank, y with the output, each over its range."""
+"""Function generation: y(x), where x is proportional to the crank angle and y to the output, each over its range."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ from optlink.problem.targets.expression import Expression, LawError, parse
 
 KEYS = ("function", "x", "input", "output")
 EXAMPLE = 'law = { function = "log10(x)", x = [1, 2], input = "60 deg", output = "60 deg" }'
-GRID = 2001  # values of x among which the range of y is found
+GRID = 2001  # values of x at which y is evaluated to find its range
 
 
 @dataclass(frozen=True)
 class Function:
-    """y(x) for `low` <= x <= `high`, which the crank passes in a rotation `input` [rad]; y takes the `output` [rad or m] from its
-    least to its largest value there.
+    """A function y(x) for `low` <= x <= `high`, generated in a crank rotation `input` [rad].
 
-    It is a law of the crank angle: wanted output = psi0 + output * (y(x) - least y) / (largest y - least y), psi0 the output
-    at the least y.
+    The output moves by `output` [rad or m] from the least to the largest value of y. It is a law of the crank angle: prescribed
+    output = psi0 + output * (y(x) - least y) / (largest y - least y), where psi0 is the output at the least y.
     """
 
     expression: Expression
@@ -38,12 +37,12 @@ class Function:
 
     @property
     def text(self) -> str:
-        """As people write it."""
+        """The function for display."""
         return f"y = {self.expression.text}, x = {self.low:g} ... {self.high:g}"
 
     @cached_property
     def ends(self) -> tuple[float, float]:
-        """Least and largest y; refined between the values of a grid."""
+        """Least and largest y, refined between the values of a grid."""
         x = np.linspace(self.low, self.high, GRID)
         y = np.asarray(self.expression({"x": x}) + 0.0 * x, dtype=float)
         found = []
@@ -54,27 +53,34 @@ class Function:
         return found[0], found[1]
 
     def rise(self, offset: Value) -> Value:
-        """Wanted output [rad or m] above that of the least y, at a crank rotation [rad] from the start; elementwise."""
+        """Return the prescribed output [rad or m] above that of the least y at a crank rotation [rad]; elementwise."""
         least, largest = self.ends
         x = self.low + (self.high - self.low) / self.input * offset
         return (self.expression({"x": x}) - least) * (self.output / (largest - least))
 
     def __call__(self, values: Mapping[str, Value]) -> Value:
-        """Wanted output for phi, phi0 and psi0."""
+        """Return the prescribed output for phi, phi0 and psi0."""
         return values["psi0"] + self.rise(values["phi"] - values["phi0"])
 
     def hazards(self, values: Mapping[str, Value]) -> str | None:
-        """Say what goes wrong along the range, or None; see `Expression.hazards`."""
+        """Return the defect of the function along the range, or None; see `Expression.hazards`."""
         return self.expression.hazards({"x": self.low + (self.high - self.low) / self.input * (values["phi"] - values["phi0"])})
 
 
 def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
-    """Read a function as a problem file states it; its output is of that kind ("angle" or "coordinate").
+    """Read a function from a problem file.
+
+    Parameters
+    ----------
+    raw : mapping
+        Table of the file.
+    kind : str
+        Kind of the output: "angle" or "coordinate".
 
     Raises
     ------
     Unusable
-        naming the key that is to blame.
+        with the key of the cause.
     """
     for key in raw:
         if key not in KEYS:

@@ -1,4 +1,4 @@
-"""Motion laws: the output over the crank angle as an expression in phi, phi0, psi0 (of a slide s0), or as a table."""
+"""Motion laws: the output over the crank angle as an expression in phi, phi0, psi0 (for a slide s0), or as a table."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ MAX_ROWS = 10_000
 
 @dataclass(frozen=True)
 class Table:
-    """Points (phi, psi) of a law, phi [rad] strictly monotone, psi the output [rad, or m of a slide].
+    """Points (phi, psi) of a law: phi [rad] strictly monotone, psi the output [rad, or m for a slide].
 
-    `from_start`: both are counted from the start position (phi - phi0, psi - psi0); else from the frame. `kind` is that of the
-    output: "angle" or "coordinate".
+    `from_start`: both are relative to the start position (phi - phi0, psi - psi0), else to the frame. `kind` of the output:
+    "angle" or "coordinate".
     """
 
     phi: tuple[float, ...]
@@ -67,7 +67,7 @@ class Table:
         return self.phi[-1] if self.from_start else self.phi[-1] - self.phi[0]
 
     def at(self, offsets: Array) -> Array:
-        """Prescribed output at crank rotations [rad] from the start: monotone cubics between the rows."""
+        """Return the prescribed output at crank rotations [rad] from the start, by monotone cubic interpolation."""
         rows = np.asarray(self.phi) - (0.0 if self.from_start else self.phi[0])
         psi = np.asarray(self.psi)
         if len(offsets) == len(rows) and np.array_equal(offsets, rows):
@@ -80,7 +80,7 @@ class Table:
 
 @dataclass(frozen=True)
 class SlideExpression:
-    """A slide [m] as an expression in phi, phi0 [rad] and s0, whose value and s0 are counted in a unit of `size` metres."""
+    """A slide [m] as an expression in phi, phi0 [rad] and s0; the expression and s0 are in a unit of `size` metres."""
 
     expression: Expression
     size: float
@@ -89,23 +89,23 @@ class SlideExpression:
 
     @property
     def text(self) -> str:
-        """As people write it."""
+        """The expression with its unit, for display."""
         return f"{self.expression.text} [{self.unit}]"
 
     @property
     def names(self) -> frozenset[str]:
-        """Names that it uses, s0 as psi0: the output at the start."""
+        """Names used, with s0 as psi0: the output at the start."""
         return frozenset("psi0" if name == "s0" else name for name in self.expression.names)
 
     def _named(self, values: Mapping[str, Value]) -> dict[str, Value]:
         return {"phi": values["phi"], "phi0": values["phi0"], "s0": values["psi0"] / self.size}
 
     def __call__(self, values: Mapping[str, Value]) -> Value:
-        """Prescribed slide [m] for phi, phi0 [rad] and psi0, the slide at the start [m]."""
+        """Return the prescribed slide [m] for phi, phi0 [rad] and psi0, the slide at the start [m]."""
         return self.expression(self._named(values)) * self.size
 
     def hazards(self, values: Mapping[str, Value]) -> str | None:
-        """Say what goes wrong along arrays of values, or None; see `Expression.hazards`."""
+        """Return the defect of the law along arrays of values, or None; see `Expression.hazards`."""
         return self.expression.hazards(self._named(values))
 
 
@@ -114,7 +114,7 @@ Source = Expression | SlideExpression | Function | Table
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """What the output shall be at each design position.
+    """The prescribed output at each design position.
 
     `offsets` (rows,) [rad]: crank rotation of each position from the start.
     """
@@ -124,28 +124,57 @@ class Law:
 
     @cached_property
     def tabulated(self) -> Array:
-        """Output that the table prescribes at each design position, before psi0 is added; zeros for an expression."""
+        """Output of a table at each design position, before psi0 is added; zeros for an expression."""
         return self.source.at(self.offsets) if isinstance(self.source, Table) else np.zeros(len(self.offsets))
 
     def wanted(self, offset: Value, tabulated: Value, phi0: Value, psi0: Value) -> Value:
-        """Prescribed output [rad or m] at crank rotations `offset` from the start; elementwise."""
+        """Return the prescribed output [rad or m]; elementwise.
+
+        Parameters
+        ----------
+        offset : float, array or symbol [rad]
+            Crank rotation from the start.
+        tabulated : float, array or symbol [rad or m]
+            `Law.tabulated` at that offset.
+        phi0 : float, array or symbol [rad]
+            Crank angle at the start.
+        psi0 : float, array or symbol [rad or m]
+            Output at the start.
+        """
         if not isinstance(self.source, Table):
             return self.source({"phi": phi0 + offset, "phi0": phi0, "psi0": psi0})
         return tabulated + psi0 if self.source.from_start else tabulated
 
     def curve(self, offsets: Array, phi0: float, psi0: float) -> Array:
-        """Prescribed output [rad or m] at any crank rotations [rad] from the start, for one design."""
+        """Return the prescribed output [rad or m] for one design.
+
+        Parameters
+        ----------
+        offsets : array (n,) [rad]
+            Crank rotations from the start.
+        phi0 : float [rad]
+            Crank angle at the start.
+        psi0 : float [rad or m]
+            Output at the start.
+        """
         tabulated = self.source.at(offsets) if isinstance(self.source, Table) else 0.0
         return np.asarray(self.wanted(offsets, tabulated, phi0, psi0) + 0.0 * offsets, dtype=float)
 
 
 def read_law(raw: object, folder: Path) -> Expression | Function | Table:
-    """Read a law as a problem file states it: an expression, a table, or the CSV file of a table.
+    """Read a law from a problem file: an expression, a function, a table, or the CSV file of a table.
+
+    Parameters
+    ----------
+    raw : object
+        Value as read from the file.
+    folder : Path
+        Folder to which the name of a CSV file is relative.
 
     Raises
     ------
     Unusable
-        naming the key below `law` that is to blame.
+        with the key below `law`.
     """
     if isinstance(raw, Expression | Function | Table):
         return raw
@@ -166,13 +195,22 @@ def read_law(raw: object, folder: Path) -> Expression | Function | Table:
 
 
 def read_output_law(raw: object, folder: Path) -> Source:
-    """Read the law of any output: as `read_law`, and of a slide { slide = "s0 + 40*(1 - cos(phi))", unit = "mm" } or a table
-    of phi and s.
+    """Read the law of any output.
+
+    In addition to the forms of `read_law`: { slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }, a table of phi and s, or a function
+    with the output of a slide.
+
+    Parameters
+    ----------
+    raw : object
+        Value as read from the file.
+    folder : Path
+        Folder to which the name of a CSV file is relative.
 
     Raises
     ------
     Unusable
-        naming the key below `law` that is to blame.
+        with the key below `law`.
     """
     if isinstance(raw, SlideExpression):
         return raw
@@ -191,7 +229,7 @@ def read_output_law(raw: object, folder: Path) -> Source:
 
 
 def _has_slide(raw: Mapping[str, Any], folder: Path) -> bool:
-    """Whether the CSV file of a table has a column of a slide."""
+    """Return whether the CSV file of a table has a column of a slide."""
     if "csv" not in raw:
         return False
     header = csv_text(raw, folder)[1].partition("\n")[0].split(",")
@@ -247,9 +285,11 @@ def read_columns(raw: Mapping[str, Any], folder: Path, kinds: Mapping[str, str])
     Parameters
     ----------
     raw : mapping
-        Its key csv names the file, relative to the folder. Devices, pipes and files that are too large are refused.
+        Its key csv names the file. Devices, pipes and files that are too large are refused.
     folder : Path
-    kinds : mapping of column name to the kind of its unit
+        Folder to which the name is relative.
+    kinds : mapping of str to str
+        Physical kind for each column name.
 
     Returns
     -------
@@ -258,7 +298,7 @@ def read_columns(raw: Mapping[str, Any], folder: Path, kinds: Mapping[str, str])
     Raises
     ------
     Unusable
-        naming the file, and the row where a row is at fault.
+        with the file, and the row of the error.
     """
     title, text = csv_text(raw, folder)
     try:
@@ -275,7 +315,7 @@ _UNITS = {
     "force": {"N": "N", "kN": "kN"},
     "torque": {"Nm": "N*m"},
     "angular velocity": {"rpm": "rpm", "rad_s": "rad/s"},
-}  # as they may end the name of a column
+}  # suffixes of column names
 
 
 def _column(rows: Sequence[Sequence[str]], header: list[str], name: str, kind: str, file: str) -> list[float]:

@@ -1,4 +1,4 @@
-"""Points that are listed, in the problem file or in the rows of a CSV file: read, checked, reduced where they are too many."""
+"""Points listed in the problem file or in a CSV file: read, checked, and reduced if there are too many."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ Array = NDArray[np.float64]
 
 MAX_ROWS = 1_000_000
 
-_TURNED = 1e4  # rad; beyond it an angle has lost its last digits, and nobody meant it
+_TURNED = 1e4  # rad; a larger angle has lost its last digits and is an input error
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Columns (n,) [SI] by name: x and y, and of crank, angle, weight and tolerance those that are stated.
+    """Columns (n,) [SI] by name: x and y, and of crank, angle, weight and tolerance those that are defined.
 
-    `unit` of x. `file` and `numbers` of the rows in it, where they come from one. `key` to blame; None: that of each listed row.
+    `unit` of x. `file` and the row `numbers` in it, for a CSV file. `key` named in errors; None: that of each listed row.
     """
 
     columns: Mapping[str, Array]
@@ -44,13 +44,28 @@ class Rows:
         return np.stack([self.columns["x"], self.columns["y"]], axis=1)
 
     def named(self, *rows: int) -> str:
-        """The rows as people find them: "points 4 and 5", or "rows 5 and 6 of curve.csv"."""
+        """Return the names of rows for display: "points 4 and 5", or "rows 5 and 6 of curve.csv"."""
         numbers = [row + 1 if self.numbers is None else self.numbers[row] for row in rows]
         what = ("point" if self.numbers is None else "row") + ("s" if len(rows) > 1 else "")
         return f"{what} {' and '.join(map(str, numbers))}{f' of {self.file}' if self.file else ''}"
 
     def refuse(self, bad: NDArray[np.bool_], column: str, message: str, remedy: str) -> None:
-        """Name the first of the rows where `bad` (n,), if there is one; {} in the message stands for it."""
+        """Raise an error for the first bad row, if there is one.
+
+        Parameters
+        ----------
+        bad : array (n,) of bool
+        column : str
+            Column of the error.
+        message : str
+            Message, in which {} stands for the name of the row.
+        remedy : str
+
+        Raises
+        ------
+        Unusable
+            when any row is bad.
+        """
         if bad.any():
             row = int(np.argmax(bad))
             key = f"[{row}].{column}" if self.key is None else self.key
@@ -63,11 +78,11 @@ def _people(column: str, value: float) -> str:
 
 
 _COLUMNS = {"x": "coordinate", "y": "coordinate", "crank": "angle", "angle": "angle", "weight": "", "tolerance": "length"}
-_LEFT_OUT = {"weight": 1.0, "tolerance": math.inf}  # what a row has that states none
+_LEFT_OUT = {"weight": 1.0, "tolerance": math.inf}  # defaults of a row
 
 
 def listed(raw: Sequence[object]) -> Rows:
-    """Rows that the problem file lists, each a list of two or a table."""
+    """Read rows listed in the problem file, each a list of two or a table."""
     if len(raw) > MAX_ROWS:
         raise Unusable(f"there are {len(raw):,} points, more than {MAX_ROWS:,}", "Thin them out", "")
     example = 'Write ["20 mm", "25 mm"], or { x = "20 mm", y = "25 mm", crank = "30 deg" }'
@@ -121,14 +136,27 @@ _ENDINGS = {
     "coordinate": ("mm", "m", "cm", "in"),
     "length": ("mm", "m", "cm", "in"),
     "angle": ("deg", "rad"),
-}  # units as they may end the name of a column
+}  # suffixes of column names
 _TITLES = {
     (f"{name}_{unit}" if unit else name): (name, unit) for name, kind in _COLUMNS.items() for unit in _ENDINGS.get(kind, ("",))
 }
 
 
 def tabled(raw: Mapping[str, Any], folder: Path) -> Rows:
-    """Rows of a CSV file, read here because some columns may be missing and cells be empty, which `law.read_columns` refuses."""
+    """Read rows of a CSV file; unlike `law.read_columns` it allows missing columns and empty cells.
+
+    Parameters
+    ----------
+    raw : mapping
+        Its key csv names the file.
+    folder : Path
+        Folder to which the name is relative.
+
+    Raises
+    ------
+    Unusable
+        with the file, and the row of the error.
+    """
     name, text = csv_text(raw, folder)
     first = text[:10_000].lstrip().partition("\n")[0]
     delimiter = next((sign for sign in ";\t" if sign in first and "," not in first), ",")
@@ -189,7 +217,7 @@ def tabled(raw: Mapping[str, Any], folder: Path) -> Rows:
 
 
 def _titles(cells: Iterable[str], name: str) -> list[str]:
-    """The names of the columns, each known and none twice; empty ones at the end are left out."""
+    """Return the column names, each known and unique; empty ones at the end are dropped."""
     titles = [cell.strip() for cell in cells]
     while titles and not titles[-1]:
         titles.pop()
@@ -210,7 +238,19 @@ def _titles(cells: Iterable[str], name: str) -> list[str]:
 
 
 def reduced(rows: Rows, asked: int | None) -> Wanted:
-    """Check the rows, and reduce them where there are more than asked for, or than `MAX_POINTS`."""
+    """Check the rows, and reduce them to the requested number or to `MAX_POINTS`.
+
+    Parameters
+    ----------
+    rows : Rows
+    asked : int or None
+        Requested number of points; None: as many as there are, up to `MAX_POINTS`.
+
+    Raises
+    ------
+    Unusable
+        when a value is out of range or neighbouring points coincide.
+    """
     _check_ranges(rows)
     points, of_each = rows.points, set(rows.columns) - {"x", "y"}
     most, found = asked or MAX_POINTS, len(points)
@@ -227,7 +267,7 @@ def reduced(rows: Rows, asked: int | None) -> Wanted:
     note = ""
     columns = dict(rows.columns)
     if found > most:
-        # values of a row hold at its point alone, so rows are picked and nothing is put between them
+        # values of a row apply to its point alone, so rows are selected and not interpolated
         picked = np.round(np.linspace(0, found - 1, most)).astype(int)
         columns = {name: column[picked] for name, column in columns.items()}
         note = _reduced(rows, most, "rows")
@@ -265,7 +305,7 @@ def _check_ranges(rows: Rows) -> None:
         return
     crank = columns["crank"]
     steps = np.diff(crank)
-    way = 1.0 if 2 * np.count_nonzero(steps > 0.0) >= len(steps) else -1.0  # that of most
+    way = 1.0 if 2 * np.count_nonzero(steps > 0.0) >= len(steps) else -1.0  # the sense of the majority
     rows.refuse(
         np.concatenate([[False], way * steps <= 0.0]),
         "crank",
@@ -285,7 +325,7 @@ def _check_size(rows: Rows) -> None:
 
 
 def check_apart(rows: Rows) -> None:
-    """Refuse a point on the one before; with a crank angle of its own it is a dwell, and with another angle a turn in place."""
+    """Refuse a point that coincides with the previous one, unless their crank angles (a dwell) or angles (a rotation) differ."""
     points, columns = rows.points, rows.columns
     if "crank" not in columns:
         same = np.hypot(*np.diff(points, axis=0).T) <= COINCIDENT * diagonal(points)

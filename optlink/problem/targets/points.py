@@ -1,4 +1,4 @@
-"""The points that a path shall pass through, or the poses of a body: a list, a CSV file, a drawing (SVG), or expressions in t."""
+"""Target points of a path, or poses of a body: a list, a CSV file, a drawing (SVG), or expressions in t."""
 
 from __future__ import annotations
 
@@ -24,21 +24,23 @@ _KEYS = {
 
 
 def read_points(raw: object, folder: Path) -> Wanted:
-    """Read points or poses as a problem file states them: a list, a CSV file, a shape of an SVG file, or expressions in t.
+    """Read points or poses from a problem file: a list, a CSV file, a shape of an SVG file, or expressions in t.
 
-    A listed point is kept as it is listed, up to `MAX_POINTS` of them; more are reduced evenly by arc length or, where something
-    is stated of each point, evenly by rows. A closed curve that is sampled or reduced by arc length does not repeat its first
-    point at the end. SVG's y axis points down and ours up, so y changes its sign; the origin stays that of the drawing.
+    Up to `MAX_POINTS` listed points are kept unchanged; more are reduced evenly by arc length or, if further columns are defined,
+    evenly by rows. A closed curve that is sampled or reduced by arc length does not repeat its first point at the end. The y axis
+    of SVG points down, that of optlink up, so y changes its sign; the origin remains that of the drawing.
 
     Parameters
     ----------
-    raw : what the file states
-    folder : of the file, which names of other files are relative to
+    raw : object
+        Value as read from the file.
+    folder : Path
+        Folder to which names of other files are relative.
 
     Raises
     ------
     Unusable
-        naming the key below the present one that is to blame.
+        with the key below the present one.
     """
     if isinstance(raw, Wanted):
         return raw

@@ -1,4 +1,4 @@
-"""The shape that is named in a drawing (an SVG file), where it stands there, sampled evenly by its arc length."""
+"""A shape of a drawing (an SVG file) in its position there, sampled evenly by arc length."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 Drawn = NDArray[np.complex128]
 
 MAX_ELEMENTS = 1_000_000
-MAX_SEGMENTS = 100_000  # of a path
+MAX_SEGMENTS = 100_000  # largest number per path
 
 _SVG = "http://www.w3.org/2000/svg"
 _SHAPES = ("path", "line", "polyline", "polygon", "rect", "circle", "ellipse")
-_PLAIN = ("g", "a", "switch")  # what a shape may lie in; defs, symbols, nested drawings and the like place it elsewhere
+_PLAIN = ("g", "a", "switch")  # permitted parents of a shape; defs, symbols, nested drawings and the like place it elsewhere
 _MOVING = ("animate", "animateTransform", "animateMotion", "set")
 _PROPERTY = re.compile(r"transform(?:-origin)?|translate|rotate|scale|offset-path|zoom|d|c[xy]|r[xy]?", re.IGNORECASE)
 _MILLIMETRES = {"mm": 1.0, "cm": 10.0, "in": 25.4, "pt": 25.4 / 72.0, "pc": 25.4 / 6.0, "q": 0.25}
@@ -37,7 +37,7 @@ _FLATTEN = "Flatten it (Inkscape: Path > Object to Path, ungroup, save as Plain 
 _N = r"(?>[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
 _S = r"(?>[ \t\r\n]*)"
 _C = rf"(?>{_S},?{_S})"
-# svg.path leaves off what it cannot read at the end of a command, so the whole text is held against the grammar first; nothing
+# svg.path drops what it cannot read at the end of a command, so the whole text is first matched against the grammar; nothing
 # in it is tried twice (atomic groups), so its time is linear
 _GRAMMAR = re.compile(
     rf"{_S}(?=[Mm])(?>(?:(?:[MmLlTt]{_S}(?>(?:{_N}{_C}){{2}})++|[HhVv]{_S}(?:{_N}{_C})++|[Cc]{_S}(?>(?:{_N}{_C}){{6}})++"
@@ -49,7 +49,7 @@ _FUNCTION = re.compile(rf"{_C}(matrix|translate|scale|rotate|skewX|skewY){_S}\((
 
 @dataclass
 class _Element:
-    """`drawn`: where it stands, not elsewhere by a copy; `moved`: by an animation."""
+    """An element of a drawing. `drawn`: rendered in place, not through a copy; `moved`: by an animation."""
 
     tag: str
     attributes: Mapping[str, str]
@@ -65,7 +65,7 @@ class _Element:
         return f'<{self.tag} id="{cut(self.id)}">' if self.id else f"<{self.tag}>"
 
     def chain(self) -> list[_Element]:
-        """From the root to this one."""
+        """Return the elements from the root to this one."""
         found: list[_Element] = []
         here: _Element | None = self
         while here is not None:
@@ -75,10 +75,10 @@ class _Element:
 
 
 def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
-    """Root, shapes and style sheets of a drawing.
+    """Return root, shapes and style sheets of a drawing.
 
-    Read by expat itself rather than into a tree: a file that declares entities is refused before they can grow, and what is no
-    shape takes no memory. A DOCTYPE that only points elsewhere, as most editors write it, is harmless: it is never followed.
+    The file is read by expat rather than into a tree: a file that declares entities is refused before they can expand, and
+    elements other than shapes take no memory. A DOCTYPE that only refers to another file is accepted but never followed.
     """
     parser = expat.ParserCreate(namespace_separator=" ")
     open_now: list[_Element] = []
@@ -122,7 +122,7 @@ def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
         raise
     except (expat.ExpatError, LookupError, ValueError) as error:
         raise Unusable(f"{name} is not an SVG file: {error}", "Save the drawing as SVG", "svg", name) from None
-    # with a DOCTYPE, expat passes over unknown entities in silence, and part of a path could be lost
+    # with a DOCTYPE, expat silently skips unknown entities, and part of a path could be lost
     if seen["doctype"] and re.search(rb"&(?!#|amp;|lt;|gt;|quot;|apos;)", data.replace(b"\0", b"")):
         raise Unusable(f"{name} uses entities", "Save it without (Inkscape: Plain SVG)", "svg", name)
     if roots[0].tag != "svg":
@@ -131,7 +131,7 @@ def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
 
 
 def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _Element:
-    """The shape with the id `path`, or the path of that number (of another shape where there are no paths)."""
+    """Return the shape with the id `path`, or the path of that number (another shape if there are no paths)."""
     asked = raw.get("path", 1)
     if isinstance(asked, bool) or not isinstance(asked, int | str):
         raise Unusable("expected an id or a number", 'Write path = "curve", or path = 1', "path", asked)
@@ -156,9 +156,9 @@ def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _E
 
 
 def _placed(shape: _Element, sheets: str, name: str) -> Array:
-    """Matrix (3, 3) from the shape's own coordinates to those of the drawing.
+    """Return the matrix (3, 3) from the shape's own coordinates to those of the drawing.
 
-    Whatever else could move the shape is refused, for a drawing that is read wrongly looks right.
+    Other means of moving the shape are refused, as a wrong position would not be noticed.
     """
     matrix = np.eye(3)
     chain = shape.chain()
@@ -188,7 +188,7 @@ def _transform(element: _Element, name: str) -> Array:
 
 
 def _step(function: str, text: str) -> Array | None:
-    """Matrix (3, 3) of one function of a transform, or None."""
+    """Return the matrix (3, 3) of one function of a transform, or None."""
     if not re.fullmatch(rf"{_S}(?:{_N}{_C})*+", text):
         return None
     values = [float(number) for number in re.findall(_N, text)]
@@ -220,7 +220,7 @@ def _step(function: str, text: str) -> Array | None:
 
 
 def _scale(root: _Element, name: str, forgive: bool) -> float | None:
-    """Millimetres of one user unit as the drawing itself says it; None where it does not, or not clearly and we `forgive`."""
+    """Return the length of one user unit [mm] defined by the drawing; None if undefined, or if ambiguous with `forgive`."""
     sides = []
     for side in ("width", "height"):
         match = re.fullmatch(rf"({_N})\s*([a-zA-Z]+)", root.attributes.get(side, "").strip())
@@ -246,7 +246,20 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
 
 
 def drawn(raw: Mapping[str, Any], folder: Path) -> Wanted:
-    """Points of a shape of an SVG file."""
+    """Return points of a shape of an SVG file.
+
+    Parameters
+    ----------
+    raw : mapping
+        Table of the file: svg, and optionally path, unit and points.
+    folder : Path
+        Folder to which the name of the SVG file is relative.
+
+    Raises
+    ------
+    Unusable
+        when the file or the shape cannot be read.
+    """
     count = asked_count(raw)
     stated = metres(raw) * 1e3 if "unit" in raw else None
     name, data = contents(raw, "svg", folder)
@@ -287,7 +300,7 @@ def _onto(curve: _Curve, matrix: Array) -> Callable[[Array], Array]:
 
 
 def _curves(shape: _Element, name: str) -> list[tuple[_Curve, bool]]:
-    """The curves that make up a shape, one beginning where the other ends, each with whether it is straight."""
+    """Return the consecutive curves of a shape, each with whether it is straight."""
 
     def size(key: str) -> float:
         text = shape.attributes.get(key, "0").strip()
@@ -355,7 +368,7 @@ def _ellipse(centre: complex, radii: tuple[float, float], turn: complex, begin: 
 
 
 def _arc(segment: Any) -> tuple[_Curve, bool] | None:
-    """An elliptical arc; straight where a radius is zero, and nothing where it ends at its start, as the standard has it."""
+    """Return an elliptical arc; a straight line if a radius is zero, None if it ends at its start, as in the SVG standard."""
     start, end = segment.start, segment.end
     if start == end:
         return None

@@ -1,4 +1,4 @@
-"""Points that a path shall pass through, or poses of a body, as they are known once they are read; and what all readers share."""
+"""Target points of a path or poses of a body, and functions shared by their readers."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Array = NDArray[np.float64]
 
 MAX_POINTS = 400
 MAX_BYTES = 50_000_000
-DEFAULT_POINTS = 60  # of a drawing or an expression
-COINCIDENT = 1e-9  # of the size of the whole path
-HEAVIEST = 1e9  # of plain numbers, such as weights
+DEFAULT_POINTS = 60  # for a drawing or an expression
+COINCIDENT = 1e-9  # share of the size of the whole path
+HEAVIEST = 1e9  # largest plain number, such as a weight
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """Points [m] that a path shall pass through, in their order; with `angles`, poses of a body.
+    """Target points [m] of a path, in order; with `angles`, poses of a body.
 
-    `crank`, `angles` [rad]: the crank angle and the angle of the body at each point, None where they are left to the design.
-    `weights` of the squared distances, None where all are 1. `tolerances` [m]: the largest distance allowed, inf where none is.
-    `unit`: the one that people wrote. `loop`: sampled from a closed curve, whose first point is not repeated at the end.
-    `note`: what was done to what the file states, for people.
+    `crank`, `angles` [rad]: the crank angle and the angle of the body at each point, None if not prescribed. `weights` of the
+    squared distances, None where all are 1. `tolerances` [m]: the largest permitted distance, inf where there is none. `unit` for
+    display. `loop`: sampled from a closed curve, whose first point is not repeated at the end. `note`: description of the
+    sampling or reduction, for display.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -49,7 +49,7 @@ class Wanted:
 
 
 def closed(wanted: Wanted) -> bool:
-    """Whether the points go round: sampled from a closed curve, or listed with the last on the first."""
+    """Return whether the points form a closed curve: sampled from one, or listed with the last on the first."""
     if wanted.loop:
         return True
     first, last = wanted.points[0], wanted.points[-1]
@@ -57,7 +57,7 @@ def closed(wanted: Wanted) -> bool:
 
 
 def asked_count(raw: Mapping[str, Any]) -> int:
-    """Number of points that a curve shall be sampled at."""
+    """Read the number of points at which a curve is sampled."""
     count = raw.get("points", DEFAULT_POINTS)
     if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= MAX_POINTS:
         raise Unusable(f"expected a whole number from 2 to {MAX_POINTS}", "Write points = 60, for example", "points", count)
@@ -65,7 +65,7 @@ def asked_count(raw: Mapping[str, Any]) -> int:
 
 
 def metres(raw: Mapping[str, Any]) -> float:
-    """Metres of one unit."""
+    """Return the length of one unit [m]."""
     if not isinstance(raw["unit"], str):
         raise Unusable("expected a unit of length", 'Write unit = "mm"', "unit", raw["unit"])
     try:
@@ -75,19 +75,33 @@ def metres(raw: Mapping[str, Any]) -> float:
 
 
 def diagonal(points: Array) -> float:
-    """Diagonal of the rectangle around points (n, 2)."""
+    """Return the diagonal of the rectangle around points (n, 2)."""
     return float(np.hypot(*np.ptp(points, axis=0)))
 
 
 def cut(value: object) -> str:
-    """A piece of what people wrote that goes into a line of a message."""
+    """Return a shortened printable piece of an input value, for messages."""
     text = str(value)
     shown = "".join(sign if sign.isprintable() else " " for sign in text[:60])
     return shown if len(text) <= 60 else f"{shown}..."
 
 
 def contents(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes]:
-    """Name, for people, and bytes of the file that `raw[key]` names; devices and pipes would never end."""
+    """Return the display name and the bytes of a file; devices and pipes are refused.
+
+    Parameters
+    ----------
+    raw : mapping
+    key : str
+        Key of `raw` with the name of the file; also its suffix.
+    folder : Path
+        Folder to which the name is relative.
+
+    Raises
+    ------
+    Unusable
+        when the file cannot be read or is too large.
+    """
     name = raw[key]
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise Unusable(f"expected the name of a file ending in .{key}", f'Write {key} = "curve.{key}"', key, name)
@@ -106,7 +120,20 @@ def contents(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes
 
 
 def csv_text(raw: Mapping[str, Any], folder: Path) -> tuple[str, str]:
-    """Name, for messages, and text of the file that `raw["csv"]` names."""
+    """Return the display name and the text of a CSV file.
+
+    Parameters
+    ----------
+    raw : mapping
+        Its key csv names the file.
+    folder : Path
+        Folder to which the name is relative.
+
+    Raises
+    ------
+    Unusable
+        when the file cannot be read or is not UTF-8.
+    """
     name, data = contents(raw, "csv", folder)
     try:
         return name, data.decode("utf-8-sig")
@@ -115,5 +142,5 @@ def csv_text(raw: Mapping[str, Any], folder: Path) -> tuple[str, str]:
 
 
 def pairs(points: Array) -> tuple[tuple[float, float], ...]:
-    """Points (n, 2) as plain numbers."""
+    """Return points (n, 2) as plain numbers."""
     return tuple((x, y) for x, y in points.tolist())
