@@ -10,7 +10,7 @@ import typer
 
 
 class Backend(enum.StrEnum):
-    """Which solver searches."""
+    """Solver of the search."""
 
     slsqp = "slsqp"
     ipopt = "ipopt"

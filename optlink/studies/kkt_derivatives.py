@@ -210,7 +210,7 @@ class System:
                     if math.isfinite(room) and abs(change) > STILL:
                         events.append((-max(room, 0.0) / change, "is reached"))
             for at, what in events:
-                if at == 0.0 and what == "is reached":  # an active limit with a zero multiplier ends one side at once
+                if at == 0.0 and what == "is reached":  # a limit at its bound with a zero multiplier is not counted as an end
                     continue
                 if 0.0 <= at < most[0]:
                     most = (at, f"{self._name(entry)} {what}")

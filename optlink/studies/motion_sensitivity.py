@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OutputSensitivity:
-    """An output over crank angles [rad]: `value` [rad or m], and its derivatives by size [rad/m or m/m]; (angles,) arrays.
+    """An output over crank angles [rad]: `value` [rad or m], and its derivatives by dimension [rad/m or m/m]; arrays (angles,).
 
     NaN where the linkage cannot be assembled.
     """

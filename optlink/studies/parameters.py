@@ -10,7 +10,7 @@ from optlink.optimization.nlp import NLP
 from optlink.problem.limits import MARGIN_KEYS
 from optlink.solvers.solution import key_of
 
-ROUNDING = 1e-14  # of a scaled quantity
+ROUNDING = 1e-14  # of a scaled quantity: smaller values count as zero
 SHARE = 0.01
 """Step of a length or a plain number by which effects are compared, as a share of its value; that of an angle is 1 deg."""
 

@@ -53,7 +53,7 @@ class Simulating(Sweeping):
 
     @cached_property
     def loose(self) -> bool:
-        """Whether joints have clearance."""
+        """Whether there are joints with clearance."""
         return is_loose(self.problem.override(self.grid.changes(0)))
 
     def outcome(self, point: int) -> tuple[Figures, str, str]:

@@ -113,7 +113,7 @@ class Store:
 
     @property
     def table(self) -> Path:
-        """The finished table."""
+        """Path of the finished table."""
         return self.path / TABLE
 
     @property

@@ -104,7 +104,7 @@ class Sweeping(ABC):
     @property
     @abstractmethod
     def columns(self) -> list[str]:
-        """Names of the columns."""
+        """Names of the table columns."""
 
     @abstractmethod
     def lines(self, index: int) -> list[list[str]]:

@@ -96,7 +96,7 @@ class Tolerance(Summary):
 
     @property
     def columns(self) -> dict[str, Array]:
-        """The table over crank angles, by name with unit."""
+        """Table over crank angles, by name with unit."""
         scale, ending = people(self.nominal)
         worst, found = self.worst, {"crank_deg": np.degrees(self.nominal.crank_angles)}
         named = {"value": self.nominal.value, "judged": self.nominal.base, "worst_low": worst[0], "worst_high": worst[1]}

@@ -46,7 +46,7 @@ class Answer:
 
 
 class Programme:
-    """minimise max(M y + m) or |M y + m|^2 subject to L y <= h, compiled once for all M, m, L, h."""
+    """Convex programme: minimise max(M y + m) or |M y + m|^2 subject to L y <= h, compiled once for all M, m, L, h."""
 
     def __init__(self, rows: int, limits: int, largest: bool) -> None:
         import cvxpy
@@ -105,7 +105,7 @@ class Refinement:
 
     @cached_property
     def programme(self) -> Programme:
-        """The convex programme of every step."""
+        """Convex programme of every step."""
         task = self.task
         return Programme(task.x.size * (1 + task.largest), task.chain.limits[1].size, task.largest)
 

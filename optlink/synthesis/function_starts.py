@@ -92,7 +92,7 @@ def _options(problem: DesignProblem, free: bool) -> dict[str, Any]:
 
 
 def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:
-    """Convert a first design to quantities [m, rad] of the problem.
+    """Return a first design as quantities [m, rad] of the problem.
 
     Parameters
     ----------

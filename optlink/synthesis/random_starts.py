@@ -148,7 +148,7 @@ def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> 
     crank, coupler, rocker, frame = (values[name][:, 0] for name in LENGTHS)
     square, twice = crank**2 + frame**2, 2.0 * crank * frame
     near = np.arccos(np.clip((square - (coupler - rocker) ** 2) / twice, -1.0, 1.0))  # at smaller angles B is too near to D
-    far = np.arccos(np.clip((square - (coupler + rocker) ** 2) / twice, -1.0, 1.0))  # beyond B is too far from D
+    far = np.arccos(np.clip((square - (coupler + rocker) ** 2) / twice, -1.0, 1.0))  # at larger angles B is too far from D
     mirrored = rng.random(len(x)) < 0.5
     low = np.where(near <= 0.0, -far, np.where(far >= math.pi, near, np.where(mirrored, -far, near)))
     high = np.where(near <= 0.0, far, np.where(far >= math.pi, TURN - near, np.where(mirrored, -near, far)))

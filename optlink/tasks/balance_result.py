@@ -35,7 +35,7 @@ class Added:
 
     @property
     def body(self) -> str:
-        """The body that carries it."""
+        """Body that carries the counterweight."""
         return self.asked.body
 
     @property
@@ -56,11 +56,11 @@ class Added:
 
     @property
     def radius(self) -> float | None:
-        """Radius of the disc [m], None of a free shape."""
+        """Radius of the disc [m]; None for a free shape."""
         return self.asked.radius_of(self.mass) if self.asked.kind == "disc" else None
 
     def to_dict(self) -> dict[str, Any]:
-        """For a JSON document."""
+        """Return the counterweight as a JSON object."""
         x, y = self.place
         return {
             "body": self.body,
@@ -88,7 +88,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Row:
-    """A measure before and after [SI]."""
+    """A measure before and after balancing [SI]."""
 
     measure: Measure
     before: float
@@ -234,7 +234,7 @@ class Balance(Summary):
 
     @cached_property
     def columns(self) -> dict[str, Array]:
-        """Everything that was measured over the positions, before and after, by name with its unit at the end."""
+        """All measured values over the positions, before and after balancing, by name with unit."""
         found = {"crank_angle_deg": np.degrees(self.angles)}
         machines = {"before": self.machine} | ({"after": self.heavier} if self.heavier is not None else {})
         for when, machine in machines.items():
@@ -247,7 +247,7 @@ class Balance(Summary):
 
     @property
     def interrupted(self) -> bool:
-        """Whether the search ended early: never, as a convex programme has one."""
+        """Whether the search ended early: always False for a convex programme."""
         return False
 
     @property
@@ -268,11 +268,11 @@ class Balance(Summary):
 
     @property
     def reduction(self) -> float:
-        """Of the objective, as a share of its value before."""
+        """Reduction of the objective relative to its value before balancing."""
         return 1.0 - self.objective / self.before if self.before > 0.0 else math.nan
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as a JSON document: SI."""
+        """Return the result as a JSON document (SI)."""
         document = {
             **head(SCHEMA, self.problem, self.status),
             "valid": self.valid,

@@ -86,7 +86,7 @@ class LooseSimulation(Summary):
 
     @property
     def revolutions(self) -> int:
-        """Whole revolutions that were simulated."""
+        """Number of complete revolutions."""
         return int(self.figures["revolutions"])
 
     def to_dict(self) -> dict[str, Any]:

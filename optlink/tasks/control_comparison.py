@@ -67,7 +67,7 @@ class Comparison(Summary):
 
     @property
     def finished(self) -> bool:
-        """Whether every run was finished."""
+        """Whether every run finished."""
         return all(trials.finished for trials in self.trials.values())
 
     def gain(self, kind: str) -> float:

@@ -74,7 +74,7 @@ class MachineDesign(Summary):
 
     @property
     def design(self) -> dict[str, float]:
-        """The free sizes [SI]."""
+        """Design variables [SI]."""
         return self.values
 
     @property
@@ -84,27 +84,27 @@ class MachineDesign(Summary):
 
     @property
     def valid(self) -> bool:
-        """Whether the design is proven, and an optimum if one was searched."""
+        """Whether the design is validated, and optimal if it was searched."""
         return proven(self.status, self.validation)
 
     @property
     def unit(self) -> str:
-        """Unit in which people read the objective."""
+        """Display unit of the objective."""
         return KINDS[self.task.unit_kind].people if self.task.unit_kind else ""
 
     @cached_property
     def machine(self) -> ProblemFile:
-        """The machine found, as a problem with every size settled: what `analyze` and `simulate` take."""
+        """The problem with all design variables fixed at the result, as used by `analyze` and `simulate`."""
         return settled(self.problem, self._all(self.values))
 
     @cached_property
     def given(self) -> Analysis | None:
-        """The cycle of the machine that the file starts from; None where its crank cannot turn fully."""
+        """Cycle of the initial machine of the file; None if its crank cannot turn fully."""
         return self._analysed(self._all({}))
 
     @cached_property
     def found(self) -> Analysis | None:
-        """The cycle of the machine found; None where its crank cannot turn fully."""
+        """Cycle of the resulting machine; None if its crank cannot turn fully."""
         return self._analysed(self._all(self.values))
 
     def _all(self, values: Mapping[str, float]) -> dict[str, float]:
@@ -119,7 +119,7 @@ class MachineDesign(Summary):
 
     @cached_property
     def built(self) -> Machine | None:
-        """The machine of this design whose crank turns fully; None where there is none."""
+        """Machine of this design; None if its crank cannot turn fully."""
         cycle = measured(self.task, self.values)
         return cycle.machine if cycle is not None and cycle.full else None
 
@@ -130,7 +130,7 @@ class MachineDesign(Summary):
 
     @property
     def comparison(self) -> str:
-        """The objective beside that of the initial design, in words; empty where no design was searched and found."""
+        """Comparison of the objective with that of the initial design, in words; empty without a search result."""
         if self.solution is None or self.status is not Status.OPTIMAL or not self.figures:
             return ""
         goal, first = self.figures[0], self.initial
@@ -143,7 +143,7 @@ class MachineDesign(Summary):
 
     @cached_property
     def fit(self) -> Fit | None:
-        """Grade of a machine whose transmission angle is optimised; None of objectives without a target."""
+        """Grade of a machine whose transmission angle is optimised; None for objectives without a target."""
         goal = self.task.goals[0]
         if not self.task.single or goal.quantity != "transmission angle":
             return None
@@ -154,7 +154,7 @@ class MachineDesign(Summary):
 
     @cached_property
     def figures(self) -> tuple[Told, ...]:
-        """The terms of the objective, then the limits, of the given machine and of the one found."""
+        """Terms of the objective, then the limits, of the initial machine and of the result."""
         given, found = (measured(self.task, values) for values in ({}, self.values))
         told = []
         for k, goal in enumerate(self.task.goals):

@@ -68,7 +68,7 @@ class Fit:
 
     @property
     def share(self) -> float:
-        """Error as a share of the size."""
+        """Error relative to the size."""
         return self.error / self.size
 
     @property

@@ -76,7 +76,7 @@ class Result(Summary):
     optima: tuple[Optimum, ...] = ()
     conflict: tuple[Relaxed, ...] = ()
     together: tuple[Relaxed, ...] = ()
-    first: FirstStep | None = None  # the best convex first step of a function
+    first: FirstStep | None = None  # best convex first design of a function
     interrupted: bool = False
     counts: tuple[int, ...] = ()  # random starts that reached each value of the objective, that of the design first
 
@@ -87,7 +87,7 @@ class Result(Summary):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know beside the figures."""
+        """Notes for the user."""
         free = set(self.problem.spec.free)
         if self.conflict:
             return shortest_link(self.problem.spec.quantities, self.problem.spec.limits.crank)

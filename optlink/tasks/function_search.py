@@ -201,7 +201,7 @@ class Search:
 
     @property
     def drawn(self) -> bool:
-        """Whether an optimum was found from a random start."""
+        """Whether a random start led to an optimum."""
         return any(one.drawn for one in self.optima)
 
     def listed(self, assembly: str) -> tuple[Optimum, ...]:
@@ -220,7 +220,7 @@ class Search:
 
     @property
     def usable(self) -> bool:
-        """Whether a feasible solution was found."""
+        """Whether there is a feasible solution."""
         return self.best is not None and self.best.solution.usable
 
     @property

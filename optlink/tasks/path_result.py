@@ -71,7 +71,7 @@ class Design(Summary):
 
     @cached_property
     def fit(self) -> Fit | None:
-        """Error relative to the size of the task, or least transmission angle; None if there is nothing to measure."""
+        """Error relative to the size of the task, or least transmission angle; None if neither is defined."""
         if self.task.requirement.kind == "transmission":
             return transmission_fit(self.least_transmission, self.task.mechanism.quantities, self.values, self.limits)
         return path_fit(self.task, self.values, self.crank_angles, self.measured, self.limits)
@@ -149,7 +149,7 @@ class Design(Summary):
 
     @property
     def assembly(self) -> object:
-        """Assembly modes, as the problem file words them."""
+        """Assembly modes, in the words of the problem file."""
         return self.problem.raw["mechanism"].get("assembly", "left")
 
     def to_dict(self) -> dict[str, Any]:
@@ -267,7 +267,7 @@ class Generation(Summary):
 
     @property
     def hits(self) -> int:
-        """Starts that reached the best design."""
+        """Number of starts that reached the best design."""
         return self.evidence.hits
 
     @property

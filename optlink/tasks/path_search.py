@@ -246,7 +246,7 @@ class Collection:
                 values.append(value)
                 counts.append(count)
         told = evidence(counts)
-        return replace(told, missed=0.0) if best.exact else told  # nothing is better than an exact design
+        return replace(told, missed=0.0) if best.exact else told  # no design is better than an exact one
 
 
 def as_good(design: Design, other: Design) -> bool:

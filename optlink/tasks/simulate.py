@@ -68,7 +68,7 @@ class Simulation(Summary):
         return found
 
     def _last_turn(self) -> NDArray[np.intp] | None:
-        """Rows of the last whole revolution, if there is one."""
+        """Return the rows of the last whole revolution, if there is one."""
         turned = np.abs(self.run.crank_angle - self.run.crank_angle[-1])
         rows = np.flatnonzero(turned <= TURN)
         return rows if len(rows) > 2 and turned[0] >= TURN else None

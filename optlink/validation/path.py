@@ -244,9 +244,7 @@ def _order(tested: _Tested) -> Iterator[Check]:
         least = math.degrees(float(np.min(steps)))
         yield Check("points met in order", bool(least >= math.degrees(STEP) * (1.0 - 1e-3)), least, "> 0", "deg")
         whole = math.degrees(float(np.sum(steps)))
-        most = (
-            360.0 if tested.problem.meets_again else 360.0 - math.degrees(STEP)
-        )  # only a point that is wanted again may be met there
+        most = 360.0 if tested.problem.meets_again else 360.0 - math.degrees(STEP)  # only a repeated point may lie there
         yield Check("points met within one revolution", bool(whole <= most + 1e-6), whole, f"<= {most:.6g}", "deg")
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(tested.problem.requirement.rotation)
     if rotation is not None:
