@@ -345,10 +345,12 @@ def tune(
         Revolutions per run.
     speed, points, tolerance, design
         As in `compare`.
-    workers, progress, resume
+    workers, progress
         As in `compare`.
     checkpoint : function of a document, optional
         Called after every evaluation with all complete evaluations, JSON compatible.
+    resume : mapping, optional
+        Such a document: evaluations contained in it are not repeated.
 
     Raises
     ------
