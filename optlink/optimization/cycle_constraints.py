@@ -40,7 +40,7 @@ class Rooted(Scale):
         return math.sqrt(max(value, 0.0)) * self.factor
 
     def own(self, people: float) -> float:
-        """Return the row's value of a figure in `unit`."""
+        """Return the row's value of a value in `unit`."""
         return (people / self.factor) ** 2
 
     def slope(self, value: float) -> float:

@@ -33,7 +33,7 @@ class Bound:
 
 
 class CycleLimits(Alignment):
-    """Limits under names of the user's choice, beside those that every design problem has."""
+    """Limits with names of the user's choice, beside those of every design problem."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[Name, Limit] = Field(init=False)
@@ -45,7 +45,7 @@ class CycleLimits(Alignment):
 
 
 class CycleProblem(Problem):
-    """A problem file with an objective over the cycle: what `solve` takes. Immutable."""
+    """A problem file with an objective over the cycle: input of `solve`. Immutable."""
 
     objective: Objective
     """What is minimised over the cycle."""

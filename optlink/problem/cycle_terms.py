@@ -85,7 +85,7 @@ STATIC = ("torque", "reaction", "guide force", "guide moment")
 
 
 class Term(Section):
-    """A figure of the cycle: a quantity, where it is taken, and how its course becomes one figure."""
+    """A value computed from the cycle: a quantity, the element where it is evaluated, and the measure that reduces it."""
 
     quantity: What
     """What is meant."""
@@ -214,7 +214,7 @@ class Goal(Term):
 
 
 class Objective(Section):
-    """What is minimised: one term, or a weighted sum of several under `terms`."""
+    """The objective: one term, or a weighted sum of several under `terms`."""
 
     quantity: What | None = None
     """What is minimised."""

@@ -163,7 +163,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
 
 
 def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", folder: Path | None = None) -> ProblemFile:
-    """Read and check a problem given as nested tables (the content of a TOML file).
+    """Read and check a problem from nested tables (the content of a TOML file).
 
     Parameters
     ----------

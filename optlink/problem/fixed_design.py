@@ -19,7 +19,7 @@ ASKED = ("requirement", "objective", "limits", "expected")
 
 
 def settled(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
-    """Return the machine of a problem with its quantities fixed at given values, without requirement, objective and limits.
+    """Return the machine of a problem with fixed quantities, without requirement, objective and limits.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ def _read_start(raw: object) -> str | Quantity:
 
 
 class Requirement(Section):
-    """What the linkage must do: the rocker follows a law while the crank turns through the span."""
+    """Requirement of function synthesis: the rocker follows a law while the crank rotates through the span."""
 
     kind: Literal["function"] = "function"
     """What is asked for."""
@@ -84,7 +84,7 @@ class StartPosition:
 
 
 class DesignProblem(Problem):
-    """A problem file that states a requirement: what `solve` takes. Immutable; change it with `optlink.load(..., overrides)`."""
+    """A function synthesis problem: input of `solve`. Immutable; change it with `optlink.load(..., overrides)`."""
 
     mechanism: FourBarSection
     """The four-bar, with at least one free quantity."""

@@ -46,7 +46,7 @@ def _length_margin(value: float) -> float:
 
 
 class Alignment(Section):
-    """How far a mechanism keeps from positions where it locks or its assembly modes meet (see `optlink.linkage.margins`)."""
+    """Least distance of a mechanism from positions where it locks or its assembly modes meet (see `optlink.linkage.margins`)."""
 
     alignment: Annotated[FixedAngle, AfterValidator(_alignment)] = Quantity(LEAST_ALIGNMENT, "angle", "deg")
     """Least angle of two links at their joint from alignment, 0 and 180 deg, over the required motion; likewise of a link
@@ -54,7 +54,7 @@ class Alignment(Section):
 
 
 class Margins(Alignment):
-    """The same of a four-bar: also how far from a change point."""
+    """Least distance of a four-bar from such positions and from change points."""
 
     length_margin: Annotated[Number, AfterValidator(_length_margin)] = LEAST_LENGTH_MARGIN
     """Least difference of lengths that must not be equal (Grashof's sums; crank and coupler at an inner dead centre), as a share
@@ -62,7 +62,7 @@ class Margins(Alignment):
 
 
 class Limits(Margins):
-    """What must hold beside the requirement."""
+    """Limits of a design problem."""
 
     crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
     """Whether the crank turns fully (a four-bar is then a crank-rocker, or a double-crank), or need only be assembled over the

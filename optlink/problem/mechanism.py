@@ -36,9 +36,9 @@ EQUAL = 1e-10
 
 
 class FourBarSection(Section):
-    """A four-bar: its sizes, each fixed or free. Pivots A and D on the frame, joints B and C, further points on the coupler.
+    """A four-bar with fixed or free lengths: pivots A and D on the frame, joints B and C, further points on the coupler.
 
-    Where `pivot` (of the crank, A) and `direction` (of the frame A -> D) are not given, A lies in the origin and D on the x axis.
+    Without `pivot` (of the crank, A) and `direction` (of the frame A -> D), A lies in the origin and D on the x axis.
     """
 
     type: Literal["four-bar"] = "four-bar"
@@ -177,7 +177,7 @@ class LinkSection(Section):
 
 
 class GuideSection(Section):
-    """A sliding joint: a line on one body, along which another slides without turning against it."""
+    """A sliding joint: a line on one body, along which another body slides without rotating relative to it."""
 
     slider: str
     """The body that slides."""
@@ -198,7 +198,7 @@ class GuideSection(Section):
 
 
 class DyadsSection(Section):
-    """Any linkage that is a driving crank and dyads: points on the ground, links, guides, assembly modes."""
+    """Any linkage of a driving crank and dyads: points on the ground, links, guides, assembly modes."""
 
     type: Literal["dyads"] = "dyads"
     """A mechanism with links is one of dyads."""

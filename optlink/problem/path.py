@@ -57,10 +57,10 @@ def _read_crank(raw: object) -> object:
 
 
 class Task(Section):
-    """What the linkage must do.
+    """Requirement of the design.
 
-    Its point passes the points (path) or its body takes the poses (motion) in the order listed; its output is a function of the
-    crank angle (function); or the worst cosine of its transmission angles is as small as can be (transmission).
+    A point passes the listed points in order (path), a body takes the listed poses (motion), the output is a function of the
+    crank angle (function), or the worst cosine of the transmission angles is minimised (transmission).
     """
 
     kind: Literal["path", "motion", "function", "transmission"] = "function"
@@ -128,7 +128,7 @@ class RegionSection(Section):
 
 
 class GenerationLimits(Limits):
-    """What must hold beside the points."""
+    """Limits of a path synthesis problem."""
 
     pivots: RegionSection | None = None
     """Rectangle that every point of the frame lies in."""
@@ -149,7 +149,7 @@ class Data:
 
 
 class GenerationProblem(Problem):
-    """A problem file that states points or poses: what `solve` takes. Change it with `optlink.load(..., overrides)`."""
+    """A path, motion, function or transmission problem: input of `solve`. Change it with `optlink.load(..., overrides)`."""
 
     requirement: Task
     """Points, poses, a function, or the best transmission."""

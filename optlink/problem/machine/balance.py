@@ -173,7 +173,7 @@ Place = Annotated[Any, BeforeValidator(_read_place)]
 
 
 class CounterweightSection(Section):
-    """A mass that may be added to a body: a disc, or one of any shape."""
+    """A mass that can be added to a body: a disc, or one of any shape."""
 
     body: str
     """The body that it is fixed to."""
@@ -309,7 +309,7 @@ class CounterweightSection(Section):
 
 
 class SpringSection(Section):
-    """A spring that may be added between two points: its stiffness is free, and its free length if that is a range."""
+    """A spring that can be added between two points: its stiffness, and its free length if that is a range, are optimised."""
 
     name: Name
     """Its name among the loads of the balanced machine."""
@@ -363,7 +363,7 @@ class SpringSection(Section):
 
 
 class BalanceSection(Section):
-    """What `optlink balance` is asked."""
+    """Optimal balancing with `optlink balance`."""
 
     minimise: Annotated[Any, BeforeValidator(_read_goal)]
     """A measure, or a table of measures and their weights."""

@@ -111,7 +111,7 @@ class BodySection(Section):
 
 
 class DriveSection(Section):
-    """What drives the machine: at a constant speed, or (for `simulate`) by a torque or motor curve."""
+    """Drive of the machine: a constant speed, or (for `simulate`) a torque or motor curve."""
 
     body: str | None = None
     """The driven body; left out: the one called `crank`."""

@@ -15,7 +15,7 @@ from optlink.problem.quantity import Duration, FixedAngle, Frequency, Number, Qu
 
 
 class ServoSection(Section):
-    """A drive that follows a command of angle and speed: second order, with bandwidth and damping ratio."""
+    """Servo drive that follows a reference angle and speed: second order, with bandwidth and damping ratio."""
 
     bandwidth: Frequency
     """Undamped natural frequency."""
@@ -54,9 +54,9 @@ def _read_either(raw: object) -> Quantity:
 
 
 class ControlSection(Section):
-    """How the crank's command is corrected so that the output moves as it would without clearance.
+    """Correction of the crank motion so that the output moves as it would without clearance.
 
-    By an inverse model of the joints that it knows, by a PID on the output's error, or by both.
+    The controller is an inverse model of joints with known clearance, a PID on the output's error, or both.
     """
 
     output: str | None = None

@@ -1,4 +1,4 @@
-"""The joints of a problem file: on which body a reaction is told, and the clearance of a pin."""
+"""The joints of a problem file: the body whose reaction is reported, and the clearance of a pin."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _one(raw: object, kind: str) -> float:
 
 
 class JointSection(Section):
-    """A joint: `on` is the body whose reaction is told; `clearance` and what follows make it a journal in a bearing."""
+    """A joint: `on` is the body whose reaction is reported; `clearance` and the following keys define a journal in a bearing."""
 
     on: str | None = None
     """The body on which the reaction is told; left out: the one that is placed last."""

@@ -51,7 +51,7 @@ class Samples(Protocol):
 
 
 class LoadSection(Section):
-    """A load; which keys it has says what it is."""
+    """A load; its keys determine its type."""
 
     on: str | None = None
     """The body that it acts on."""

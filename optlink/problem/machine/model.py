@@ -34,7 +34,7 @@ _SENSE: dict[Direction | None, float] = {"forward": 1.0, "backward": -1.0, None:
 
 
 class Expected(Section):
-    """What a trusted source says that the answer is, and how closely it must be met."""
+    """Reference values from a trusted source, and their tolerances."""
 
     source: str
     """Where the figures come from."""
