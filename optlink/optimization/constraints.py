@@ -47,7 +47,7 @@ class Scale:
         return math.degrees(math.acos(value)) if abs(value) <= 1.0 else math.nan
 
     def own(self, people: float) -> float:
-        """Return the row's value of a value in `unit`."""
+        """Convert a value in `unit` to the row's value."""
         return math.cos(math.radians(people)) if self.cosine else (people - self.offset) / self.factor
 
     def slope(self, value: float) -> float:

@@ -40,7 +40,7 @@ class Rooted(Scale):
         return math.sqrt(max(value, 0.0)) * self.factor
 
     def own(self, people: float) -> float:
-        """Return the row's value of a value in `unit`."""
+        """Convert a value in `unit` to the row's value."""
         return (people / self.factor) ** 2
 
     def slope(self, value: float) -> float:
@@ -99,7 +99,7 @@ def people_scale(kind: str, unit: str, size: float) -> Scale:
     kind : str
         Physical kind of the value; empty for a number.
     unit : str
-        Display unit; if empty, values are shown in the default unit of the kind.
+        Display unit; if empty, the default unit of the kind.
     size : float [SI]
         Value of one.
     """

@@ -133,7 +133,7 @@ def build_cycle(
     start : mapping of str to float [SI]
         Design variables at the start; the objective there is its scale.
     nodes : int
-        Positions per revolution.
+        Positions per revolution; half as many if no term is an integral.
     slots : int, optional
         Roaming positions per stroke.
     scales : (float [m], sequence of float [SI]), optional

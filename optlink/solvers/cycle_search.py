@@ -295,7 +295,7 @@ def _round(orders: Sequence[OrderSearch], k: int) -> None:
 
 
 def settle(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
-    """Where two back ends end at different optima, restart the worse one from the better one's design.
+    """Restart the worse back end from the better one's design if they ended at different optima.
 
     At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
 

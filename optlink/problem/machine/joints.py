@@ -43,7 +43,7 @@ def _read_clearance(raw: object) -> Quantity:
 
 
 def _read_pair(raw: object, kind: str) -> tuple[float, float]:
-    """One value for both parts, or that of the journal and that of the bearing."""
+    """Read one value for both parts, or the values of the journal and of the bearing."""
     if isinstance(raw, tuple):
         return raw
     if isinstance(raw, list):
