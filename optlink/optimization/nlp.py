@@ -58,8 +58,8 @@ class NLP:
     """Nonlinear programme: minimise f(x, p) subject to low <= g(x, p) <= high, x_low <= x <= x_high.
 
     `x` (n,) are the scaled design variables (and, last, the largest error of a minimax problem); `p` is the scale of the
-    objective followed by the fixed quantities, the relevant tolerances and the crank rotations of roaming positions, so that they
-    can be varied without retracing.
+    objective followed by the fixed quantities, the relevant tolerances and the roaming positions, so that they can be varied
+    without retracing.
     """
 
     variables: tuple[Variable, ...]
@@ -189,7 +189,7 @@ class NLP:
         return len(self.p) - 1 - len(self.constants)
 
     def roam(self, offsets: Array) -> None:
-        """Move the last roaming positions to these crank rotations [rad], at most `roaming` of them."""
+        """Set the last roaming positions (at most `roaming`): crank rotations [rad], or shares of the motion or stroke."""
         self.p[len(self.p) - len(offsets) :] = offsets
 
     def limit(self, entry: int, bound: float, *, upper: bool) -> None:
