@@ -375,7 +375,7 @@ def _resumable(resume: bool, out: Path | None) -> None:
     from optlink.errors import Fault, InputError
 
     if resume and out is None:
-        raise InputError(Fault("which run is to go on is not said", "Name its folder: --out DIR", key="--resume"))
+        raise InputError(Fault("--resume needs the folder of the run", "Add --out DIR", key="--resume"))
 
 
 def _owned(out: Path | None, command: str, problem: str) -> None:

@@ -124,7 +124,7 @@ def read_aims(problem: ProblemFile, objectives: str) -> tuple[Aim, ...]:
     if problem.task == "path" or not (problem.task == "cycle" or isinstance(problem.model, DesignProblem)):
         raise _no_front(problem)
     if not problem.model.free:
-        raise InputError(Fault("nothing is free, there is nothing to find", "Free a size", problem.file, "mechanism"))
+        raise InputError(Fault("no design variables: every dimension is fixed", "Free a size", problem.file, "mechanism"))
     reader = _of_machine if problem.task == "cycle" else _of_law
     aims = tuple(_ranged(problem, reader, part, k + 1) for k, part in enumerate(parts))
     for k, aim in enumerate(aims):

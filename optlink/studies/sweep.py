@@ -319,7 +319,7 @@ def _simulating(problem: ProblemFile, grid: Grid, options: Mapping[str, Any], de
 def _with_something_free(task: Designing | Reoptimising, problem: ProblemFile) -> Sweeping:
     """Return the task if there are design variables."""
     if not task.free:
-        raise InputError(Fault("nothing is free, there is nothing to find", "Add --analyze, or free a size", problem.file))
+        raise InputError(Fault("no design variables: every dimension is fixed", "Add --analyze, or free a size", problem.file))
     return task
 
 

@@ -226,7 +226,7 @@ def _check(problem: ProblemFile, backend: str, starts: int | None, seed: int) ->
         raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
     if not problem.model.free:
         example = 'Free one: length = { start = "120 mm", bounds = ["60 mm", "200 mm"] }, or `optlink analyze` the machine'
-        raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
+        raise InputError(Fault("no design variables: every dimension is fixed", example, problem.file, "mechanism"))
 
 
 def _strokeless(task: CycleProblem, trace: Trace, structure: Structure) -> tuple[str, Term, int] | None:

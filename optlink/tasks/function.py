@@ -245,7 +245,7 @@ def solve(
         raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
     if not problem.spec.free:
         example = 'Free one: coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
-        raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
+        raise InputError(Fault("no design variables: every dimension is fixed", example, problem.file, "mechanism"))
     if problem.spec.mechanism.assembly == EITHER:
         found: list[Result] = []
         variants = _variants(problem)

@@ -87,7 +87,7 @@ def solve(
         raise InputError(Fault("out of range", f"Give a number from 1 to {MOST_DESIGNS}", key="designs", value=designs))
     if not problem.model.free:
         example = 'Free one: coupler = { bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
-        raise InputError(Fault("nothing is free, there is nothing to find", example, problem.file, "mechanism"))
+        raise InputError(Fault("no design variables: every dimension is fixed", example, problem.file, "mechanism"))
     local.backend(backend)
     clock = [time.perf_counter()]
     search = _Search(problem, backend, seed, designs)
@@ -204,6 +204,8 @@ class _Search:
 def validate(problem: ProblemFile, given: Mapping[str, float]) -> Generation:
     """Validate a given design; with free timing, at the crank angles with the least deviation.
 
+    Of assembly modes that the problem leaves open, a valid one is taken before others, then the one with the least objective.
+
     Parameters
     ----------
     problem : ProblemFile
@@ -217,11 +219,10 @@ def validate(problem: ProblemFile, given: Mapping[str, float]) -> Generation:
     for file in variants_of(problem):
         task = model(file)
         values = {name: float(given.get(name, quantity.value)) for name, quantity in task.quantities.items()}
-        angles, figure = passing(task, values)
-        found.append((figure, file, values, angles))
-    _, file, values, angles = min(found, key=lambda each: each[0])
-    proof = validate_generation(model(file), values, angles)
-    design = Design(file, values, angles, proof.objective, Status.NOT_SEARCHED, proof)
+        angles = passing(task, values)
+        proof = validate_generation(task, values, angles)
+        found.append(Design(file, values, angles, proof.objective, Status.NOT_SEARCHED, proof))
+    design = min(found, key=lambda each: (not each.valid, each.objective if math.isfinite(each.objective) else math.inf))
     return Generation(
         problem=problem,
         designs=(design,) if design.valid else (),

@@ -24,8 +24,8 @@ SHRINK = 6.0
 FAR = 1e3  # sizes of the curve: distance assigned to a position that does not exist
 
 
-def passing(problem: GenerationProblem, design: Mapping[str, float]) -> tuple[Array, float]:
-    """Return the crank angles at which a design best passes the targets, and the objective there, without the limits.
+def passing(problem: GenerationProblem, design: Mapping[str, float]) -> Array:
+    """Return the crank angles at which a design best passes the targets.
 
     Parameters
     ----------
@@ -38,14 +38,12 @@ def passing(problem: GenerationProblem, design: Mapping[str, float]) -> tuple[Ar
     -------
     angles : array (points,) [rad]
         Monotonic, within one revolution.
-    figure : float
-        Sum of squares (for "max" with free timing: the largest square).
     """
     if problem.data.offsets is not None or not problem.pointed:
-        return problem.crank_angles(design, None), float(np.sum(_squares(problem, design, problem.crank_angles(design, None))))
+        return problem.crank_angles(design, None)
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
     found = [_one_way(problem, design, way) for way in ((1.0, -1.0) if rotation is None else (rotation,))]
-    return min(found, key=lambda each: each[1])
+    return min(found, key=lambda each: each[1])[0]
 
 
 def _squares(problem: GenerationProblem, design: Mapping[str, float], angles: Array) -> Array:
@@ -53,8 +51,6 @@ def _squares(problem: GenerationProblem, design: Mapping[str, float], angles: Ar
     data, at = problem.data, np.atleast_2d(angles.T).T
     motion = sweep(problem.linkage, design, at.ravel())
     far = (FAR * problem.size) ** 2
-    if not problem.pointed:
-        return np.zeros(at.shape)
     places = motion.position(problem.requirement.point).reshape(*at.shape, 2)
     square = np.sum((places - data.columns[:, None, :2]) ** 2, axis=-1)
     if problem.requirement.kind == "motion":

@@ -158,7 +158,7 @@ BAD: dict[str, tuple[str, dict[str, object], tuple[str, ...]]] = {
                 "points": {"P": ["20 mm", "10 mm"]},
             }
         },
-        ("mechanism", "nothing is free", "bounds"),
+        ("mechanism", "no design variables", "bounds"),
     ),
     # timing
     "crank angles in no order": ("path", {ROWS: crank(0, 40, 30, 60, 80)}, (ROWS, "crank", "30")),
@@ -253,7 +253,7 @@ BAD: dict[str, tuple[str, dict[str, object], tuple[str, ...]]] = {
         "function",
         {"mechanism": {"type": "four-bar", "frame": "9 mm", "crank": "3 mm", "coupler": "8 mm", "rocker": "7 mm"}}
         | {"requirement.from": "40 deg", "requirement.psi0": "60 deg"},
-        ("mechanism", "nothing is free"),
+        ("mechanism", "no design variables"),
     ),
     "no output": ("sliding", {"requirement.output": None}, ("requirement.output", "F")),
     "an output of no name": ("sliding", {"requirement.output": "H"}, ("requirement.output", "H", "F")),

@@ -574,4 +574,4 @@ def test_other_problems_and_sizes_are_refused():
         pareto(optlink.load("motion-3-poses"), "error, coupler")
     run = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--resume"])
     assert run.exit_code == 2
-    assert "which run is to go on" in run.output
+    assert "--resume needs the folder" in run.output

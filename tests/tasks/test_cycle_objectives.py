@@ -328,7 +328,7 @@ REFUSED = {
             "mechanism__guides__F__through": ["0 mm", "0 mm"],
         },
         "mechanism",
-        "nothing is free",
+        "no design variables",
     ),
     "infinite bound": (
         {"mechanism__links__crank__length": {"bounds": ["30 mm", "inf mm"]}},

@@ -170,3 +170,17 @@ def test_a_law_that_cannot_be_used_is_named(name: str) -> None:
     assert fault.key == key
     assert words in str(fault)
     assert fault.remedy
+
+
+@pytest.mark.parametrize("assembly", ["forward", "backward"])
+def test_validation_takes_the_assembly_mode_that_fits_the_law(assembly: str) -> None:
+    """Where the problem leaves the assembly mode open, a given design is judged in the better one."""
+    slide = slides({"crank.length": 0.025, "rod.length": 0.090, "G.offset": 0.010}, np.radians(np.linspace(20.0, 110.0, 31)))
+    rows = slide if assembly == "forward" else -slide[::-1]  # turned by half a revolution and mirrored
+    angles = np.linspace(20.0, 110.0, 31) if assembly == "forward" else np.linspace(70.0, 160.0, 31)
+    law = {"phi": [f"{a!r} deg" for a in angles.tolist()], "s": [f"{s!r} m" for s in rows.tolist()], "measured_from": "frame"}
+    file = slider_crank(law=law, span=None, points=None).override({"mechanism.assembly": {"C": "either"}})
+    found = optlink.validate(file, {"crank.length": 0.025, "rod.length": 0.090, "G.offset": 0.010})
+    assert found.valid
+    assert found.best.assembly == {"C": assembly}
+    assert found.objective < 1e-24

@@ -206,7 +206,7 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Rendera
     held = [limit for limit in limits if limit.active]
     if not held:
         return Text.assemble(("Active limits", HEAD), "\nnone: only the requirement shapes this design")
-    table = grid("Active limits, and what relaxing each by one unit would buy", [("", "left"), ("", "left"), ("", "left")])
+    table = grid("Active constraints and their shadow prices", [("", "left"), ("", "left"), ("", "left")])
     for limit in held:
         bound = f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip()
         gain = abs(limit.multiplier)
