@@ -36,7 +36,7 @@ def analyze(
         console.places(csv, out, "analyze", problem)
         turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
         result = run(file, points, turn, rate, given)
-        console.told(result, "views.analysis_tables.analysis", "views.analysis_pictures", csv, as_json, out)
+        console.deliver(result, "analysis", csv, as_json, out)
         if not result.sound:
             raise typer.Exit(1)
 
@@ -65,6 +65,6 @@ def balance(
         console.places(csv, out, "balance", problem)
         with console.share("balancing") as progress:
             result = run(file, minimise, trade, points, progress, given)
-        console.told(result, "views.balance_tables.balance", "views.balance_pictures", csv, as_json, out)
+        console.deliver(result, "balance", csv, as_json, out)
         if not result.valid:
             raise typer.Exit(3 if result.status == "stalled" else 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
 import os
 import sys
@@ -82,17 +81,15 @@ def print_failure(message: str, faults: list[dict[str, Any]]) -> None:
     print_json({"schema": "optlink/error/1", "status": "error", "message": message, "faults": faults})
 
 
-def told(result: Any, table: str, files: str, csv: Path | None, as_json: bool, out: Path | None) -> None:
+def deliver(result: Any, kind: str, csv: Path | None, as_json: bool, out: Path | None) -> None:
     """Write result files and print JSON or a table.
 
     Parameters
     ----------
     result : Any
         Result with `to_dict`, and `columns` if there is a `csv`.
-    table : str
-        Function of `optlink.report` that returns the table, as "MODULE.FUNCTION".
-    files : str
-        Module of `optlink.report` whose `write_all` writes the files.
+    kind : str
+        Kind of result, see `optlink.report.registry`.
     csv : Path or None
         File for the columns.
     as_json : bool
@@ -100,6 +97,8 @@ def told(result: Any, table: str, files: str, csv: Path | None, as_json: bool, o
     out : Path or None
         Folder for the files; after an interrupt it gets result.json only.
     """
+    from optlink.report.registry import files_of, table_of
+
     if csv is not None:
         from optlink.report.files import write_csv
 
@@ -111,14 +110,13 @@ def told(result: Any, table: str, files: str, csv: Path | None, as_json: bool, o
         print(f"Interrupted: {out} has result.json alone, no pictures", file=sys.stderr)
     elif out is not None:
         with working(f"Drawing into {out}"):
-            importlib.import_module(f"optlink.report.{files}").write_all(result, out)
+            files_of(kind)(result, out)
     if as_json:
         print_json(result.to_dict())
     else:
         from optlink.report.views import function_tables
 
-        room, _, name = table.rpartition(".")
-        function_tables.console().print(getattr(importlib.import_module(f"optlink.report.{room}"), name)(result))
+        function_tables.console().print(table_of(kind)(result))
 
 
 # --- progress ----------------------------------------------------------------------------------------------------------------

@@ -184,7 +184,7 @@ def _ideal(asked: Run) -> None:
             flywheel=asked.flywheel,
             **_said(rows=asked.points),
         )
-    console.told(result, "views.analysis_tables.simulation", "views.simulation_pictures", asked.csv, asked.as_json, asked.out)
+    console.deliver(result, "simulation", asked.csv, asked.as_json, asked.out)
     if not result.finished:
         raise typer.Exit(3 if result.run.ending.value == "stalled" else 1)
 
@@ -211,7 +211,7 @@ def _loose(asked: Run, revolutions: int | None, control: str, tolerance: float |
             resume=begun,
             **_said(points=asked.points, tolerance=tolerance),
         )
-    console.told(found, "views.clearance_tables.simulation", "views.clearance_pictures", None, asked.as_json, asked.out)
+    console.deliver(found, "clearance", None, asked.as_json, asked.out)
     if not found.finished:
         raise typer.Exit(3 if found.ending.value == "stalled" else 1)
 

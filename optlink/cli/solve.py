@@ -21,14 +21,6 @@ if TYPE_CHECKING:
     from optlink.tasks.path_result import Generation
     from optlink.validation.check import Check
 
-VIEWS = {
-    "function": ("views.function_tables.result", "views.function_pictures"),
-    "path": ("views.path_tables.generation", "views.path_pictures"),
-    "cycle": ("views.cycle_tables.machine_design", "views.cycle_pictures"),
-    "balance": ("views.balance_tables.balance", "views.balance_pictures"),
-}
-"""The table and the files of each kind of design problem."""
-
 
 def register(app: typer.Typer) -> None:
     """Register the commands."""
@@ -98,8 +90,7 @@ def _contradictions(design: list[str], file: ProblemFile, found: Result | Genera
 
 def _show(result: Result | Generation | MachineDesign | Balance, as_json: bool, out: Path | None) -> None:
     """Show a result, and exit with the code of its status."""
-    table, files = VIEWS[result.problem.task]
-    console.told(result, table, files, None, as_json, out)
+    console.deliver(result, result.problem.task, None, as_json, out)
     failed = (Status.STALLED, Status.NON_FINITE, "stalled")
     if result.status in failed and result.problem.task != "path":  # one of several designs may stall
         raise typer.Exit(3)

@@ -87,7 +87,7 @@ def sensitivity(
 
         with console.share("searching again" if check else "searching") as progress:
             result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
-        console.told(result, "views.study_tables.sensitivities", "views.sensitivity_pictures", None, as_json, out)
+        console.deliver(result, "sensitivity", None, as_json, out)
         from optlink.report.views.study_tables import AGREES
 
         if result.gap is not None and result.gap > AGREES:
@@ -228,7 +228,7 @@ def sweep(
                 scheduler=scheduler,
                 progress=progress,
             )
-        console.told(result, "views.study_tables.sweep", "views.sweep_pictures", None, as_json, out)
+        console.deliver(result, "sweep", None, as_json, out)
         if not result.successful:
             raise typer.Exit(1)
 
@@ -314,7 +314,7 @@ def tolerance(
                 robust=None if robust is None else read_sigmas(robust),
                 progress=progress,
             )
-        console.told(result, "views.tolerance_tables.tolerances", "views.tolerance_pictures", None, as_json, out)
+        console.deliver(result, "tolerance", None, as_json, out)
         if (result.allocation is not None and not result.allocation.kept) or (
             result.robust is not None and not result.robust.valid
         ):
@@ -365,7 +365,7 @@ def pareto(
                 scheduler=scheduler,
                 progress=progress,
             )
-        console.told(result, "views.pareto_tables.front", "views.pareto_pictures", None, as_json, out)
+        console.deliver(result, "pareto", None, as_json, out)
         if not result.complete:
             raise typer.Exit(1)
 

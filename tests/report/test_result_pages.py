@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import base64
 import csv
-import importlib
 import itertools
 import json
 import math
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.report.html.shell import LARGEST, Sheet
+from optlink.report.registry import page_of
 from optlink.report.stored.loader import STUDIES, opened
 from optlink.report.stored.reader import LARGEST as LARGEST_NUMBER
 from optlink.report.stored.stored_result import KNOWN
@@ -107,8 +108,8 @@ def numbers(values: list) -> np.ndarray:
 
 def test_schemas_are_those_of_the_commands():
     """They are written out beside their readers, so that none is loaded before it is needed."""
-    for schema, (_, reader) in STUDIES.items():
-        room = importlib.import_module(f"optlink.report.views.{reader.partition('.')[0]}")
+    for schema, (_, kind) in STUDIES.items():
+        room = sys.modules[page_of(kind).__module__]
         assert schema in (room.SCHEMA, getattr(room, "COMPARISON", ""))
 
 

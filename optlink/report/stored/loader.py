@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import shipped
+from optlink.report.registry import page_of
 from optlink.report.report_model import Subject
 from optlink.report.stored.problem_lookup import problem_of
 from optlink.report.stored.reader import read
@@ -19,15 +19,15 @@ from optlink.version import VERSION
 
 RESULT = "result.json"
 STUDIES = {
-    "optlink/simulation/1": ("simulate", "simulation_page.studied"),
-    "optlink/clearance/1": ("simulate", "clearance_page.studied"),
-    "optlink/compensation/1": ("simulate --control compare", "clearance_page.compared"),
-    "optlink/balance/1": ("balance", "balance_page.studied"),
-    "optlink/sweep/1": ("study sweep", "sweep_page.studied"),
-    "optlink/tolerance/1": ("study tolerance", "tolerance_page.studied"),
-    "optlink/pareto/1": ("study pareto", "pareto_page.studied"),
+    "optlink/simulation/1": ("simulate", "simulation"),
+    "optlink/clearance/1": ("simulate", "clearance"),
+    "optlink/compensation/1": ("simulate --control compare", "control comparison"),
+    "optlink/balance/1": ("balance", "balance"),
+    "optlink/sweep/1": ("study sweep", "sweep"),
+    "optlink/tolerance/1": ("study tolerance", "tolerance"),
+    "optlink/pareto/1": ("study pareto", "pareto"),
 }
-"""Schemas of what is shown as it was recorded: the command that writes them, and who reads them (loaded when it is needed)."""
+"""Schemas of results that are shown as stored: the command that writes them, and the kind of their page."""
 PAGELESS = {"optlink/output-sensitivity/1": "Slopes of an output stand in the sensitivity.csv beside it"}
 """Schemas of results that are not drawn, and where people read them."""
 
@@ -66,8 +66,7 @@ def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -
     if schema in KNOWN:
         return read_subject(path, problem, changes)
     file = problem_of(record, problem, changes)
-    room, _, name = STUDIES[schema][1].partition(".")
-    found: Studied = getattr(importlib.import_module(f"optlink.report.views.{room}"), name)(record, file)
+    found = page_of(STUDIES[schema][1])(record, file)
     notes = [f"shown as {path.name} recorded it"]
     if record.document.get("optlink") != VERSION:
         notes.append(f"that file was written by optlink {record.document.get('optlink')}, this page by {VERSION}")

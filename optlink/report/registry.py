@@ -1,0 +1,190 @@
+"""Views by kind of result: the table of the terminal, the files of --out, the page of a stored result.
+
+Each is imported when it is used: a table needs no plotting library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from optlink.problem.file import ProblemFile
+    from optlink.report.stored.reader import Record
+    from optlink.report.stored.stored_study import Studied
+
+
+@dataclass(frozen=True)
+class View:
+    """What is shown of a kind of result.
+
+    Parameters
+    ----------
+    table : function of a result
+        Returns what the terminal shows.
+    files : function of a result and a folder
+        Writes result.json, tables and pictures.
+    """
+
+    table: Callable[[Any], RenderableType]
+    files: Callable[[Any, Path], object]
+
+
+REGISTERED: dict[str, View] = {}
+"""Views of further kinds of results by the name of the kind."""
+
+
+def table_of(kind: str) -> Callable[[Any], RenderableType]:
+    """Import the function that shows results of a kind in the terminal.
+
+    Raises
+    ------
+    KeyError
+        if no view of that kind exists.
+    """
+    match kind:
+        case "function":
+            from optlink.report.views.function_tables import result as function_table
+
+            return function_table
+        case "path":
+            from optlink.report.views.path_tables import generation as path_table
+
+            return path_table
+        case "cycle":
+            from optlink.report.views.cycle_tables import machine_design as cycle_table
+
+            return cycle_table
+        case "balance":
+            from optlink.report.views.balance_tables import balance as balance_table
+
+            return balance_table
+        case "analysis":
+            from optlink.report.views.analysis_tables import analysis as analysis_table
+
+            return analysis_table
+        case "simulation":
+            from optlink.report.views.analysis_tables import simulation as simulation_table
+
+            return simulation_table
+        case "clearance":
+            from optlink.report.views.clearance_tables import simulation as clearance_table
+
+            return clearance_table
+        case "sensitivity":
+            from optlink.report.views.study_tables import sensitivities as sensitivity_table
+
+            return sensitivity_table
+        case "sweep":
+            from optlink.report.views.study_tables import sweep as sweep_table
+
+            return sweep_table
+        case "tolerance":
+            from optlink.report.views.tolerance_tables import tolerances as tolerance_table
+
+            return tolerance_table
+        case "pareto":
+            from optlink.report.views.pareto_tables import front as pareto_table
+
+            return pareto_table
+    return REGISTERED[kind].table
+
+
+def files_of(kind: str) -> Callable[[Any, Path], object]:
+    """Import the function that writes the files of results of a kind.
+
+    Raises
+    ------
+    KeyError
+        if no view of that kind exists.
+    """
+    match kind:
+        case "function":
+            from optlink.report.views.function_pictures import write_all as function_files
+
+            return function_files
+        case "path":
+            from optlink.report.views.path_pictures import write_all as path_files
+
+            return path_files
+        case "cycle":
+            from optlink.report.views.cycle_pictures import write_all as cycle_files
+
+            return cycle_files
+        case "balance":
+            from optlink.report.views.balance_pictures import write_all as balance_files
+
+            return balance_files
+        case "analysis":
+            from optlink.report.views.analysis_pictures import write_all as analysis_files
+
+            return analysis_files
+        case "simulation":
+            from optlink.report.views.simulation_pictures import write_all as simulation_files
+
+            return simulation_files
+        case "clearance":
+            from optlink.report.views.clearance_pictures import write_all as clearance_files
+
+            return clearance_files
+        case "sweep":
+            from optlink.report.views.sweep_pictures import write_all as sweep_files
+
+            return sweep_files
+        case "sensitivity":
+            from optlink.report.views.sensitivity_pictures import write_all as sensitivity_files
+
+            return sensitivity_files
+        case "tolerance":
+            from optlink.report.views.tolerance_pictures import write_all as tolerance_files
+
+            return tolerance_files
+        case "pareto":
+            from optlink.report.views.pareto_pictures import write_all as pareto_files
+
+            return pareto_files
+    return REGISTERED[kind].files
+
+
+def page_of(kind: str) -> Callable[[Record, ProblemFile], Studied]:
+    """Import the function that makes a page of a stored result of a kind.
+
+    Raises
+    ------
+    KeyError
+        if results of that kind are not shown as stored.
+    """
+    match kind:
+        case "simulation":
+            from optlink.report.views.simulation_page import studied as simulation_page
+
+            return simulation_page
+        case "clearance":
+            from optlink.report.views.clearance_page import studied as clearance_page
+
+            return clearance_page
+        case "control comparison":
+            from optlink.report.views.clearance_page import compared as control_comparison_page
+
+            return control_comparison_page
+        case "balance":
+            from optlink.report.views.balance_page import studied as balance_page
+
+            return balance_page
+        case "sweep":
+            from optlink.report.views.sweep_page import studied as sweep_page
+
+            return sweep_page
+        case "tolerance":
+            from optlink.report.views.tolerance_page import studied as tolerance_page
+
+            return tolerance_page
+        case "pareto":
+            from optlink.report.views.pareto_page import studied as pareto_page
+
+            return pareto_page
+    raise KeyError(kind)
