@@ -33,7 +33,7 @@ def rows() -> list[Row]:
     """All comparisons."""
     import optlink
     from optlink.studies.sweep import sweep
-    from optlink.studies.tolerance import tolerance
+    from optlink.studies.tolerance.analysis import tolerance
 
     problem = optlink.load("crank-rocker")
     vary = ["mechanism.frame=450..550 mm:50", "limits.transmission_angle.max=125..140 deg:50"]

@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile, load, read, shipped
     from optlink.tasks.analyze import Analysis, analyze
     from optlink.tasks.balance import balance
-    from optlink.tasks.balance_result import Balance
     from optlink.tasks.batch import analyze_batch
     from optlink.tasks.clearance import LooseSimulation, simulate_clearance
     from optlink.tasks.control_comparison import Comparison, Tuning, compare, tune
-    from optlink.tasks.cycle_result import MachineDesign
     from optlink.tasks.function import Result, read_design
-    from optlink.tasks.path_result import Design, Generation
+    from optlink.tasks.results.balance import Balance
+    from optlink.tasks.results.cycle import MachineDesign
+    from optlink.tasks.results.path import Design, Generation
     from optlink.tasks.run import solve, validate
     from optlink.tasks.simulate import Simulation, simulate
 
 _HOME = {
     "Analysis": "optlink.tasks.analyze",
     "analyze": "optlink.tasks.analyze",
-    "Balance": "optlink.tasks.balance_result",
+    "Balance": "optlink.tasks.results.balance",
     "balance": "optlink.tasks.balance",
     "Simulation": "optlink.tasks.simulate",
     "simulate": "optlink.tasks.simulate",
@@ -44,8 +44,8 @@ _HOME = {
     "Tuning": "optlink.tasks.control_comparison",
     "compare": "optlink.tasks.control_comparison",
     "tune": "optlink.tasks.control_comparison",
-    "Design": "optlink.tasks.path_result",
-    "Generation": "optlink.tasks.path_result",
+    "Design": "optlink.tasks.results.path",
+    "Generation": "optlink.tasks.results.path",
     "InputError": "optlink.errors",
     "OptlinkError": "optlink.errors",
     "SolverError": "optlink.errors",
@@ -54,7 +54,7 @@ _HOME = {
     "load": "optlink.problem.file",
     "read": "optlink.problem.file",
     "shipped": "optlink.problem.file",
-    "MachineDesign": "optlink.tasks.cycle_result",
+    "MachineDesign": "optlink.tasks.results.cycle",
     "four_bar": "optlink.linkage.fourbar",
     "grashof": "optlink.linkage.fourbar",
     "sweep": "optlink.linkage.motion",

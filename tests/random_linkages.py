@@ -16,7 +16,7 @@ import numpy as np
 import optlink
 from optlink.linkage.fourbar import LENGTHS
 from optlink.tasks.path import solve
-from optlink.tasks.path_result import Design
+from optlink.tasks.results.path import Design
 from tests import synthesis_oracle as oracle
 from tests.stated import ANGLE, document, four_bar_section, free
 from tests.synthesis_oracle import TURN

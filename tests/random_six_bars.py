@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile, read
-from optlink.tasks.path_result import Design
+from optlink.tasks.results.path import Design
 from tests.synthesis_oracle import random_closed_curve
 
 Raw = dict[str, Any]

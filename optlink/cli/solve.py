@@ -15,10 +15,10 @@ from optlink.errors import Status
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
-    from optlink.tasks.balance_result import Balance
-    from optlink.tasks.cycle_result import MachineDesign
     from optlink.tasks.function import Result
-    from optlink.tasks.path_result import Generation
+    from optlink.tasks.results.balance import Balance
+    from optlink.tasks.results.cycle import MachineDesign
+    from optlink.tasks.results.path import Generation
     from optlink.validation.check import Check
 
 

@@ -287,8 +287,8 @@ def tolerance(
     """How exact it must be built: worst case, scatter and yield for given tolerances, and the loosest that will do."""
     with console.reported(as_json), console.made(out, "tolerance", problem):
         from optlink.errors import Fault, InputError
-        from optlink.studies.sampling import read_costs, read_sigmas, read_yield
-        from optlink.studies.tolerance import tolerance as run
+        from optlink.studies.tolerance.analysis import tolerance as run
+        from optlink.studies.tolerance.sampling import read_costs, read_sigmas, read_yield
 
         file = console.load(problem, changes)
         given = None
@@ -347,7 +347,7 @@ def pareto(
 ) -> None:
     """What one objective costs in another: the front of two or three, its ends and its knee, every point proven."""
     with console.reported(as_json):
-        from optlink.studies.pareto import pareto as run
+        from optlink.studies.pareto.front import pareto as run
 
         file = console.load(problem, changes)
         _resumable(resume, out)

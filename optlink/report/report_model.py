@@ -13,10 +13,10 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import settled
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import Analysis, analyze
-from optlink.tasks.balance_result import Balance
-from optlink.tasks.cycle_result import MachineDesign
 from optlink.tasks.function import Result
-from optlink.tasks.path_result import Generation
+from optlink.tasks.results.balance import Balance
+from optlink.tasks.results.cycle import MachineDesign
+from optlink.tasks.results.path import Generation
 from optlink.tasks.run import solve, validate
 
 if TYPE_CHECKING:

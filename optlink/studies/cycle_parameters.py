@@ -31,7 +31,7 @@ from optlink.studies.parameters import Parameter, parameters
 from optlink.studies.toml_keys import raw_at, text
 from optlink.symbolic import Compiled
 from optlink.tasks.cycle import solve as solve_cycle
-from optlink.tasks.cycle_result import task_of
+from optlink.tasks.results.cycle import task_of
 from optlink.units import KINDS, UnitProblem, factor
 
 Array = NDArray[np.float64]

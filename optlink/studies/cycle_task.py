@@ -34,8 +34,8 @@ from optlink.studies.grid import column
 from optlink.studies.reoptimise_task import SEARCHED, TAIL, active
 from optlink.studies.sweep_task import Sweeping, figure
 from optlink.tasks.cycle import solve as solve_cycle
-from optlink.tasks.cycle_result import MachineDesign, task_of
-from optlink.tasks.result import optimality
+from optlink.tasks.results.common import optimality
+from optlink.tasks.results.cycle import MachineDesign, task_of
 from optlink.units import KINDS, factor
 from optlink.validation.check import Validation
 from optlink.validation.cycle import validate_cycle

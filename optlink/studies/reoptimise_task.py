@@ -27,7 +27,7 @@ from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
 from optlink.studies.continuation import FOLLOWED, follow
 from optlink.studies.fast_overrides import Direct
 from optlink.studies.sweep_task import Sweeping, figure
-from optlink.tasks.balance_result import Balance
+from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
 from optlink.units import KINDS, factor
 from optlink.validation import validate

@@ -26,7 +26,7 @@ from optlink.studies.cycle_parameters import Givens, searched_again
 from optlink.studies.kkt_derivatives import End, System
 from optlink.studies.parameters import Parameter, parameters
 from optlink.studies.toml_keys import text
-from optlink.tasks.balance_result import Balance
+from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
 
 Array = NDArray[np.float64]

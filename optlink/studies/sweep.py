@@ -42,7 +42,7 @@ def objective_column(problem: ProblemFile) -> str:
     """Return the name of the objective column, with its SI unit."""
     if problem.task == "path":
         from optlink.problem.path import GenerationProblem
-        from optlink.tasks.path_result import objective_unit
+        from optlink.tasks.results.path import objective_unit
 
         assert isinstance(problem.model, GenerationProblem)
         unit = objective_unit(problem.model)

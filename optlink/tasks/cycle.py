@@ -16,8 +16,8 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Unusable, nearest
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
-from optlink.tasks.cycle_result import MachineDesign, measured, task_of
-from optlink.tasks.result import Optimum, optimality
+from optlink.tasks.results.common import Optimum, optimality
+from optlink.tasks.results.cycle import MachineDesign, measured, task_of
 from optlink.units import factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import validate_cycle

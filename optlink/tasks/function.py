@@ -26,7 +26,7 @@ from optlink.solvers.function_exchange import ALONG, error_at, judged
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import stroke_document, turning
 from optlink.tasks.fit import Fit, law_fit
-from optlink.tasks.result import Optimum, Relaxed, heading, proof, proven, shortest_link
+from optlink.tasks.results.common import Optimum, Relaxed, heading, proof, proven, shortest_link
 from optlink.units import show
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove

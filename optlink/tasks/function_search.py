@@ -24,7 +24,7 @@ from optlink.solvers.function_exchange import level
 from optlink.solvers.solution import Solution
 from optlink.synthesis import function_starts
 from optlink.synthesis.freudenstein import FirstStep
-from optlink.tasks.result import Optimum, optimality, proven
+from optlink.tasks.results.common import Optimum, optimality, proven
 from optlink.validation import Validation
 from optlink.validation import validate as prove
 

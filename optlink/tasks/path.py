@@ -15,9 +15,9 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.solvers import interrupts
 from optlink.solvers.evidence import evidence
-from optlink.tasks.path_result import Design, Generation
 from optlink.tasks.path_search import Collection, Polisher, compound, model
-from optlink.tasks.result import Relaxed, shortest_link
+from optlink.tasks.results.common import Relaxed, shortest_link
+from optlink.tasks.results.path import Design, Generation
 from optlink.validation.path import validate_generation
 
 if TYPE_CHECKING:

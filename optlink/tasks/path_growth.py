@@ -13,8 +13,8 @@ from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import MISSED, Candidate, ordered
 from optlink.synthesis.growth import Contained, grown
 from optlink.synthesis.levenberg_marquardt import descend
-from optlink.tasks.path_result import Design
 from optlink.tasks.path_search import Polisher, as_good, feasible
+from optlink.tasks.results.path import Design
 
 STARTS = 12  # per design of the four-bar and combination of assembly modes
 POLISHED = 4  # candidates refined, in total

@@ -13,8 +13,8 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.path import GenerationProblem
 from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.solution import Solution
-from optlink.tasks.path_result import Design
-from optlink.tasks.result import OPTIMALITY_CHECK, optimality
+from optlink.tasks.results.common import OPTIMALITY_CHECK, optimality
+from optlink.tasks.results.path import Design
 from optlink.validation.path import validate_generation
 
 if TYPE_CHECKING:

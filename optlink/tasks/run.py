@@ -9,10 +9,10 @@ from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
 
 if TYPE_CHECKING:
-    from optlink.tasks.balance_result import Balance
-    from optlink.tasks.cycle_result import MachineDesign
     from optlink.tasks.function import Result
-    from optlink.tasks.path_result import Generation
+    from optlink.tasks.results.balance import Balance
+    from optlink.tasks.results.cycle import MachineDesign
+    from optlink.tasks.results.path import Generation
 
 Progress = Callable[[float], None]
 """Receives the share of the work that is done, from 0 to 1."""

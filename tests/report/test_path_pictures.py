@@ -26,7 +26,7 @@ from optlink.report.views import path_tables as tables
 from optlink.report.views.path_closeup import Close
 from optlink.report.views.path_view import Track
 from optlink.solvers.evidence import evidence
-from optlink.tasks.path_result import Design, Generation
+from optlink.tasks.results.path import Design, Generation
 from optlink.validation.path import validate_generation
 from tests import synthesis_oracle as oracle
 

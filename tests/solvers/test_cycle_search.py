@@ -16,7 +16,7 @@ from optlink.optimization.cycle_signals import Trace
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers.cycle_search import Samples, begins
 from optlink.tasks.cycle import solve, validate
-from optlink.tasks.cycle_result import MachineDesign, task_of
+from optlink.tasks.results.cycle import MachineDesign, task_of
 
 PUMP = """
 title = "Offset pump"

@@ -13,7 +13,7 @@ import optlink
 from optlink.errors import Status
 from optlink.solvers.solution import LEAST_PRICE
 from optlink.tasks.path import Generation
-from optlink.tasks.result import optimality
+from optlink.tasks.results.common import optimality
 from optlink.tasks.run import solve
 
 SWING = 110.0

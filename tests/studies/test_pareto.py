@@ -24,9 +24,11 @@ from optlink.errors import InputError
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.file import ProblemFile, load
 from optlink.report.views.pareto_pictures import picture
-from optlink.studies import cycle_task, epsilon_ranges, pareto_objectives
+from optlink.studies import cycle_task
 from optlink.studies.cycle_task import restarted
-from optlink.studies.pareto import ENDS, Pareto, pareto
+from optlink.studies.pareto import epsilon_ranges
+from optlink.studies.pareto import objectives as pareto_objectives
+from optlink.studies.pareto.front import ENDS, Pareto, pareto
 from optlink.studies.sweep import sweep
 from optlink.validation import validate as prove
 

@@ -17,7 +17,7 @@ from optlink.problem.robust import read_robust
 from optlink.problem.tolerances import assigned
 from optlink.studies.sensitivity import sensitivities
 from optlink.studies.sweep import sweep
-from optlink.studies.tolerance import tolerance
+from optlink.studies.tolerance.analysis import tolerance
 from optlink.tasks.function import solve, validate
 from optlink.validation import validate as prove
 

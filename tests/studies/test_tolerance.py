@@ -17,13 +17,13 @@ import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.problem.tolerances import SHAPES, Deviation
-from optlink.studies.allocation import least_cost
-from optlink.studies.monte_carlo import monte_carlo
-from optlink.studies.nominal import drawing
-from optlink.studies.robust_design import robust
-from optlink.studies.sampling import drawn, read_costs, read_yield, wilson
-from optlink.studies.tolerance import analysed, tolerance
-from optlink.studies.tolerance_options import read_deviations
+from optlink.studies.tolerance.allocation import least_cost
+from optlink.studies.tolerance.analysis import analysed, tolerance
+from optlink.studies.tolerance.monte_carlo import monte_carlo
+from optlink.studies.tolerance.nominal import drawing
+from optlink.studies.tolerance.options import read_deviations
+from optlink.studies.tolerance.robust_design import robust
+from optlink.studies.tolerance.sampling import drawn, read_costs, read_yield, wilson
 
 DESIGN = {"coupler": 0.412865417, "rocker": 0.23224617}
 LENGTHS = {"crank": 0.1, **DESIGN, "frame": 0.5}

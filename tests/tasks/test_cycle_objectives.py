@@ -15,7 +15,7 @@ from optlink.optimization.cycle_signals import Trace
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers.cycle_search import Begin, searched
 from optlink.tasks.cycle import solve
-from optlink.tasks.cycle_result import task_of
+from optlink.tasks.results.cycle import task_of
 from optlink.validation.cycle import BALANCE, Cycle, validate_cycle
 
 PRESS = """

@@ -27,7 +27,7 @@ TURNED = np.column_stack([[0.0, 60.0, 110.0, 90.0, 20.0], [0.0, 25.0, 70.0, 130.
 
 
 @pytest.fixture(scope="module")
-def star() -> optlink.tasks.path_result.Generation:
+def star() -> optlink.tasks.results.path.Generation:
     """A zigzag that no four-bar draws, with the crank pivot where it is by default."""
     section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
     raw = document(section, STAR + 150.0, {"transmission_angle": ["40 deg", "140 deg"]})

@@ -11,7 +11,7 @@ import pytest
 
 import optlink
 from optlink.tasks.path import solve
-from optlink.tasks.path_result import Design
+from optlink.tasks.results.path import Design
 from tests.random_linkages import (
     RandomTask,
     faults_of,

@@ -18,8 +18,8 @@ from optlink.synthesis.batch_search import Candidate
 from optlink.synthesis.growth import contained, grown
 from optlink.tasks import path
 from optlink.tasks.path import PART_STARTS, solve, variants_of
-from optlink.tasks.path_result import Design
 from optlink.tasks.path_search import Polisher, compound
+from optlink.tasks.results.path import Design
 from optlink.validation.check import Check
 from tests.random_six_bars import faults_of_six_bar, random_six_bar
 

@@ -25,9 +25,9 @@ from optlink.report.views.path_view import Track, best
 from optlink.report.views.study_tables import step
 from optlink.studies.sensitivity import Sensitivities
 from optlink.tasks.analyze import Analysis
-from optlink.tasks.cycle_result import MachineDesign
 from optlink.tasks.function import Result
-from optlink.tasks.path_result import Generation
+from optlink.tasks.results.cycle import MachineDesign
+from optlink.tasks.results.path import Generation
 
 Array = NDArray[np.float64]
 BARS = 16  # largest number of bars of the tornado chart

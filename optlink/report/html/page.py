@@ -22,9 +22,9 @@ from optlink.report.scene import scene
 from optlink.report.views import analysis_tables, cycle_tables, function_tables, path_tables, study_tables
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.analyze import Analysis
-from optlink.tasks.cycle_result import MachineDesign
 from optlink.tasks.function import Result
-from optlink.tasks.path_result import Generation
+from optlink.tasks.results.cycle import MachineDesign
+from optlink.tasks.results.path import Generation
 
 __all__ = ["LARGEST", "page", "sensitivities_of", "told", "verdict", "write_page"]
 

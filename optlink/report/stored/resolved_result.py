@@ -13,7 +13,7 @@ from optlink.linkage.stroke import TURN
 from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution
-from optlink.tasks.path_result import Design
+from optlink.tasks.results.path import Design
 
 Array = NDArray[np.float64]
 SAME = 1e-5  # tolerance in scaled units; a larger step leads to a different optimum

@@ -28,14 +28,14 @@ from optlink.studies.sensitivity import Resolved
 from optlink.tasks.analyze import SCHEMA as ANALYSIS
 from optlink.tasks.analyze import Analysis, analyze
 from optlink.tasks.cycle import validate as validate_cycle
-from optlink.tasks.cycle_result import SCHEMA as MACHINE
-from optlink.tasks.cycle_result import MachineDesign
 from optlink.tasks.function import SCHEMA as RESULT
 from optlink.tasks.function import Result, read_design, validate
 from optlink.tasks.path import variants_of
-from optlink.tasks.path_result import SCHEMA as GENERATION
-from optlink.tasks.path_result import Design, Generation
-from optlink.tasks.result import Relaxed
+from optlink.tasks.results.common import Relaxed
+from optlink.tasks.results.cycle import SCHEMA as MACHINE
+from optlink.tasks.results.cycle import MachineDesign
+from optlink.tasks.results.path import SCHEMA as GENERATION
+from optlink.tasks.results.path import Design, Generation
 from optlink.units import UnitProblem, factor
 from optlink.validation import Check
 from optlink.validation.check import Validation

@@ -23,7 +23,7 @@ from optlink.report.views import balance_tables
 from optlink.report.views.function_tables import number
 from optlink.tasks.analyze import machine_of, motion_range, sampled
 from optlink.tasks.balance import written
-from optlink.tasks.balance_result import SCHEMA, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
+from optlink.tasks.results.balance import SCHEMA, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
 
 __all__ = ["SCHEMA", "studied"]
 

@@ -23,7 +23,7 @@ from optlink.report.files import verdict, write_csv, write_design, write_json
 from optlink.report.labels import Label, settle
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, ROCKER, WANTED, Scale, figure, heading, save, scale, styled
 from optlink.report.views.balance_tables import percent
-from optlink.tasks.balance_result import Added, Balance
+from optlink.tasks.results.balance import Added, Balance
 
 Array = NDArray[np.float64]
 GIVEN = "#8a8a8a"

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from optlink.problem.machine.balance import BalanceSection
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, grid, number
-from optlink.tasks.balance_result import Balance, Trade
+from optlink.tasks.results.balance import Balance, Trade
 
 COLUMN = tuple[str, str]
 SHOWN = 15  # largest number of listed points of a trade-off

@@ -24,7 +24,7 @@ from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, hea
 from optlink.report.views.analysis_curves import zero
 from optlink.report.views.path_captions import failed
 from optlink.tasks.analyze import Analysis
-from optlink.tasks.cycle_result import MachineDesign
+from optlink.tasks.results.cycle import MachineDesign
 from optlink.validation.cycle import Cycle
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from optlink.problem.cycle import CycleProblem
 from optlink.report.views.analysis_tables import machine_strokes
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, active, checks, fixed, graded, grid, number
 from optlink.solvers.infeasibility import Relaxation
-from optlink.tasks.cycle_result import MachineDesign, people_unit
+from optlink.tasks.results.cycle import MachineDesign, people_unit
 
 
 def machine_design(outcome: MachineDesign) -> RenderableType:

@@ -24,7 +24,7 @@ from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import turning
 from optlink.tasks.fit import Fit
 from optlink.tasks.function import Result, people
-from optlink.tasks.result import Relaxed
+from optlink.tasks.results.common import Relaxed
 from optlink.validation import Check
 
 GOOD, BAD, QUIET, HEAD = "green", "bold red", "dim", "bold"

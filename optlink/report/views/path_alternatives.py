@@ -12,7 +12,7 @@ from optlink.report.views.path_initial_pose import BESIDE, standing, trim
 from optlink.report.views.path_tables import kin
 from optlink.report.views.path_view import Track
 from optlink.report.views.revolutions import beside
-from optlink.tasks.path_result import Generation
+from optlink.tasks.results.path import Generation
 
 PANELS = 9  # largest number of designs
 APART = 4.0  # designs up to this multiple of the smallest size share one scale

@@ -12,8 +12,8 @@ from optlink.problem.path import MARK
 from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
 from optlink.report.views.path_tables import exact, measure, words
 from optlink.report.views.path_view import Track
-from optlink.tasks.path_result import Design
-from optlink.tasks.result import Single
+from optlink.tasks.results.common import Single
+from optlink.tasks.results.path import Design
 
 SIZES = 14  # largest number of dimensions below a title
 DIGITS = 5  # significant digits of a dimension

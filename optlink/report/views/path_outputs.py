@@ -19,7 +19,7 @@ from optlink.report.style import BODIES, LIMIT, WANTED, degrees, figure, scale, 
 from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, figures, headed, title_of, wrapped
 from optlink.report.views.path_initial_pose import BESIDE, HIGH, standing, trim
 from optlink.report.views.path_view import Track, best
-from optlink.tasks.path_result import Generation
+from optlink.tasks.results.path import Generation
 from optlink.validation.path import deviations, transmission_angles
 
 Array = NDArray[np.float64]

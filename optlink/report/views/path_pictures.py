@@ -33,7 +33,7 @@ from optlink.report.views.path_initial_pose import BESIDE, HIGH, standing, trim
 from optlink.report.views.path_outputs import curve, mechanism, output_film
 from optlink.report.views.path_residuals import errors
 from optlink.report.views.path_view import Track, best
-from optlink.tasks.path_result import Design, Generation
+from optlink.tasks.results.path import Design, Generation
 
 Array = NDArray[np.float64]
 FRAMES = 90

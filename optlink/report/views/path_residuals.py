@@ -15,7 +15,7 @@ from optlink.report.views.path_captions import entitle, figures, fitting, length
 from optlink.report.views.path_closeup import ALLOWED, NUMBERED
 from optlink.report.views.path_tables import exact_angles
 from optlink.report.views.path_view import Track, best
-from optlink.tasks.path_result import LEVEL, Generation
+from optlink.tasks.results.path import LEVEL, Generation
 
 Array = NDArray[np.float64]
 BARS = 40  # number of points up to which each has a bar

@@ -14,7 +14,7 @@ from optlink.linkage.cognates import Cognate, CouplerLinkage
 from optlink.problem.path import TURN, GenerationProblem
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, active, checks, conflict, fixed, graded, grid, number
 from optlink.tasks.analyze import turning
-from optlink.tasks.path_result import LEVEL, OUTPUT, Design, Generation, people_unit
+from optlink.tasks.results.path import LEVEL, OUTPUT, Design, Generation, people_unit
 from optlink.validation import Check
 
 ALIKE = 1e-3  # relative tolerance for equal four-bars

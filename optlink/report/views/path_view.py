@@ -14,7 +14,7 @@ from optlink.report.drawing import Sketch
 from optlink.report.shapes import finite, spread
 from optlink.report.views.path_tables import exact_places
 from optlink.report.views.revolutions import round_below
-from optlink.tasks.path_result import Design, Generation
+from optlink.tasks.results.path import Design, Generation
 
 Array = NDArray[np.float64]
 FINE = 721  # positions per revolution

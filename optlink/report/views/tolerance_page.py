@@ -21,7 +21,7 @@ from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, WANTED
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, grid, number
 from optlink.report.views.function_tables import QUIET as DIM
 from optlink.report.views.tolerance_tables import judged, made, percent, proven
-from optlink.studies.tolerance import SCHEMA
+from optlink.studies.tolerance.analysis import SCHEMA
 from optlink.tasks.function import people
 
 __all__ = ["SCHEMA", "studied"]

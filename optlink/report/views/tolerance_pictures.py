@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from optlink.report.files import write_csv, write_json
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, SHADE, WANTED, figure, heading, save, styled
 from optlink.report.views.tolerance_tables import percent
-from optlink.studies.monte_carlo import Carlo
-from optlink.studies.nominal import people
-from optlink.studies.tolerance import Tolerance
+from optlink.studies.tolerance.analysis import Tolerance
+from optlink.studies.tolerance.monte_carlo import Carlo
+from optlink.studies.tolerance.nominal import people
 
 COLOURS = (CRANK, *BODIES)
 NEAR = 2.5  # the limit is drawn up to this multiple of the drawn range

@@ -11,12 +11,12 @@ from rich.text import Text
 
 from optlink.problem.tolerances import CONTACT, Deviation
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, fixed, grid, number
-from optlink.studies.allocation import Allocation
-from optlink.studies.monte_carlo import Carlo
-from optlink.studies.nominal import people
-from optlink.studies.robust_design import YIELD, Robust
-from optlink.studies.sampling import CONFIDENCE
-from optlink.studies.tolerance import Tolerance
+from optlink.studies.tolerance.allocation import Allocation
+from optlink.studies.tolerance.analysis import Tolerance
+from optlink.studies.tolerance.monte_carlo import Carlo
+from optlink.studies.tolerance.nominal import people
+from optlink.studies.tolerance.robust_design import YIELD, Robust
+from optlink.studies.tolerance.sampling import CONFIDENCE
 from optlink.tasks.function import people as inhabited
 
 SURE = f"{100.0 * CONFIDENCE:g} % sure"

@@ -20,7 +20,7 @@ from optlink.problem.quantity import Unusable
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import Analysis, analyze, stroke_document
 from optlink.tasks.fit import Fit, transmission_fit
-from optlink.tasks.result import Optimum, heading, proof, proven
+from optlink.tasks.results.common import Optimum, heading, proof, proven
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import Cycle, validate_cycle

@@ -25,7 +25,7 @@ from optlink.solvers.evidence import Evidence
 from optlink.solvers.solution import LimitState, Solution
 from optlink.tasks.analyze import stroke_document, turning
 from optlink.tasks.fit import Fit, path_fit, transmission_fit
-from optlink.tasks.result import Relaxed, heading, proven
+from optlink.tasks.results.common import Relaxed, heading, proven
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.path import Deviations, deviations, transmission_angles

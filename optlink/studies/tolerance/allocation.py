@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, SolverError
-from optlink.studies.monte_carlo import Carlo, monte_carlo, sampled_document
+from optlink.studies.tolerance.monte_carlo import Carlo, monte_carlo, sampled_document
 
 if TYPE_CHECKING:
-    from optlink.studies.tolerance import Tolerance
+    from optlink.studies.tolerance.analysis import Tolerance
 
 Array = NDArray[np.float64]
 PROVEN = 1e-6  # largest relative duality gap of a proven cost

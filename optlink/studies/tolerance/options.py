@@ -10,7 +10,7 @@ from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Unusable
 from optlink.problem.tolerances import CLEARANCE, EXAMPLE, NORMAL, Deviation, Stated, deviations, read_stated
-from optlink.studies.nominal import Nominal
+from optlink.studies.tolerance.nominal import Nominal
 
 OPTION = "--tolerance"
 

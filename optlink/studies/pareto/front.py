@@ -29,9 +29,9 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Quantity
 from optlink.studies.cycle_task import Designing
-from optlink.studies.epsilon_ranges import NoEnd, Walks
 from optlink.studies.grid import Grid
-from optlink.studies.pareto_objectives import OPTION, Aim, asked, cycle_figures, law_figure, read_aims, tightest
+from optlink.studies.pareto.epsilon_ranges import NoEnd, Walks
+from optlink.studies.pareto.objectives import OPTION, Aim, asked, cycle_figures, law_figure, read_aims, tightest
 from optlink.studies.reoptimise_task import CHUNK, SLOW_CHUNK, Reoptimising, buildable, check_backend
 from optlink.studies.runner import check
 from optlink.studies.store import Progress, Store
@@ -166,7 +166,7 @@ def pareto(
     problem : ProblemFile
         A machine with an objective over its cycle, or a four-bar for a law.
     objectives : str
-        For example "peak torque, guide force in F"; see `optlink.studies.pareto_objectives`.
+        For example "peak torque, guide force in F"; see `optlink.studies.pareto.objectives`.
     out : Path, optional
         Folder for the chunks as they complete, and for every point of the grid (`sweep.csv`).
     points : int, optional

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.problem.tolerances import Deviation
-from optlink.studies.nominal import Nominal
-from optlink.studies.sampling import drawn, wilson
+from optlink.studies.tolerance.nominal import Nominal
+from optlink.studies.tolerance.sampling import drawn, wilson
 
 if TYPE_CHECKING:
-    from optlink.studies.tolerance import Tolerance
+    from optlink.studies.tolerance.analysis import Tolerance
 
 Array = NDArray[np.float64]
 PORTION = 12_000  # positions per block, so that intermediate arrays fit in the processor cache

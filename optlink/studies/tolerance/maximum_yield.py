@@ -21,12 +21,12 @@ from optlink.errors import InputError
 from optlink.optimization.nlp import NLP, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import NORMAL, Deviation
-from optlink.studies.monte_carlo import largest_errors, monte_carlo
-from optlink.studies.nominal import drawing
-from optlink.studies.robust_design import Redesign, Robust
-from optlink.studies.sampling import drawn
-from optlink.studies.tolerance import analysed
-from optlink.studies.tolerance_options import read_deviations
+from optlink.studies.tolerance.analysis import analysed
+from optlink.studies.tolerance.monte_carlo import largest_errors, monte_carlo
+from optlink.studies.tolerance.nominal import drawing
+from optlink.studies.tolerance.options import read_deviations
+from optlink.studies.tolerance.robust_design import Redesign, Robust
+from optlink.studies.tolerance.sampling import drawn
 from optlink.tasks.function import validate
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def most_yield(
     problem : ProblemFile
         With a motion law.
     tolerances : sequence of str
-        See `optlink.studies.tolerance.tolerance`.
+        See `optlink.studies.tolerance.analysis.tolerance`.
     limit : float [rad]
         Largest error anywhere along the span.
     samples : int

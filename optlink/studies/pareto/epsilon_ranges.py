@@ -15,7 +15,7 @@ from optlink.errors import Fault, InputError, Status
 from optlink.problem.file import ProblemFile
 from optlink.studies.cycle_task import restarted
 from optlink.studies.grid import Axis, Grid
-from optlink.studies.pareto_objectives import OPTION, Aim, bare, cycle_figures, law_figure, spanned, tightest, walked
+from optlink.studies.pareto.objectives import OPTION, Aim, bare, cycle_figures, law_figure, spanned, tightest, walked
 from optlink.studies.reoptimise_task import buildable
 from optlink.studies.toml_keys import Raw, text
 from optlink.tasks.cycle import solve as solve_cycle

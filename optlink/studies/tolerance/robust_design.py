@@ -16,7 +16,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.robust import MOST, WORST
 from optlink.problem.tolerances import NORMAL
-from optlink.studies.tolerance_options import stated
+from optlink.studies.tolerance.options import stated
 from optlink.tasks.function import Result, solve, validate
 
 YIELD = "yield"
@@ -88,7 +88,7 @@ def robust(
     problem : ProblemFile
         With a motion law.
     tolerances : sequence of str
-        See `optlink.studies.tolerance.tolerance`.
+        See `optlink.studies.tolerance.analysis.tolerance`.
     sigmas : float, optional
         Standard deviations added to the absolute mean error; None: the worst case is added.
     shape : str
@@ -118,7 +118,7 @@ def safest(
     problem : ProblemFile
         With a motion law.
     tolerances : sequence of str
-        See `optlink.studies.tolerance.tolerance`.
+        See `optlink.studies.tolerance.analysis.tolerance`.
     limit : float [rad]
         Largest error anywhere along the span.
     shape : str

@@ -19,15 +19,15 @@ from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
-from optlink.studies.monte_carlo import Carlo, Progress, monte_carlo, sampled_document
 from optlink.studies.motion_sensitivity import output_sensitivity
-from optlink.studies.nominal import ERROR, Nominal, drawing, people
-from optlink.studies.tolerance_options import read_deviations
+from optlink.studies.tolerance.monte_carlo import Carlo, Progress, monte_carlo, sampled_document
+from optlink.studies.tolerance.nominal import ERROR, Nominal, drawing, people
+from optlink.studies.tolerance.options import read_deviations
 from optlink.units import UnitProblem, parse
 
 if TYPE_CHECKING:
-    from optlink.studies.allocation import Allocation
-    from optlink.studies.robust_design import Robust
+    from optlink.studies.tolerance.allocation import Allocation
+    from optlink.studies.tolerance.robust_design import Robust
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/tolerance/1"
@@ -194,12 +194,12 @@ def tolerance(
     design : mapping of str to float [SI], optional
         Design variables.
     wanted : float, optional
-        Required yield, between 0 and 1: allocate tolerances of least cost; see `optlink.studies.allocation`.
+        Required yield, between 0 and 1: allocate tolerances of least cost; see `optlink.studies.tolerance.allocation`.
     costs : mapping of str to float, optional
         Cost coefficients by name of the deviation. Default: those of the file, or 1.
     robust : float or str, optional
         Number of standard deviations, "worst", "margin" (as many as keep the limit) or "yield" (largest yield): analyse the
-        robust design, and the nominal optimum beside it; see `optlink.studies.robust_design`.
+        robust design, and the nominal optimum beside it; see `optlink.studies.tolerance.robust_design`.
     progress : function of the completed fraction of the samples, optional
 
     Raises
@@ -210,7 +210,7 @@ def tolerance(
     _check(samples, seed, shape, wanted, limit)
     file, again = problem, None
     if robust is not None:
-        from optlink.studies import robust_design as redesign
+        from optlink.studies.tolerance import robust_design as redesign
 
         redesign.check_law(problem)
         if design is not None or output not in (None, ERROR):
@@ -226,7 +226,7 @@ def tolerance(
         elif robust == MARGIN:
             again = redesign.safest(problem, tolerances, allowed, shape=shape)
         else:
-            from optlink.studies.maximum_yield import most_yield
+            from optlink.studies.tolerance.maximum_yield import most_yield
 
             again = most_yield(problem, tolerances, allowed, samples, seed, shape=shape)
         file, design = again.result.problem, again.free  # with a definite assembly mode
@@ -242,7 +242,7 @@ def tolerance(
     if samples:
         found = replace(found, carlo=monte_carlo(found, samples, seed, progress))
     if wanted is not None:
-        from optlink.studies.allocation import allocate
+        from optlink.studies.tolerance.allocation import allocate
 
         found = replace(found, allocation=allocate(found, wanted, costs or {}, samples or SAMPLES, seed))
     return found

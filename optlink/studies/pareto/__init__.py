@@ -1,0 +1,1 @@
+"""Pareto fronts by the epsilon-constraint method."""

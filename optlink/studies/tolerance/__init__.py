@@ -1,0 +1,1 @@
+"""Tolerance analysis: worst case, statistical scatter, yield, tolerance allocation, robust designs."""
