@@ -189,7 +189,7 @@ def measure_reactions() -> dict[str, Any]:
     """Seconds for all reactions and the torque once round, ours and by each of the peer's ways, and the peer's errors."""
     import optlink
     from optlink.dynamics.inverse import reactions
-    from optlink.tasks.analyze import machine_of
+    from optlink.tasks.machine import machine_of
 
     problem = optlink.load("six-bar")
     machine, start = machine_of(problem), problem.model.drive.start.value
@@ -273,7 +273,7 @@ def measure_memory(kind: str) -> dict[str, Any]:
 def measure_simulation() -> dict[str, Any]:
     """Seconds for the slider-crank's end angle and its error [rad]: ours, the peer's extrapolated and its last run alone."""
     import optlink
-    from optlink.tasks.analyze import machine_of
+    from optlink.tasks.machine import machine_of
 
     problem = optlink.load("slider-crank")
     machine = machine_of(problem)

@@ -18,12 +18,13 @@ if TYPE_CHECKING:
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.linkage.motion import sweep
     from optlink.problem.file import ProblemFile, load, read, shipped
-    from optlink.tasks.analyze import Analysis, analyze
+    from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
     from optlink.tasks.batch import analyze_batch
     from optlink.tasks.clearance import LooseSimulation, simulate_clearance
     from optlink.tasks.control_comparison import Comparison, Tuning, compare, tune
     from optlink.tasks.function import Result, read_design
+    from optlink.tasks.results.analysis import Analysis
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.cycle import MachineDesign
     from optlink.tasks.results.path import Design, Generation
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from optlink.tasks.simulate import Simulation, simulate
 
 _HOME = {
-    "Analysis": "optlink.tasks.analyze",
+    "Analysis": "optlink.tasks.results.analysis",
     "analyze": "optlink.tasks.analyze",
     "Balance": "optlink.tasks.results.balance",
     "balance": "optlink.tasks.balance",

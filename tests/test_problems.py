@@ -21,7 +21,8 @@ from optlink.problem.file import dump, problems_folder
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.targets.expression import parse as parse_expression
-from optlink.tasks.analyze import Analysis, analyze
+from optlink.tasks.analyze import analyze
+from optlink.tasks.results.analysis import Analysis
 from optlink.units import factor, parse
 from tests import synthesis_oracle as oracle
 

@@ -317,7 +317,7 @@ def _revolutions(asked: Run, revolutions: int | None) -> int:
         duration = drive.duration.value
     if duration is None:
         return 20 if revolutions is None else revolutions
-    from optlink.tasks.analyze import crank_speed
+    from optlink.tasks.machine import crank_speed
 
     period = 2.0 * math.pi / abs(asked.speed or crank_speed(asked.file))
     return max(1, math.ceil(duration / period * (1.0 - 1e-9)))

@@ -12,8 +12,9 @@ from optlink.linkage.stroke import TURN
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import settled
 from optlink.solvers.solution import LimitState
-from optlink.tasks.analyze import Analysis, analyze
+from optlink.tasks.analyze import analyze
 from optlink.tasks.function import Result
+from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.results.cycle import MachineDesign
 from optlink.tasks.results.path import Generation

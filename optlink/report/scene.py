@@ -18,7 +18,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import TURN
 from optlink.report.drawing import Sketch
 from optlink.report.shapes import Part
-from optlink.tasks.analyze import Analysis
+from optlink.tasks.results.analysis import Analysis
 
 Array = NDArray[np.float64]
 FLIP = np.array([1.0, -1.0])

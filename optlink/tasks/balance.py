@@ -24,7 +24,7 @@ from optlink.problem.fixed_design import settled
 from optlink.problem.machine.balance import check_measure, read_measure
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
-from optlink.tasks.analyze import check_regular, crank_speed, machine_of, motion_range, sampled
+from optlink.tasks.machine import check_regular, crank_speed, machine_of, motion_range, sampled
 from optlink.tasks.results.balance import ACTIVE, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
 
 Array = NDArray[np.float64]

@@ -21,7 +21,8 @@ from optlink.linkage.vector2d import Value
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import nearest
-from optlink.tasks.analyze import GRID, crank_speed, machine_of
+from optlink.tasks.analyze import GRID
+from optlink.tasks.machine import crank_speed, machine_of
 
 Array = NDArray[np.float64]
 PORTION = 12_000

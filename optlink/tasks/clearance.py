@@ -30,7 +30,7 @@ from optlink.errors import Fault, InputError
 from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Unusable, nearest
-from optlink.tasks.analyze import check_regular, machine_of, motion_range, with_flywheel
+from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/clearance/1"

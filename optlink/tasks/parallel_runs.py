@@ -24,8 +24,8 @@ from optlink.dynamics.forward import Ending
 from optlink.errors import Fault, InputError, SolverError
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers.interrupts import shielded
-from optlink.tasks.analyze import machine_of
 from optlink.tasks.clearance import LooseSimulation, counted, simulate_clearance
+from optlink.tasks.machine import machine_of
 
 Array = NDArray[np.float64]
 WAIT = 0.2  # s, polling interval for interrupts

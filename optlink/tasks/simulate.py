@@ -17,7 +17,7 @@ from optlink.errors import Fault, InputError
 from optlink.io import Summary, finite, head
 from optlink.linkage.continuation import follow
 from optlink.problem.file import ProblemFile
-from optlink.tasks.analyze import machine_of, motion_range, with_flywheel
+from optlink.tasks.machine import machine_of, motion_range, with_flywheel
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/simulation/1"

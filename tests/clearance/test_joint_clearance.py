@@ -32,8 +32,8 @@ from optlink.dynamics.forward import Ending
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.loads import Acting
 from optlink.linkage.vector2d import cross, minus
-from optlink.tasks.analyze import machine_of
 from optlink.tasks.clearance import LooseSimulation, simulate_clearance
+from optlink.tasks.machine import machine_of
 from tests import gap_oracle as oracle
 from tests.clearance.test_contact import DAMPING, closed_form
 

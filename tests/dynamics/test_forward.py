@@ -17,7 +17,7 @@ from optlink.dynamics.flywheel import Fluctuation, flywheel
 from optlink.dynamics.forward import Ending, crank_acceleration, reduced_inertia
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.inverse import reactions
-from optlink.tasks.analyze import machine_of
+from optlink.tasks.machine import machine_of
 
 TURN = 2.0 * math.pi
 MACHINES = sorted(name for name in optlink.shipped() if optlink.load(name).task != "path")

@@ -22,7 +22,8 @@ from optlink.cli.app import app
 from optlink.dynamics.columns import Record
 from optlink.errors import InputError
 from optlink.problem.file import dump, load, read
-from optlink.tasks.analyze import analyze, machine_of
+from optlink.tasks.analyze import analyze
+from optlink.tasks.machine import machine_of
 
 ROOT = Path(__file__).parents[2]
 

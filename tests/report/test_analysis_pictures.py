@@ -22,7 +22,8 @@ from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, settle
 from optlink.report.views import analysis_forces, analysis_pictures
 from optlink.report.views.analysis_curves import Course
-from optlink.tasks.analyze import Analysis, analyze
+from optlink.tasks.analyze import analyze
+from optlink.tasks.results.analysis import Analysis
 
 BAR = {"mass": "2 kg", "inertia": "uniform bar"}
 

@@ -22,7 +22,7 @@ from optlink.linkage.extrema import extremes, zeros
 from optlink.linkage.fourbar import four_bar, grashof
 from optlink.linkage.fourbar import reachable as four_bar_reachable
 from optlink.problem.function import DesignProblem
-from optlink.tasks.analyze import machine_of
+from optlink.tasks.machine import machine_of
 
 TURN = 2.0 * math.pi
 DESIGNED = {name for name in optlink.shipped() if isinstance(optlink.load(name).model, DesignProblem)}

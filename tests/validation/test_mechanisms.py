@@ -21,7 +21,8 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.tasks.analyze import Analysis, analyze
+from optlink.tasks.analyze import analyze
+from optlink.tasks.results.analysis import Analysis
 
 POINTS = 480
 PHI = np.arange(POINTS + 1) * (2.0 * np.pi / POINTS)

@@ -22,7 +22,8 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.dynamics.columns import Record
-from optlink.tasks.analyze import Analysis, analyze
+from optlink.tasks.analyze import analyze
+from optlink.tasks.results.analysis import Analysis
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 STEP = math.radians(15.0)

@@ -21,7 +21,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.report.files import whole
 from optlink.report.scene import scene
 from optlink.report.shapes import hull
-from optlink.tasks.analyze import Analysis
+from optlink.tasks.results.analysis import Analysis
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing

@@ -23,7 +23,8 @@ from optlink.report.export.svg import svg
 from optlink.report.files import folder, whole, write_csv, write_json
 from optlink.report.report_model import Subject
 from optlink.report.scene import scene
-from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
+from optlink.tasks.analyze import MAX_POINTS, analyze
+from optlink.tasks.results.analysis import Analysis
 
 SCHEMA = "optlink/geometry/1"
 LONGEST = 255  # largest length of a file name on common systems [bytes]

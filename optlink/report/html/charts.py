@@ -24,8 +24,8 @@ from optlink.report.views.path_tables import exact
 from optlink.report.views.path_view import Track, best
 from optlink.report.views.study_tables import step
 from optlink.studies.sensitivity import Sensitivities
-from optlink.tasks.analyze import Analysis
 from optlink.tasks.function import Result
+from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import MachineDesign
 from optlink.tasks.results.path import Generation
 

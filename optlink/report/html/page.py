@@ -21,8 +21,8 @@ from optlink.report.report_model import Outcome, Subject
 from optlink.report.scene import scene
 from optlink.report.views import analysis_tables, cycle_tables, function_tables, path_tables, study_tables
 from optlink.studies.sensitivity import Sensitivities, of_solution
-from optlink.tasks.analyze import Analysis
 from optlink.tasks.function import Result
+from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import MachineDesign
 from optlink.tasks.results.path import Generation
 

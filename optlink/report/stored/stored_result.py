@@ -25,12 +25,13 @@ from optlink.solvers.infeasibility import Relaxation
 from optlink.solvers.solution import LimitState
 from optlink.studies.sensitivity import SCHEMA as SENSITIVITY
 from optlink.studies.sensitivity import Resolved
-from optlink.tasks.analyze import SCHEMA as ANALYSIS
-from optlink.tasks.analyze import Analysis, analyze
+from optlink.tasks.analyze import analyze
 from optlink.tasks.cycle import validate as validate_cycle
 from optlink.tasks.function import SCHEMA as RESULT
 from optlink.tasks.function import Result, read_design, validate
 from optlink.tasks.path import variants_of
+from optlink.tasks.results.analysis import SCHEMA as ANALYSIS
+from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.common import Relaxed
 from optlink.tasks.results.cycle import SCHEMA as MACHINE
 from optlink.tasks.results.cycle import MachineDesign

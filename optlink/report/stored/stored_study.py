@@ -21,7 +21,8 @@ from optlink.report.html.moving_linkage import Moving, crank_stops
 from optlink.report.html.shell import Section, Sheet, cards, fitted, write
 from optlink.report.html.sources import closing
 from optlink.report.scene import scene
-from optlink.tasks.analyze import Analysis, analyze
+from optlink.tasks.analyze import analyze
+from optlink.tasks.results.analysis import Analysis
 from optlink.units import KINDS, factor
 
 

@@ -16,7 +16,7 @@ from optlink.dynamics.work import Work
 from optlink.linkage.stroke import TURN, Travel
 from optlink.report.labels import Label
 from optlink.report.style import LIMIT, QUIET, SHADE, WANTED, Scale, degrees
-from optlink.tasks.analyze import Analysis, Extreme
+from optlink.tasks.results.analysis import Analysis, Extreme
 
 Array = NDArray[np.float64]
 POINTS = 720

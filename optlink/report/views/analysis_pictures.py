@@ -24,7 +24,7 @@ from optlink.report.labels import Label, settle
 from optlink.report.style import BODIES, CRANK, FOUND, WANTED, Scale, degrees, figure, heading, save, save_film, scale, styled
 from optlink.report.views import analysis_curves, analysis_forces
 from optlink.report.views.analysis_curves import Course
-from optlink.tasks.analyze import Analysis, Extreme
+from optlink.tasks.results.analysis import Analysis, Extreme
 
 FRAMES = 80
 SHOWN = 4  # largest number of sliders whose motion is drawn

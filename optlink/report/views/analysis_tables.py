@@ -15,7 +15,7 @@ from optlink.linkage.stroke import Travel
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import DyadsSection
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, fixed, grid, number
-from optlink.tasks.analyze import Analysis, named_travels, reactions_told
+from optlink.tasks.results.analysis import Analysis, named_travels, reactions_told
 from optlink.tasks.simulate import Simulation
 
 COLUMN = tuple[str, str]

@@ -21,8 +21,8 @@ from optlink.report.stored.stored_study import Studied, figures_of, split, still
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, scale
 from optlink.report.views import balance_tables
 from optlink.report.views.function_tables import number
-from optlink.tasks.analyze import machine_of, motion_range, sampled
 from optlink.tasks.balance import written
+from optlink.tasks.machine import machine_of, motion_range, sampled
 from optlink.tasks.results.balance import SCHEMA, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
 
 __all__ = ["SCHEMA", "studied"]

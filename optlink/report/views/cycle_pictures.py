@@ -23,7 +23,7 @@ from optlink.report.files import verdict, write_csv, write_design, write_json
 from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, heading, save, scale, styled
 from optlink.report.views.analysis_curves import zero
 from optlink.report.views.path_captions import failed
-from optlink.tasks.analyze import Analysis
+from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import MachineDesign
 from optlink.validation.cycle import Cycle
 

@@ -13,7 +13,7 @@ from rich.text import Text
 from optlink.linkage.cognates import Cognate, CouplerLinkage
 from optlink.problem.path import TURN, GenerationProblem
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, active, checks, conflict, fixed, graded, grid, number
-from optlink.tasks.analyze import turning
+from optlink.tasks.machine import turning
 from optlink.tasks.results.path import LEVEL, OUTPUT, Design, Generation, people_unit
 from optlink.validation import Check
 

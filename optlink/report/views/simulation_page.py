@@ -24,7 +24,8 @@ from optlink.report.stored.stored_study import Studied, figures_of, still
 from optlink.report.style import BODIES, CRANK, Scale, scale
 from optlink.report.views.function_tables import QUIET as DIM
 from optlink.report.views.function_tables import grid, number
-from optlink.tasks.analyze import analyze, machine_of
+from optlink.tasks.analyze import analyze
+from optlink.tasks.machine import machine_of
 from optlink.tasks.simulate import SCHEMA
 
 __all__ = ["SCHEMA", "studied"]

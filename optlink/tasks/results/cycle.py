@@ -18,8 +18,9 @@ from optlink.problem.fixed_design import settled
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
 from optlink.solvers.solution import Solution
-from optlink.tasks.analyze import Analysis, analyze, stroke_document
+from optlink.tasks.analyze import analyze
 from optlink.tasks.fit import Fit, transmission_fit
+from optlink.tasks.results.analysis import Analysis, stroke_document
 from optlink.tasks.results.common import Optimum, heading, proof, proven
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation

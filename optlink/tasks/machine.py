@@ -1,0 +1,183 @@
+"""The machine of a problem, its crank speed and its range of motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.inertia import Inertia
+from optlink.dynamics.machine import Machine
+from optlink.errors import Fault, InputError
+from optlink.linkage.alignment import listed
+from optlink.linkage.stroke import TURN, Ranges, failure, reachable
+from optlink.linkage.vector2d import Value
+from optlink.problem.file import ProblemFile
+from optlink.problem.fixed_design import settled
+from optlink.problem.quantity import Unusable
+
+Array = NDArray[np.float64]
+
+
+MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
+
+
+def turning(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None:
+    """Return the machine of a design if its crank turns fully, else None.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : mapping of str to float [SI]
+    """
+    if not all(math.isfinite(value) for value in design.values()):
+        return None
+    try:
+        machine = machine_of(settled(problem, design))
+    except InputError:
+        return None
+    return machine if reachable(machine.mechanism, machine.sizes).full else None
+
+
+def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) -> Machine:
+    """Return the machine of a problem at a given design.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : mapping of str to float or array [SI], optional
+        Design variables. Default: fixed values and starting values of the file.
+
+    Raises
+    ------
+    InputError
+        If the machine cannot be built.
+    """
+    try:
+        return problem.model.machine(design)
+    except Unusable as error:
+        raise InputError(Fault(error.message, error.remedy, problem.file, error.key, error.value)) from None
+
+
+def crank_speed(problem: ProblemFile) -> float:
+    """Return the constant speed of the crank [rad/s].
+
+    Raises
+    ------
+    InputError
+        If it is zero, as in a file that is simulated from rest.
+    """
+    speed = problem.model.drive.speed
+    if speed.value == 0.0:
+        remedy = "Give another one: a revolution at constant speed is asked for"
+        raise InputError(Fault("the crank stands still", remedy, problem.file, "drive.speed", str(speed)))
+    return speed.value
+
+
+def with_flywheel(machine: Machine, inertia: float) -> Machine:
+    """Return the machine with a flywheel on its crank, balanced about the crank pivot.
+
+    Parameters
+    ----------
+    machine : Machine
+    inertia : float [kg m^2]
+
+    Raises
+    ------
+    InputError
+        If the inertia is out of range.
+    """
+    if not 0.0 <= inertia < 1e12:
+        raise InputError(Fault("out of range", "Give a moment of inertia from 0 to 1e12 kg*m^2", key="flywheel", value=inertia))
+    crank = machine.mechanism.crank.body
+    own = machine.inertias.get(crank, Inertia())
+    return machine.with_(inertias={**machine.inertias, crank: replace(own, moment=own.moment + inertia)})
+
+
+def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[Ranges, float, float]:
+    """Return the reachable crank ranges, and the limits [rad] of the motion that contains `start`.
+
+    If the crank turns fully, the motion is one cycle from `start` on.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        Names the file in error messages.
+    machine : Machine
+    start : float [rad]
+        Crank angle.
+
+    Raises
+    ------
+    InputError
+        If the mechanism cannot be assembled at the start.
+    """
+    ranges = reachable(machine.mechanism, machine.sizes)
+    if ranges.full:
+        return ranges, start, start + machine.mechanism.cycle
+    holding = ranges.holding(start)
+    if holding is None:
+        failed = failure(machine.mechanism, machine.sizes, start)
+        reach = ", ".join(f"{math.degrees(a):.6g} ... {math.degrees(b):.6g} deg" for a, b in ranges.ranges)
+        remedy = f"Start in a range that can be reached: {reach}" if reach else "No crank angle can be reached: change the sizes"
+        message = f"{failed}" if failed else "the mechanism cannot be assembled"
+        raise InputError(Fault(message, remedy, problem.file, "drive.start", f"{math.degrees(start):.6g} deg"))
+    low, high = holding
+    return ranges, low, high
+
+
+def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
+    """Refuse mechanisms with singular positions, continued or not: reactions may grow without bound towards them.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        Names the file in error messages.
+    ranges : Ranges
+    what : str
+        End of the error message.
+
+    Raises
+    ------
+    InputError
+        If there is a singular position.
+    """
+    positions = (*ranges.singular, *ranges.followed)
+    if positions:
+        message = f"singular position at crank angle {listed(positions)}, where reactions have no bound: {what}"
+        remedy = "Change the lengths so that coupler and rocker, or a link and the normal of its guide, are never in line"
+        raise InputError(Fault(message, remedy, problem.file, "mechanism"))
+
+
+def sampled(start: float, low: float, high: float, speed: float, full: bool, points: int, step: float | None) -> Array:
+    """Return the crank angles [rad] of the table: one cycle from the start in the direction of rotation, or through the range.
+
+    Parameters
+    ----------
+    start : float [rad]
+        First crank angle if the crank turns fully.
+    low, high : float [rad]
+        Limits of the motion. A limited range is shortened by `MARGIN` at either end.
+    speed : float [rad/s]
+        Crank speed; only its sign matters.
+    full : bool
+        Whether the crank turns fully.
+    points : int
+        Steps per revolution, or over the limited range.
+    step : float [rad], optional
+        Step instead of `points`.
+    """
+    way = 1.0 if speed > 0.0 else -1.0
+    if not full:
+        edge = MARGIN * (high - low)
+        first, last = (low + edge, high - edge) if way > 0.0 else (high - edge, low + edge)
+        count = points if step is None else max(1, round((high - low) / step))
+        return np.asarray(first + (last - first) * (np.arange(count + 1) / count), dtype=float)
+    if step is None:
+        rows = points * max(1, round((high - low) / TURN))
+        return np.asarray(start + way * TURN * np.arange(rows + 1) / points, dtype=float)
+    count = math.floor((high - low) / step * (1.0 + 1e-12))
+    return np.asarray(start + way * step * np.arange(count + 1), dtype=float)

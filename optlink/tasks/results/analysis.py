@@ -1,0 +1,252 @@
+"""The result of the analysis of a machine over its cycle, as data and JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import slider_names
+from optlink.dynamics.flywheel import Flywheel
+from optlink.dynamics.inverse import acting_on
+from optlink.dynamics.machine import Machine
+from optlink.dynamics.strokes import Acting, acting_loads, travels_by_use, use_of, working_stroke
+from optlink.io import Summary, finite, head
+from optlink.linkage.stroke import TURN, Ranges, Travel, travels, within_cycle
+from optlink.problem.file import ProblemFile
+
+Array = NDArray[np.float64]
+
+
+SCHEMA = "optlink/analysis/1"
+
+
+class Extreme(NamedTuple):
+    """Least and largest value of a column over the motion, and the crank angles [rad] at which they occur.
+
+    If the crank turns fully, the angles lie within one cycle from 0 on; otherwise within the range.
+    """
+
+    least: float
+    least_at: float
+    largest: float
+    largest_at: float
+
+
+@dataclass(frozen=True, repr=False)
+class Analysis(Summary):
+    """Result of the analysis of a machine over its cycle.
+
+    `columns` by name (unit at the end), each an array over the sampled crank angles; `meanings` describe them; `extremes` are
+    refined to their exact crank angles, one-sided at load jumps; `unbounded`: columns of reactions that grow without bound
+    towards change points through which the motion is continued; `swings` of bodies and `strokes` of sliders (by slider name).
+    """
+
+    problem: ProblemFile
+    machine: Machine
+    speed: float
+    ranges: Ranges
+    low: float
+    high: float
+    columns: Mapping[str, Array]
+    meanings: Mapping[str, str]
+    extremes: Mapping[str, Extreme]
+    swings: Mapping[str, Travel]
+    strokes: Mapping[str, Travel]
+    jumps: Array
+    work: float
+    singular: Array
+    jammed: Array
+    undefined: Array
+    notes: tuple[str, ...]
+    flywheel: Flywheel | None = None
+    unbounded: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    @property
+    def full(self) -> bool:
+        """Whether the crank turns fully."""
+        return self.ranges.full
+
+    @property
+    def cycle(self) -> float:
+        """Crank rotation [rad] after which the motion repeats, if the crank turns fully."""
+        return self.machine.mechanism.cycle
+
+    @property
+    def extent(self) -> str:
+        """Interval over which works and strokes are counted, in words."""
+        if not self.full:
+            return "over the range"
+        return "per revolution" if self.cycle == TURN else "per cycle"
+
+    def _within(self, crank_angles: Array) -> list[float]:
+        """Return crank angles [deg], without duplicates, reduced to one cycle if the crank turns fully."""
+        angles = [within_cycle(at, self.cycle) if self.full else float(at) for at in crank_angles]
+        return sorted({round(math.degrees(at), 9) for at in angles})
+
+    @property
+    def sound(self) -> bool:
+        """Whether the motion is determined and every position has finite reactions."""
+        return self.singular.size == 0 and self.jammed.size == 0 and self.undefined.size == 0
+
+    @property
+    def status(self) -> str:
+        """Short verdict."""
+        if self.ranges.singular:
+            return "motion not determined beyond a singular position"
+        if not self.sound:
+            return "no finite reactions at some positions"
+        return "analysed, but for reactions at change points" if self.unbounded else "analysed"
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Summary figures by name: extremes, strokes, swings, time ratios, work."""
+        found = {}
+        for name, extreme in self.extremes.items():
+            found[f"{name}.min"], found[f"{name}.max"] = extreme.least, extreme.largest
+        for name, travel in self.strokes.items():
+            found[f"{name}.stroke_m"] = travel.span
+            found[f"{name}.time_ratio"] = travel.time_ratio
+        for name, travel in self.swings.items():
+            found[f"{name}.swing_rad"] = travel.span
+            found[f"{name}.swing_time_ratio" if name in self.strokes else f"{name}.time_ratio"] = travel.time_ratio
+        found[f"input.work_{self.extent.replace('the ', '').replace(' ', '_')}_J"] = self.work
+        return {name: value for name, value in found.items() if math.isfinite(value)}
+
+    @cached_property
+    def acting(self) -> tuple[Acting, ...]:
+        """Loads that act in one stroke only; empty if the crank cannot turn fully."""
+        return acting_loads(self.machine, self.speed) if self.full else ()
+
+    def _travel(self, travel: Travel, unit: str) -> dict[str, Any]:
+        return {
+            f"span_{unit}": travel.span,
+            f"low_{unit}": travel.low,
+            f"high_{unit}": travel.high,
+            "low_at_deg": math.degrees(travel.low_at),
+            "high_at_deg": math.degrees(travel.high_at),
+            "dead_centres_deg": [math.degrees(at) for at in travel.dead_centres],
+            "time_ratio": travel.time_ratio,
+            **stroke_records(travel, self.speed, self.acting),
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the analysis as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
+        mechanism = self.machine.mechanism
+        deg = math.degrees
+        document = {
+            **head(SCHEMA, self.problem, self.status),
+            "sound": self.sound,
+            "notes": list(self.notes),
+            "groups": [{"kind": g.kind, "joint": g.joint, "bodies": [link.body for link in g.links]} for g in mechanism.groups],
+            "sizes": dict(self.machine.sizes),
+            "speed_rad_s": self.speed,
+            "full_rotation": self.full,
+            "reachable_deg": [[deg(low), deg(high)] for low, high in self.ranges.ranges],
+            "reactions": reactions_told(self.machine),
+            "strokes": {name: self._travel(travel, "m") for name, travel in self.strokes.items()},
+            "swings": {name: self._travel(travel, "rad") for name, travel in self.swings.items()},
+            "extremes": {
+                name: {"min": e.least, "min_at_deg": deg(e.least_at), "max": e.largest, "max_at_deg": deg(e.largest_at)}
+                for name, e in self.extremes.items()
+            },
+            "load_jumps_deg": self._within(self.jumps),
+            "work_J": self.work,
+            "singular_deg": self._within(self.singular),
+            "singular_positions": [
+                {
+                    "crank_angle_deg": deg(p.crank_angle),
+                    "joint": p.group.joint,
+                    "alignment_deg": deg(p.angle),
+                    "followed": p.followed,
+                }
+                for p in (*self.ranges.singular, *self.ranges.followed)
+            ],
+            "cycle_deg": deg(self.cycle) if self.full else None,
+            "unbounded": list(self.unbounded),
+            "jammed_deg": self._within(self.jammed),
+            "undefined_deg": self._within(self.undefined),
+            "meanings": dict(self.meanings),
+            "columns": dict(self.columns),
+        }
+        if self.flywheel:
+            document["flywheel"] = vars(self.flywheel) | {"mean_speed_over": "crank angle"}
+        return finite(document)  # type: ignore[no-any-return]
+
+
+def stroke_records(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> dict[str, Any]:
+    """Return the working, slow, forward and backward stroke of an output as JSON, with crank ranges in the direction of rotation.
+
+    Parameters
+    ----------
+    travel : Travel
+    speed : float [rad/s]
+        Crank speed; only its sign matters.
+    acting : tuple of Acting
+        Loads that act in one stroke only.
+    """
+    working, loads = working_stroke(travel, speed, acting)
+    strokes = travel.strokes(speed)
+    return {
+        "slow_stroke": next((stroke.name for stroke in strokes if stroke.pace == "slow"), None),
+        "working_stroke": working,
+        "working_loads": list(loads),
+        **{
+            stroke.name: {
+                "crank_from_deg": math.degrees(stroke.begin),
+                "crank_to_deg": math.degrees(stroke.end),
+                "crank_rotation_deg": math.degrees(stroke.rotation),
+                "pace": stroke.pace,
+                "use": use_of(stroke, working) or None,
+            }
+            for stroke in strokes
+        },
+    }
+
+
+def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel]]:
+    """Return travels of the outputs and of the other bodies and sliders of a machine whose crank turns fully, by name."""
+    swings, strokes = travels(machine.mechanism, machine.sizes, 0.0, TURN, True)
+    names = slider_names(machine)
+    return travels_by_use(machine, swings, {names[guide]: travel for guide, travel in strokes.items()})
+
+
+def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] | None = None) -> dict[str, Any]:
+    """Return the strokes of every output of a machine whose crank turns fully, as JSON.
+
+    Parameters
+    ----------
+    machine : Machine
+    speed : float [rad/s]
+        Crank speed; only its sign matters.
+    acting : tuple of Acting, optional
+        Loads that act in one stroke only. Default: the loads of the machine.
+    """
+    acting = acting_loads(machine, speed) if acting is None else acting
+    return {
+        name: {"time_ratio": travel.time_ratio, **stroke_records(travel, speed, acting)}
+        for part in named_travels(machine)
+        for name, travel in part.items()
+    }
+
+
+def reactions_told(machine: Machine) -> dict[str, str]:
+    """Return for every joint which body acts on which, as defined for the columns."""
+    found = {}
+    for point, (by, on) in acting_on(machine).items():
+        bodies = machine.mechanism.pins[point]
+        if len(bodies) == 2:
+            found[point] = f"{by} on {on}"
+        else:
+            found |= {f"{point}.{body}": f"pin on {body}" for body in (on, *(b for b in bodies if b != on))}
+    for guide in machine.mechanism.guides:
+        found[guide.name] = f"{guide.on} on {guide.slider}, normal to the left of the line"
+    return found
