@@ -21,11 +21,12 @@ if TYPE_CHECKING:
     from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
     from optlink.tasks.batch import analyze_batch
-    from optlink.tasks.clearance import LooseSimulation, simulate_clearance
+    from optlink.tasks.clearance import simulate_clearance
     from optlink.tasks.control_comparison import Comparison, Tuning, compare, tune
     from optlink.tasks.function import Result, read_design
     from optlink.tasks.results.analysis import Analysis
     from optlink.tasks.results.balance import Balance
+    from optlink.tasks.results.clearance import LooseSimulation
     from optlink.tasks.results.cycle import MachineDesign
     from optlink.tasks.results.path import Design, Generation
     from optlink.tasks.run import solve, validate
@@ -39,7 +40,7 @@ _HOME = {
     "Simulation": "optlink.tasks.simulate",
     "simulate": "optlink.tasks.simulate",
     "analyze_batch": "optlink.tasks.batch",
-    "LooseSimulation": "optlink.tasks.clearance",
+    "LooseSimulation": "optlink.tasks.results.clearance",
     "simulate_clearance": "optlink.tasks.clearance",
     "Comparison": "optlink.tasks.control_comparison",
     "Tuning": "optlink.tasks.control_comparison",

@@ -14,9 +14,10 @@ from optlink.clearance.output import Output
 from optlink.errors import Fault, InputError
 from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
-from optlink.tasks.clearance import LooseSimulation, checked_output
+from optlink.tasks.clearance import checked_output
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import Ran, job_of, perform_all
+from optlink.tasks.results.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/compensation/1"

@@ -24,8 +24,9 @@ from optlink.dynamics.forward import Ending
 from optlink.errors import Fault, InputError, SolverError
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers.interrupts import shielded
-from optlink.tasks.clearance import LooseSimulation, counted, simulate_clearance
+from optlink.tasks.clearance import counted, simulate_clearance
 from optlink.tasks.machine import machine_of
+from optlink.tasks.results.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
 WAIT = 0.2  # s, polling interval for interrupts

@@ -32,8 +32,9 @@ from optlink.dynamics.forward import Ending
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.loads import Acting
 from optlink.linkage.vector2d import cross, minus
-from optlink.tasks.clearance import LooseSimulation, simulate_clearance
+from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.machine import machine_of
+from optlink.tasks.results.clearance import LooseSimulation
 from tests import gap_oracle as oracle
 from tests.clearance.test_contact import DAMPING, closed_form
 

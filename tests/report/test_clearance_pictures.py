@@ -20,8 +20,9 @@ from optlink.clearance.integration import Integration
 from optlink.report.drawing import Sketch
 from optlink.report.views import clearance_pictures, control_comparison_pictures, journal_orbit, magnified_joints, poincare_map
 from optlink.report.views.revolutions import FULL, Turns, fold, rough, round_below, runs
-from optlink.tasks.clearance import LooseSimulation, simulate_clearance
+from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.control_comparison import compare
+from optlink.tasks.results.clearance import LooseSimulation
 
 GAP = {"clearance": "0.5 mm", "bearing_radius": "10 mm", "modulus": "207 GPa", "friction": 0.1}
 BAR = {"mass": "1 kg", "inertia": "uniform bar"}

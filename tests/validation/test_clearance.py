@@ -20,7 +20,8 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.tasks.clearance import LooseSimulation, simulate_clearance
+from optlink.tasks.clearance import simulate_clearance
+from optlink.tasks.results.clearance import LooseSimulation
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 RPM = math.pi / 30.0

@@ -30,10 +30,10 @@ from optlink.report.views import clearance_tables
 from optlink.report.views.revolutions import WINDOW, Turns
 from optlink.report.views.simulation_page import TIME, largest, timed
 from optlink.tasks.analyze import analyze
-from optlink.tasks.clearance import SCHEMA, LooseSimulation
 from optlink.tasks.control_comparison import SCHEMA as COMPARISON
 from optlink.tasks.control_comparison import Comparison, Trials
 from optlink.tasks.machine import machine_of
+from optlink.tasks.results.clearance import SCHEMA, LooseSimulation
 
 __all__ = ["COMPARISON", "SCHEMA", "compared", "studied"]
 

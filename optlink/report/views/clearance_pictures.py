@@ -47,8 +47,8 @@ from optlink.report.views.revolutions import (
     turn_axis,
     zero,
 )
-from optlink.tasks.clearance import LooseSimulation
 from optlink.tasks.control_comparison import Comparison
+from optlink.tasks.results.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
 MARKED = 60  # number of revolutions up to which each has a marker

@@ -10,8 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, fixed, grid, number
-from optlink.tasks.clearance import LooseSimulation
 from optlink.tasks.control_comparison import Comparison, Tuning
+from optlink.tasks.results.clearance import LooseSimulation
 
 TO_PEOPLE = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg")}
 

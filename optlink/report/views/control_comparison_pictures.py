@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, WANTED, figure, heading, scale, styled
 from optlink.report.views.revolutions import FULL, TITLE, Turns, crank_axis, fold, legend, zero
-from optlink.tasks.clearance import LooseSimulation
 from optlink.tasks.control_comparison import Comparison
+from optlink.tasks.results.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
 

@@ -34,7 +34,7 @@ from optlink.report.views.revolutions import (
     turn_axis,
     zero,
 )
-from optlink.tasks.clearance import LooseSimulation
+from optlink.tasks.results.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
 DEEP = 0.22  # largest magnified penetration, as a share of the clearance

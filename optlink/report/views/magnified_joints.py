@@ -24,7 +24,7 @@ from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, settle
 from optlink.report.style import GROUND, QUIET, WANTED, degrees, figure, heading, styled
 from optlink.report.views.revolutions import FONT, FULL, TITLE, Turns, rough, round_below
-from optlink.tasks.clearance import LooseSimulation
+from optlink.tasks.results.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
 FRAMES = 80

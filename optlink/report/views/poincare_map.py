@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from optlink.report.style import FOUND, GROUND, QUIET, Scale, figure, heading, scale, styled
 from optlink.report.views.revolutions import TITLE, Turns, beside, hold, legend, named, square, turn_axis
-from optlink.tasks.clearance import LooseSimulation
+from optlink.tasks.results.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
 PERIODS = 8  # largest period considered [revolutions]

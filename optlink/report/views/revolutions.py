@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap
 from optlink.report.style import FOUND, QUIET, SHADE, Scale, heading, scale
-from optlink.tasks.clearance import LooseSimulation
+from optlink.tasks.results.clearance import LooseSimulation
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
