@@ -23,11 +23,11 @@ from optlink.optimization.objectives import MEASURES
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MANY, Analysing, quantity_of
 from optlink.studies.cycle_task import Designing
+from optlink.studies.execution.runner import run
+from optlink.studies.execution.store import Progress, Store
 from optlink.studies.grid import Grid, read_grid
 from optlink.studies.reoptimise_task import CHUNK, SEARCHED, SLOW_CHUNK, Reoptimising, buildable, check_backend
-from optlink.studies.runner import run
 from optlink.studies.simulation_task import Simulating, is_loose, simulated
-from optlink.studies.store import Progress, Store
 from optlink.studies.sweep_task import Sweeping
 
 SCHEMA = "optlink/sweep/1"
@@ -219,7 +219,7 @@ def sweep(
         Simulate instead of optimising, with these options (revolutions, points, control, tolerance or duration).
     backend : "slsqp" or "ipopt"
     engine, workers, scheduler
-        See `optlink.studies.runner.run`.
+        See `optlink.studies.execution.runner.run`.
     progress : function of (completed points, all points), optional
 
     Raises

@@ -24,10 +24,10 @@ from optlink.problem.quantity import Quantity, Unusable, nearest, read_quantity
 from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.function_exchange import ALONG, error_at, judged
 from optlink.solvers.solution import Solution
-from optlink.tasks.fit import Fit, law_fit
 from optlink.tasks.machine import turning
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.common import Optimum, Relaxed, heading, proof, proven, shortest_link
+from optlink.tasks.results.fit import Fit, law_fit
 from optlink.units import show
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove

@@ -26,7 +26,7 @@ from optlink import io
 from optlink.cli.app import app
 from optlink.errors import InputError, SolverError
 from optlink.report.views.sweep_pictures import picture
-from optlink.studies import runner, store
+from optlink.studies.execution import runner, store
 from optlink.studies.fast_overrides import Direct
 from optlink.studies.grid import read_axis, read_grid
 from optlink.studies.sweep import CHANGED, sweep

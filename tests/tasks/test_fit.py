@@ -16,8 +16,8 @@ from optlink.report.html.page import verdict
 from optlink.report.report_model import Subject
 from optlink.report.views import cycle_tables, function_tables
 from optlink.tasks.cycle import solve as solve_cycle
-from optlink.tasks.fit import Fit, TransmissionFit
 from optlink.tasks.path import solve, validate
+from optlink.tasks.results.fit import Fit, TransmissionFit
 from tests.stated import document, four_bar_section, free
 
 SIZES = dict.fromkeys(("crank", "coupler", "rocker", "frame"), free(10.0, 300.0))

@@ -21,10 +21,10 @@ from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import MARK, START, ZERO, GenerationProblem
 from optlink.problem.quantity import Interval, Quantity
 from optlink.solvers.solution import LimitState
-from optlink.tasks.fit import Fit
 from optlink.tasks.function import Result, people
 from optlink.tasks.machine import turning
 from optlink.tasks.results.common import Relaxed
+from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
 
 GOOD, BAD, QUIET, HEAD = "green", "bold red", "dim", "bold"

@@ -21,8 +21,8 @@ from optlink.report.stored.reader import AGAIN, LARGEST, Record
 from optlink.report.stored.stored_study import Studied, figures_of, named_si, still, turning
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET
 from optlink.report.views.function_tables import grid, number, points
+from optlink.studies.execution.store import TABLE
 from optlink.studies.grid import Axis, Grid
-from optlink.studies.store import TABLE
 from optlink.studies.sweep import CHANGED, SCHEMA
 
 __all__ = ["SCHEMA", "studied"]

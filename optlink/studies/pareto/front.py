@@ -29,12 +29,12 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Quantity
 from optlink.studies.cycle_task import Designing
+from optlink.studies.execution.runner import check
+from optlink.studies.execution.store import Progress, Store
 from optlink.studies.grid import Grid
 from optlink.studies.pareto.epsilon_ranges import NoEnd, Walks
 from optlink.studies.pareto.objectives import OPTION, Aim, asked, cycle_figures, law_figure, read_aims, tightest
 from optlink.studies.reoptimise_task import CHUNK, SLOW_CHUNK, Reoptimising, buildable, check_backend
-from optlink.studies.runner import check
-from optlink.studies.store import Progress, Store
 from optlink.studies.sweep import Folder
 from optlink.studies.sweep_task import Sweeping
 from optlink.tasks.function import solve

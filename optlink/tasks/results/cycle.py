@@ -19,9 +19,9 @@ from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import analyze
-from optlink.tasks.fit import Fit, transmission_fit
 from optlink.tasks.results.analysis import Analysis, stroke_document
 from optlink.tasks.results.common import Optimum, heading, proof, proven
+from optlink.tasks.results.fit import Fit, transmission_fit
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import Cycle, validate_cycle

@@ -23,10 +23,10 @@ from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, TURN, GenerationProblem
 from optlink.solvers.evidence import Evidence
 from optlink.solvers.solution import LimitState, Solution
-from optlink.tasks.fit import Fit, path_fit, transmission_fit
 from optlink.tasks.machine import turning
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.common import Relaxed, heading, proven
+from optlink.tasks.results.fit import Fit, path_fit, transmission_fit
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.path import Deviations, deviations, transmission_angles

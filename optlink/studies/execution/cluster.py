@@ -19,7 +19,7 @@ from multiprocessing.context import SpawnProcess
 from typing import Any
 
 from optlink.errors import Fault, InputError, SolverError
-from optlink.studies.worker import ONE_THREAD, Answer, Task, perform
+from optlink.studies.execution.worker import ONE_THREAD, Answer, Task, perform
 
 PATIENCE = 10  # s, time limit for the scheduler and for a first worker
 AHEAD = 3  # chunks queued per worker
@@ -48,7 +48,7 @@ def installed() -> tuple[Any, Any]:
 def on_cluster(
     task: Task, todo: Iterable[int], workers: int, scheduler: str | None, patience: float = PATIENCE
 ) -> Iterator[tuple[int, Answer]]:
-    """Run chunks as `optlink.studies.runner.run`; repeat a chunk on another worker if its worker dies.
+    """Run chunks as `optlink.studies.execution.runner.run`; repeat a chunk on another worker if its worker dies.
 
     Parameters
     ----------

@@ -18,8 +18,8 @@ from typing import Any, Self
 
 from optlink.errors import Fault, InputError
 from optlink.io import LOCK, folder, locked, whole, write_json
-from optlink.studies.runner import run
-from optlink.studies.worker import Task
+from optlink.studies.execution.runner import run
+from optlink.studies.execution.worker import Task
 
 ABOUT, TABLE, CHUNKS = "study.json", "sweep.csv", "chunks"
 SPREAD = 1000  # chunks per folder
@@ -218,7 +218,7 @@ class Store:
     def fill(
         self, task: Task, engine: str, workers: int | None, scheduler: str | None, progress: Progress | None
     ) -> tuple[int, float]:
-        """Run the missing chunks; see `optlink.studies.runner.run`.
+        """Run the missing chunks; see `optlink.studies.execution.runner.run`.
 
         Parameters
         ----------

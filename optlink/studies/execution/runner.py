@@ -1,7 +1,7 @@
 """Run the chunks of a study in local processes or on a Dask cluster, with identical results.
 
-A task (`optlink.studies.worker.Task`) maps the number of a chunk to its result, which depends on nothing else. Results arrive
-in any order.
+A task (`optlink.studies.execution.worker.Task`) maps the number of a chunk to its result, which depends on nothing else.
+Results arrive in any order.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 from optlink.errors import Fault, InputError, SolverError
 from optlink.problem.quantity import nearest
-from optlink.studies.worker import ONE_THREAD, Answer, Task, answered, packed, perform
+from optlink.studies.execution.worker import ONE_THREAD, Answer, Task, answered, packed, perform
 
 ENGINES = ("local", "dask")
 ATTEMPTS = 3  # attempts per chunk if its process dies
@@ -52,7 +52,7 @@ def check(engine: str, workers: int | None, scheduler: str | None) -> None:
     if scheduler is not None and engine != "dask":
         raise InputError(Fault("only the engine dask has a scheduler", "Add --engine dask", key="--scheduler", value=scheduler))
     if engine == "dask":
-        from optlink.studies.cluster import installed
+        from optlink.studies.execution.cluster import installed
 
         installed()
 
@@ -82,7 +82,7 @@ def run(
     """
     check(engine, workers, scheduler)
     if engine == "dask":
-        from optlink.studies.cluster import on_cluster
+        from optlink.studies.execution.cluster import on_cluster
 
         return on_cluster(task, todo, workers or cores(), scheduler)
     return _local(task, list(todo), workers or cores())
@@ -159,10 +159,10 @@ class _Hand(threading.Thread):
         raise SolverError(f"chunk {index} of the study ended {ATTEMPTS} processes; is there enough memory?")
 
     def _begin(self) -> subprocess.Popen[str]:
-        home = str(Path(__file__).resolve().parents[2])
+        home = str(Path(__file__).resolve().parents[3])
         path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
         self.process = subprocess.Popen(
-            [sys.executable, "-c", "from optlink.studies.worker import main; main()"],
+            [sys.executable, "-c", "from optlink.studies.execution.worker import main; main()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             encoding="utf-8",
