@@ -313,7 +313,7 @@ def test_what_matters_stands_on_the_page_of_a_result(results, tmp_path):
         text = path.read_text()
         assert "What matters" in text
         assert "-1.929 %" in text
-        assert ("Searched again on both sides of each" in text) is (name == "sensitivity")
+        assert ("Re-optimised on both sides of each" in text) is (name == "sensitivity")
     text = (tmp_path / "sensitivity.html").read_text()
     assert text.index('id="what-matters"') < text.index('id="design-and-proof"')
 

@@ -448,7 +448,7 @@ def test_the_command_writes_everything(tmp_path):
     for picture in ("contributions.png", "band.png", "histogram.png"):
         assert (tmp_path / picture).stat().st_size > 5000
     told = run(*words[:-2]).output
-    assert "Who is to blame" in told
+    assert "Variance contributions" in told
     assert "yield, within 2.32 deg" in told
 
 

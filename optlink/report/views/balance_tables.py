@@ -115,9 +115,9 @@ def _tiny(value: float, scale: float) -> float:
 def _limits(outcome: Balance) -> RenderableType:
     active = [limit for limit in outcome.limits if limit.active]
     if not active:
-        return Text.assemble(("Active limits", HEAD), "\nnone: only what can be added shapes this optimum")
+        return Text.assemble(("Active constraints", HEAD), "\nnone: only what can be added shapes this optimum")
     columns: list[COLUMN] = [("limit", "left"), ("", "left"), ("what it costs", "left")]
-    table = grid("Active limits, and what relaxing them would buy", columns)
+    table = grid("Active constraints and their shadow prices", columns)
     for limit in active:
         more = "more" if limit.sense == "at most" else "less"
         step = f"{limit.step * 1e3:.4g} g" if limit.unit == "kg" else f"{limit.step:.4g} {limit.unit}"
@@ -129,7 +129,12 @@ def _limits(outcome: Balance) -> RenderableType:
 
 
 def _conflict(outcome: Balance) -> Table:
-    columns: list[COLUMN] = [("limit", "left"), ("asked", "left"), ("feasible if it alone gave", "left"), ("together", "left")]
+    columns: list[COLUMN] = [
+        ("limit", "left"),
+        ("limit value", "left"),
+        ("feasible if relaxed alone", "left"),
+        ("together", "left"),
+    ]
     table = grid("These limits cannot hold together", columns, header=True)
     for item in outcome.conflict:
         asked = f"{item.sense} {item.bound:.6g} {item.unit}"

@@ -85,7 +85,7 @@ def _figures(outcome: MachineDesign) -> Table:
 
 
 def _conflict(outcome: MachineDesign) -> Table:
-    columns = [("limit", "left"), ("asked", "left"), ("feasible if it alone gave", "left")]
+    columns = [("limit", "left"), ("limit value", "left"), ("feasible if relaxed alone", "left")]
     table = grid("These limits cannot hold together", columns, header=True)
     for item in outcome.conflict:
         table.add_row(item.name, _asked(item), _given(item) or "never: see below")

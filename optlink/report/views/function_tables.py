@@ -178,7 +178,7 @@ def _objective(outcome: Result) -> Table:
     remark = f"error{'' if robust is None else ' as drawn'}: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
     table.add_row(outcome.measure, Text(number(outcome.objective), style=HEAD), outcome.unit, Text(remark, style=QUIET))
     if robust is not None and outcome.unit == "rad":
-        remark = "what counts of a linkage with its tolerances"
+        remark = "objective of the linkage with its tolerances"
         table.add_row("", Text(number(math.degrees(outcome.objective)), style=HEAD), "deg", Text(remark, style=QUIET))
     if outcome.problem.spec.everywhere:
         remark = f"the largest error is reached {outcome.alternations} times in turn, anywhere in the range"
@@ -205,7 +205,7 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Rendera
     """
     held = [limit for limit in limits if limit.active]
     if not held:
-        return Text.assemble(("Active limits", HEAD), "\nnone: only the requirement shapes this design")
+        return Text.assemble(("Active constraints", HEAD), "\nnone: only the requirement shapes this design")
     table = grid("Active constraints and their shadow prices", [("", "left"), ("", "left"), ("", "left")])
     for limit in held:
         bound = f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip()
@@ -242,7 +242,7 @@ def conflict(limits: Sequence[Relaxed], together: Sequence[Relaxed]) -> Table:
     """
     table = grid(
         "These limits cannot hold together",
-        [("limit", "left"), ("asked", "left"), ("feasible if it alone gave", "left")],
+        [("limit", "left"), ("limit value", "left"), ("feasible if relaxed alone", "left")],
         header=True,
     )
     for item in limits:

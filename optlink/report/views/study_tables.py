@@ -43,7 +43,7 @@ def sensitivities(result: Sensitivities) -> RenderableType:
     few = len(names) <= FEW
     each = [(f"{name}\n[{result.units[name]}]", "right") for name in names] if few else [("moves most", "left")]
     columns = [("given", "left"), ("change", "right"), ("objective", "right"), *each]
-    table = grid("What a change of what is given does, largest effect first", columns, header=True)
+    table = grid("Sensitivity to prescribed values, largest effect first", columns, header=True)
     for row in result.moving:
         p = row.parameter
         share = row.effect / result.solution.objective if result.solution.objective else math.nan
@@ -63,7 +63,7 @@ def sensitivities(result: Sensitivities) -> RenderableType:
         parts += [Text(), Text(f"Without effect here: {'; '.join(dict.fromkeys(still))}.", style=QUIET)]
     if result.gap is not None:
         style = GOOD if result.gap <= AGREES else BAD
-        line = Text.assemble(("\nSearched again on both sides of each: ", QUIET), (f"largest difference {result.gap:.1e}", style))
+        line = Text.assemble(("\nRe-optimised on both sides of each: ", QUIET), (f"largest difference {result.gap:.1e}", style))
         parts.append(line)
     return Group(*parts)
 

@@ -234,7 +234,7 @@ def _blame(file: ProblemFile, found: Toleranced) -> Table:
     at = found.where
     heads = [("", "left"), ("tolerance", "right"), ("distribution", "left"), (f"change [{found.unit}]\nper tolerance", "right")]
     heads += [("share of the\nvariance", "right"), ("over all\nangles", "right")]
-    table = grid(f"Who is to blame, where it scatters most: crank {found.degrees[at]:.4g} deg", heads, header=True)
+    table = grid(f"Variance contributions at the worst crank angle: {found.degrees[at]:.4g} deg", heads, header=True)
     for part in sorted(found.parts, key=lambda part: -part.share[at]):
         shape = part.shape if part.size == part.name else f"{part.shape}, adds to {part.size}"
         per = f"{found.scale * part.by[at] * part.tolerance:+.4g}"
@@ -335,7 +335,7 @@ def _ordered(found: Toleranced) -> Iterator[tuple[Part, str]]:
 
 def _contributions(found: Toleranced) -> Chart:
     """Plot the variance contributions: stacked over the crank angle, or as bars if there is only one."""
-    title = f"Who is to blame for the scatter of {found.output}"
+    title = f"Variance contributions to {found.output}"
     if len(found.degrees) > 1:
         curves: list[Trace] = [
             line(found.degrees, part.share, part.name, colour, width=0.6) | {"stackgroup": "shares", "fillcolor": colour}

@@ -61,7 +61,7 @@ def _shape(deviation: Deviation) -> str:
 
 def made(counted: str) -> str:
     """Describe the objective of a robust design."""
-    return "Made most: the yield" if counted == YIELD else f"Made least: the largest error with {counted}"
+    return "Maximised: the yield" if counted == YIELD else f"Minimised: the largest error with {counted}"
 
 
 def judged(counted: str) -> str:
@@ -103,7 +103,7 @@ def _blame(result: Tolerance) -> Table:
     each = " or ".join(sorted({"deg" if d.kind == "angle" else "mm" for d in result.deviations}, reverse=True))
     angle = math.degrees(result.nominal.crank_angles[at])
     table = grid(
-        f"Who is to blame, where it scatters most: crank {angle:.4g} deg",
+        f"Variance contributions at the worst crank angle: {angle:.4g} deg",
         [
             ("", "left"),
             ("tolerance", "right"),
