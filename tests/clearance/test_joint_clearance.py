@@ -378,6 +378,7 @@ def test_gap_that_vanishes_leaves_the_ideal_slider_crank(gaps):
     assert_ideal({**case.raw, "loads": {"push": push}}, 2)
 
 
+@pytest.mark.slow
 def test_gap_that_vanishes_leaves_the_ideal_four_bar():
     case = Case("limit", {"C": "rocker"}, bars=True, speed=300.0, joint=TIGHT)
     push = {"on": "rocker", "torque": "60 N*m"}
@@ -473,6 +474,7 @@ ODD = ("angle_rad", "angle_deg", "omega_rad_s", "alpha_rad_s2", ".y_m", "ey_m", 
 ODD_TOO = ("moment_Nm", "torque_Nm", "rocker.ideal_rad", "rocker.error_rad")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [
@@ -531,6 +533,7 @@ def double(raw: Mapping) -> dict:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [1e-9, 1e-10, 1e-11])
 def test_two_gaps_that_switch_at_the_same_instant(tolerance):
     """Twins on one crank: each does what it would do alone."""
@@ -832,6 +835,7 @@ PERIODIC = Case("runs", {"C": "rod"}).raw
 CHAOTIC = Case("chaos", {"C": "rod"}, joint={}).raw
 
 
+@pytest.mark.slow
 def test_runs_are_reproducible_to_the_bit():
     one, other = (simulate(Case("three", {"A": "crank", "B": "rod", "C": "rod"}).raw) for _ in range(2))
     assert ended(one) == ended(other)
@@ -841,6 +845,7 @@ def test_runs_are_reproducible_to_the_bit():
         assert np.array_equal(one[name], other[name]), name
 
 
+@pytest.mark.slow
 def test_longer_run_begins_as_the_shorter_one():
     short, long = (simulate(CHAOTIC, revolutions, 90) for revolutions in (3, 6))
     assert ended(long)[: len(ended(short))] == ended(short)
@@ -991,6 +996,7 @@ def test_largest_torque_is_that_of_the_oracle():
     assert found.figures["torque_max_Nm"] >= largest(fine["input.torque_Nm"]) * (1.0 - 1e-9)
 
 
+@pytest.mark.slow
 def test_peaks_agree_wherever_they_are_told():
     """In figures, revolutions, contacts and rows."""
     found = simulate(Case("three", {"A": "crank", "B": "rod", "C": "rod"}, speed=900.0).raw, 2, 40, 1e-10)

@@ -381,6 +381,7 @@ def test_a_hundred_thousand_rows_are_reduced_with_a_note(tmp_path: Path) -> None
     assert "100,000 points of curve.csv were reduced to 30" in " ".join(shown.stdout.split())
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_listed_points_are_beyond_a_limit(tmp_path: Path) -> None:
     rows = [[f"{x:.9f} mm", f"{y:.9f} mm"] for x, y in dense(100_000).tolist()]
     refused(tmp_path, altered(PATH, {ROWS: rows}), "larger than 1,000,000 bytes", "CSV")

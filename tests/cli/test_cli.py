@@ -72,6 +72,7 @@ def test_solve_for_people():
     assert "FAIL" not in done.stdout
 
 
+@pytest.mark.slow
 def test_infeasible_is_exit_one_and_names_the_conflict():
     changes = ("--set", 'limits.transmission_angle=["80 deg", "100 deg"]')
     for backend in ("slsqp", "ipopt"):
@@ -179,6 +180,7 @@ def test_error_with_json_is_one_document():
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_usage_error_with_json_is_one_document_too():
     for arguments in (("solve", "crank-rocker", "--json", "--starts", "many"), ("solve", "--json"), ("fly", "--json")):
         done = process(*arguments)
@@ -229,6 +231,7 @@ def test_broken_designs_are_refused(tmp_path, content):
     assert "--design" in done.stderr
 
 
+@pytest.mark.slow
 def test_titles_are_printed_as_they_are(tmp_path):
     """Brackets in a title are no markup, and a terminal that lacks a letter does not break the run."""
     path = tmp_path / "mine.toml"

@@ -244,6 +244,7 @@ def test_ipopt_passes_an_interrupt_on(monkeypatch):
         ipopt.ipopt(nlp, nlp.x_start, nlp.p)
 
 
+@pytest.mark.slow
 @posix
 def test_output_that_cannot_be_written_is_one_sentence():
     for arguments in (("list",), ("solve", "crank-rocker", "--json")):
@@ -254,6 +255,7 @@ def test_output_that_cannot_be_written_is_one_sentence():
         assert "cannot write the output: No space left" in done.stderr
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize("arguments", [("list",), ("show", "six-bar", "--toml"), ("solve", "crank-rocker", "--json")])
 def test_a_closed_pipe_is_no_failure(arguments):
@@ -317,6 +319,7 @@ def test_an_integer_of_400_digits_in_a_file(tmp_path):
     assert json.loads(done.stdout)["faults"][0]["key"] == "requirement.points"
 
 
+@pytest.mark.slow
 @posix
 def test_undecodable_bytes_in_an_option():
     for arguments in ((b"--set", b"mechanism.crank=\xff\xfe mm"), (b"--set", b"\xff=1"), (b"--design", b"coupler=\xff")):

@@ -178,6 +178,7 @@ def test_a_refused_input_leaves_no_new_folder(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_releases_the_folder(tmp_path):
     out = tmp_path / "out"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -265,6 +265,7 @@ def test_energy_account_sees_a_load_that_is_left_out(monkeypatch):
     assert optlink.simulate(problem, duration=0.3, rows=5).run.imbalance > 1e-3
 
 
+@pytest.mark.slow
 def test_friction_in_a_guide_takes_energy_and_closes_the_account():
     found = optlink.simulate(slider_crank(**ROUGH, drive={"torque": "0.5 N*m"}), duration=0.4, rows=50).run
     assert np.all(np.diff(found.works["friction"]) <= 0.0)

@@ -47,6 +47,7 @@ def lines(made: Figure, gid: str) -> list[Line2D]:
 CASES = [("balance-six-bar", False), ("balance-four-bar", False), ("balance-four-bar", True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("picture", balance_pictures.PICTURES)
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
 def test_nothing_is_cut_off(picture, case):

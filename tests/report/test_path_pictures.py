@@ -207,6 +207,7 @@ def fold(axes) -> float:
 # --- on the curve --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", POINTED)
 def test_points_stand_where_they_are_wanted(name):
     wanted = np.array(result(name).problem.model.wanted.points) * 1e3
@@ -256,6 +257,7 @@ def test_tolerances_are_circles_with_their_radius():
     assert not [each for each in picture("path", "path").axes[1].collections if isinstance(each, EllipseCollection)]
 
 
+@pytest.mark.slow
 def test_exact_designs_have_no_deviations_to_draw():
     axes = picture("exact", "path").axes[1]
     assert not any(each.get_gid() == "deviations" for each in axes.get_lines())

@@ -48,6 +48,7 @@ def test_letters_stand_clear_of_links_and_inside(solved):
         assert [line.get_gid() for line in axes.get_lines() if line.get_linewidth() >= 3.0] == ["crank", "coupler", "rocker"]
 
 
+@pytest.mark.slow
 def test_a_large_four_bar_is_drawn_in_metres(crank_rocker):
     raw = {**crank_rocker.raw, "limits": {"crank": "full rotation"}}
     raw["mechanism"] = {"crank": "10 m", "frame": "50 m", "coupler": "41.3 m", "rocker": "23.2 m"}

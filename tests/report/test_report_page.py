@@ -91,6 +91,7 @@ class Reader(HTMLParser):
 # --- what the page says ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_page_is_complete_and_small(about):
     text = page(about)
     assert len(text.encode()) < 6_000_000
@@ -151,6 +152,7 @@ def test_the_torque_chart_is_the_analysis():
     assert np.nanmin(values) == pytest.approx(-320.0521365, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_what_matters_by_searching_again(crank_rocker_subject):
     """The tornado's bar of the transmission angle, against the problem solved at 134.9 and 135.1 deg."""
     answers = sensitivities_of(crank_rocker_subject)
@@ -295,6 +297,7 @@ def test_a_result_finds_its_changed_problem(tmp_path):
     assert "480.000" in (tmp_path / "a.html").read_text()
 
 
+@pytest.mark.slow
 def test_an_infeasible_result_names_the_conflict(tmp_path):
     change = ("--set", 'limits.transmission_angle=["80 deg", "100 deg"]')
     (tmp_path / "result.json").write_text(run("solve", "crank-rocker", *change, "--json").stdout)
@@ -307,6 +310,7 @@ def test_an_infeasible_result_names_the_conflict(tmp_path):
         assert "What matters" not in text
 
 
+@pytest.mark.slow
 def test_a_result_finds_its_problem_beside_it(tmp_path):
     raw = (Path(__file__).parents[2] / "problems" / "crank-rocker.toml").read_text()
     (tmp_path / "elsewhere").mkdir()
@@ -445,6 +449,7 @@ def test_the_slider_of_the_crank_rocker_by_the_law_of_cosines(driver, tmp_path, 
         assert (x, -y) == pytest.approx((frame + rocker * math.cos(psi), rocker * math.sin(psi)), abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_play_button_moves_and_stops(driver, tmp_path, crank_rocker_subject):
     path = tmp_path / "a.html"
     write_page(crank_rocker_subject, path)
@@ -479,6 +484,7 @@ def test_a_page_prints(driver, tmp_path, crank_rocker_subject):
     assert console(driver) == []
 
 
+@pytest.mark.slow
 def test_texts_do_not_run_in_a_browser(driver, tmp_path):
     file = optlink.load(evil_problem(tmp_path))
     path = tmp_path / "a.html"
@@ -489,6 +495,7 @@ def test_texts_do_not_run_in_a_browser(driver, tmp_path):
     assert driver.execute_script("return document.querySelector('h1').textContent") == EVIL
 
 
+@pytest.mark.slow
 def test_what_got_into_a_page_would_still_not_run(driver, tmp_path, crank_rocker_subject):
     """The second lock: the page's own policy lets no other script run and nothing be loaded; and the checks above see a fault."""
     path = tmp_path / "a.html"

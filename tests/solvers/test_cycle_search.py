@@ -102,6 +102,7 @@ def test_a_time_ratio_with_a_direction_makes_that_stroke_the_slow_one(stroke, sp
     assert result.to_dict()["strokes"]["piston slides"]["slow_stroke"] == stroke
 
 
+@pytest.mark.slow
 def test_both_slow_strokes_are_searched_from_a_start_that_has_none():
     """The start is centred: the answer is the better of the two machines whose offset is kept to one side."""
     sides = [["-60 mm", "-1 mm"], ["1 mm", "60 mm"]]
@@ -128,6 +129,7 @@ def test_a_load_of_the_slow_stroke_needs_one():
         problem(PUMP, **fixed, mechanism__links__rod__length="180 mm")
 
 
+@pytest.mark.slow
 def test_a_ratio_below_a_limit_is_that_of_the_slow_stroke_in_either_direction():
     """A largest ratio of the slow stroke holds in both directions: the quick-return of the other direction is no way out."""
     ratio = {"quantity": "time ratio", "of": "piston", "max": 1.02}
@@ -214,6 +216,7 @@ def test_listed_optima_are_polished_and_none_is_below_the_answer():
         assert np.max(np.abs(one - other)) > 1e-6
 
 
+@pytest.mark.slow
 def test_a_scale_continuum_is_named_and_listed_once():
     """Angles do not change with the scale of a linkage: all lengths together may be larger or smaller."""
     result = solve(problem(LINKS), starts=4)

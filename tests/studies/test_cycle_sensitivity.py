@@ -225,6 +225,7 @@ def test_only_figures_are_figures():
     assert row.objective == pytest.approx((high.objective - low.objective) / 4.0, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_one_per_cent_more_of_a_negative_speed_is_faster(pump):
     row = sensitivities(changed(drive__speed="-150 rpm", limits__guide__max="400 N"), starts=1)["drive.speed"]
     other = sensitivities(changed(limits__guide__max="400 N"), starts=1)["drive.speed"]

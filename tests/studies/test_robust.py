@@ -246,6 +246,7 @@ def test_the_programme_is_differentiated_exactly(problem):
             np.testing.assert_allclose(point.jacobian[:, i], (g1 - g0) / (2.0 * h), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_law_of_a_linkage_with_further_points_is_drawn(tmp_path):
     place = 'mechanism.points={ P = ["10 mm", "5 mm"] }'
     result = run("solve", "crank-rocker", "--set", place, "--out", str(tmp_path), "--json")
@@ -296,6 +297,7 @@ def test_the_validator_fails_on_a_linkage_that_answers_otherwise(problem):
 # --- studies of a robust problem ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_sweep_over_a_tolerance_and_over_a_length(problem):
     found = sweep(problem, ["tolerances.rocker=0.2..1 mm:3"])
     assert found.complete
@@ -326,6 +328,7 @@ def test_a_study_of_tolerances_reads_those_of_the_file(problem):
     assert again.unrobust.share < again.carlo.share
 
 
+@pytest.mark.slow
 def test_costs_of_the_file_count_in_an_allocation(problem):
     given = {"limit": "2.2 deg", "wanted": 0.99, "samples": 1 << 10, "design": solve(problem).design}
     own = tolerance(problem, **given).allocation
@@ -372,6 +375,7 @@ PARABOLA = ("psi0 + 0.25*(phi - phi0)^2", lambda t: 0.25 * t**2)
 BACK = ("psi0 - 0.22*(phi - phi0)^2", lambda t: -0.22 * t**2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("problem", "law", "span", "limit", "texts", "better"),
     [
@@ -549,6 +553,7 @@ def run(*arguments):
     return CliRunner().invoke(app, list(arguments))
 
 
+@pytest.mark.slow
 def test_the_command_solves_reports_and_validates(problem, tmp_path):
     result = run("solve", "crank-rocker-robust", "--backend", "both", "--starts", "3", "--json", "--out", str(tmp_path))
     assert result.exit_code == 0, result.output

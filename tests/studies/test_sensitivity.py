@@ -98,6 +98,7 @@ def test_its_own_check_agrees_on_variations(overrides):
     assert result.gap < 1e-5
 
 
+@pytest.mark.slow
 def test_a_minimax_function_scales_with_its_frame():
     """Its largest errors lie anywhere in the range, and move along."""
     result = sensitivities(optlink.load("function-sin"), check=True)

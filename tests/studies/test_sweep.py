@@ -543,6 +543,7 @@ class Square:
         return index * index
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_costs_only_its_chunk(tmp_path):
     found = {index: answer.value for index, answer in runner.run(Square(tmp_path, deadly=3), range(12), workers=2)}
     assert found == {index: index * index for index in range(12)}
@@ -550,6 +551,7 @@ def test_a_worker_that_dies_costs_only_its_chunk(tmp_path):
     assert done == {index: 2 if index == 3 else 1 for index in range(12)}
 
 
+@pytest.mark.slow
 def test_a_chunk_that_kills_every_worker_is_named(tmp_path):
     with pytest.raises(SolverError, match=r"chunk 3 .* ended 3 processes"):
         list(runner.run(Square(tmp_path, deadly=3, always=True), range(6), workers=2))

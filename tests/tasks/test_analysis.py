@@ -269,6 +269,7 @@ def test_singular_positions_are_reported_not_divided_by():
 # --- batches --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MACHINES)
 def test_batch_is_the_loop(name):
     problem = optlink.load(name)

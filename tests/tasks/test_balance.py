@@ -444,6 +444,7 @@ REDUCTIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", ["rms shaking force", "largest driving torque", "rms reaction at D"])
 def test_six_bar_against_local_search(measure):
     """SLSQP over masses and places of real discs, by the ordinary inverse dynamics, from several starts: never better."""
@@ -524,6 +525,7 @@ def test_a_random_disc_on_other_machines_against_local_search(name, measure):
 # --- the trade-off -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", ["force,torque", "force,moment", "largest force,rms reaction at D"])
 def test_trade_off_is_monotone_convex_and_proven(pair):
     trade = six_bar(None, pair).trade

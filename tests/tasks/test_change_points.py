@@ -573,6 +573,7 @@ def test_slow_stroke_of_a_cycle_of_two_revolutions_is_that_of_both(lengths, spee
         assert acting == pytest.approx(expected, abs=0.6)
 
 
+@pytest.mark.slow
 def test_batch_covers_the_whole_cycle_of_two_revolutions():
     frames = np.array([0.19, 0.2, 0.2 - 1e-5])
     columns = ("rocker.omega_rad_s", "input.torque_Nm", "C.x_m")

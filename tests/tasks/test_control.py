@@ -83,6 +83,7 @@ def test_speed_command_is_the_derivative_of_the_angle_command():
     assert even(1.0, 2.0).at(3.0) == (7.0, 2.0)
 
 
+@pytest.mark.slow
 def test_servo_turns_the_crank_as_the_inverse_model_wants(problem):
     """The command is ahead of the servo's lag: the crank itself follows the wanted correction."""
     run = optlink.simulate_clearance(problem, 3, 180, control="inverse", twin=False)
@@ -161,6 +162,7 @@ def test_leverage_stays_finite_at_the_dead_centres(parts):
     assert found[2] == pytest.approx(slope / (slope**2 + 5e-3**2), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_inverse_command_follows_a_clockwise_crank(problem):
     forward = optlink.simulate_clearance(problem, 8, 180, control="inverse", twin=False, tolerance=1e-8)
     back = optlink.simulate_clearance(problem, 8, 180, speed=-SPEED, control="inverse", twin=False, tolerance=1e-8)

@@ -124,6 +124,7 @@ def test_largest_values_between_the_positions_are_met():
     assert cycle.objective() == pytest.approx(result.objective, rel=2e-8)
 
 
+@pytest.mark.slow
 def test_limits_that_cannot_be_met_are_named_with_what_would_do():
     file = optlink.load("shaper-design").override({"limits.guide.max": "200 N"})
     result = solve(file, "slsqp", starts=1)
@@ -136,6 +137,7 @@ def test_limits_that_cannot_be_met_are_named_with_what_would_do():
     assert solve(enough, "slsqp", starts=1).valid
 
 
+@pytest.mark.slow
 def test_toggle_press_with_corners_in_its_load():
     """The table of the force has corners: the crank angles at which they are met cut the strokes, so derivatives stay exact."""
     result = solve(optlink.load("press-toggle"), "slsqp", starts=1)
@@ -151,6 +153,7 @@ def test_toggle_press_with_corners_in_its_load():
     assert result.found.figures["F.normal_N.max"] <= 3500.0 * (1.0 + 1e-6)
 
 
+@pytest.mark.slow
 def test_epsilon_constraint_bounds_what_the_sum_gives_up():
     """Least RMS torque alone, then least guide force with the RMS torque a little above it: a point of the trade-off."""
     file = optlink.load("shaper-design").override({"limits.guide": None, "objective": {"quantity": "torque", "measure": "rms"}})
@@ -177,6 +180,7 @@ def test_given_sizes_are_checked():
     assert not validate(file, {}).valid  # the given shaper returns too fast
 
 
+@pytest.mark.slow
 def test_result_is_json_and_the_design_a_machine(tmp_path):
     from optlink.report.views.cycle_pictures import write_all
 
@@ -214,6 +218,7 @@ def test_command_line(arguments, code, words):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_the_relaxation_of_an_infeasible_machine_is_that_of_its_whole_cycle():
     """A slider-crank whose peak torque is limited too low for its stroke: the least torque is that of crank 35 mm and rod 200 mm.
 

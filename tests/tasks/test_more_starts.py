@@ -66,6 +66,7 @@ def test_a_valid_answer_is_not_lost_to_a_better_one_that_fails_validation() -> N
     assert one.result is kept
 
 
+@pytest.mark.slow
 def test_seeds_agree_on_an_optimum_that_few_starts_reach() -> None:
     """One random start in ten reaches the best value; another one is 2 % above it."""
     results = [optlink.solve(optlink.read(case(2).raw), seed=seed) for seed in (3, 8)]

@@ -176,6 +176,7 @@ def test_energy_account_closes(rpm):
 # --- chaos, without friction -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_statistics_of_the_chaotic_motion():
     """0.408 mm; single runs scatter by some per cent."""
     found = simulate(5000, 0.0, 20, 360, 1e-10)
@@ -185,6 +186,7 @@ def test_statistics_of_the_chaotic_motion():
     assert np.all(np.diff(found["work.C.impact_J"]) >= 0.0)  # contacts lose energy, never gain
 
 
+@pytest.mark.slow
 def test_runs_at_two_tolerances_part_without_friction_only():
     """They part by 100 um after 1.4 to 3.4 revolutions; here half of that counts as parted."""
     for friction, chaotic in ((0.0, True), (0.1, False)):

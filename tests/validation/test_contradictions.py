@@ -118,6 +118,7 @@ def test_a_result_of_a_cycle_that_agrees_is_valid(machine):
     assert "result file" not in output
 
 
+@pytest.mark.slow
 def test_contradictions_in_the_result_of_a_cycle_are_not_valid(machine):
     """Each planted alone: the objective, crank angles of a stroke, figures of limits, sizes, an angle of the design."""
 

@@ -523,6 +523,7 @@ SAME_VERDICT = {  # problems whose rows and whose validator must draw the same l
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAME_VERDICT)
 def test_rows_of_the_programme_and_the_validator_draw_the_same_line(name):
     """Two routes to one verdict: the optimiser's rows by formula, the validator's checks by sweep; both verdicts are met."""
