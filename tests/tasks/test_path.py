@@ -247,3 +247,13 @@ def test_the_reference_page_knows_every_key_of_a_task():
         for name, field in section.model_fields.items():
             key = field.alias or name
             assert f"`{key}`" in PAGE or re.search(rf"\b{key} = ", PAGE), f"{key} of {section.__name__} is not documented"
+
+
+def test_a_design_is_a_machine_to_analyze() -> None:
+    """Its coupler point passes where the design says, by the analysis of the machine with fixed sizes."""
+    best = solve(optlink.load("path-arc5"), designs=1).best
+    assert best.machine.model.free == ()
+    cycle = optlink.analyze(best.machine, points=3600)
+    curve = np.column_stack([cycle["P.x_m"], cycle["P.y_m"]])
+    for place in best.measured.generated:
+        assert np.min(np.hypot(*(curve - place).T)) < 2e-5

@@ -19,6 +19,7 @@ from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.problem.file import ProblemFile
+from optlink.problem.fixed_design import settled
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, TURN, GenerationProblem
 from optlink.solvers.evidence import Evidence
@@ -147,6 +148,11 @@ class Design(Summary):
         sizes = {name: values[name] for name in LENGTHS}
         along, across = values[f"{point}.along"], values[f"{point}.across"]
         return CouplerLinkage(**sizes, along=along, across=across, x=x, y=y, direction=direction, side=self.task.side)
+
+    @property
+    def machine(self) -> ProblemFile:
+        """The linkage as a problem with every size fixed, for `analyze`, `simulate` and pictures."""
+        return settled(self.problem, self.values)
 
     @property
     def assembly(self) -> object:
