@@ -24,7 +24,7 @@ from tests.random_linkages import (
     transmission_range,
 )
 
-FEW, ENOUGH = 8, 500
+FEW, ENOUGH = 8, 150
 STARTS = 240  # of the batch: enough for answers, not for the best of them
 
 
@@ -46,7 +46,7 @@ def test_few_random_problems() -> None:
 
 
 @pytest.mark.slow
-def test_five_hundred_answers() -> None:
+def test_many_answers() -> None:
     answers, seed = 0, 1000
     while answers < ENOUGH:
         answers += judged(seed)
@@ -78,7 +78,7 @@ def test_few_random_laws(slides: bool) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("slides", [False, True], ids=["four-bar", "slider-crank"])
 def test_many_random_laws(slides: bool) -> None:
-    assert sum(judged_law(seed, slides=slides) for seed in range(100, 140)) >= 20
+    assert sum(judged_law(seed, slides=slides) for seed in range(100, 116)) >= 6
 
 
 # --- the judge sees what is planted ------------------------------------------------------------------------------------------
