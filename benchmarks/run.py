@@ -63,7 +63,7 @@ def process_rows() -> list[Row]:
 
 
 def table(rows: list[Row]) -> Table:
-    """The rows as people read them."""
+    """The rows as text."""
     result = Table(title="optlink: medians of this run; ratio > 1: optlink is better (processes: less is better)")
     result.add_column("what", ratio=3)
     for heading in ("ours", "theirs", "ratio", "target"):

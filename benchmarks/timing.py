@@ -54,13 +54,13 @@ class Row:
         return self.ratio >= float(bound) if relation == ">=" else self.ratio <= float(bound)
 
     def shown(self, value: float) -> str:
-        """A ratio as people read it."""
+        """The ratio as text."""
         if math.isnan(value):
             return "-"
         return f"{100.0 * value:.0f} %" if self.percent else f"{value:.3g}x"
 
     @property
     def wanted(self) -> str:
-        """The target as people read it."""
+        """The target as text."""
         relation, _, bound = self.target.partition(" ")
         return f"{relation} {self.shown(float(bound))}" if bound else ""

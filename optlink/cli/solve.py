@@ -41,7 +41,7 @@ def solve(
     as_json: Json = False,
     out: Out = None,
 ) -> None:
-    """Find the design, prove it, and say what each active limit costs."""
+    """Find the design, prove it, and report the shadow price of each active constraint."""
     with console.reported(as_json), console.made(out, "solve", problem):
         if design:
             _validate(problem, design, changes, as_json, out)

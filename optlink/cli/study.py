@@ -347,7 +347,7 @@ def pareto(
 ) -> None:
     """What one objective costs in another: the front of two or three, its ends and its knee, every point proven."""
     with console.reported(as_json):
-        from optlink.studies.pareto.front import pareto as run
+        from optlink.studies.pareto.epsilon_constraint import pareto as run
 
         file = console.load(problem, changes)
         _resumable(resume, out)
@@ -375,7 +375,7 @@ def _resumable(resume: bool, out: Path | None) -> None:
     from optlink.errors import Fault, InputError
 
     if resume and out is None:
-        raise InputError(Fault("--resume needs the folder of the run", "Add --out DIR", key="--resume"))
+        raise InputError(Fault("needs the folder of the run", "Add --out DIR", key="--resume"))
 
 
 def _owned(out: Path | None, command: str, problem: str) -> None:

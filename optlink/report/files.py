@@ -129,7 +129,7 @@ def checkpoint(out: Path | None) -> dict[str, Any]:
         If no folder is given or its checkpoint cannot be read.
     """
     if out is None:
-        raise InputError(Fault("--resume needs the folder of the run", "Add --out DIR", key="--resume"))
+        raise InputError(Fault("needs the folder of the run", "Add --out DIR", key="--resume"))
     path = out / "checkpoint.json"
     try:
         found = json.loads(path.read_text(encoding="utf-8"))

@@ -28,7 +28,7 @@ from optlink.studies import cycle_task
 from optlink.studies.cycle_task import restarted
 from optlink.studies.pareto import epsilon_ranges
 from optlink.studies.pareto import objectives as pareto_objectives
-from optlink.studies.pareto.front import ENDS, Pareto, pareto
+from optlink.studies.pareto.epsilon_constraint import ENDS, Pareto, pareto
 from optlink.studies.sweep import sweep
 from optlink.validation import validate as prove
 
@@ -576,4 +576,4 @@ def test_other_problems_and_sizes_are_refused():
         pareto(optlink.load("motion-3-poses"), "error, coupler")
     run = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--resume"])
     assert run.exit_code == 2
-    assert "--resume needs the folder" in run.output
+    assert "needs the folder of the run" in run.output

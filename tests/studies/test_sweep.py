@@ -793,7 +793,7 @@ def test_pictures_over_one_two_and_three_parameters(name, arguments, panels, leg
     ("arguments", "words"),
     [
         ([], "nothing is varied"),
-        (["--vary", f"{FRAME}:3", "--resume"], "--resume needs the folder"),
+        (["--vary", f"{FRAME}:3", "--resume"], "needs the folder of the run"),
         (["--vary", f"{FRAME}:3", "--column", "input.torque_Nm"], "Add --analyze"),
         (["--vary", f"{FRAME}:3", "--design", "coupler=412 mm", "--design", "rocker=232 mm"], "add --analyze"),
         (["--vary", f"{FRAME}:3", "--engine", "slurm"], "unknown engine"),

@@ -29,7 +29,7 @@ STUDIES = {
 }
 """Schemas of results that are shown as stored: the command that writes them, and the kind of their page."""
 PAGELESS = {"optlink/output-sensitivity/1": "Slopes of an output stand in the sensitivity.csv beside it"}
-"""Schemas of results that are not drawn, and where people read them."""
+"""Schemas of results that are not drawn, and where to read them."""
 
 
 def is_result(text: str) -> bool:

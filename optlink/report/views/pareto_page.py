@@ -16,7 +16,7 @@ from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
 from optlink.report.views import pareto_tables
 from optlink.report.views.function_tables import number
 from optlink.studies.grid import MAX_POINTS, Axis, Grid
-from optlink.studies.pareto.front import SCHEMA, Pareto, Point
+from optlink.studies.pareto.epsilon_constraint import SCHEMA, Pareto, Point
 from optlink.studies.pareto.objectives import Aim
 
 __all__ = ["SCHEMA", "studied"]

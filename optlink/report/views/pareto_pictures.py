@@ -15,7 +15,7 @@ from optlink.report.files import whole, write_json
 from optlink.report.labels import Label, settle
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED, figure, heading, save, styled
 from optlink.report.views.pareto_tables import against
-from optlink.studies.pareto.front import Pareto
+from optlink.studies.pareto.epsilon_constraint import Pareto
 
 
 def write_all(result: Pareto, folder: Path) -> list[Path]:

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from optlink.report.views.balance_tables import percent
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, grid, number, points
-from optlink.studies.pareto.front import Pareto
+from optlink.studies.pareto.epsilon_constraint import Pareto
 
 MANY = 3.0  # ratio above which a change is not given in per cent
 SHOWN = 24  # largest number of listed points, besides the end points and the knee

@@ -233,7 +233,7 @@ def people_design(task: GenerationProblem, values: Mapping[str, float]) -> dict[
 
 
 OUTPUT = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
-"""Factor from SI and unit in which people read deviations."""
+"""Factor from SI and unit in which deviations are shown."""
 
 
 def objective_unit(task: GenerationProblem) -> str:
