@@ -83,16 +83,16 @@ def depth(t: float, state: Any, omega: float) -> tuple[float, float]:
 def ours(rpm: float, tolerance: float, revolutions: int = REVOLUTIONS) -> Motion:
     """The shipped problem; equations are compiled once, as the peers' are."""
     import optlink
-    from optlink.clearance.closed_loop import Plant
+    from optlink.clearance.closed_loop import ClosedLoop
     from optlink.clearance.equations import Drive
     from optlink.clearance.integration import Integration
-    from optlink.clearance.output import usual
+    from optlink.clearance.output import default_output
 
     omega = rpm * math.pi / 30.0
     model = optlink.load("slider-crank-clearance").model
     machine = model.machine()
     given: dict[str, Any] = {"start": 0.0, "speed": omega, "nominal": omega, "points": SAMPLES, "tolerance": tolerance}
-    plant = Plant(machine, model.gaps(machine), Drive(), usual(machine), **given)
+    plant = ClosedLoop(machine, model.gaps(machine), Drive(), default_output(machine), **given)
     begin, step = plant.integration.state, plant.integration.step
     slide = [coordinate.kind for coordinate in plant.equations.cut.coordinates].index("slide")
 

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from optlink.tasks.batch import analyze_batch
     from optlink.tasks.clearance import simulate_clearance
     from optlink.tasks.control_comparison import Comparison, Tuning, compare, tune
-    from optlink.tasks.function import Result, read_design
+    from optlink.tasks.function import FunctionResult, read_design
     from optlink.tasks.results.analysis import Analysis
     from optlink.tasks.results.balance import Balance
-    from optlink.tasks.results.clearance import LooseSimulation
-    from optlink.tasks.results.cycle import MachineDesign
-    from optlink.tasks.results.path import Design, Generation
+    from optlink.tasks.results.clearance import ClearanceSimulation
+    from optlink.tasks.results.cycle import CycleResult
+    from optlink.tasks.results.path import PathDesign, PathResult
     from optlink.tasks.run import solve, validate
     from optlink.tasks.simulate import Simulation, simulate
 
@@ -40,14 +40,14 @@ _HOME = {
     "Simulation": "optlink.tasks.simulate",
     "simulate": "optlink.tasks.simulate",
     "analyze_batch": "optlink.tasks.batch",
-    "LooseSimulation": "optlink.tasks.results.clearance",
+    "ClearanceSimulation": "optlink.tasks.results.clearance",
     "simulate_clearance": "optlink.tasks.clearance",
     "Comparison": "optlink.tasks.control_comparison",
     "Tuning": "optlink.tasks.control_comparison",
     "compare": "optlink.tasks.control_comparison",
     "tune": "optlink.tasks.control_comparison",
-    "Design": "optlink.tasks.results.path",
-    "Generation": "optlink.tasks.results.path",
+    "PathDesign": "optlink.tasks.results.path",
+    "PathResult": "optlink.tasks.results.path",
     "InputError": "optlink.errors",
     "OptlinkError": "optlink.errors",
     "SolverError": "optlink.errors",
@@ -56,11 +56,11 @@ _HOME = {
     "load": "optlink.problem.file",
     "read": "optlink.problem.file",
     "shipped": "optlink.problem.file",
-    "MachineDesign": "optlink.tasks.results.cycle",
+    "CycleResult": "optlink.tasks.results.cycle",
     "four_bar": "optlink.linkage.fourbar",
     "grashof": "optlink.linkage.fourbar",
     "sweep": "optlink.linkage.motion",
-    "Result": "optlink.tasks.function",
+    "FunctionResult": "optlink.tasks.function",
     "read_design": "optlink.tasks.function",
     "solve": "optlink.tasks.run",
     "validate": "optlink.tasks.run",
@@ -69,15 +69,15 @@ _HOME = {
 __all__ = [
     "Analysis",
     "Balance",
+    "ClearanceSimulation",
     "Comparison",
-    "Design",
-    "Generation",
+    "CycleResult",
+    "FunctionResult",
     "InputError",
-    "LooseSimulation",
-    "MachineDesign",
     "OptlinkError",
+    "PathDesign",
+    "PathResult",
     "ProblemFile",
-    "Result",
     "Simulation",
     "SolverError",
     "Status",

@@ -95,7 +95,7 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
 
 
 @contextlib.contextmanager
-def recorded() -> Iterator[set[Path]]:
+def written_files() -> Iterator[set[Path]]:
     """Collect the paths of all files that `whole` writes within the context."""
     record: set[Path] = set()
     _records.append(record)

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 @contextlib.contextmanager
-def tracing() -> Iterator[None]:
+def symbols_in_numpy() -> Iterator[None]:
     """Let numpy functions accept casadi symbols within the context; the previous mode is restored."""
     before = casadi.GlobalOptions.getNumpyMode()
     casadi.GlobalOptions.setNumpyMode(1)
@@ -24,7 +24,7 @@ def tracing() -> Iterator[None]:
         casadi.GlobalOptions.setNumpyMode(before)
 
 
-class Buffered:
+class BufferedFunction:
     """A casadi function on numpy arrays without copies through casadi matrices (ten times less overhead per call).
 
     Raises
@@ -52,7 +52,7 @@ class Buffered:
         return [result.copy() for result in self._results]
 
 
-class Compiled(Buffered):
+class CompiledFunction(BufferedFunction):
     """Expressions of casadi symbols as a function on numpy arrays."""
 
     def __init__(self, inputs: list[Any], outputs: list[Any], copies: int = 1) -> None:
@@ -108,7 +108,7 @@ PORTION = 8_000
 """Positions that a tape works on at a time: its intermediate arrays stay in the processor's cache."""
 
 
-class Tape:
+class NumpyEvaluator:
     """Evaluator of scalar casadi expressions, instruction by instruction on whole numpy arrays.
 
     casadi differentiates exactly and eliminates common subexpressions; numpy evaluates many points at once. For a few thousand

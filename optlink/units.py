@@ -54,7 +54,7 @@ class Kind:
 
     name: str
     si: str
-    people: str
+    display: str
     example: str
 
 
@@ -168,7 +168,7 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
             raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
-        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{_digits(text)} {wanted.people}", with the quotes')
+        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{_digits(text)} {wanted.display}", with the quotes')
     match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None
     if match is None:
         if re.match(r"\s*[-+]?(nan|inf)", text, re.IGNORECASE):
@@ -176,7 +176,7 @@ def parse(text: object, kind: str) -> tuple[float, str]:
         raise UnitProblem(f"this is not {_a(kind)}", f'Write a number and a unit: "{wanted.example}"')
     number, unit = match.groups()
     if unit is None:
-        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{number} {wanted.people}"')
+        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{number} {wanted.display}"')
     value = float(number) * factor(unit, kind)
     if not math.isfinite(value):
         raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
@@ -205,5 +205,5 @@ def show(value: float, kind: str, unit: str | None = None, digits: int = 6) -> s
     digits : int
         Significant digits.
     """
-    unit = unit or KINDS[kind].people
+    unit = unit or KINDS[kind].display
     return f"{value / factor(unit, kind):.{digits}g} {unit}"

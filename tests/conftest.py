@@ -24,6 +24,6 @@ def crank_rocker() -> optlink.ProblemFile:
 
 
 @pytest.fixture(scope="session")
-def solved(crank_rocker: optlink.ProblemFile) -> optlink.Result:
+def solved(crank_rocker: optlink.ProblemFile) -> optlink.FunctionResult:
     """The crank-rocker solved by both back ends, with iterates."""
     return optlink.solve(crank_rocker, "both", track=True)

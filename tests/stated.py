@@ -8,8 +8,8 @@ import numpy as np
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS
-from optlink.problem.path import GenerationProblem
-from optlink.tasks.path import variants_of
+from optlink.problem.path import PathProblem
+from optlink.tasks.path import assembly_variants
 
 Array = np.ndarray
 SPOTS = np.array([(20.0, 25.0), (28.0, 31.0), (33.0, 27.0), (30.0, 18.0), (22.0, 16.0)])  # mm, once round
@@ -104,8 +104,8 @@ def document(
     return {"title": "t", "mechanism": mechanism, "requirement": task, "limits": dict(limits or {})}
 
 
-def model(raw: Mapping[str, object]) -> GenerationProblem:
+def model(raw: Mapping[str, object]) -> PathProblem:
     """The model of a problem with definite assembly modes."""
-    (file,) = variants_of(optlink.read(dict(raw)))
-    assert isinstance(file.model, GenerationProblem)
+    (file,) = assembly_variants(optlink.read(dict(raw)))
+    assert isinstance(file.model, PathProblem)
     return file.model

@@ -83,7 +83,7 @@ def test_expected_design_is_reached(name):
 
 
 @cache
-def generated(name: str) -> optlink.Generation:
+def generated(name: str) -> optlink.PathResult:
     return optlink.solve(optlink.load(name))
 
 
@@ -104,7 +104,7 @@ def test_best_known_objective_is_reached_or_beaten(name):
             assert result.best.values[quantity] == pytest.approx(wanted.value, abs=expected.length_tolerance.value)
 
 
-def judged(design: optlink.Design) -> oracle.Report:
+def judged(design: optlink.PathDesign) -> oracle.Report:
     """A four-bar of optlink before the oracle."""
     task, found, data = design.task, design.coupler_linkage, design.task.data
     assert found is not None
@@ -163,7 +163,7 @@ def test_machine_runs_without_a_note(name):
     analysis = analysed(name)
     assert analysis.full
     assert analysis.sound
-    told = [joint for joint, section in optlink.load(name).model.joints.items() if section.loose]
+    told = [joint for joint, section in optlink.load(name).model.joints.items() if section.has_clearance]
     assert len(analysis.notes) == bool(told)
     assert all(joint in analysis.notes[0] for joint in told)
 

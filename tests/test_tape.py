@@ -10,7 +10,7 @@ import casadi
 import numpy as np
 import pytest
 
-from optlink.symbolic import PORTION, Tape, tracing
+from optlink.symbolic import PORTION, NumpyEvaluator, symbols_in_numpy
 
 Array = np.ndarray
 
@@ -76,7 +76,7 @@ SPECIAL = np.array([-3.0, -1.0, -0.5, -0.0, 0.0, 0.25, 0.5, 1.0, 2.0, 7.5])
 def test_tape_has_every_function_of_one_argument(name: str) -> None:
     x = casadi.SX.sym("x")
     expected = by_casadi([x], [ONE[name](x)], [SPECIAL])
-    np.testing.assert_allclose(Tape([x], [ONE[name](x)])(SPECIAL), expected, rtol=1e-15, atol=0.0)
+    np.testing.assert_allclose(NumpyEvaluator([x], [ONE[name](x)])(SPECIAL), expected, rtol=1e-15, atol=0.0)
 
 
 @pytest.mark.parametrize("name", TWO)
@@ -84,7 +84,7 @@ def test_tape_has_every_function_of_two_arguments(name: str) -> None:
     x, y = casadi.SX.sym("x"), casadi.SX.sym("y")
     first, second = np.meshgrid(SPECIAL, SPECIAL, indexing="ij")
     expected = by_casadi([x, y], [TWO[name](x, y)], [first, second]).reshape(1, *first.shape)
-    tape = Tape([x, y], [TWO[name](x, y)])
+    tape = NumpyEvaluator([x, y], [TWO[name](x, y)])
     np.testing.assert_allclose(tape(first, second), expected, rtol=1e-15, atol=0.0)
     np.testing.assert_allclose(tape(SPECIAL[:, None], SPECIAL), expected, rtol=1e-15, atol=0.0)
 
@@ -92,13 +92,13 @@ def test_tape_has_every_function_of_two_arguments(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in ONE if name != "not"])
 def test_what_is_not_defined_stays_undefined(name: str) -> None:
     x = casadi.SX.sym("x")
-    assert np.isnan(Tape([x], [ONE[name](x)])(np.array([math.nan]))).all()
+    assert np.isnan(NumpyEvaluator([x], [ONE[name](x)])(np.array([math.nan]))).all()
 
 
 def test_tape_refuses_what_it_does_not_know() -> None:
     x = casadi.SX.sym("x")
     with pytest.raises(NotImplementedError, match="no numpy function"):
-        Tape([x], [casadi.erf(x)])
+        NumpyEvaluator([x], [casadi.erf(x)])
 
 
 def tangle(rng: np.random.Generator, inputs: list[Any], size: int = 60) -> list[Any]:
@@ -122,7 +122,7 @@ def test_tape_of_random_expressions(seed: int) -> None:
     inputs = [casadi.SX.sym(f"x{k}") for k in range(4)]
     outputs = tangle(rng, inputs)
     slopes = casadi.jacobian(casadi.vertcat(*outputs), casadi.vertcat(*inputs))
-    tape = Tape(inputs, [*outputs, slopes])
+    tape = NumpyEvaluator(inputs, [*outputs, slopes])
     rows, points = 7, 5
     columns = [rng.normal(size=(rows, 1)), rng.normal(size=points), rng.normal(size=(rows, points)), np.array(0.75)]
     if seed % 3 == 0:
@@ -143,7 +143,7 @@ def test_a_tape_in_portions(rows: int, points: int) -> None:
     """A portion may be a part of the rows, and never changes a value."""
     rng = np.random.default_rng(rows + points)
     x, y, z = (casadi.SX.sym(name) for name in "xyz")
-    tape = Tape([x, y, z], [casadi.sin(x) * y + z, x * x - 2 * z, casadi.SX(4.0)])
+    tape = NumpyEvaluator([x, y, z], [casadi.sin(x) * y + z, x * x - 2 * z, casadi.SX(4.0)])
     a, b, c = rng.normal(size=(rows, 1)), rng.normal(size=(rows, points)), rng.normal(size=points)
     found = tape(a, b, c)
     assert found.shape == (3, rows, points)
@@ -154,11 +154,11 @@ def test_a_tape_in_portions(rows: int, points: int) -> None:
 
 def test_a_tape_takes_plain_numbers() -> None:
     x, y = casadi.SX.sym("x"), casadi.SX.sym("y")
-    assert Tape([x, y], [x / y, x - y])(3.0, 2.0).tolist() == [1.5, 1.0]
+    assert NumpyEvaluator([x, y], [x / y, x - y])(3.0, 2.0).tolist() == [1.5, 1.0]
 
 
 def test_tracing_restores_what_was_set() -> None:
     before = casadi.GlobalOptions.getNumpyMode()
-    with tracing():
+    with symbols_in_numpy():
         assert casadi.is_equal(np.sin(casadi.SX(0)), casadi.SX(0))
     assert casadi.GlobalOptions.getNumpyMode() == before

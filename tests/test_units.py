@@ -127,7 +127,7 @@ def test_kinds_give_an_example_that_will_do_and_show_their_own_unit():
         value, unit = parse(kind.example, kind.name)
         assert value > 0.0
         assert show(value, kind.name) == kind.example
-        assert unit == kind.people
+        assert unit == kind.display
         assert factor(kind.si, kind.name) == 1.0
 
 
@@ -144,9 +144,9 @@ def test_every_unit_that_is_defined_is_known_by_all_of_its_names():
                 continue
             assert len(factors) == 1, definition
             met.add(kind)
-    composed = {kind.name for kind in KINDS.values() if set("*/") & set(kind.people)} | {"torque"}
+    composed = {kind.name for kind in KINDS.values() if set("*/") & set(kind.display)} | {"torque"}
     assert met >= set(KINDS) - composed
-    assert all(factor(KINDS[kind].people, kind) == 1.0 for kind in composed)
+    assert all(factor(KINDS[kind].display, kind) == 1.0 for kind in composed)
     assert set(dimensions.values()) < met
 
 

@@ -32,7 +32,7 @@ from optlink.problem.cycle_terms import NATURES
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.path import GenerationProblem
+from optlink.problem.path import PathProblem
 from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor
 
 DOCS = Path(__file__).resolve().parent.parent
@@ -42,7 +42,7 @@ LONGEST = 90  # characters of an example
 ROOTS: dict[type[Problem], tuple[str, str]] = {
     Problem: ("", "every problem"),
     DesignProblem: ("law", "a four-bar for a motion law or function"),
-    GenerationProblem: ("points", "path, motion, function of dyads, transmission"),
+    PathProblem: ("points", "path, motion, function of dyads, transmission"),
     CycleProblem: ("cycle", "a machine designed by its cycle"),
 }
 """Models of a whole file: how their anchors end, and what they are for."""

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.balancing.socp import FITS, GAP, Bound, Certificate, Price, Programme, solved
-from optlink.dynamics.counterweights import Measure
+from optlink.balancing.socp import FITS, GAP, BalancingProgramme, Bound, Certificate, Price, solved
+from optlink.dynamics.counterweights import BalanceMeasure
 from optlink.errors import SolverError
 
 Array = NDArray[np.float64]
-Goal = Sequence[tuple[Measure, float]]
+Goal = Sequence[tuple[BalanceMeasure, float]]
 NEGLIGIBLE = 1e-10
 """Share of the largest singular value below which parameters do nothing to a measure."""
 
@@ -59,12 +59,12 @@ class Optimum:
         return self.value - self.lower
 
 
-def evaluate(programme: Programme, goal: Goal, x: Array) -> float:
+def evaluate(programme: BalancingProgramme, goal: Goal, x: Array) -> float:
     """Return the weighted sum of measures, each divided by its value in the original machine.
 
     Parameters
     ----------
-    programme : Programme
+    programme : BalancingProgramme
     goal : sequence of (Measure, float)
         Measures and their weights.
     x : array (n,)
@@ -73,14 +73,14 @@ def evaluate(programme: Programme, goal: Goal, x: Array) -> float:
     return sum(weight * programme.evaluate(measure, x) for measure, weight in goal)
 
 
-def optimum(programme: Programme, goal: Goal) -> Optimum:
+def optimum(programme: BalancingProgramme, goal: Goal) -> Optimum:
     """Return the global optimum of a weighted sum of measures.
 
     Of several optima, the one with the least added mass (and stiffness) is returned.
 
     Parameters
     ----------
-    programme : Programme
+    programme : BalancingProgramme
     goal : sequence of (Measure, float)
         Measures and their weights.
 
@@ -110,7 +110,7 @@ def optimum(programme: Programme, goal: Goal) -> Optimum:
     return Optimum(x, evaluate(programme, goal, x), found, _prices(programme, duals, x))
 
 
-def _without_crumbs(programme: Programme, goal: Goal, x: Array) -> Array:
+def _without_crumbs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array:
     """Remove tiny counterweights whose removal worsens neither the objective nor the constraint violation."""
     value, excess = evaluate(programme, goal, x), programme.excess(x)
     for k in range(len(programme.counterweights)):
@@ -122,7 +122,7 @@ def _without_crumbs(programme: Programme, goal: Goal, x: Array) -> Array:
     return x
 
 
-def _prices(programme: Programme, duals: Sequence[float], x: Array) -> tuple[Price, ...]:
+def _prices(programme: BalancingProgramme, duals: Sequence[float], x: Array) -> tuple[Price, ...]:
     """Return the shadow price of every limit from its dual variable: scaled objective per SI unit of the limit."""
     programme.put(x)
     found = []
@@ -141,7 +141,7 @@ def _span(rows: Array) -> tuple[Array, Array]:
     return directions[:rank].T, directions[rank:].T
 
 
-def _least_squares(programme: Programme, measure: Measure, value: float) -> Array | None:
+def _least_squares(programme: BalancingProgramme, measure: BalanceMeasure, value: float) -> Array | None:
     """Return the least-squares optimum of a root mean square with the least mass; None if the limits do not allow it."""
     rows, offset = programme.rows(measure)
     matters, _ = _span(rows)
@@ -157,7 +157,7 @@ class _Lightest:
     "As good" means equal effect on the measures or, if that is lighter, values that are at most `LIKE` larger.
     """
 
-    def __init__(self, programme: Programme, measures: Sequence[Measure]) -> None:
+    def __init__(self, programme: BalancingProgramme, measures: Sequence[BalanceMeasure]) -> None:
         cp, self.programme, self.measures = programme.cp, programme, measures
         rows = np.concatenate([programme.rows(measure)[0].reshape(-1, programme.effects.count) for measure in measures])
         self.idle = _span(np.asarray(np.linalg.qr(rows, mode="r")))[1]
@@ -205,14 +205,14 @@ class _Lightest:
 # --- discs -----------------------------------------------------------------------------------------------------------------
 
 
-def made(programme: Programme, goal: Goal, x: Array, rounds: int = 60) -> Array:
+def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array, rounds: int = 60) -> Array:
     """Return feasible discs near the optimum of their relaxation, by successive linearisation of the moments of inertia.
 
     The step is limited by a trust region. If discs reach the value of the relaxation, that point is returned directly.
 
     Parameters
     ----------
-    programme : Programme
+    programme : BalancingProgramme
     goal : sequence of (Measure, float)
         Measures and their weights.
     x : array (n,)
@@ -247,7 +247,7 @@ def made(programme: Programme, goal: Goal, x: Array, rounds: int = 60) -> Array:
     return best
 
 
-def _merit(programme: Programme, goal: Goal, x: Array) -> float:
+def _merit(programme: BalancingProgramme, goal: Goal, x: Array) -> float:
     """Return the objective plus a hundred times the constraint violation."""
     return evaluate(programme, goal, x) + 100.0 * programme.excess(x)
 
@@ -264,7 +264,7 @@ class Conflict:
     alone: float
 
 
-def conflict(programme: Programme) -> tuple[Conflict, ...]:
+def conflict(programme: BalancingProgramme) -> tuple[Conflict, ...]:
     """Return the conflicting limits and their least feasible values, relaxed together and each alone."""
     cp, bounds = programme.cp, programme.bounds
     slack = cp.Variable(len(bounds), nonneg=True)
@@ -287,7 +287,7 @@ def conflict(programme: Programme) -> tuple[Conflict, ...]:
 
 
 @dataclass(frozen=True)
-class Point:
+class TradeOffPoint:
     """A point of the trade-off: scaled parameters, both measures and the duality gap (scaled).
 
     `rate`: decrease of the first measure per increase of the second, from the dual variables.
@@ -307,12 +307,12 @@ class Curve:
     The solution times [s] of the first point and of a further point (median) are recorded.
     """
 
-    points: tuple[Point, ...]
+    points: tuple[TradeOffPoint, ...]
     first_seconds: float
     further_seconds: float
 
 
-def curve(programme: Programme, first: Measure, second: Measure, count: int) -> Curve:
+def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMeasure, count: int) -> Curve:
     """Return Pareto-optimal points of two measures, evenly spaced along the front.
 
     The ends are the optima of each measure, with the other as small as that allows. For the points between, evenly spaced points
@@ -321,8 +321,8 @@ def curve(programme: Programme, first: Measure, second: Measure, count: int) -> 
 
     Parameters
     ----------
-    programme : Programme
-    first, second : Measure
+    programme : BalancingProgramme
+    first, second : BalanceMeasure
     count : int
         Number of points, including both ends.
 
@@ -338,8 +338,8 @@ def curve(programme: Programme, first: Measure, second: Measure, count: int) -> 
     cp = programme.cp
     ends = [_end(programme, first, second), _end(programme, second, first)]
     (a0, b0), (a1, b1) = ((programme.evaluate(first, end.x), programme.evaluate(second, end.x)) for end in ends)
-    start = Point(ends[0].x, a0, b0, a0 - ends[0].lower, math.nan)
-    stop = Point(ends[1].x, a1, b1, b1 - ends[1].lower, math.nan)
+    start = TradeOffPoint(ends[0].x, a0, b0, a0 - ends[0].lower, math.nan)
+    stop = TradeOffPoint(ends[1].x, a1, b1, b1 - ends[1].lower, math.nan)
     if a1 - a0 <= 10.0 * NEAR or b0 - b1 <= 10.0 * NEAR:  # no conflict: one point minimises both
         return Curve((start,), math.nan, math.nan)
     at, depth = cp.Parameter(2), cp.Variable()
@@ -364,11 +364,11 @@ def curve(programme: Programme, first: Measure, second: Measure, count: int) -> 
         pair = programme.evaluate(first, x), programme.evaluate(second, x)
         worse = max(pair[0] - values[0], pair[1] - values[1], 0.0)  # increase accepted for less mass
         gap, rate = found.gap * max(a1 - a0, b0 - b1) + worse, other / one if one > 0.0 else math.inf
-        inner.append(Point(x, *pair, gap, rate))
+        inner.append(TradeOffPoint(x, *pair, gap, rate))
     return Curve((start, *inner, stop), seconds[0], float(np.median(seconds[1:])) if len(seconds) > 1 else math.nan)
 
 
-def _end(programme: Programme, first: Measure, second: Measure) -> Optimum:
+def _end(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMeasure) -> Optimum:
     """Return the optimum of the first measure and, at that value, of the second one."""
     best = optimum(programme, [(first, 1.0)])
     if best.certificate.status != "optimal":

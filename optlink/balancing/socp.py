@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.counterweights import Counterweight, Effects, FreeSpring, Measure
+from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, Effects, FreeSpring
 from optlink.dynamics.inertia import Parameters
 from optlink.errors import SolverError
 
@@ -78,7 +78,7 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Place:
+class PlaceLimit:
     """A limit on the position of a counterweight: `inside` <= mass * bound / length.
 
     For a limit on the radius of gyration, `inside` and the right side are squared.
@@ -122,11 +122,11 @@ class Price:
 class Limits:
     """Limits beside those of single counterweights: upper bounds of measures [SI] and of the total mass [kg]."""
 
-    measures: tuple[tuple[Measure, float], ...] = ()
+    measures: tuple[tuple[BalanceMeasure, float], ...] = ()
     total: float = math.inf
 
 
-class Programme:
+class BalancingProgramme:
     """The feasible counterweights and springs of a machine, and measures of them, as convex expressions.
 
     Parameters
@@ -159,7 +159,7 @@ class Programme:
         self.length = length
         self.scales = np.concatenate([self._scale(w, mass) for w in counterweights] + [self._stiffness(s) for s in springs])
         self.x = self.cp.Variable(effects.count)
-        self.hard: list[Place] = []
+        self.hard: list[PlaceLimit] = []
         self.roots: list[tuple[Any, int]] = []  # variables that stand for square roots of parameters
         self.cones: list[Any] = []
         self.relaxed: list[Any] = []  # relaxations of the moments of inertia of discs
@@ -186,7 +186,7 @@ class Programme:
         """Return the scales of a spring: the upper bound of its stiffness, else a stiffness typical of the driving torque."""
         high = spring.stiffness[1]
         if not 0.0 < high < math.inf:
-            torque = Measure("driving torque")
+            torque = BalanceMeasure("driving torque")
             high = (torque.value(self.effects.affine(torque).offset) or 1.0) / self.length**2
         return np.array([high, high * self.length])
 
@@ -263,7 +263,7 @@ class Programme:
     def _hard(self, name: str, bound: float, inside: Any, mass: Any, length: float, *, squared: bool = False) -> None:
         constraint = inside <= mass * (bound / length) ** (2 if squared else 1)
         self.cones.append(constraint)
-        self.hard.append(Place(name, bound, constraint, inside, mass, length, squared))
+        self.hard.append(PlaceLimit(name, bound, constraint, inside, mass, length, squared))
 
     def _spring(self, spring: FreeSpring, x: Any, scale: Array) -> None:
         """Add the limits of a spring: stiffness k, k * free length, and the force at every position."""
@@ -292,10 +292,10 @@ class Programme:
     # --- measures -----------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _known(self) -> dict[Measure, tuple[float, Array, Array]]:
+    def _known(self) -> dict[BalanceMeasure, tuple[float, Array, Array]]:
         return {}
 
-    def _rows(self, measure: Measure) -> tuple[float, Array, Array]:
+    def _rows(self, measure: BalanceMeasure) -> tuple[float, Array, Array]:
         """Return the original value of a measure, its scaled rows (positions, parts, n) or (k, n), and its offsets."""
         if measure not in self._known:
             affine = self.effects.affine(measure)
@@ -308,15 +308,15 @@ class Programme:
             self._known[measure] = before, rows * self.scales / scale, offset / scale
         return self._known[measure]
 
-    def before(self, measure: Measure) -> float:
+    def before(self, measure: BalanceMeasure) -> float:
         """Return the value of a measure in the original machine [SI]."""
         return self._rows(measure)[0]
 
-    def rows(self, measure: Measure) -> tuple[Array, Array]:
+    def rows(self, measure: BalanceMeasure) -> tuple[Array, Array]:
         """Return scaled rows and offset of a measure: (k, n) and (k,) for a root mean square, else (positions, parts, n)."""
         return self._rows(measure)[1:]
 
-    def expression(self, measure: Measure) -> Any:
+    def expression(self, measure: BalanceMeasure) -> Any:
         """Return a measure divided by its value in the original machine, as a convex expression."""
         cp = self.cp
         _, rows, offset = self._rows(measure)
@@ -326,12 +326,12 @@ class Programme:
         amounts = cp.reshape(rows.reshape(-1, rows.shape[-1]) @ self.x + offset.ravel(), (positions, parts), order="C")
         return cp.max(cp.norm(amounts, axis=1)) if parts > 1 else cp.max(cp.abs(amounts))
 
-    def evaluate(self, measure: Measure, x: Array) -> float:
+    def evaluate(self, measure: BalanceMeasure, x: Array) -> float:
         """Return a measure divided by its value in the original machine.
 
         Parameters
         ----------
-        measure : Measure
+        measure : BalanceMeasure
         x : array (n,)
             Scaled parameters.
         """

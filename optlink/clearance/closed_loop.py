@@ -9,16 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.clearance.columns import Record
+from optlink.clearance.columns import ClearanceColumns
 from optlink.clearance.contact_laws import EXPONENT
 from optlink.clearance.controller import Controller
 from optlink.clearance.equations import Drive, Equations, Weightless
 from optlink.clearance.integration import Block, Impact, Integration
 from optlink.clearance.joint import Gap
 from optlink.clearance.output import Output
-from optlink.dynamics.machine import Machine, parts
+from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.vector2d import Value
-from optlink.symbolic import Compiled, tracing
+from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
@@ -47,7 +47,7 @@ class Revolution(NamedTuple):
     torque: float = 0.0
 
 
-class Plant:
+class ClosedLoop:
     """A machine with joint clearance.
 
     Parameters
@@ -100,8 +100,8 @@ class Plant:
         self.points, self.sample_time = points, self.period / self.samples
         self.equations = Equations(machine, gaps, drive, nominal)
         self.output = output
-        with tracing():
-            self._measure = Compiled([self.equations.x], [output.of(self.equations.symbolic)])
+        with symbols_in_numpy():
+            self._measure = CompiledFunction([self.equations.x], [output.of(self.equations.symbolic)])
         state = self._ideal(machine, start, speed)
         self._check_inertia(state)
         self.integration = Integration(self.equations, state, self.period / self.rows, tolerance, wished > SLOW)
@@ -112,7 +112,7 @@ class Plant:
     def _ideal(self, machine: Machine, start: float, speed: float) -> Array:
         """State of the machine without clearance."""
         moving = machine.moving(np.array([start]), speed)
-        both = [parts(value) for value in self.equations.cut.read(moving.pose)]
+        both = [jet_parts(value) for value in self.equations.cut.read(moving.pose)]
         state = np.array([_number(value[order]) for order in (0, 1) for value in both])
         state[self.equations.cut.driven] = start  # not wrapped, like the command of a servo
         return state
@@ -218,9 +218,9 @@ class Plant:
         if self.controller and saved["pid"]:
             self.controller.pid.integral, self.controller.pid.before = saved["pid"]
 
-    def record(self, revolution: Revolution) -> Record:
+    def record(self, revolution: Revolution) -> ClearanceColumns:
         """Return all columns of the rows of a revolution."""
-        return Record(self.equations, revolution.block, revolution.further)
+        return ClearanceColumns(self.equations, revolution.block, revolution.further)
 
 
 def vibration(machine: Machine, gaps: Sequence[Gap], speed: float) -> float:

@@ -12,7 +12,7 @@ from optlink.clearance.equations import Equations
 from optlink.clearance.integration import Block
 from optlink.clearance.joint import Touch, acting
 from optlink.clearance.spanning_tree import Pin
-from optlink.clearance.state import Loose
+from optlink.clearance.state import ClearanceState
 from optlink.dynamics.columns import Column, slider_names
 from optlink.dynamics.inertia import Wrench
 from optlink.dynamics.inverse import acting_on
@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Held:
+class GuideForce:
     """Force of a guide on its slider [N], and moment about the slider's point [N m]."""
 
     force: Vector
     moment: Value
 
 
-class Record:
+class ClearanceColumns:
     """Columns by name of the rows of a motion, each (m,).
 
     Parameters
@@ -47,17 +47,17 @@ class Record:
         given = np.column_stack([np.zeros(count), block.time, further, block.entered, block.modes])
         found = equations.outcome(count)(block.states.ravel(), given.ravel(), np.zeros(count))
         accelerations, self.torque, self.pull = found[0].reshape(count, n), found[1], found[2].reshape(count, -1)
-        self.loose: Loose = equations.loose(block.states[:, :n].T, block.states[:, n:].T, accelerations.T)
-        self.touches: list[Touch] = equations.touches(self.loose, block.entered.T, block.modes.T)
+        self.motion: ClearanceState = equations.loose(block.states[:, :n].T, block.states[:, n:].T, accelerations.T)
+        self.touches: list[Touch] = equations.touches(self.motion, block.entered.T, block.modes.T)
         self.pins: dict[str, dict[str, Vector]] = {}
-        self.guides: dict[str, Held] = {}
+        self.guides: dict[str, GuideForce] = {}
         self._balance()
 
     # --- reactions ---------------------------------------------------------------------------------------------------
 
     def _balance(self) -> None:
         """Compute the forces in the ideal joints: first the closing joints, then body by body from the leaves of the tree."""
-        loose, cut = self.loose, self.equations.cut
+        loose, cut = self.motion, self.equations.cut
         needed = loose.needed()
         forces = [one for several in loose.acting().values() for one in several]
         for gap, contact in zip(self.equations.gaps, self.touches, strict=True):
@@ -80,7 +80,7 @@ class Record:
 
     def _closing_force(self, joint: Pin | Guide, a: Value, b: Value) -> Vector:
         if isinstance(joint, Guide):
-            x, y = self.loose.line(joint.name)
+            x, y = self.motion.line(joint.name)
             return -a * y, a * x
         return a, b
 
@@ -88,10 +88,10 @@ class Record:
         """Point at which a joint acts: the pin, or the slider's point."""
         if isinstance(joint, Guide):
             at = self.equations.cut.local.local_line(joint, joint.slider)[0]
-            state = self.loose.state(joint.slider)
+            state = self.motion.state(joint.slider)
             x, y = at[0] * state.axis[0] - at[1] * state.axis[1], at[0] * state.axis[1] + at[1] * state.axis[0]
             return state.start[0] + x, state.start[1] + y
-        return self.loose.position(joint.point, joint.first)
+        return self.motion.position(joint.point, joint.first)
 
     def _hold(self, needed: dict[str, Wrench], joint: Pin | Guide, force: Vector, moment: Value, skip: str = "") -> None:
         """Apply the force and moment of a joint to its first body, and the opposite to its second."""
@@ -101,9 +101,9 @@ class Record:
             if isinstance(joint, Pin):
                 self._exert(joint.point, body, own)
             elif sign > 0.0:
-                self.guides[joint.name] = Held(own, moment)
+                self.guides[joint.name] = GuideForce(own, moment)
             if body not in (FRAME, skip):
-                lever = minus(at, self.loose.state(body).start)
+                lever = minus(at, self.motion.state(body).start)
                 turned = sign * moment if isinstance(joint, Guide) else 0.0
                 self._need(needed, body, Wrench(own, turned + cross(lever, own)), -1.0)
 
@@ -128,14 +128,14 @@ class Record:
 
     def _all(self) -> Iterator[tuple[str, str, Value]]:
         yield "time_s", "time", self.block.time
-        yield "crank_angle_deg", "crank angle", np.degrees(self.loose.crank.value)
+        yield "crank_angle_deg", "crank angle", np.degrees(self.motion.crank.value)
         yield from self._motion()
         yield from self._gaps()
         yield from self._forces()
         yield from self._energies()
 
     def _motion(self) -> Iterator[tuple[str, str, Value]]:
-        loose, mechanism = self.loose, self.equations.cut.mechanism
+        loose, mechanism = self.motion, self.equations.cut.mechanism
         for body in mechanism.bodies:
             state = loose.state(body)
             own = [i for i, coordinate in enumerate(self.equations.cut.coordinates) if coordinate == (body, "angle")]
@@ -161,7 +161,7 @@ class Record:
 
     def _gaps(self) -> Iterator[tuple[str, str, Value]]:
         for gap, contact, mode in zip(self.equations.gaps, self.touches, self.block.modes.T, strict=True):
-            play, name = self.loose.play(gap), gap.point
+            play, name = self.motion.play(gap), gap.point
             for axis, value in zip("xy", play.eccentricity, strict=True):
                 yield f"{name}.e{axis}_m", f"journal's centre from the bearing's at {name} in {axis}", value
             yield f"{name}.contact", f"1 where journal and bearing touch at {name}, 0 apart", mode
@@ -184,15 +184,15 @@ class Record:
                         yield f"{point}.{body}.f{axis}_N", f"force of the pin on {body} at {point} in {axis}", value
         for guide in machine.mechanism.guides:
             what, held = f"of {guide.on} on {guide.slider} in the guide {guide.name}", self.guides[guide.name]
-            line = self.loose.line(guide.name)
+            line = self.motion.line(guide.name)
             yield f"{guide.name}.normal_N", f"normal force {what}, to the left of the line", cross(line, held.force)
             yield f"{guide.name}.moment_Nm", f"moment {what}", held.moment
         yield "input.torque_Nm", f"torque of the drive on {machine.mechanism.crank.body}", self.torque
-        yield "input.power_W", "power of the drive", self.torque * self.loose.crank.rate
+        yield "input.power_W", "power of the drive", self.torque * self.motion.crank.rate
 
     def _energies(self) -> Iterator[tuple[str, str, Value]]:
-        yield "energy.kinetic_J", "kinetic energy", self.loose.kinetic
-        yield "energy.potential_J", "potential energy of gravity, zero at y = 0", self.loose.potential
+        yield "energy.kinetic_J", "kinetic energy", self.motion.kinetic
+        yield "energy.potential_J", "potential energy of gravity, zero at y = 0", self.motion.potential
         yield "energy.contact_J", "elastic energy of the contacts", sum(contact.elastic for contact in self.touches)
         for name, values in zip(self.equations.losses, self.block.works.T, strict=True):
             yield f"work.{name}_J", _work(name), values
@@ -201,7 +201,7 @@ class Record:
     def energy(self) -> Array:
         """Sum of kinetic energy, potential energy of gravity and elastic energy of the contacts [J]."""
         elastic = sum(contact.elastic for contact in self.touches)
-        return np.asarray(self.loose.kinetic + self.loose.potential + elastic + 0.0 * self.block.time)
+        return np.asarray(self.motion.kinetic + self.motion.potential + elastic + 0.0 * self.block.time)
 
 
 def _work(name: str) -> str:

@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap, Touch, acting, touch
-from optlink.clearance.reference_signal import Command
-from optlink.clearance.spanning_tree import Cut
-from optlink.clearance.state import Loose
+from optlink.clearance.reference_signal import ReferenceSignal
+from optlink.clearance.spanning_tree import SpanningTree
+from optlink.clearance.state import ClearanceState
 from optlink.dynamics.loads import Magnitude
-from optlink.dynamics.machine import Machine, parts
+from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.jet import Jet
-from optlink.symbolic import Buffered, Compiled, tracing
+from optlink.symbolic import BufferedFunction, CompiledFunction, symbols_in_numpy
 
 Array = NDArray[np.float64]
 WEIGHTLESS = 1e-12
@@ -53,7 +53,7 @@ class Drive:
     """Drive of the crank: a `servo` that follows a `command`, a `torque` [N m] over phi and omega, or a constant speed."""
 
     servo: Servo | None = None
-    command: Command | None = None
+    command: ReferenceSignal | None = None
     torque: Magnitude | None = None
 
 
@@ -74,16 +74,16 @@ class Equations:
 
     def __init__(self, machine: Machine, gaps: Sequence[Gap], drive: Drive, speed: float) -> None:
         self.machine, self.gaps, self.drive, self.speed = machine, tuple(gaps), drive, speed
-        self.cut = Cut(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
+        self.cut = SpanningTree(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
         self.size = len(self.cut.coordinates)
-        self._outcomes: dict[int, Compiled] = {}
-        self._closures: dict[int, Compiled] = {}
-        self._watches: dict[int, Compiled] = {}
-        self._integrators: dict[tuple[int, float, bool], Buffered] = {}
-        with tracing():
+        self._outcomes: dict[int, CompiledFunction] = {}
+        self._closures: dict[int, CompiledFunction] = {}
+        self._watches: dict[int, CompiledFunction] = {}
+        self._integrators: dict[tuple[int, float, bool], BufferedFunction] = {}
+        with symbols_in_numpy():
             self._trace()
 
-    def loose(self, q: Iterable[Any], v: Iterable[Any], a: Iterable[Any]) -> Loose:
+    def loose(self, q: Iterable[Any], v: Iterable[Any], a: Iterable[Any]) -> ClearanceState:
         """Return the machine at coordinates, rates and accelerations (floats, arrays or symbols).
 
         Parameters
@@ -91,14 +91,14 @@ class Equations:
         q, v, a : iterable of Value
             Coordinates [rad, m] in the order of `cut.coordinates`, their rates and accelerations.
         """
-        return Loose(self.machine, self.cut, [Jet(*three) for three in zip(q, v, a, strict=True)], self.speed)
+        return ClearanceState(self.machine, self.cut, [Jet(*three) for three in zip(q, v, a, strict=True)], self.speed)
 
-    def touches(self, loose: Loose, speeds: Iterable[Any], modes: Iterable[Any]) -> list[Touch]:
+    def touches(self, loose: ClearanceState, speeds: Iterable[Any], modes: Iterable[Any]) -> list[Touch]:
         """Return the contacts at the gaps.
 
         Parameters
         ----------
-        loose : Loose
+        loose : ClearanceState
         speeds : iterable of Value [m/s]
             Approach speed at the begin of the contact, for each gap.
         modes : iterable of Value
@@ -138,7 +138,7 @@ class Equations:
                     fx, fy, total = fx - gx, fy - gy, total - turned
             rates = casadi.vertcat(*state.velocity, state.omega)
             residual += casadi.jacobian(rates, x[n:]).T @ casadi.vertcat(fx, fy, total)
-        opened = [parts(value) for value in self.cut.open(loose.places)]
+        opened = [jet_parts(value) for value in self.cut.open(loose.places)]
         closure = casadi.vertcat(*[value for value, _, _ in opened]) if opened else casadi.SX(0, 1)
         bent = casadi.vertcat(*[twice for _, _, twice in opened]) if opened else casadi.SX(0, 1)
         grip = casadi.jacobian(closure, x[:n])
@@ -183,11 +183,11 @@ class Equations:
         self._watched = casadi.cse([depth, rate, curve, normal, over[0], lever, torque, over[1]])
         self._outcome = casadi.cse([whole, torque, pull])
         self.free, self.symbolic = free, known
-        self.masses = Compiled([x], [mass[free, free], held])
+        self.masses = CompiledFunction([x], [mass[free, free], held])
         self.closing, self._closure = m, [x[:n], closure, grip]
         self._nudge = self._short_step()
 
-    def _driven(self, known: Loose) -> tuple[Any, Any]:
+    def _driven(self, known: ClearanceState) -> tuple[Any, Any]:
         """Acceleration of the crank (or None), and torque on it (or None where it follows from the motion)."""
         if self.drive.torque is not None:
             return None, self.drive.torque(known.variables)
@@ -198,7 +198,7 @@ class Equations:
         lag, slow = angle + self.further - crank.value, speed - crank.rate
         return servo.bandwidth * servo.bandwidth * lag + 2.0 * servo.damping * servo.bandwidth * slow, None
 
-    def _short_step(self) -> Compiled:
+    def _short_step(self) -> CompiledFunction:
         flow = casadi.Function("flow", [self.x, self.parameters, self.tau], [self.ode, self.powers])
         time, now = casadi.SX.sym("time"), casadi.vertcat(0.0, self.parameters[1:])  # span 0: tau has no effect
 
@@ -211,36 +211,36 @@ class Equations:
         three = at(two[0], 0.5)
         four = at(three[0], 1.0)
         means = [(a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(one, two, three, four, strict=True)]
-        return Compiled([self.x, self.parameters, time], [self.x + time * means[0], time * means[1]])
+        return CompiledFunction([self.x, self.parameters, time], [self.x + time * means[0], time * means[1]])
 
     @cached_property
     def parameters(self) -> Any:
         """Constants of one call of the integrator: span and begin of its time, feedback, contacts."""
         return casadi.vertcat(self.span, self.begin, self.further, self.entered, self.modes)
 
-    def watch(self, copies: int) -> Compiled:
+    def watch(self, copies: int) -> CompiledFunction:
         """Return the function (x, parameters, tau) -> fields of `peaks.Watched`, in order.
 
         It evaluates `copies` points at a time.
         """
         if copies not in self._watches:
-            self._watches[copies] = Compiled([self.x, self.parameters, self.tau], self._watched, copies)
+            self._watches[copies] = CompiledFunction([self.x, self.parameters, self.tau], self._watched, copies)
         return self._watches[copies]
 
-    def outcome(self, copies: int) -> Compiled:
+    def outcome(self, copies: int) -> CompiledFunction:
         """Return the function (x, parameters, tau) -> accelerations, drive torque [N m], forces in the closing joints.
 
         It evaluates `copies` points at a time.
         """
         if copies not in self._outcomes:
-            self._outcomes[copies] = Compiled([self.x, self.parameters, self.tau], self._outcome, copies)
+            self._outcomes[copies] = CompiledFunction([self.x, self.parameters, self.tau], self._outcome, copies)
         return self._outcomes[copies]
 
     def closure(self, states: Array) -> tuple[Array, Array]:
         """Return the residuals of the closing joints (m, rows), and their Jacobian over the coordinates (m, rows, n)."""
         count = len(states)
         if count not in self._closures:
-            self._closures[count] = Compiled(self._closure[:1], self._closure[1:], count)
+            self._closures[count] = CompiledFunction(self._closure[:1], self._closure[1:], count)
         opened, grip = self._closures[count](states[:, : self.size].ravel())
         return opened.reshape(count, -1), grip.reshape(count, self.size, -1).transpose(0, 2, 1)
 
@@ -259,7 +259,7 @@ class Equations:
         moved, works = self._nudge(state, parameters, np.array([time]))
         return moved, works
 
-    def integrator(self, steps: int, tolerance: float, *, stiff: bool = False) -> Buffered:
+    def integrator(self, steps: int, tolerance: float, *, stiff: bool = False) -> BufferedFunction:
         """Return the CVODES integrator (x, parameters) -> states, works [J] after each of the equal steps of the span.
 
         Parameters
@@ -275,7 +275,7 @@ class Equations:
             self._integrators[steps, tolerance, stiff] = self._integrator(steps, tolerance, stiff)
         return self._integrators[steps, tolerance, stiff]
 
-    def _integrator(self, steps: int, tolerance: float, stiff: bool) -> Buffered:
+    def _integrator(self, steps: int, tolerance: float, stiff: bool) -> BufferedFunction:
         problem = {
             "x": self.x,
             "p": self.parameters,
@@ -296,7 +296,7 @@ class Equations:
         inner = casadi.integrator("motion", "cvodes", problem, 0.0, grid, options)
         x, p = casadi.MX.sym("x", self.x.numel()), casadi.MX.sym("p", self.parameters.numel())
         found = inner(x0=x, p=p)
-        return Buffered(casadi.Function("steps", [x, p], [found["xf"], found["qf"]]))
+        return BufferedFunction(casadi.Function("steps", [x, p], [found["xf"], found["qf"]]))
 
 
 def _cholesky(matrix: Any, right: Any) -> Any:

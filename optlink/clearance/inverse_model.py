@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from optlink.clearance.equations import Servo
 from optlink.clearance.joint import Gap
 from optlink.clearance.output import Output
-from optlink.clearance.reference_signal import Command
-from optlink.clearance.spanning_tree import Cut
-from optlink.clearance.state import Loose
+from optlink.clearance.reference_signal import ReferenceSignal
+from optlink.clearance.spanning_tree import SpanningTree
+from optlink.clearance.state import ClearanceState
 from optlink.dynamics.inverse import reactions
-from optlink.dynamics.machine import Machine, parts
+from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.jet import Jet
-from optlink.symbolic import Compiled, tracing
+from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
 Array = NDArray[np.float64]
 POINTS = 720
@@ -68,22 +68,22 @@ class Inverse:
 
     def __init__(self, machine: Machine, gaps: Sequence[Gap], output: Output, start: float, speed: float) -> None:
         self.output, self.start, self.speed = output, start, speed
-        self.cut = Cut(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
+        self.cut = SpanningTree(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
         self.size, crank = len(self.cut.coordinates), self.cut.driven
         self.free = [i for i in range(self.size) if i != crank]
-        with tracing():
+        with symbols_in_numpy():
             q, e = casadi.SX.sym("q", self.size), casadi.SX.sym("e", 2 * len(gaps))
-            loose = Loose(machine, self.cut, [Jet(value) for value in casadi.vertsplit(q)], speed)
+            loose = ClearanceState(machine, self.cut, [Jet(value) for value in casadi.vertsplit(q)], speed)
             apart = [loose.play(gap).eccentricity for gap in gaps]
             missing = [value - e[i] for i, value in enumerate(part for pair in apart for part in pair)]
-            missing += [parts(value)[0] for value in self.cut.open(loose.places)]
+            missing += [jet_parts(value)[0] for value in self.cut.open(loose.places)]
             value, gone = output.of(loose), casadi.vertcat(*missing)
             results = [gone, casadi.jacobian(gone, q), value, casadi.jacobian(value, q)]
-            self._loops = Compiled([q, e], results, POINTS)
+            self._loops = CompiledFunction([q, e], results, POINTS)
         self.angles: Array = np.asarray(start + np.sign(speed) * np.linspace(0.0, 2.0 * np.pi, POINTS, endpoint=False))
         moving = machine.moving(self.angles, speed)
         self.wanted = np.asarray(output.ideal(moving)[0])
-        self._ideal = np.stack([np.broadcast_to(parts(c)[0], (POINTS,)) for c in self.cut.read(moving.pose)], axis=-1)
+        self._ideal = np.stack([np.broadcast_to(jet_parts(c)[0], (POINTS,)) for c in self.cut.read(moving.pose)], axis=-1)
         self.gaps: Array = predicted(machine, gaps, self.angles, speed)
 
     def close(self, crank: Array) -> tuple[Array, Array]:
@@ -129,7 +129,7 @@ class Inverse:
                 break
         return np.concatenate([shares[:1], shares[1::2] - 1j * shares[2::2]])
 
-    def command(self, regularisation: float, servo: Servo, bandwidth: float) -> Command:
+    def command(self, regularisation: float, servo: Servo, bandwidth: float) -> ReferenceSignal:
         """Return the crank command: the correction up to a bandwidth, multiplied by the inverse transfer function of the servo.
 
         A correction of too high a bandwidth excites the machine so that the journals leave their predicted positions.
@@ -145,7 +145,7 @@ class Inverse:
         order = min(HIGHEST, max(1, int(bandwidth / abs(self.speed) + 1e-9)))
         s = 1j * np.arange(order + 1) * abs(self.speed)
         follows = 2.0 * servo.damping * servo.bandwidth * s + servo.bandwidth**2
-        return Command(self.start, self.speed, self.solve(regularisation, order) * (s * s + follows) / follows)
+        return ReferenceSignal(self.start, self.speed, self.solve(regularisation, order) * (s * s + follows) / follows)
 
 
 def leverage(machine: Machine, output: Output, angles: Array, regularisation: float) -> Array:

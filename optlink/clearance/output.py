@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.clearance.state import Loose
+from optlink.clearance.state import ClearanceState
 from optlink.dynamics.columns import slider_names
 from optlink.dynamics.machine import Machine, Moving
 from optlink.linkage.mechanism import FRAME, Mechanism
@@ -30,7 +30,7 @@ class Output:
         """Name of the column in tables."""
         return f"{self.name}.s_m" if self.guide else f"{self.name}.angle_rad"
 
-    def of(self, loose: Loose) -> Value:
+    def of(self, loose: ClearanceState) -> Value:
         """Return the output [m, rad]; an angle lies in (-pi, pi]."""
         return loose.slides[self.guide][0] if self.guide else angle(loose.state(self.name).axis)
 
@@ -60,7 +60,7 @@ def outputs(machine: Machine) -> dict[str, Output]:
     return {**turning, **sliding}
 
 
-def usual(machine: Machine) -> Output:
+def default_output(machine: Machine) -> Output:
     """Return the default output: the last slider on the frame, else the last body that is pinned to the frame."""
     known = outputs(machine)
     names = slider_names(machine)

@@ -61,7 +61,7 @@ class Interval:
 
 
 @dataclass
-class Peak:
+class CurrentPeak:
     """The current maximum of one quantity, and the intervals where it may be exceeded: (bound, interval)."""
 
     value: float = 0.0
@@ -80,8 +80,8 @@ class Peaks:
 
     def __init__(self, gaps: Sequence[Gap], solve: Solve) -> None:
         self.gaps, self.solve, count = gaps, solve, len(gaps)
-        self.contacts = [Peak() for _ in gaps]  # penetration of the current contact
-        self.turn = [Peak() for _ in range(2 * count + 1)]  # since `take`: penetrations, forces, torque
+        self.contacts = [CurrentPeak() for _ in gaps]  # penetration of the current contact
+        self.turn = [CurrentPeak() for _ in range(2 * count + 1)]  # since `take`: penetrations, forces, torque
 
     def note(self, states: Array, watched: Watched, given: Callable[[int], Array], modes: Array, entered: Array) -> None:
         """Record consecutive rows.
@@ -139,7 +139,7 @@ class Peaks:
 
     def begin(self, gap: int) -> None:
         """Start a new contact at a gap."""
-        self.contacts[gap] = Peak()
+        self.contacts[gap] = CurrentPeak()
 
     def deepest(self, gap: int) -> float:
         """Return the largest penetration of the current contact, or of the one just ended [m]."""
@@ -148,10 +148,10 @@ class Peaks:
     def take(self) -> tuple[float, ...]:
         """Return the maxima since the last call: penetrations [m] and normal forces [N] of all gaps, torque [N m]."""
         found = tuple(self._settle(peak, j) for j, peak in enumerate(self.turn))
-        self.turn = [Peak() for _ in self.turn]
+        self.turn = [CurrentPeak() for _ in self.turn]
         return found
 
-    def _settle(self, peak: Peak, j: int) -> float:
+    def _settle(self, peak: CurrentPeak, j: int) -> float:
         """Check every interval that may exceed the maximum, in the order of decreasing bounds."""
         waiting, peak.waiting = sorted(peak.waiting, key=lambda one: -one[0]), []
         for bound, interval in waiting:

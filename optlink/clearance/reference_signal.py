@@ -11,7 +11,7 @@ from optlink.linkage.vector2d import Value
 
 
 @dataclass(frozen=True)
-class Command:
+class ReferenceSignal:
     """Reference angle = start + speed t + a Fourier series of the revolution; its derivative is the reference speed.
 
     `harmonics` (h,): complex [rad]; the correction is the real part of the sum of harmonics[k] exp(i k |speed| t).
@@ -36,7 +36,7 @@ class Command:
         return self.at(time)[0] - (self.start + self.speed * time)
 
 
-def even(start: float, speed: float) -> Command:
+def constant_speed(start: float, speed: float) -> ReferenceSignal:
     """Return the reference of constant speed, without correction.
 
     Parameters
@@ -45,4 +45,4 @@ def even(start: float, speed: float) -> Command:
         Crank angle at time zero.
     speed : float [rad/s]
     """
-    return Command(start, speed, np.zeros(0, dtype=complex))
+    return ReferenceSignal(start, speed, np.zeros(0, dtype=complex))

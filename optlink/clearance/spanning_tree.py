@@ -27,7 +27,7 @@ class Coordinate(NamedTuple):
         return f"{self.body}.{self.kind}"
 
 
-class Place(NamedTuple):
+class BodyPlace(NamedTuple):
     """Position of a body: its start [m] and the unit vector of its x axis."""
 
     start: Vector
@@ -56,7 +56,7 @@ class Branch(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Cut:
+class SpanningTree:
     """A mechanism cut at its pins in `gaps`: point -> body that is cut off there (the journal)."""
 
     mechanism: Mechanism
@@ -128,42 +128,42 @@ class Cut:
         """Local coordinates of points and lines on the bodies; no body is placed in it."""
         return Pose(self.mechanism, self.sizes)
 
-    def place(self, values: Sequence[Value]) -> dict[str, Place]:
+    def place(self, values: Sequence[Value]) -> dict[str, BodyPlace]:
         """Return the position of every body from the coordinates (floats, arrays, symbols or jets), in their order."""
-        found = {FRAME: Place((0.0, 0.0), (1.0, 0.0))}
+        found = {FRAME: BodyPlace((0.0, 0.0), (1.0, 0.0))}
         given = iter(values)
         for body, parent, joint in self.branches:
             if joint is None:
-                found[body] = Place((next(given), next(given)), unit(next(given)))
+                found[body] = BodyPlace((next(given), next(given)), unit(next(given)))
             elif isinstance(joint, Guide):
                 found[body] = self._slid(joint, body, found[parent], next(given))
             else:
                 axis = unit(next(given))
                 at = self.at(joint.point, parent, found[parent])
-                found[body] = Place(minus(at, turn(self.local.local(body, joint.point), axis)), axis)
+                found[body] = BodyPlace(minus(at, turn(self.local.local(body, joint.point), axis)), axis)
         return found
 
-    def _slid(self, guide: Guide, body: str, parent: Place, slide: Value) -> Place:
+    def _slid(self, guide: Guide, body: str, parent: BodyPlace, slide: Value) -> BodyPlace:
         """Place a body in a guide of its parent; the body may be the slider, or carry the line."""
         (at, own), (held, line) = self.local.local_line(guide, body), self.local.local_line(guide, guide.other(body))
         way = turn(line, parent.axis)
         begin, axis = plus(parent.start, turn(held, parent.axis)), turn_back(way, own)
         shift = slide if body == guide.slider else -slide
-        return Place(minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis)), axis)
+        return BodyPlace(minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis)), axis)
 
-    def at(self, point: str, body: str, place: Place) -> Vector:
+    def at(self, point: str, body: str, place: BodyPlace) -> Vector:
         """Return the position of a point of a placed body [m].
 
         Parameters
         ----------
         point : str
         body : str
-        place : Place
+        place : BodyPlace
             Position of the body.
         """
         return plus(place.start, turn(self.local.local(body, point), place.axis))
 
-    def line(self, guide: Guide, body: str, place: Place) -> tuple[Vector, Vector]:
+    def line(self, guide: Guide, body: str, place: BodyPlace) -> tuple[Vector, Vector]:
         """Return a point [m] and the unit vector of a guide's line, from the position of one of its bodies.
 
         Parameters
@@ -171,13 +171,13 @@ class Cut:
         guide : Guide
         body : str
             One of the two bodies of the guide.
-        place : Place
+        place : BodyPlace
             Position of that body.
         """
         point, way = self.local.local_line(guide, body)
         return plus(place.start, turn(point, place.axis)), turn(way, place.axis)
 
-    def slide(self, guide: Guide, places: Mapping[str, Place]) -> Value:
+    def slide(self, guide: Guide, places: Mapping[str, BodyPlace]) -> Value:
         """Return the displacement of the slider along its line [m].
 
         Parameters
@@ -188,7 +188,7 @@ class Cut:
         begin, way = self.line(guide, guide.on, places[guide.on])
         return dot(minus(self.line(guide, guide.slider, places[guide.slider])[0], begin), way)
 
-    def eccentricity(self, point: str, places: Mapping[str, Place]) -> Vector:
+    def eccentricity(self, point: str, places: Mapping[str, BodyPlace]) -> Vector:
         """Return the vector from the centre of the bearing to that of the journal at a gap [m].
 
         Parameters
@@ -204,7 +204,7 @@ class Cut:
         """Return the body with the bearing at a gap; other bodies may share it, by ideal pins."""
         return next(body for body in self.mechanism.pins[point] if body != self.gaps[point])
 
-    def open(self, places: Mapping[str, Place]) -> list[Value]:
+    def open(self, places: Mapping[str, BodyPlace]) -> list[Value]:
         """Return the residuals of the closing joints [m, or the sine of an angle], two for each joint."""
         found: list[Value] = []
         for joint in self.closing:

@@ -11,10 +11,10 @@ from functools import cached_property
 import numpy as np
 
 from optlink.clearance.joint import Gap, Motion
-from optlink.clearance.spanning_tree import Cut
-from optlink.dynamics.inertia import State, Wrench, moved, wrench
+from optlink.clearance.spanning_tree import SpanningTree
+from optlink.dynamics.inertia import BodyMotion, Wrench, body_motion, wrench
 from optlink.dynamics.loads import Acting
-from optlink.dynamics.machine import Machine, parts
+from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import Value, Vector, minus, turn
@@ -23,35 +23,35 @@ SMOOTH = 1e-4
 """Share of the nominal speed (crank speed times size of the machine) where a load that opposes a motion has 76 % of its size."""
 
 
-class Loose:
+class ClearanceState:
     """A machine with joint clearance at coordinates that are jets.
 
     Parameters
     ----------
     machine : Machine
-    cut : Cut
+    cut : SpanningTree
     values : sequence of Jet, in the order of `cut.coordinates`
     speed : float [rad/s]
         Nominal speed of the crank, with its sense: reference for the smoothing of `sense`.
     """
 
-    def __init__(self, machine: Machine, cut: Cut, values: Sequence[Value], speed: float) -> None:
+    def __init__(self, machine: Machine, cut: SpanningTree, values: Sequence[Value], speed: float) -> None:
         self.machine, self.cut, self.nominal = machine, cut, speed
         self.direction = -1.0 if speed < 0.0 else 1.0
         self.places = cut.place(values)
         self.crank: Jet = values[cut.driven]
-        self._states: dict[str, State] = {}
+        self._states: dict[str, BodyMotion] = {}
 
     @property
     def variables(self) -> dict[str, Value]:
         """Variables available to every load: crank angle [rad] and speed [rad/s]."""
         return {"phi": self.crank.value, "omega": self.crank.rate}
 
-    def state(self, body: str) -> State:
+    def state(self, body: str) -> BodyMotion:
         """Return the motion of a body."""
         if body not in self._states:
             (x, y), (c, d) = self.places[body]
-            self._states[body] = moved((parts(x), parts(y)), (parts(c), parts(d)))
+            self._states[body] = body_motion((jet_parts(x), jet_parts(y)), (jet_parts(c), jet_parts(d)))
         return self._states[body]
 
     def _lever(self, point: str, body: str) -> Vector:
@@ -97,9 +97,9 @@ class Loose:
     @cached_property
     def slides(self) -> dict[str, tuple[Value, Value, Value]]:
         """Slide in every guide, its velocity and acceleration [m, m/s, m/s^2]."""
-        return {guide.name: parts(self.cut.slide(guide, self.places)) for guide in self.machine.mechanism.guides}
+        return {guide.name: jet_parts(self.cut.slide(guide, self.places)) for guide in self.machine.mechanism.guides}
 
-    def sense(self, of: Callable[[Loose], tuple[Value, Value]], size: Value = 1.0) -> Value:
+    def sense(self, of: Callable[[ClearanceState], tuple[Value, Value]], size: Value = 1.0) -> Value:
         """Return the smoothed sign of a velocity, because no equation of motion is integrated across a jump.
 
         Parameters

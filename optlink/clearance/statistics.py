@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.clearance.closed_loop import Plant, Revolution
-from optlink.clearance.columns import Record
+from optlink.clearance.closed_loop import ClosedLoop, Revolution
+from optlink.clearance.columns import ClearanceColumns
 from optlink.clearance.integration import Impact, Stalled
 
 Array = NDArray[np.float64]
@@ -34,10 +34,10 @@ _PLAIN = (
 )
 
 
-class Account:
+class Statistics:
     """Accumulated statistics of a simulation."""
 
-    def __init__(self, plant: Plant) -> None:
+    def __init__(self, plant: ClosedLoop) -> None:
         self.plant = plant
         self.rows: deque[dict[str, Array]] = deque(maxlen=KEPT)
         self.turns: deque[dict[str, float]] = deque(maxlen=LISTED)
@@ -73,11 +73,11 @@ class Account:
         self.rows.append(rows)
         return rows
 
-    def _rows(self, turn: Revolution, record: Record) -> dict[str, Array]:
+    def _rows(self, turn: Revolution, record: ClearanceColumns) -> dict[str, Array]:
         """The columns, with the ideal output, the error and the correction."""
         output, columns = self.plant.output, record.columns
         wanted = self._wanted(record)
-        error = output.difference(np.asarray(output.of(record.loose)), wanted)
+        error = output.difference(np.asarray(output.of(record.motion)), wanted)
         unit, own = output.unit, output.name
         rows = {name: column.values for name, column in columns.items()}
         rows[f"{own}.ideal_{unit}"], rows[f"{own}.error_{unit}"] = wanted, error
@@ -112,11 +112,11 @@ class Account:
         self.section.extend(saved["section"])
         self.impacts.extend(Impact(int(row[0]), *row[1:]) for row in saved["impacts"])
 
-    def _wanted(self, record: Record) -> Array:
+    def _wanted(self, record: ClearanceColumns) -> Array:
         """The output of the machine without clearance at the nominal crank angle; with a driving torque at the actual one."""
         plant, time = self.plant, record.block.time
         free = plant.equations.drive.torque is not None
-        angle = np.asarray(record.loose.crank.value) if free else plant.start + plant.nominal * time
+        angle = np.asarray(record.motion.crank.value) if free else plant.start + plant.nominal * time
         moving = plant.equations.machine.moving(angle)
         return np.broadcast_to(np.asarray(plant.output.ideal(moving)[0]), time.shape)
 
@@ -167,7 +167,7 @@ class Account:
             self.peak = max(self.peak, float(np.max(np.abs(error))))
             self.correction = max(self.correction, float(np.max(np.abs(correction))))
 
-    def _energy(self, record: Record) -> None:
+    def _energy(self, record: ClearanceColumns) -> None:
         assert self.first is not None
         energy, works = record.energy, record.block.works
         fed = 1 + len(self.plant.equations.machine.loads)
@@ -221,10 +221,10 @@ class Prediction:
         return self.parted is not None
 
 
-class Twin:
+class PredictabilityCheck:
     """The same motion with another tolerance, simulated until it diverges."""
 
-    def __init__(self, plant: Plant) -> None:
+    def __init__(self, plant: ClosedLoop) -> None:
         self.plant, self.output = plant, plant.output
         least = min(gap.clearance for gap in plant.equations.gaps)
         self.apart = APART * (least if self.output.guide else least / float(np.max(plant.equations.machine.size)))
@@ -240,7 +240,7 @@ class Twin:
         except Stalled:
             self.lost = True
             return
-        own = np.asarray(self.output.of(self.plant.record(turn).loose))
+        own = np.asarray(self.output.of(self.plant.record(turn).motion))
         away = np.abs(self.output.difference(own, output))
         self.largest = float(np.max(away))
         far = np.flatnonzero(away > self.apart)

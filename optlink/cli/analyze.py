@@ -32,7 +32,7 @@ def analyze(
         from optlink.tasks.analyze import analyze as run
 
         file = console.load(problem, changes)
-        given = console.given(file, design)
+        given = console.read_design_option(file, design)
         console.places(csv, out, "analyze", problem)
         turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
         result = run(file, points, turn, rate, given)
@@ -61,7 +61,7 @@ def balance(
         from optlink.tasks.balance import balance as run
 
         file = console.load(problem, changes)
-        given = console.given(file, design)
+        given = console.read_design_option(file, design)
         console.places(csv, out, "balance", problem)
         with console.share("balancing") as progress:
             result = run(file, minimise, trade, points, progress, given)

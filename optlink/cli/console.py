@@ -183,7 +183,7 @@ def load(problem: str, changes: list[str] | None) -> ProblemFile:
     return read(problem, dict(parse_assignment(text) for text in changes or []))
 
 
-def given(file: ProblemFile, design: list[str] | None) -> dict[str, float] | None:
+def read_design_option(file: ProblemFile, design: list[str] | None) -> dict[str, float] | None:
     """Read the design of `--design` [SI]; None without the option.
 
     Parameters
@@ -267,7 +267,7 @@ def places(csv: Path | None, out: Path | None, command: str, problem: str) -> No
     """
     _table(csv)
     if out is not None:
-        kept(out, command, problem)
+        locked_folder(out, command, problem)
     if csv is not None:
         from optlink.io import folder
 
@@ -280,7 +280,7 @@ def _table(csv: Path | None) -> None:
         raise InputError(Fault("this is a folder", remedy, key="--csv", value=str(csv)))
 
 
-def kept(out: Path, command: str, problem: str) -> None:
+def locked_folder(out: Path, command: str, problem: str) -> None:
     """Create a folder and lock it until the command ends; see `optlink.cli.run_folder`.
 
     Parameters
@@ -298,7 +298,7 @@ def kept(out: Path, command: str, problem: str) -> None:
     _kept[-1].enter_context(run_folder(out, command, problem))
 
 
-def kept_for_study(out: Path, command: str, problem: str) -> None:
+def locked_study_folder(out: Path, command: str, problem: str) -> None:
     """Lock an existing folder for a study until the command ends; it may hold the study to be resumed.
 
     Parameters
@@ -334,7 +334,7 @@ def _no_study(out: Path) -> None:
 
 
 @contextlib.contextmanager
-def made(out: Path | None, command: str, problem: str) -> Iterator[None]:
+def result_folder(out: Path | None, command: str, problem: str) -> Iterator[None]:
     """Create and lock the result folder; remove it again if it is new and the input is invalid.
 
     Parameters

@@ -15,7 +15,7 @@ from optlink.errors import Fault, InputError
 from optlink.solvers import interrupts
 
 if TYPE_CHECKING:
-    from optlink.report.report_model import Subject
+    from optlink.report.report_model import ReportModel
     from optlink.report.stored.stored_study import Studied
 
 SCHEMA = "optlink/written/1"
@@ -114,9 +114,9 @@ def _subject(
     seed: int,
     changes: list[str] | None,
     design: list[str] | None,
-) -> Subject | Studied:
+) -> ReportModel | Studied:
     """Return the subject of the command: a stored result, or a problem with its solution."""
-    from optlink.report.report_model import answered, subject_of
+    from optlink.report.report_model import report_model_of, solve_or_validate
     from optlink.report.stored.loader import is_result, opened
 
     if output.exists() and os.path.exists(text) and os.path.samefile(output, text):
@@ -128,10 +128,10 @@ def _subject(
     remedy = "Leave it out, or name a result.json first"
     console.refuse({"--problem": problem}, "only a RESULT belongs to another problem", remedy, text)
     file = console.load(text, changes)
-    return subject_of(file, answered(file, str(backend), starts, seed, console.given(file, design)))
+    return report_model_of(file, solve_or_validate(file, str(backend), starts, seed, console.read_design_option(file, design)))
 
 
-def _refuse(about: Subject, as_json: bool) -> None:
+def _refuse(about: ReportModel, as_json: bool) -> None:
     """Report why an invalid design is not written."""
     from optlink.io import head
     from optlink.report.html.page import verdict
@@ -144,7 +144,7 @@ def _refuse(about: Subject, as_json: bool) -> None:
     raise typer.Exit(1)
 
 
-def _written(about: Subject | Studied, output: Path, as_json: bool) -> None:
+def _written(about: ReportModel | Studied, output: Path, as_json: bool) -> None:
     """Report the written file, and exit with code 1 for an invalid design."""
     from optlink.report.html.page import verdict
     from optlink.report.stored.stored_study import Studied

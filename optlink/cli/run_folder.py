@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from optlink.errors import Fault, InputError
-from optlink.io import locked, recorded, write_json
+from optlink.io import locked, write_json, written_files
 
 MANIFEST = ".optlink-run.json"
 """What an earlier run in the folder was, and the files that it wrote with their check sums."""
@@ -87,7 +87,7 @@ def run_folder(path: Path, command: str, problem: str) -> Iterator[None]:
     with locked(path):
         check_owner(path, command, problem)
         before = _read(path / MANIFEST).get("files")
-        with recorded() as written:
+        with written_files() as written:
             try:
                 yield
             finally:

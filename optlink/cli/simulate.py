@@ -114,8 +114,8 @@ def simulate(
         file = console.load(problem, changes)
         if torque is not None:
             file = file.override({"drive.torque": torque, "drive.servo": None})
-        given = console.given(file, design)
-        loose = file.model.loose and not ideal
+        given = console.read_design_option(file, design)
+        loose = file.model.has_clearance and not ideal
         if not loose:
             of_gaps: dict[str, Any] = {
                 "--revolutions": revolutions,

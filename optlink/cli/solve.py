@@ -15,10 +15,10 @@ from optlink.errors import Status
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
-    from optlink.tasks.function import Result
+    from optlink.tasks.function import FunctionResult
     from optlink.tasks.results.balance import Balance
-    from optlink.tasks.results.cycle import MachineDesign
-    from optlink.tasks.results.path import Generation
+    from optlink.tasks.results.cycle import CycleResult
+    from optlink.tasks.results.path import PathResult
     from optlink.validation.check import Check
 
 
@@ -42,7 +42,7 @@ def solve(
     out: Out = None,
 ) -> None:
     """Find the design, prove it, and report the shadow price of each active constraint."""
-    with console.reported(as_json), console.made(out, "solve", problem):
+    with console.reported(as_json), console.result_folder(out, "solve", problem):
         if design:
             _validate(problem, design, changes, as_json, out)
             return
@@ -59,7 +59,7 @@ def solve(
 
 def validate(problem: Problem, design: Design = None, changes: Set = None, as_json: Json = False, out: Out = None) -> None:
     """Prove a given design, or show where it fails."""
-    with console.reported(as_json), console.made(out, "validate", problem):
+    with console.reported(as_json), console.result_folder(out, "validate", problem):
         _validate(problem, design or [], changes, as_json, out)
 
 
@@ -73,7 +73,7 @@ def _validate(problem: str, design: list[str], changes: list[str] | None, as_jso
     _show(found.with_checks(failed) if failed else found, as_json, out)
 
 
-def _contradictions(design: list[str], file: ProblemFile, found: Result | Generation | MachineDesign) -> tuple[Check, ...]:
+def _contradictions(design: list[str], file: ProblemFile, found: FunctionResult | PathResult | CycleResult) -> tuple[Check, ...]:
     """Check a result file used as the design against the recomputed result; report a file of another problem."""
     from optlink.validation.consistency import contradictions
 
@@ -88,7 +88,7 @@ def _contradictions(design: list[str], file: ProblemFile, found: Result | Genera
     return tuple(failed)
 
 
-def _show(result: Result | Generation | MachineDesign | Balance, as_json: bool, out: Path | None) -> None:
+def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: bool, out: Path | None) -> None:
     """Show a result, and exit with the code of its status."""
     console.deliver(result, result.problem.task, None, as_json, out)
     failed = (Status.STALLED, Status.NON_FINITE, "stalled")

@@ -67,7 +67,7 @@ def sensitivity(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and the tornado.")] = None,
 ) -> None:
     """At the optimum: what each fixed size and each limit costs, how the design moves with it, and how far that holds."""
-    with console.reported(as_json), console.made(out, "sensitivity", problem):
+    with console.reported(as_json), console.result_folder(out, "sensitivity", problem):
         from optlink.studies.reoptimise_task import check_backend
 
         file = console.load(problem, changes)
@@ -285,7 +285,7 @@ def tolerance(
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and pictures.")] = None,
 ) -> None:
     """How exact it must be built: worst case, scatter and yield for given tolerances, and the loosest that will do."""
-    with console.reported(as_json), console.made(out, "tolerance", problem):
+    with console.reported(as_json), console.result_folder(out, "tolerance", problem):
         from optlink.errors import Fault, InputError
         from optlink.studies.tolerance.analysis import tolerance as run
         from optlink.studies.tolerance.sampling import read_costs, read_sigmas, read_yield
@@ -381,7 +381,7 @@ def _resumable(resume: bool, out: Path | None) -> None:
 def _owned(out: Path | None, command: str, problem: str) -> None:
     """Refuse a folder that holds the result of another command, and lock an existing one until this command ends."""
     if out is not None and out.is_dir():
-        console.kept_for_study(out, command, problem)
+        console.locked_study_folder(out, command, problem)
 
 
 @contextlib.contextmanager

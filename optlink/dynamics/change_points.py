@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.columns import Record
+from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import Machine
-from optlink.linkage.alignment import Aligned
+from optlink.linkage.alignment import AlignedPosition
 
 Array = NDArray[np.float64]
 NEAR, NEARER, ASIDE = 1e-4, 1e-5, 1e-2
@@ -28,13 +28,13 @@ def pin_columns(machine: Machine) -> list[tuple[str, str, str]]:
     ]
 
 
-def unbounded_reactions(machine: Machine, positions: Sequence[Aligned], speed: float) -> tuple[str, ...]:
+def unbounded_reactions(machine: Machine, positions: Sequence[AlignedPosition], speed: float) -> tuple[str, ...]:
     """Return the columns of reactions that grow without bound towards change points.
 
     Parameters
     ----------
     machine : Machine
-    positions : sequence of Aligned
+    positions : sequence of AlignedPosition
         Change points through which the machine is continued.
     speed : float [rad/s]
 
@@ -55,7 +55,7 @@ def unbounded_reactions(machine: Machine, positions: Sequence[Aligned], speed: f
 
 def _amounts(machine: Machine, at: Array, distance: float, speed: float) -> tuple[list[str], Array]:
     """Names and largest magnitudes of all reactions at a distance before and after crank angles."""
-    record = Record(machine.moving(np.concatenate([at - distance, at + distance]), speed))
+    record = MotionColumns(machine.moving(np.concatenate([at - distance, at + distance]), speed))
     found = {name: record[name] for name in record.columns if name in record.held}
     for name, point, body in pin_columns(machine):
         found[name] = np.hypot(*(record.full(part) for part in record.reactions.pins[point][body]))

@@ -27,7 +27,7 @@ class Column(NamedTuple):
     values: Array
 
 
-class Record:
+class MotionColumns:
     """Columns by name of a machine at crank angles (n,), or of a batch of designs (designs, n).
 
     `singular`: positions without finite reactions; `jammed`: positions in which friction locks a guide; `undefined`: positions in

@@ -28,7 +28,7 @@ KINDS: tuple[Kind, ...] = ("shaking force", "shaking moment", "driving torque", 
 
 
 @dataclass(frozen=True)
-class Measure:
+class BalanceMeasure:
     """Root mean square or maximum, over the positions, of a force or torque that is minimised or limited.
 
     `joint` (a pin or a guide) and `on` (a body, for a pin of three bodies) select the reaction; for a guide it is the normal
@@ -71,14 +71,20 @@ class Measure:
         return float(np.sqrt(np.mean(squares) if self.of == "rms" else np.max(squares)))
 
 
-def measured(
-    quantity: Measure, machine: Machine, found: Reactions, shaken: Wrench, shape: tuple[int, ...], pivot: Vector, about: Vector
+def quantity_over_cycle(
+    quantity: BalanceMeasure,
+    machine: Machine,
+    found: Reactions,
+    shaken: Wrench,
+    shape: tuple[int, ...],
+    pivot: Vector,
+    about: Vector,
 ) -> Array:
     """Return a quantity over the positions, array (positions, parts); the parts of a force are x and y.
 
     Parameters
     ----------
-    quantity : Measure
+    quantity : BalanceMeasure
     machine : Machine
     found : Reactions
     shaken : Wrench
@@ -104,30 +110,31 @@ def measured(
     return np.stack([np.broadcast_to(np.asarray(part, dtype=float), shape) for part in parts], axis=-1)
 
 
-def amounts(moving: Moving, quantities: Sequence[Measure], about: Vector) -> list[Array]:
+def quantities_of(moving: Moving, quantities: Sequence[BalanceMeasure], about: Vector) -> list[Array]:
     """Compute quantities of a machine in motion by inverse dynamics, each (positions, parts).
 
     Parameters
     ----------
     moving : Moving
-    quantities : sequence of Measure
+    quantities : sequence of BalanceMeasure
     about : pair of Value [m]
         Reference point of the shaking moment.
     """
     shape, machine = np.shape(moving.motion.assembled), moving.machine
     found, shaken = reactions(moving), shaking(moving)
     pivot = moving.position(machine.mechanism.crank.start)
-    return [measured(quantity, machine, found, shaken, shape, pivot, about) for quantity in quantities]
+    return [quantity_over_cycle(quantity, machine, found, shaken, shape, pivot, about) for quantity in quantities]
 
 
-def quantities(machine: Machine) -> list[Measure]:
+def quantities(machine: Machine) -> list[BalanceMeasure]:
     """Return all measurable quantities of a machine (shaking, torque, every reaction), each as root mean square."""
-    found = [Measure("shaking force"), Measure("shaking moment"), Measure("driving torque")]
+    found = [BalanceMeasure("shaking force"), BalanceMeasure("shaking moment"), BalanceMeasure("driving torque")]
     for point, bodies in machine.mechanism.pins.items():
         found += [
-            Measure("reaction", "rms", point, body if len(bodies) > 2 else "") for body in (bodies if len(bodies) > 2 else "-")
+            BalanceMeasure("reaction", "rms", point, body if len(bodies) > 2 else "")
+            for body in (bodies if len(bodies) > 2 else "-")
         ]
-    return found + [Measure("reaction", "rms", guide.name) for guide in machine.mechanism.guides]
+    return found + [BalanceMeasure("reaction", "rms", guide.name) for guide in machine.mechanism.guides]
 
 
 # --- counterweights and springs ------------------------------------------------------------------------------------------
@@ -212,7 +219,7 @@ class FreeSpring:
         return Spring(self.name, self.ends, stiffness, free, 0.0)
 
 
-def joined(own: Inertia, added: Parameters) -> Inertia:
+def with_counterweight(own: Inertia, added: Parameters) -> Inertia:
     """Return the mass properties of a body with a counterweight.
 
     Parameters
@@ -306,14 +313,14 @@ class Effects:
         (ax, ay), (bx, by) = self.moving.position(p), self.moving.position(q)
         return np.broadcast_to(np.hypot(np.asarray(bx) - ax, np.asarray(by) - ay), self.shape)
 
-    def affine(self, quantity: Measure) -> Affine:
+    def affine(self, quantity: BalanceMeasure) -> Affine:
         """Return a quantity as an affine function, over the positions that its measure includes."""
         machine, rows = self.moving.machine, quantity.rows(np.asarray(self.moving.motion.crank_angle, dtype=float))
         pivot = self.moving.position(machine.mechanism.crank.start)
-        offset = measured(quantity, machine, *self._given, self.shape, pivot, self.about)
+        offset = quantity_over_cycle(quantity, machine, *self._given, self.shape, pivot, self.about)
         matrix = np.empty((*offset.shape, self.count))
         for k, (reaction, shaken) in enumerate(self._columns):
-            matrix[..., k] = measured(quantity, machine, reaction, shaken, self.shape, self.about, self.about)
+            matrix[..., k] = quantity_over_cycle(quantity, machine, reaction, shaken, self.shape, self.about, self.about)
         return Affine(matrix[rows], offset[rows])
 
 

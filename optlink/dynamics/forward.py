@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.inertia import kinetic, potential
-from optlink.dynamics.inverse import Reactions, reactions, required, virtual_torque
+from optlink.dynamics.inverse import Reactions, reactions, required_wrench, virtual_torque
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, Moving
 from optlink.dynamics.work import jumps
@@ -77,7 +77,7 @@ def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]
     """
     with np.errstate(all="ignore"):
         moving = machine.moving(crank_angle, 1.0)
-        weightless = required(moving, gravity=False, loads=False)
+        weightless = required_wrench(moving, gravity=False, loads=False)
         inertia = np.broadcast_to(2.0 * np.asarray(moving.kinetic), crank_angle.shape)
         return inertia, np.broadcast_to(2.0 * np.asarray(virtual_torque(weightless, moving)), crank_angle.shape)
 
@@ -94,7 +94,7 @@ def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | 
     if moving.machine.friction:
         found = reactions(moving)
         return found.torque, found
-    return virtual_torque(required(moving), geared), None
+    return virtual_torque(required_wrench(moving), geared), None
 
 
 def crank_acceleration(machine: Machine, crank_angle: Array, speed: Value, torque: Value, direction: Value = None) -> Array:
@@ -223,11 +223,13 @@ class _Plant:
         if self.direction not in self.functions:
             import casadi
 
-            from optlink.symbolic import Compiled, tracing
+            from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
             symbols = casadi.SX.sym("crank", 2)
-            with tracing():
-                self.functions[self.direction] = Compiled([symbols], [casadi.vertcat(*self.rates(symbols[0], symbols[1]))])
+            with symbols_in_numpy():
+                self.functions[self.direction] = CompiledFunction(
+                    [symbols], [casadi.vertcat(*self.rates(symbols[0], symbols[1]))]
+                )
         return self.functions[self.direction](crank)[0]
 
     def __call__(self, time: float, state: Array) -> Array:

@@ -63,7 +63,7 @@ class Inertia:
         return Parameters(self.mass, self.mass * self.along, self.mass * self.across, self.moment + self.mass * square)
 
 
-class State(NamedTuple):
+class BodyMotion(NamedTuple):
     """Motion of a body: its start [m, m/s, m/s^2], its x axis (unit vector), angular velocity and acceleration."""
 
     start: Vector
@@ -85,7 +85,7 @@ class State(NamedTuple):
         return velocity, acceleration
 
 
-def moved(start: tuple[Triple, Triple], axis: tuple[Triple, Triple]) -> State:
+def body_motion(start: tuple[Triple, Triple], axis: tuple[Triple, Triple]) -> BodyMotion:
     """Return the state of a body from the motion of its start and of its x axis.
 
     Parameters
@@ -97,10 +97,10 @@ def moved(start: tuple[Triple, Triple], axis: tuple[Triple, Triple]) -> State:
     """
     (x, y), (c, s) = start, axis
     way = (c[0], s[0])
-    return State((x[0], y[0]), (x[1], y[1]), (x[2], y[2]), way, cross(way, (c[1], s[1])), cross(way, (c[2], s[2])))
+    return BodyMotion((x[0], y[0]), (x[1], y[1]), (x[2], y[2]), way, cross(way, (c[1], s[1])), cross(way, (c[2], s[2])))
 
 
-def wrench(parameters: Parameters, state: State, gravity: Vector) -> Wrench:
+def wrench(parameters: Parameters, state: BodyMotion, gravity: Vector) -> Wrench:
     """Compute the force and moment (about the start of the body) that joints and loads together exert on a body in motion.
 
     Gravity counts as an acceleration of the frame of reference: pass (0, 0) for the inertia alone.
@@ -108,7 +108,7 @@ def wrench(parameters: Parameters, state: State, gravity: Vector) -> Wrench:
     Parameters
     ----------
     parameters : Parameters
-    state : State
+    state : BodyMotion
     gravity : pair of Value [m/s^2]
 
     References
@@ -129,13 +129,13 @@ UNITS = tuple(Parameters(*(float(i == k) for i in range(4))) for k in range(4))
 """One parameter at a time: the wrench of each is a column of the regressor."""
 
 
-def kinetic(parameters: Parameters, state: State) -> Value:
+def kinetic(parameters: Parameters, state: BodyMotion) -> Value:
     """Return the kinetic energy [J] of a body.
 
     Parameters
     ----------
     parameters : Parameters
-    state : State
+    state : BodyMotion
     """
     first = turn((parameters.along, parameters.across), state.axis)
     square = dot(state.velocity, state.velocity)
@@ -146,13 +146,13 @@ def kinetic(parameters: Parameters, state: State) -> Value:
     )
 
 
-def potential(parameters: Parameters, state: State, gravity: Vector) -> Value:
+def potential(parameters: Parameters, state: BodyMotion, gravity: Vector) -> Value:
     """Return the potential energy of a body in the field of gravity [J], zero at the origin.
 
     Parameters
     ----------
     parameters : Parameters
-    state : State
+    state : BodyMotion
     gravity : pair of Value [m/s^2]
     """
     first = turn((parameters.along, parameters.across), state.axis)

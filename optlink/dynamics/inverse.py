@@ -113,7 +113,7 @@ def _outer_pins(group: Group) -> list[tuple[str, str]]:
     return []
 
 
-def required(moving: Moving, *, inertia: bool = True, gravity: bool = True, loads: bool = True) -> dict[str, Wrench]:
+def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = True, loads: bool = True) -> dict[str, Wrench]:
     """Compute the wrench (about its start) that joints and drive together exert on each body.
 
     Parameters
@@ -156,7 +156,7 @@ def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Rea
     Reactions; infinite or NaN at a singular position of a group, where `singularity` is zero. The torque of a mechanism that is
     continued through singular positions is finite there.
     """
-    wrenches = required(moving) if needed is None else needed
+    wrenches = required_wrench(moving) if needed is None else needed
     with np.errstate(all="ignore"):
         found = _Balance(moving, wrenches).solve()
         if moving.machine.mechanism.followed and not moving.machine.friction:  # finite where reactions are not
@@ -180,7 +180,7 @@ def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
     return power / source.motion.speed
 
 
-def two(row: Vector, right: Value, other: Vector, other_right: Value) -> Vector:
+def solve_two_by_two(row: Vector, right: Value, other: Vector, other_right: Value) -> Vector:
     """Solve row . x = right, other . x = other_right for the vector x.
 
     Parameters
@@ -374,7 +374,7 @@ def _rrr(balance: _Balance, group: RRR, tilts: Mapping[str, Value]) -> _Solved:
     p, q, j = (balance.moving.position(name) for name in (*group.pins, group.joint))
     one, other = minus(p, j), minus(q, j)
     right = balance.about(first, q) + balance.about(second, q)
-    outer = two(_moment_row(one), balance.about(first, j), _moment_row(minus(p, q)), right)
+    outer = solve_two_by_two(_moment_row(one), balance.about(first, j), _moment_row(minus(p, q)), right)
     inner = minus(balance.needed[first.body].force, outer)
     pins = [(group.pins[0], first.body, outer), (group.joint, first.body, inner)]
     return _Solved([*pins, (group.pins[1], second.body, plus(balance.needed[second.body].force, inner))], [], (one, other))
@@ -386,7 +386,7 @@ def _rrp(balance: _Balance, group: RRP, tilts: Mapping[str, Value]) -> _Solved:
     p, j, across = balance.moving.position(group.outer), balance.moving.position(group.joint), balance.across(group.guide, tilts)
     total = balance.total(group)
     lever = _moment_row(minus(p, j))
-    outer = two(lever, balance.about(link, j), across, dot(across, total))
+    outer = solve_two_by_two(lever, balance.about(link, j), across, dot(across, total))
     inner = minus(balance.needed[link.body].force, outer)  # on the link
     at = balance.at(group.guide)
     moment = balance.about(slider, at) + cross(minus(j, at), inner)
@@ -403,7 +403,7 @@ def _rpr(balance: _Balance, group: RPR, tilts: Mapping[str, Value]) -> _Solved:
     p, q = (balance.moving.position(name) for name in group.outer)
     across, needed = balance.across(group.guide, tilts), balance.needed[slider.body].force
     lever = _moment_row(minus(p, q))
-    outer = two(lever, balance.about(slider, q) + balance.about(second, q), across, dot(across, needed))
+    outer = solve_two_by_two(lever, balance.about(slider, q) + balance.about(second, q), across, dot(across, needed))
     inner, at = minus(needed, outer), balance.at(group.guide)
     moment = balance.about(slider, at) - cross(minus(p, at), outer)
     return _Solved(
@@ -418,7 +418,7 @@ def _rpp(balance: _Balance, group: RPP, tilts: Mapping[str, Value]) -> _Solved:
     first, yoke = group.links
     p, needed, total = balance.moving.position(group.outer), balance.needed[first.body].force, balance.total(group)
     across, rail = (balance.across(guide, tilts) for guide in (group.guide, group.rail))
-    outer = two(across, dot(across, needed), rail, dot(rail, total))
+    outer = solve_two_by_two(across, dot(across, needed), rail, dot(rail, total))
     inner, at, rest = minus(needed, outer), balance.at(group.guide), balance.at(group.rail)
     moment = balance.about(first, at) - cross(minus(p, at), outer)
     held = balance.about(yoke, rest) + cross(minus(at, rest), inner) + moment
@@ -435,7 +435,7 @@ def _prp(balance: _Balance, group: PRP, tilts: Mapping[str, Value]) -> _Solved:
     j = balance.moving.position(group.joint)
     one, other = (balance.needed[link.body].force for link in group.links)
     along, across = (balance.across(guide, tilts) for guide in group.guides)
-    inner = two(along, dot(along, one), across, -dot(across, other))  # on the first
+    inner = solve_two_by_two(along, dot(along, one), across, -dot(across, other))  # on the first
     guides = []
     for link, guide, needed, sign in ((first, group.guides[0], one, 1.0), (second, group.guides[1], other, -1.0)):
         at, pin = balance.at(guide), (sign * inner[0], sign * inner[1])
@@ -459,8 +459,8 @@ def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Va
         Reactions of this motion, if already computed.
     """
     smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
-    inertia = reactions(smooth, required(smooth, gravity=False, loads=False)).torque
-    gravity = reactions(smooth, required(smooth, inertia=False, loads=False)).torque
+    inertia = reactions(smooth, required_wrench(smooth, gravity=False, loads=False)).torque
+    gravity = reactions(smooth, required_wrench(smooth, inertia=False, loads=False)).torque
     total = (whole or reactions(moving)).torque
     return {"inertia": inertia, "gravity": gravity, "load": total - inertia - gravity}
 
@@ -474,7 +474,7 @@ def shaking(moving: Moving) -> Wrench:
     ----------
     R. S. Berkof, G. G. Lowen, A new method for completely force balancing simple linkages, 1969.
     """
-    needed = required(moving, gravity=False, loads=False)
+    needed = required_wrench(moving, gravity=False, loads=False)
     pivot = moving.position(moving.machine.mechanism.crank.start)
     force: Vector = (0.0, 0.0)
     moment: Value = 0.0

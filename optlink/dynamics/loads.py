@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from optlink.dynamics.inertia import State, Wrench
+from optlink.dynamics.inertia import BodyMotion, Wrench
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import Value, Vector, angle_from, cross, dot, minus, turn, unit
 
@@ -33,11 +33,11 @@ class Acting(NamedTuple):
     force: Vector
     torque: Value
 
-    def wrench(self, state: State) -> Wrench:
+    def wrench(self, state: BodyMotion) -> Wrench:
         """Return the force and torque as a wrench about the start of the body."""
         return Wrench(self.force, self.torque + cross(minus(self.point, state.start), self.force))
 
-    def power(self, state: State) -> Value:
+    def power(self, state: BodyMotion) -> Value:
         """Return the power fed into the machine [W]."""
         return dot(self.force, state.at(self.point)[0]) + self.torque * state.omega
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.dynamics.inertia import Inertia, State, kinetic, moved, potential
+from optlink.dynamics.inertia import BodyMotion, Inertia, body_motion, kinetic, potential
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
@@ -27,7 +27,7 @@ NOISE = 1e-13
 """Share of the machine's size that a motion per crank rotation must have to be one."""
 
 
-def parts(x: Value) -> tuple[Value, Value, Value]:
+def jet_parts(x: Value) -> tuple[Value, Value, Value]:
     """Return value, rate and acceleration of a quantity that may be a jet."""
     return (x.value, x.rate, x.acceleration) if isinstance(x, Jet) else (x, 0.0, 0.0)
 
@@ -68,11 +68,11 @@ class Machine:
         """Return the machine with some fields replaced."""
         return replace(self, **changes)  # type: ignore[arg-type]
 
-    def kinetic(self, state: Callable[[str], State]) -> Value:
+    def kinetic(self, state: Callable[[str], BodyMotion]) -> Value:
         """Return the kinetic energy [J]; `state` maps a body to its State."""
         return sum(kinetic(inertia.parameters, state(body)) for body, inertia in self.inertias.items())
 
-    def weight(self, state: Callable[[str], State]) -> Value:
+    def weight(self, state: Callable[[str], BodyMotion]) -> Value:
         """Return the potential energy of gravity [J]; `state` maps a body to its State."""
         return sum(potential(inertia.parameters, state(body), self.gravity) for body, inertia in self.inertias.items())
 
@@ -82,7 +82,7 @@ class Machine:
         lengths = [link.length for link in self.mechanism.links if link.end]
         found: Value = 0.0
         for length in lengths:
-            found = found + parts(self.sizes[length] if isinstance(length, str) else length)[0]
+            found = found + jet_parts(self.sizes[length] if isinstance(length, str) else length)[0]
         return found if lengths else 1.0
 
     @cached_property
@@ -100,7 +100,7 @@ class Moving:
     def __init__(self, machine: Machine, motion: Motion, side: int = 1, direction: Value = None) -> None:
         self.machine, self.motion, self.side = machine, motion, side
         self.direction = np.where(np.asarray(motion.speed) < 0.0, -1.0, 1.0) if direction is None else direction
-        self._states: dict[str, State] = {}
+        self._states: dict[str, BodyMotion] = {}
 
     @property
     def pose(self) -> Pose:
@@ -117,7 +117,7 @@ class Moving:
             Not used: the point has the same position on all bodies that share it.
         """
         x, y = self.pose.points[point]
-        return parts(x)[0], parts(y)[0]
+        return jet_parts(x)[0], jet_parts(y)[0]
 
     def velocity(self, point: str, body: str = "") -> Vector:
         """Return the velocity of a point [m/s].
@@ -129,7 +129,7 @@ class Moving:
             Not used, see `position`.
         """
         x, y = self.pose.points[point]
-        return parts(x)[1], parts(y)[1]
+        return jet_parts(x)[1], jet_parts(y)[1]
 
     def acceleration(self, point: str, body: str = "") -> Vector:
         """Return the acceleration of a point [m/s^2].
@@ -141,7 +141,7 @@ class Moving:
             Not used, see `position`.
         """
         x, y = self.pose.points[point]
-        return parts(x)[2], parts(y)[2]
+        return jet_parts(x)[2], jet_parts(y)[2]
 
     @property
     def variables(self) -> dict[str, Value]:
@@ -151,7 +151,7 @@ class Moving:
     def axis(self, body: str) -> Vector:
         """Return the unit vector of a body's x axis."""
         x, y = self.pose.direction(body)
-        return parts(x)[0], parts(y)[0]
+        return jet_parts(x)[0], jet_parts(y)[0]
 
     def line(self, guide: str) -> Vector:
         """Return the unit vector of a guide's line."""
@@ -162,23 +162,23 @@ class Moving:
         found = {}
         for guide in self.machine.mechanism.guides:
             x, y = self.pose.line(guide, guide.on)[1]
-            found[guide.name] = parts(x)[0], parts(y)[0]
+            found[guide.name] = jet_parts(x)[0], jet_parts(y)[0]
         return found
 
     @cached_property
     def slides(self) -> dict[str, tuple[Value, Value, Value]]:
         """Slide in every guide, its velocity and acceleration [m, m/s, m/s^2]."""
-        return {guide.name: parts(self.pose.slide(guide)) for guide in self.machine.mechanism.guides}
+        return {guide.name: jet_parts(self.pose.slide(guide)) for guide in self.machine.mechanism.guides}
 
-    def state(self, body: str) -> State:
+    def state(self, body: str) -> BodyMotion:
         """Return the motion of a body."""
         if body not in self._states:
             if body == FRAME:
                 nothing = (0.0, 0.0)
-                self._states[body] = State(nothing, nothing, nothing, (1.0, 0.0), 0.0, 0.0)
+                self._states[body] = BodyMotion(nothing, nothing, nothing, (1.0, 0.0), 0.0, 0.0)
             else:
                 (x, y), (c, d) = self.pose.points[self.machine.mechanism.bodies[body].start], self.pose.direction(body)
-                self._states[body] = moved((parts(x), parts(y)), (parts(c), parts(d)))
+                self._states[body] = body_motion((jet_parts(x), jet_parts(y)), (jet_parts(c), jet_parts(d)))
         return self._states[body]
 
     def sense(self, of: Callable[[Moving], tuple[Value, Value]], size: Value = 1.0) -> Value:

@@ -74,7 +74,7 @@ def _slow(ranges: Mapping[Direction, list[tuple[float, float]]]) -> Direction | 
 
 
 @dataclass(frozen=True)
-class Acting:
+class StrokeLoad:
     """A load that acts in one stroke only.
 
     `stroke`: "forward" or "backward" along the load's own direction, for the actual sense of crank rotation; `ranges`: the crank
@@ -88,7 +88,7 @@ class Acting:
     pace: Pace
 
 
-def acting_loads(machine: Machine, speed: float) -> tuple[Acting, ...]:
+def acting_loads(machine: Machine, speed: float) -> tuple[StrokeLoad, ...]:
     """Return the loads that act in one stroke only.
 
     Parameters
@@ -101,17 +101,17 @@ def acting_loads(machine: Machine, speed: float) -> tuple[Acting, ...]:
     return tuple(_acting(machine, speed))
 
 
-def _acting(machine: Machine, speed: float) -> Iterator[Acting]:
+def _acting(machine: Machine, speed: float) -> Iterator[StrokeLoad]:
     for load in machine.loads:
         if not isinstance(load, Force | Torque) or load.stroke == "both":
             continue
         ranges = load_strokes(machine, load)
         other = OTHER[load.stroke] if speed < 0.0 else load.stroke
         own, counter = (other, load.stroke) if load.turning else (load.stroke, other)
-        yield Acting(load.name, load.body, own, tuple(ranges[counter]), pace_of(counter, _slow(ranges)))
+        yield StrokeLoad(load.name, load.body, own, tuple(ranges[counter]), pace_of(counter, _slow(ranges)))
 
 
-def working_stroke(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> tuple[Direction | None, tuple[str, ...]]:
+def working_stroke(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...]) -> tuple[Direction | None, tuple[str, ...]]:
     """Return the working stroke of an output and the loads that define it.
 
     It is the stroke in which loads of the same dead centres act; None where no load is limited to one stroke, or loads act in
@@ -122,7 +122,7 @@ def working_stroke(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> 
     travel : Travel
     speed : float
         Speed of the crank; only its sign is used.
-    acting : tuple of Acting
+    acting : tuple of StrokeLoad
     """
     found: dict[Direction, list[str]] = {}
     for stroke in travel.strokes(speed):

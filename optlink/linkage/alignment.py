@@ -31,7 +31,7 @@ _STILL = 1e-12  # rate of an alignment over the crank angle that is rounding
 _ASIDE = 1e-3  # [rad]: so far on either side of a least alignment the alignment is larger
 
 
-class Aligned(NamedTuple):
+class AlignedPosition(NamedTuple):
     """Position in which a group comes closest to alignment: crank angle [rad] and angle from alignment [rad]."""
 
     crank_angle: float
@@ -52,7 +52,7 @@ class Aligned(NamedTuple):
         return f"{math.degrees(self.crank_angle):.6g} deg ({self.group.kind} group of {self.group.joint})"
 
 
-def listed(positions: Iterable[Aligned]) -> str:
+def positions_text(positions: Iterable[AlignedPosition]) -> str:
     """Return the crank angles and groups of positions as one comma-separated text."""
     return ", ".join(str(position) for position in positions)
 
@@ -65,7 +65,7 @@ def squared_sines(pose: Pose) -> Array:
     return np.array(found, dtype=float).reshape(-1, *shape)
 
 
-def slack(pose: Pose) -> Array:
+def alignment_margin(pose: Pose) -> Array:
     """Return the least alignment of all groups above its limit [-], array (n,); negative, never NaN, if one fails to close."""
     least = np.full(np.shape(_value(pose.directions[pose.mechanism.crank.body][0])), np.inf)
     for group, sines in zip(pose.mechanism.groups, squared_sines(pose), strict=True):
@@ -76,7 +76,7 @@ def slack(pose: Pose) -> Array:
 
 def least_alignments(
     mechanism: Mechanism, sizes: Mapping[str, Value], low: float = 0.0, high: float | None = None
-) -> list[Aligned]:
+) -> list[AlignedPosition]:
     """Return the positions in which a group comes within `NEAR_ALIGNMENT` of alignment, each at the least angle from it.
 
     Parameters
@@ -122,7 +122,7 @@ def least_alignments(
     before, least, after = (in_portions(sines, at + aside, which) for aside in (-_ASIDE, 0.0, _ASIDE))
     lowest = (least <= before) & (least <= after) & (least < math.sin(NEAR_ALIGNMENT) ** 2) & (least >= -TOUCHING)
     return [
-        Aligned(0.0 if abs(angle) < 1e-9 else float(angle), mechanism.groups[k], math.asin(math.sqrt(max(sine, 0.0))))
+        AlignedPosition(0.0 if abs(angle) < 1e-9 else float(angle), mechanism.groups[k], math.asin(math.sqrt(max(sine, 0.0))))
         for angle, k, sine in zip(at[lowest], which[lowest], least[lowest], strict=True)
     ]
 

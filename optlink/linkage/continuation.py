@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.alignment import Aligned, least_alignments
+from optlink.linkage.alignment import AlignedPosition, least_alignments
 from optlink.linkage.dyad_types import RPR, RRP, RRR
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.passage import Course, Passage
+from optlink.linkage.passage import GroupPassages, Passage
 from optlink.linkage.stroke import reachable
 from optlink.linkage.vector2d import Value, turn
 
@@ -50,7 +50,9 @@ class _Crossing(NamedTuple):
     series: dict[int, Passage]
 
 
-def follow(mechanism: Mechanism, sizes: Mapping[str, Value], start: float, *, every: bool = False) -> Mechanism:
+def continue_through_singularities(
+    mechanism: Mechanism, sizes: Mapping[str, Value], start: float, *, every: bool = False
+) -> Mechanism:
     """Return the mechanism with its groups continued smoothly through their singular positions.
 
     Parameters
@@ -80,7 +82,7 @@ def follow(mechanism: Mechanism, sizes: Mapping[str, Value], start: float, *, ev
     return mechanism
 
 
-def _course(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, start: float) -> Course | None:
+def _course(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, start: float) -> GroupPassages | None:
     """Sides and passages of the last group of a mechanism, from the crank angle at which its mode applies."""
     ranges, cycle = reachable(part, sizes), part.cycle
     aligned = [p for p in least_alignments(part, sizes) if p.group is group and p.singular]
@@ -106,7 +108,7 @@ def _course(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR,
         replace(crossing.series[int(side)], crank_angle=float(at))
         for at, (_, crossing), side in zip(breaks, ahead, sides[:-1], strict=True)
     )
-    return Course(origin, turns * cycle, breaks, sides, passages)
+    return GroupPassages(origin, turns * cycle, breaks, sides, passages)
 
 
 def _ahead(at: float, origin: float, cycle: float, *, closed: bool) -> float:
@@ -115,7 +117,7 @@ def _ahead(at: float, origin: float, cycle: float, *, closed: bool) -> float:
     return cycle if closed and (found < SAME or found > cycle - SAME) else found
 
 
-def _crossing(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, at: Aligned) -> _Crossing | None:
+def _crossing(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, at: AlignedPosition) -> _Crossing | None:
     """Continue a group through a singular position, on the largest circle on which its motion is a power series."""
     theta = math.pi + TURN * np.arange(NODES) / NODES
     circle = np.exp(1j * theta)

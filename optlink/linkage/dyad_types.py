@@ -8,7 +8,7 @@ import numpy as np
 
 from optlink.linkage.dyads import prp, rpp, rpr, rrp, rrr
 from optlink.linkage.mechanism import Guide, Link, Pose
-from optlink.linkage.passage import Course
+from optlink.linkage.passage import GroupPassages
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus, turn, turn_back
 
 PARALLEL = 1e-12
@@ -39,7 +39,7 @@ class _Modal(_Pair):
 
     follow: bool = field(default=False, kw_only=True)
     holds_at: float | None = field(default=None, kw_only=True)
-    course: Course | None = field(default=None, kw_only=True, compare=False)
+    course: GroupPassages | None = field(default=None, kw_only=True, compare=False)
 
     def mode(self, pose: Pose) -> Value:
         """Return the assembly mode at the crank angles of a pose."""

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from optlink.linkage.passage import Course
+from optlink.linkage.passage import GroupPassages
 from optlink.linkage.vector2d import Value, Vector, angle, cross, dot, minus, plus, turn, turn_back, unit
 
 Size = str | float
@@ -119,7 +119,7 @@ class Group(Protocol):
         ...
 
     @property
-    def course(self) -> Course | None:
+    def course(self) -> GroupPassages | None:
         """Sides and series through singular positions, if the group is continued through them."""
         ...
 

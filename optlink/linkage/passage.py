@@ -49,7 +49,7 @@ class Passage:
 
 
 @dataclass(frozen=True)
-class Course:
+class GroupPassages:
     """Sides and passages of a group over the crank angle.
 
     Parameters

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.alignment import Aligned, least_alignments, slack
+from optlink.linkage.alignment import AlignedPosition, alignment_margin, least_alignments
 from optlink.linkage.dyad_types import PRP
 from optlink.linkage.extrema import zeros
 from optlink.linkage.jet import Jet
@@ -65,7 +65,7 @@ class Failure:
         return f"{where} {what} fails to close{amount}"
 
 
-def stopping(mechanism: Mechanism, sizes: Mapping[str, Value], end: float, way: float) -> str:
+def range_end_reason(mechanism: Mechanism, sizes: Mapping[str, Value], end: float, way: float) -> str:
     """Return the reason why the crank cannot turn beyond the end of a range, or an empty string if it is unknown.
 
     Parameters
@@ -96,19 +96,19 @@ class Ranges:
 
     ranges: tuple[tuple[float, float], ...]
     full: bool
-    aligned: tuple[Aligned, ...] = ()
+    aligned: tuple[AlignedPosition, ...] = ()
 
     @property
-    def singular(self) -> tuple[Aligned, ...]:
+    def singular(self) -> tuple[AlignedPosition, ...]:
         """Singular positions beyond which the motion is not determined, in the order of the crank angle."""
         return self._meeting(followed=False)
 
     @property
-    def followed(self) -> tuple[Aligned, ...]:
+    def followed(self) -> tuple[AlignedPosition, ...]:
         """Singular positions through which a group is continued, in the order of the crank angle."""
         return self._meeting(followed=True)
 
-    def _meeting(self, *, followed: bool) -> tuple[Aligned, ...]:
+    def _meeting(self, *, followed: bool) -> tuple[AlignedPosition, ...]:
         found = [position for position in self.aligned if position.singular and position.followed == followed]
         return tuple(sorted(found, key=lambda position: position.crank_angle))
 
@@ -121,7 +121,7 @@ class Ranges:
         return None
 
 
-def closing(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Array) -> Array:
+def assembly_margin(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Array) -> Array:
     """Return the least assembly margin of all groups [-], array (n,); negative (never NaN) where a group fails to close.
 
     Parameters
@@ -164,7 +164,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
 
     def closed(angles: Array) -> bool:
         with np.errstate(all="ignore"):
-            return bool(np.all(slack(mechanism.at(sizes, angles)) >= 0.0))
+            return bool(np.all(alignment_margin(mechanism.at(sizes, angles)) >= 0.0))
 
     failing = not closed(grid)
     margin, *sines = zeros(function, grid)

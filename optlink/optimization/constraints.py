@@ -27,7 +27,7 @@ from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.limits import Alignment, Reach
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import GenerationProblem
+from optlink.problem.path import PathProblem
 from optlink.problem.quantity import Interval
 
 
@@ -40,15 +40,15 @@ class Scale:
     cosine: bool = False
     offset: float = 0.0
 
-    def people(self, value: float) -> float:
+    def to_display(self, value: float) -> float:
         """Return the value in `unit`; NaN for a cosine outside -1 ... 1."""
         if not self.cosine:
             return value * self.factor + self.offset
         return math.degrees(math.acos(value)) if abs(value) <= 1.0 else math.nan
 
-    def own(self, people: float) -> float:
+    def to_internal(self, displayed: float) -> float:
         """Convert a value in `unit` to the row's value."""
-        return math.cos(math.radians(people)) if self.cosine else (people - self.offset) / self.factor
+        return math.cos(math.radians(displayed)) if self.cosine else (displayed - self.offset) / self.factor
 
     def slope(self, value: float) -> float:
         """Return the derivative of the displayed value with respect to the row's value."""
@@ -59,13 +59,13 @@ class Scale:
 class SineSquared(Scale):
     """Scale of a row whose value is the squared sine of the displayed angle."""
 
-    def people(self, value: float) -> float:
+    def to_display(self, value: float) -> float:
         """Return the angle [deg], at most 90; NaN where the group cannot be assembled."""
         return math.degrees(math.asin(math.sqrt(min(value, 1.0)))) if value >= 0.0 else math.nan
 
-    def own(self, people: float) -> float:
+    def to_internal(self, displayed: float) -> float:
         """Return the row's value of an angle [deg]."""
-        return math.sin(math.radians(people)) ** 2
+        return math.sin(math.radians(displayed)) ** 2
 
     def slope(self, value: float) -> float:
         """Return the derivative of the displayed angle with respect to the row's value."""
@@ -78,11 +78,11 @@ SINE_SQUARED = SineSquared("deg")
 PLAIN = Scale("")
 
 
-AnyProblem = DesignProblem | GenerationProblem
+AnyProblem = DesignProblem | PathProblem
 
 
 @dataclass(frozen=True)
-class Row:
+class ConstraintRow:
     """One inequality (or equality if low = high) of the NLP.
 
     Rows with the same limit and label are one limit at several positions: they share one shadow price and are relaxed together.
@@ -96,7 +96,7 @@ class Row:
     scale: Scale
 
 
-Term = Callable[[AnyProblem, Mapping[str, Value], Reach, float], Iterator[Row]]
+Term = Callable[[AnyProblem, Mapping[str, Value], Reach, float], Iterator[ConstraintRow]]
 """(problem, values, crank angles asked for, reference length [m]) -> rows"""
 
 
@@ -104,12 +104,12 @@ SAME = 1e-12  # cosines that differ by rounding alone
 ALIGNED = "coupler and rocker not in line"
 
 
-def crank(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
+def full_rotation_rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the conditions for full rotation of the crank (linear, including the length margin).
 
     Parameters
     ----------
-    problem : DesignProblem or GenerationProblem
+    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -125,14 +125,14 @@ def crank(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: 
     for label, slack in conditions(*lengths_of(values)).items():
         words = label.split()
         if "+" not in words:
-            yield Row("limits.crank", label, slack / size, 0.0, math.inf, millimetres)
+            yield ConstraintRow("limits.crank", label, slack / size, 0.0, math.inf, millimetres)
             continue
         # margin as a share of the second link of the longer side: if another link is longest its own sum implies this row
         least = problem.limits.length_margin * values[words[2]]
-        yield Row("limits.length_margin", label, (slack - least) / size, 0.0, math.inf, millimetres)
+        yield ConstraintRow("limits.length_margin", label, (slack - least) / size, 0.0, math.inf, millimetres)
 
 
-def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
+def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the conditions for the existence of the dead centre at which a law starts.
 
     At the inner dead centre, coupler and crank must differ in length: otherwise C coincides with A. For a crank with full
@@ -140,7 +140,7 @@ def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
 
     Parameters
     ----------
-    problem : DesignProblem or GenerationProblem
+    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -156,13 +156,13 @@ def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
     line = a + r if begin == DEAD_CENTRES[0] else magnitude(a - r)
     for longest in (r, a, b, f):  # one row each, as their maximum is not smooth
         least = margin * longest
-        yield Row(key, "dead centre: C not too far from A", (b + f - line - least) / size, 0.0, math.inf, millimetres)
+        yield ConstraintRow(key, "dead centre: C not too far from A", (b + f - line - least) / size, 0.0, math.inf, millimetres)
         for difference in (b - f, f - b):
             row = (line - difference - least) / size
-            yield Row(key, "dead centre: C not too near to A", row, 0.0, math.inf, millimetres)
+            yield ConstraintRow(key, "dead centre: C not too near to A", row, 0.0, math.inf, millimetres)
 
 
-def sides(problem: AnyProblem) -> Iterator[tuple[str, float, float, str]]:
+def transmission_sides(problem: AnyProblem) -> Iterator[tuple[str, float, float, str]]:
     """Yield the limits of transmission cosines: (key, low, high, "revolution" or "span").
 
     A side of the transmission limit that is looser than the alignment limit is left out (infinite); one that is equally tight
@@ -187,14 +187,14 @@ def sides(problem: AnyProblem) -> Iterator[tuple[str, float, float, str]]:
         yield "limits.alignment", floor, ceiling, required
 
 
-def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
+def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the limits of the transmission angle at its exact extremes, as cosines.
 
     The cosines are rational in the lengths and finite even where the linkage cannot be assembled.
 
     Parameters
     ----------
-    problem : DesignProblem or GenerationProblem
+    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -203,18 +203,18 @@ def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
         Not used here.
     """
     lengths = lengths_of(values)
-    for key, low, high, over in sides(problem):
+    for key, low, high, over in transmission_sides(problem):
         aligned = key == "limits.alignment"
         if over == "revolution":
             names = (ALIGNED, ALIGNED) if aligned else ("smallest transmission angle", "largest transmission angle")
             if high < math.inf:
-                yield Row(key, names[0], transmission_cosine(*lengths, 1.0), -math.inf, high, COSINE)
+                yield ConstraintRow(key, names[0], transmission_cosine(*lengths, 1.0), -math.inf, high, COSINE)
             if low > -math.inf:
-                yield Row(key, names[1], transmission_cosine(*lengths, -1.0), low, math.inf, COSINE)
+                yield ConstraintRow(key, names[1], transmission_cosine(*lengths, -1.0), low, math.inf, COSINE)
             continue
         label = ALIGNED if aligned else "transmission angle over the span"
         for phi in turning_points(reach.start, reach.span):
-            yield Row(key, label, transmission_cosine(*lengths, np.cos(phi)), low, high, COSINE)
+            yield ConstraintRow(key, label, transmission_cosine(*lengths, np.cos(phi)), low, high, COSINE)
 
 
 def _within(interval: Interval | None) -> tuple[float, float]:
@@ -226,12 +226,12 @@ def _within(interval: Interval | None) -> tuple[float, float]:
     )
 
 
-def stroke(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
+def stroke(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the limits of the rocker's swing angle and of the time ratio of its two strokes.
 
     Parameters
     ----------
-    problem : DesignProblem or GenerationProblem
+    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -242,20 +242,22 @@ def stroke(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size:
     lengths = lengths_of(values)
     if problem.limits.swing_angle is not None:
         value = swing(*lengths, problem.side)
-        yield Row("limits.swing_angle", "swing angle of the rocker", value, *_within(problem.limits.swing_angle), DEGREES)
+        yield ConstraintRow(
+            "limits.swing_angle", "swing angle of the rocker", value, *_within(problem.limits.swing_angle), DEGREES
+        )
     if problem.limits.time_ratio is not None:
         ratio = problem.limits.time_ratio
         value = time_ratio(*lengths, problem.side, ratio.stroke, reach.sense)
         label = f"time ratio, {ratio.strokes}" if ratio.stroke else "time ratio"
-        yield Row("limits.time_ratio", label, value, *_within(ratio), PLAIN)
+        yield ConstraintRow("limits.time_ratio", label, value, *_within(ratio), PLAIN)
 
 
-def proportions(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
+def proportion_rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the limits of the frame length and of the ratios of the moving links to the frame.
 
     Parameters
     ----------
-    problem : DesignProblem or GenerationProblem
+    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -265,7 +267,7 @@ def proportions(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, 
     """
     if problem.limits.frame_length is not None:
         low, high = _within(problem.limits.frame_length)
-        yield Row(
+        yield ConstraintRow(
             "limits.frame_length",
             "frame length",
             values["frame"] / size,
@@ -276,15 +278,15 @@ def proportions(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, 
     if problem.limits.link_ratio is not None:
         low, high = _within(problem.limits.link_ratio)
         for name in LENGTHS[:3]:
-            yield Row("limits.link_ratio", "moving link / frame", values[name] / values["frame"], low, high, PLAIN)
+            yield ConstraintRow("limits.link_ratio", "moving link / frame", values[name] / values["frame"], low, high, PLAIN)
 
 
-def pivots(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[Row]:
+def pivot_region_rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the limits of a rectangular region for the fixed pivots.
 
     Parameters
     ----------
-    problem : DesignProblem or GenerationProblem
+    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -292,7 +294,7 @@ def pivots(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size:
     size : float [m]
         Reference length of the rows.
     """
-    region = problem.limits.pivots if isinstance(problem, GenerationProblem) else None
+    region = problem.limits.pivots if isinstance(problem, PathProblem) else None
     if region is None:
         return
     pose = Pose(problem.linkage, values)
@@ -301,19 +303,21 @@ def pivots(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size:
             interval = getattr(region, axis)
             if interval is not None:
                 low, high = _within(interval)
-                yield Row("limits.pivots", f"{name}.{axis}", coordinate / size, low / size, high / size, Scale("mm", 1e3 * size))
+                yield ConstraintRow(
+                    "limits.pivots", f"{name}.{axis}", coordinate / size, low / size, high / size, Scale("mm", 1e3 * size)
+                )
 
 
-FOUR_BAR: tuple[Term, ...] = (crank, dead_centres, transmission, stroke, proportions)
-GENERAL: tuple[Term, ...] = (pivots,)
+FOUR_BAR: tuple[Term, ...] = (full_rotation_rows, dead_centres, transmission, stroke, proportion_rows)
+GENERAL: tuple[Term, ...] = (pivot_region_rows,)
 
 
-def rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> list[Row]:
+def rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> list[ConstraintRow]:
     """Return every row of the problem's limits, except those at single crank angles (`position_rows`).
 
     Parameters
     ----------
-    problem : DesignProblem or GenerationProblem
+    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -325,28 +329,28 @@ def rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: f
     return [row for term in terms for row in term(problem, values, reach, size)]
 
 
-def position_rows(problem: GenerationProblem, pose: Pose) -> list[Row]:
+def position_rows(problem: PathProblem, pose: Pose) -> list[ConstraintRow]:
     """Return the limits at one crank angle of any mechanism: transmission angles, and alignment of every group.
 
     Parameters
     ----------
-    problem : GenerationProblem
+    problem : PathProblem
     pose : Pose
         The mechanism at the crank angle.
     """
-    found, limited = [], list(sides(problem))
+    found, limited = [], list(transmission_sides(problem))
     aligned = any(key == "limits.alignment" for key, *_ in limited)
     for group in problem.linkage.groups:
         if isinstance(group, RRR):
             own = ((key, low, high) for key, low, high, _ in limited if key != "limits.alignment")
             label, cosine = f"transmission angle at {group.joint}", group.cosine(pose)
-            found += [Row(key, label, cosine, low, high, COSINE) for key, low, high in own]
+            found += [ConstraintRow(key, label, cosine, low, high, COSINE) for key, low, high in own]
         if aligned or not isinstance(group, RRR):
             found.append(alignment_row(problem.limits, group, group.alignment(pose)))
     return found
 
 
-def alignment_row(limits: Alignment, group: Group, value: Value) -> Row:
+def alignment_row(limits: Alignment, group: Group, value: Value) -> ConstraintRow:
     """Return the row that keeps a group away from the position where its assembly modes meet.
 
     Parameters
@@ -357,4 +361,4 @@ def alignment_row(limits: Alignment, group: Group, value: Value) -> Row:
         Squared sine of the alignment angle of the group.
     """
     low = math.sin(limits.alignment.value) ** 2
-    return Row("limits.alignment", f"{group.joint} not aligned", value, low, math.inf, SINE_SQUARED)
+    return ConstraintRow("limits.alignment", f"{group.joint} not aligned", value, low, math.inf, SINE_SQUARED)

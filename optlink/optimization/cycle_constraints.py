@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.stroke import LEAST_DIFFERENCE
-from optlink.optimization.constraints import DEGREES, PLAIN, Row, Scale, alignment_row
-from optlink.optimization.cycle_signals import TURN, Structure, Trace
+from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, alignment_row
+from optlink.optimization.cycle_signals import TURN, EventOrder, TracedCycle
 from optlink.optimization.nlp import Variable
 from optlink.problem.cycle import Bound
 from optlink.problem.cycle_terms import Goal, Term
@@ -32,16 +32,16 @@ APART = 1e-3  # rad, least crank rotation between two events
 
 
 @dataclass(frozen=True)
-class Rooted(Scale):
+class SquareRootScale(Scale):
     """Scale of a row whose value is the square of the displayed value: smooth also where a force vanishes."""
 
-    def people(self, value: float) -> float:
+    def to_display(self, value: float) -> float:
         """Return the value in `unit`."""
         return math.sqrt(max(value, 0.0)) * self.factor
 
-    def own(self, people: float) -> float:
+    def to_internal(self, displayed: float) -> float:
         """Convert a value in `unit` to the row's value."""
-        return (people / self.factor) ** 2
+        return (displayed / self.factor) ** 2
 
     def slope(self, value: float) -> float:
         """Return the derivative of the displayed value with respect to the row's value."""
@@ -49,7 +49,7 @@ class Rooted(Scale):
 
 
 @dataclass(frozen=True)
-class Watched:
+class WatchedTerm:
     """A term to be monitored between the nodes: the indices of its components among the signals, and its level or bound.
 
     `level`: index of the variable that is its largest value; otherwise `bound` [SI] limits it. `sign`: -1 for a least value.
@@ -76,7 +76,7 @@ class Watched:
         return casadi.sumsqr(casadi.vertcat(*own)) if self.width > 1 or self.peak else self.sign * own[0]
 
 
-def variable_of(name: str, quantity: Quantity, size: float) -> Variable:
+def scaled_variable(name: str, quantity: Quantity, size: float) -> Variable:
     """Return the scaling of a quantity: lengths and coordinates by the size of the machine, angles by 1 rad.
 
     Parameters
@@ -91,7 +91,7 @@ def variable_of(name: str, quantity: Quantity, size: float) -> Variable:
     return Variable(name, size, Scale("mm", 1e3 * size))
 
 
-def people_scale(kind: str, unit: str, size: float) -> Scale:
+def display_scale(kind: str, unit: str, size: float) -> Scale:
     """Return the conversion from multiples of `size` to a display unit.
 
     Parameters
@@ -103,7 +103,7 @@ def people_scale(kind: str, unit: str, size: float) -> Scale:
     size : float [SI]
         Value of one.
     """
-    return Scale(unit, size / factor(unit or KINDS[kind].people, kind)) if kind else Scale("", size)
+    return Scale(unit, size / factor(unit or KINDS[kind].display, kind)) if kind else Scale("", size)
 
 
 def _keeps_slow(bound: Bound) -> bool:
@@ -113,13 +113,13 @@ def _keeps_slow(bound: Bound) -> bool:
     return bound.interval.low is not None
 
 
-class Parts:
+class CycleTerms:
     """The expressions of an NLP of cycle optimisation.
 
     Parameters
     ----------
-    trace : Trace
-    structure : Structure
+    trace : TracedCycle
+    structure : EventOrder
         Events at `start`.
     start : mapping of str to float [SI]
         Design variables at the start.
@@ -133,8 +133,8 @@ class Parts:
 
     def __init__(
         self,
-        trace: Trace,
-        structure: Structure,
+        trace: TracedCycle,
+        structure: EventOrder,
         start: Mapping[str, float],
         nodes: int,
         roaming: int,
@@ -150,10 +150,10 @@ class Parts:
         events = len(structure.which)
         self.cuts = trace.cuts(structure)
         self.strokes = max(1, self.cuts)
-        self.variables = [variable_of(name, problem.quantities[name], self.size) for name in self.free]
+        self.variables = [scaled_variable(name, problem.quantities[name], self.size) for name in self.free]
         self.variables += [Variable(f"{EVENT} {k + 1}", 1.0, DEGREES) for k in range(events)]
         self.variables += [Variable(f"{goal.words} {k + 1}", 1.0, PLAIN) for k, goal in enumerate(self.epigraphs)]
-        self.constants = [variable_of(name, problem.quantities[name], self.size) for name in self.fixed]
+        self.constants = [scaled_variable(name, problem.quantities[name], self.size) for name in self.fixed]
         self.x = casadi.SX.sym("x", len(self.variables))
         self.roaming, self.slots = roaming, self.strokes * roaming
         self.p = casadi.SX.sym("p", 1 + len(self.fixed) + self.slots)
@@ -164,7 +164,7 @@ class Parts:
         self.levels = [self.x[len(self.free) + events + k] for k in range(len(self.epigraphs))]
         self.x_fixed = [problem.quantities[v.name].value / v.size for v in self.constants]
         self.start = dict(start)
-        self.rows: list[Row] = []
+        self.rows: list[ConstraintRow] = []
         self._cut(nodes)
         self._at_events()
 
@@ -203,11 +203,11 @@ class Parts:
             key = self.trace.events[which].key
             size = 1.0 if key[0] == "body" else self.size
             size *= 1.0 if key[0] == "corner" else speed
-            self.rows.append(Row(EVENT, f"{EVENT} {k + 1}: {' '.join(key)}", there[which] / size, 0.0, 0.0, PLAIN))
+            self.rows.append(ConstraintRow(EVENT, f"{EVENT} {k + 1}: {' '.join(key)}", there[which] / size, 0.0, 0.0, PLAIN))
         angles = [*self.structure.angles[: self.cuts], self.structure.angles[0] + TURN] if self.cuts > 1 else []
         for k, (span, (begin, end)) in enumerate(zip(self.spans, itertools.pairwise(angles), strict=False)):
             if end - begin > APART:  # otherwise both always coincide in this machine
-                self.rows.append(Row(EVENT, f"order of {EVENT} {k + 1}", span, APART, math.inf, DEGREES))
+                self.rows.append(ConstraintRow(EVENT, f"order of {EVENT} {k + 1}", span, APART, math.inf, DEGREES))
         self._slow()
 
     def _slow(self) -> None:
@@ -215,12 +215,12 @@ class Parts:
         for name, which in self.trace.paced_loads.items() if self.events else ():
             label = f"slow minus quick stroke of {name}"
             least = ROOM * LEAST_DIFFERENCE
-            self.rows.append(Row(f"loads.{name}.stroke", label, self._slower(which), least, math.inf, DEGREES))
+            self.rows.append(ConstraintRow(f"loads.{name}.stroke", label, self._slower(which), least, math.inf, DEGREES))
         implied = {id(bound.term) for bound in self.problem.bounds if _keeps_slow(bound)}
         for term in self.trace.terms:
             if term.by_pace and id(term) not in implied:
                 label = f"slow minus quick stroke of {term.of}"
-                self.rows.append(Row(EVENT, label, self._slower(self.trace.event_of(term)), 0.0, math.inf, DEGREES))
+                self.rows.append(ConstraintRow(EVENT, label, self._slower(self.trace.event_of(term)), 0.0, math.inf, DEGREES))
 
     def _forward_slow(self, which: int) -> bool:
         """Return whether the forward stroke of a motion counts as the slow one in this NLP."""
@@ -345,14 +345,14 @@ class Parts:
 
     # --- rows ------------------------------------------------------------------------------------------------------------
 
-    def close(self) -> Iterator[Watched]:
+    def close(self) -> Iterator[WatchedTerm]:
         """Add rows that keep every group away from the position where its assembly modes meet, and yield what to monitor."""
         first, limits = sum(self.trace.widths), self.problem.limits
         for k, group in enumerate(self.trace.mechanism.groups):
             self.rows += [alignment_row(limits, group, signals[first + k]) for *_, signals in self.at]
-            yield Watched(first + k, 1, False, -1.0, 1.0, None, -self.rows[-1].low)
+            yield WatchedTerm(first + k, 1, False, -1.0, 1.0, None, -self.rows[-1].low)
 
-    def limit(self, bound: Bound) -> Watched | None:
+    def limit(self, bound: Bound) -> WatchedTerm | None:
         """Add the rows of a limit; return what to monitor between the nodes, if anything."""
         term, interval = bound.term, bound.interval
         kind = interval.kind or ""
@@ -362,23 +362,25 @@ class Parts:
             None if interval.low is None else interval.low / size,
             None if interval.high is None else interval.high / size,
         )
-        scale = people_scale(kind, interval.unit, size)
+        scale = display_scale(kind, interval.unit, size)
         below, above = -math.inf if low is None else low, math.inf if high is None else high
         if not term.extreme:
-            self.rows.append(Row(bound.key, term.words, self.figure(term) / size, below, above, scale))
+            self.rows.append(ConstraintRow(bound.key, term.words, self.figure(term) / size, below, above, scale))
             return None
         for _, parts in self.components(term):
             if len(parts) > 1:
                 square = sum(part * part for part in parts) / size**2
-                self.rows.append(Row(bound.key, term.words, square, -math.inf, above**2, Rooted(scale.unit, scale.factor)))
+                self.rows.append(
+                    ConstraintRow(bound.key, term.words, square, -math.inf, above**2, SquareRootScale(scale.unit, scale.factor))
+                )
                 continue
             for sign in (1.0, -1.0) if term.how == "peak" else (1.0,):
-                self.rows.append(Row(bound.key, term.words, sign * parts[0] / size, below, above, scale))
+                self.rows.append(ConstraintRow(bound.key, term.words, sign * parts[0] / size, below, above, scale))
         first, width = self.place(term)
         limit, sign = (above, 1.0) if high is not None else (-below, -1.0)
-        return Watched(first, width, term.how == "peak", sign, size, None, limit)
+        return WatchedTerm(first, width, term.how == "peak", sign, size, None, limit)
 
-    def goal(self, goal: Goal, size: float, level: Any, index: int) -> Watched:
+    def goal(self, goal: Goal, size: float, level: Any, index: int) -> WatchedTerm:
         """Add the rows that make a variable the largest value of a term.
 
         Parameters
@@ -396,12 +398,12 @@ class Parts:
         for _, parts in self.components(goal):
             if len(parts) > 1:
                 square = level * level - sum(part * part for part in parts) / size**2
-                self.rows.append(Row(EPIGRAPH, label, square, 0.0, math.inf, PLAIN))
+                self.rows.append(ConstraintRow(EPIGRAPH, label, square, 0.0, math.inf, PLAIN))
                 continue
             signs = {"peak": (1.0, -1.0), "largest": (1.0,), "least": (-1.0,)}[goal.how]
-            self.rows += [Row(EPIGRAPH, label, level - sign * parts[0] / size, 0.0, math.inf, PLAIN) for sign in signs]
+            self.rows += [ConstraintRow(EPIGRAPH, label, level - sign * parts[0] / size, 0.0, math.inf, PLAIN) for sign in signs]
         first, width = self.place(goal)
-        return Watched(first, width, goal.how == "peak", -1.0 if goal.how == "least" else 1.0, size, index, math.inf)
+        return WatchedTerm(first, width, goal.how == "peak", -1.0 if goal.how == "least" else 1.0, size, index, math.inf)
 
     def heights(self, goal: Goal, size: float) -> Any:
         """Return the values at all positions whose largest is the level of a term, in units of `size`.

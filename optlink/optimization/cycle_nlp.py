@@ -16,12 +16,12 @@ import casadi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.optimization.cycle_constraints import EVENT, Parts, Watched
-from optlink.optimization.cycle_signals import TURN, Structure, Trace
+from optlink.optimization.cycle_constraints import EVENT, CycleTerms, WatchedTerm
+from optlink.optimization.cycle_signals import TURN, EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.optimization.objectives import Measure
+from optlink.optimization.objectives import ErrorMeasure
 from optlink.problem.function import EPIGRAPH
-from optlink.symbolic import Compiled, tracing
+from optlink.symbolic import CompiledFunction, symbols_in_numpy
 from optlink.units import KINDS
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ SLOTS = (4, 6)  # ... least and most per stroke
 
 
 @dataclass(frozen=True)
-class Figure(Measure):
+class Figure(ErrorMeasure):
     """An objective with a single value, `worth` times the objective of the NLP."""
 
     worth: float = 1.0
@@ -55,10 +55,10 @@ class Figure(Measure):
 class CycleNLP(NLP):
     """The NLP of cycle optimisation, with the `trace` and `structure` from which it was built."""
 
-    trace: Trace | None = field(default=None, compare=False)
-    structure: Structure = field(default_factory=lambda: Structure((), (), ()))
+    trace: TracedCycle | None = field(default=None, compare=False)
+    structure: EventOrder = field(default_factory=lambda: EventOrder((), (), ()))
     free: tuple[str, ...] = ()
-    watched: tuple[Watched, ...] = ()
+    watched: tuple[WatchedTerm, ...] = ()
     level_symbols: Any = None
     slots: int = 0  # of roaming positions, all strokes together
     roamed: tuple[Any, ...] = ()  # signals there
@@ -66,11 +66,11 @@ class CycleNLP(NLP):
     scales: tuple[float, tuple[float, ...]] = (1.0, ())  # units: of length [m]; of each objective term [SI]
 
     @cached_property
-    def _levels(self) -> Compiled:
-        return Compiled([self.x_symbol, self.p_symbol], list(self.level_symbols))
+    def _levels(self) -> CompiledFunction:
+        return CompiledFunction([self.x_symbol, self.p_symbol], list(self.level_symbols))
 
     @property
-    def traced(self) -> Trace:
+    def traced(self) -> TracedCycle:
         """The trace from which the NLP was built."""
         assert self.trace is not None
         return self.trace
@@ -116,8 +116,8 @@ class CycleNLP(NLP):
 
 
 def build_cycle(
-    trace: Trace,
-    structure: Structure,
+    trace: TracedCycle,
+    structure: EventOrder,
     start: Mapping[str, float],
     nodes: int = NODES,
     slots: int | None = None,
@@ -127,8 +127,8 @@ def build_cycle(
 
     Parameters
     ----------
-    trace : Trace
-    structure : Structure
+    trace : TracedCycle
+    structure : EventOrder
         The events at `start`; the NLP is valid for designs with the same events in the same order.
     start : mapping of str to float [SI]
         Design variables at the start; the objective there is its scale.
@@ -143,8 +143,8 @@ def build_cycle(
     problem = trace.problem
     roaming = min(max(ROAMING // max(1, trace.cuts(structure)), SLOTS[0]), SLOTS[1]) if slots is None else slots
     integral = any(term.integral for term in trace.terms)
-    with tracing():
-        parts = Parts(trace, structure, start, nodes if integral else nodes // 2, roaming, scales[0])
+    with symbols_in_numpy():
+        parts = CycleTerms(trace, structure, start, nodes if integral else nodes // 2, roaming, scales[0])
         x, p, events, count = parts.x, parts.p, len(structure.which), len(parts.free)
         figures = [casadi.SX(0.0) if goal.extreme else parts.figure(goal) for goal in parts.goals]
         tops = [parts.heights(goal, 1.0) if goal.extreme else figure for goal, figure in zip(parts.goals, figures, strict=True)]
@@ -152,14 +152,14 @@ def build_cycle(
         at = np.concatenate([begin, structure.angles, np.ones(len(parts.epigraphs))])
         shares = np.tile(np.linspace(0.0, 1.0, roaming), parts.strokes)
         p_start = np.concatenate([[1.0], parts.x_fixed, shares])
-        found = [float(np.max(value)) for value in Compiled([x, p], tops)(at, p_start)]
-        courses = Compiled([x, p], [parts.natural(goal) for goal in parts.goals])
+        found = [float(np.max(value)) for value in CompiledFunction([x, p], tops)(at, p_start)]
+        courses = CompiledFunction([x, p], [parts.natural(goal) for goal in parts.goals])
         naturals = [float(np.max(value)) for value in courses(at, p_start)]
         sizes = list(scales[1]) or [
             scale or (abs(value) if abs(value) > ROUNDING * natural else natural) or 1.0
             for scale, value, natural in zip(problem.scales, found, naturals, strict=True)
         ]
-        watched: list[Watched | None] = []
+        watched: list[WatchedTerm | None] = []
         f, k = casadi.SX(0.0), 0
         for goal, size, figure in zip(parts.goals, sizes, figures, strict=True):
             if goal.extreme:

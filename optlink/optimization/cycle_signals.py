@@ -15,9 +15,9 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.inverse import Reactions, reactions, reported_on, required, shaking
+from optlink.dynamics.inverse import Reactions, reactions, reported_on, required_wrench, shaking
 from optlink.dynamics.loads import Force, Load
-from optlink.dynamics.machine import Machine, Moving, parts
+from optlink.dynamics.machine import Machine, Moving, jet_parts
 from optlink.linkage.dyad_types import RRP, RRR
 from optlink.linkage.extrema import zeros
 from optlink.linkage.jet import Jet
@@ -28,7 +28,7 @@ from optlink.problem.cycle import CycleProblem
 from optlink.problem.cycle_terms import STATIC, Term, guide_of, output_of
 from optlink.problem.machine.load_curves import Curve
 from optlink.problem.mechanism import sizes_of
-from optlink.symbolic import Tape, tracing
+from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
@@ -54,7 +54,7 @@ class _Sensed(Moving):
 
 
 @dataclass(frozen=True)
-class Event:
+class StrokeEnd:
     """A function whose sign changes at the end of a stroke: a velocity, or the distance from a corner of a load's table.
 
     `cuts`: whether forces or integrands jump there, so that the revolution is divided.
@@ -66,7 +66,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Structure:
+class EventOrder:
     """The events of a revolution: index of each, whether it rises, crank angle [rad].
 
     Dividing events come first, ordered from a rise of the first of them; the others follow for each output, as they may coincide.
@@ -78,7 +78,7 @@ class Structure:
     slow: tuple[bool | None, ...] = ()
     """For every event of `Trace.paced`: whether the forward stroke is the slow one; None where both take equally long."""
 
-    def like(self, other: Structure) -> bool:
+    def like(self, other: EventOrder) -> bool:
         """Return whether the same events occur in the same order."""
         return (self.which, self.rising) == (other.which, other.rising)
 
@@ -93,7 +93,7 @@ def _corner(guide: str, at: float) -> Callable[[Moving], Value]:
     return lambda moving: moving.slides[guide][0] - at
 
 
-class Trace:
+class TracedCycle:
     """The traced functions of one problem.
 
     Parameters
@@ -126,7 +126,7 @@ class Trace:
         self.works = any(term.quantity == "work" for term in self.terms)
         self.events = self._events()
         inputs = casadi.SX.sym("inputs", len(self.names) + 1)
-        with tracing():
+        with symbols_in_numpy():
             moving = self._moving(inputs)
             self.widths: list[int] = []
             outputs: list[Any] = []
@@ -134,7 +134,7 @@ class Trace:
                 self.widths.append(len(signal))
                 outputs += signal
             begin = len(outputs)
-            outputs += [parts(group.alignment(moving.pose))[0] - group.least for group in self.mechanism.groups]
+            outputs += [jet_parts(group.alignment(moving.pose))[0] - group.least for group in self.mechanism.groups]
             margins = outputs[begin:]
             ends = [part for term in self.ended for part in self._output(term, moving)]
             found = [event.value(moving) for event in self.events]
@@ -169,7 +169,7 @@ class Trace:
         if not forced and not self.works:  # friction, with which reactions cannot be traced, does not affect the motion
             return [self._signal(term, moving, None) for term in self.cyclic]
         whole = reactions(moving)
-        still = reactions(moving, required(moving, inertia=False)) if any(t.static for t in forced) else whole
+        still = reactions(moving, required_wrench(moving, inertia=False)) if any(t.static for t in forced) else whole
         found = [self._signal(term, moving, still if term.static else whole) for term in self.cyclic]
         return [*found, (whole.torque,)] if self.works else found
 
@@ -218,7 +218,7 @@ class Trace:
 
     # --- events ----------------------------------------------------------------------------------------------------------
 
-    def cuts(self, structure: Structure) -> int:
+    def cuts(self, structure: EventOrder) -> int:
         """Return the number of events that divide the revolution; they come first."""
         return sum(self.events[which].cuts for which in structure.which)
 
@@ -257,12 +257,12 @@ class Trace:
         kind, name = output_of(term, self.mechanism)
         return (kind, name, repr(term.direction.value)) if term.direction is not None else (kind, name)
 
-    def _events(self) -> list[Event]:
-        found: dict[tuple[str, ...], Event] = {}
+    def _events(self) -> list[StrokeEnd]:
+        found: dict[tuple[str, ...], StrokeEnd] = {}
 
         def add(key: tuple[str, ...], value: Callable[[Moving], Value], *, cuts: bool = True) -> None:
             cuts = cuts or (key in found and found[key].cuts)
-            found[key] = Event(key, value, cuts)
+            found[key] = StrokeEnd(key, value, cuts)
 
         for load in self.base.loads:
             slides = isinstance(load, Force) and isinstance(load.direction, str)
@@ -289,22 +289,22 @@ class Trace:
     # --- numbers ---------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _watch(self) -> Tape:
+    def _watch(self) -> NumpyEvaluator:
         """Margins, then events, as functions of (quantities, crank angle)."""
         outputs = [*self._margins, *self._found] or [casadi.SX(1, 1)]
-        return Tape([self._inputs], outputs)
+        return NumpyEvaluator([self._inputs], outputs)
 
     @cached_property
-    def signals(self) -> Tape:
+    def signals(self) -> NumpyEvaluator:
         """Signals, then margins, as functions of (quantities, crank angle, senses)."""
-        return Tape([self._known], [self._outputs])
+        return NumpyEvaluator([self._known], [self._outputs])
 
     def known(self, values: Mapping[str, float]) -> list[float]:
         """Return the quantities in the order of the inputs; values of the file for missing ones."""
         sizes = {**sizes_of(self.problem.quantities), **values}
         return [sizes[name] for name in self.names]
 
-    def structure(self, values: Mapping[str, float]) -> Structure | None:
+    def structure(self, values: Mapping[str, float]) -> EventOrder | None:
         """Return the events of a design; None if the crank cannot rotate fully."""
         known, groups = self.known(values), len(self.mechanism.groups)
         grid = np.linspace(0.0, TURN, GRID + 1) + 0.37 * TURN / GRID
@@ -312,7 +312,7 @@ class Trace:
         if not np.all(np.isfinite(there)) or np.any(there[:groups] < 0.0):
             return None
         if not self.events:
-            return Structure((), (), ())
+            return EventOrder((), (), ())
         count = len(self.events)
 
         def values_at(angles: Array) -> Array:
@@ -331,7 +331,7 @@ class Trace:
                 told += _from_rise(own)
         ordered = [*_from_rise(cutting), *told]
         slow = tuple(_forward_slow(every[k]) for k in self.paced)
-        return Structure(tuple(k for _, k, _ in ordered), tuple(up for *_, up in ordered), tuple(at for at, *_ in ordered), slow)
+        return EventOrder(tuple(k for _, k, _ in ordered), tuple(up for *_, up in ordered), tuple(at for at, *_ in ordered), slow)
 
 
 def _forward_slow(found: list[tuple[float, int, bool]]) -> bool | None:

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import turn, unit
-from optlink.optimization.constraints import DEGREES, Row, Scale
+from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.objectives import MEASURES, Measure, output_error
+from optlink.optimization.objectives import MEASURES, ErrorMeasure, output_error
 from optlink.optimization.output_derivatives import ErrorSlopes
 from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.robust import EXPECTED, residuals
-from optlink.symbolic import Compiled, tracing
+from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class Variable:
 
 
 @dataclass(frozen=True)
-class Point:
+class NLPValues:
     """The NLP at one x: objective f, its gradient, rows g and their Jacobian. Not finite where undefined."""
 
     f: float
@@ -64,8 +64,8 @@ class NLP:
 
     variables: tuple[Variable, ...]
     fixed: tuple[str, ...]
-    rows: tuple[Row, ...]
-    measure: Measure
+    rows: tuple[ConstraintRow, ...]
+    measure: ErrorMeasure
     x_start: Array
     x_low: Array
     x_high: Array
@@ -103,27 +103,27 @@ class NLP:
         return np.concatenate([self.x_high, self.high])
 
     @cached_property
-    def _values(self) -> Compiled:
-        return Compiled([self.x_symbol, self.p_symbol], [self.f_expression, self.g_expression])
+    def _values(self) -> CompiledFunction:
+        return CompiledFunction([self.x_symbol, self.p_symbol], [self.f_expression, self.g_expression])
 
     @cached_property
-    def _all(self) -> Compiled:
+    def _all(self) -> CompiledFunction:
         x, f, g = self.x_symbol, self.f_expression, self.g_expression
-        return Compiled([x, self.p_symbol], [f, casadi.gradient(f, x), g, casadi.jacobian(g, x)])
+        return CompiledFunction([x, self.p_symbol], [f, casadi.gradient(f, x), g, casadi.jacobian(g, x)])
 
     @cached_property
-    def _residuals(self) -> Compiled:
-        return Compiled([self.x_symbol, self.p_symbol], [self.residual_expression])
+    def _residuals(self) -> CompiledFunction:
+        return CompiledFunction([self.x_symbol, self.p_symbol], [self.residual_expression])
 
     @cached_property
-    def _residual_slopes(self) -> Compiled:
-        return Compiled([self.x_symbol, self.p_symbol], [casadi.jacobian(self.residual_expression, self.x_symbol)])
+    def _residual_slopes(self) -> CompiledFunction:
+        return CompiledFunction([self.x_symbol, self.p_symbol], [casadi.jacobian(self.residual_expression, self.x_symbol)])
 
     @cached_property
-    def _hessian(self) -> Compiled:
+    def _hessian(self) -> CompiledFunction:
         multipliers = casadi.SX.sym("multipliers", len(self.rows))
         lagrangian = self.f_expression + casadi.dot(multipliers, self.g_expression)
-        return Compiled([self.x_symbol, self.p_symbol, multipliers], [casadi.hessian(lagrangian, self.x_symbol)[0]])
+        return CompiledFunction([self.x_symbol, self.p_symbol, multipliers], [casadi.hessian(lagrangian, self.x_symbol)[0]])
 
     def values(self, x: Array, p: Array) -> tuple[float, Array]:
         """Return objective and rows.
@@ -138,7 +138,7 @@ class NLP:
         f, g = self._values(x, p)
         return float(f[0]), g
 
-    def at(self, x: Array, p: Array) -> Point:
+    def at(self, x: Array, p: Array) -> NLPValues:
         """Return objective, rows and their exact first derivatives.
 
         Parameters
@@ -149,7 +149,7 @@ class NLP:
             Parameters.
         """
         f, gradient, g, jacobian = self._all(x, p)
-        return Point(float(f[0]), gradient, g, jacobian.reshape((len(g), len(x)), order="F"))
+        return NLPValues(float(f[0]), gradient, g, jacobian.reshape((len(g), len(x)), order="F"))
 
     def hessian(self, x: Array, p: Array, multipliers: Array) -> Array:
         """Return the exact Hessian (n, n) of the Lagrangian f + multipliers . g.
@@ -274,7 +274,7 @@ def build(problem: DesignProblem) -> NLP:
     values = {name: x[i] * sizes[name] for i, name in enumerate(free)}
     values |= {name: p[1 + i] * sizes[name] for i, name in enumerate(fixed)}
     tolerances = {name: p[1 + len(fixed) + i] * size for i, name in enumerate(counted)}
-    with tracing():
+    with symbols_in_numpy():
         start = problem.start_position(values)
         columns = _residuals(problem, values, tolerances, start, [p[1 + constant + i] for i in range(many)])
         rows = limit_rows(problem, values, Reach(start.phi0, problem.span, problem.sense), size)
@@ -283,8 +283,8 @@ def build(problem: DesignProblem) -> NLP:
             labels += [f"error at its peak {i + 1}" for i in range(many)]
             # scaled by the objective: otherwise all rows of a small error would count as active
             for label, column in zip(labels, columns, strict=True):
-                rows.append(Row(EPIGRAPH, f"{label}, above", (x[-1] - column[0]) / p[0], 0.0, math.inf, DEGREES))
-                rows.append(Row(EPIGRAPH, f"{label}, below", (x[-1] + column[-1]) / p[0], 0.0, math.inf, DEGREES))
+                rows.append(ConstraintRow(EPIGRAPH, f"{label}, above", (x[-1] - column[0]) / p[0], 0.0, math.inf, DEGREES))
+                rows.append(ConstraintRow(EPIGRAPH, f"{label}, below", (x[-1] + column[-1]) / p[0], 0.0, math.inf, DEGREES))
         vector = casadi.vertcat(*columns)
         f = x[-1] if minimax else casadi.sumsqr(vector) / (len(columns) if measure.name == "rms" else 1)
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)

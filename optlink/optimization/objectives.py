@@ -13,7 +13,7 @@ from optlink.problem.function import DesignProblem, StartPosition
 
 
 @dataclass(frozen=True)
-class Measure:
+class ErrorMeasure:
     """Reduction of residuals to one value: `unit` of that value, and `width`, the number of components per position."""
 
     name: str
@@ -39,7 +39,7 @@ class Measure:
         return 0.5 / max(self.of(residuals), 1e-150) if self.name == "rms" else 1.0
 
 
-def measures(unit: str, width: int = 1) -> dict[str, Measure]:
+def error_measures(unit: str, width: int = 1) -> dict[str, ErrorMeasure]:
     """Return every measure of residuals in a unit, by name.
 
     Parameters
@@ -50,10 +50,10 @@ def measures(unit: str, width: int = 1) -> dict[str, Measure]:
         Number of components per position.
     """
     units = {"sum of squares": f"{unit}^2", "rms": unit, "max": unit}
-    return {name: Measure(name, own, width) for name, own in units.items()}
+    return {name: ErrorMeasure(name, own, width) for name, own in units.items()}
 
 
-MEASURES = measures("rad")
+MEASURES = error_measures("rad")
 
 
 def output_error(

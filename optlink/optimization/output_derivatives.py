@@ -15,8 +15,8 @@ from optlink.optimization.objectives import output_error
 from optlink.problem.function import DesignProblem
 from optlink.problem.robust import EXPECTED, residuals, sizes_of
 from optlink.problem.targets.law import Table
-from optlink.problem.tolerances import Deviation, loosened
-from optlink.symbolic import Tape, tracing
+from optlink.problem.tolerances import Deviation, with_deviating_pivots
+from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 Array = NDArray[np.float64]
 
@@ -53,11 +53,11 @@ class ErrorSlopes:
 
     def __init__(self, problem: DesignProblem) -> None:
         self.deviations: tuple[Deviation, ...] = problem.deviations
-        mechanism, self._pivots = loosened(problem.mechanism, problem.linkage)
+        mechanism, self._pivots = with_deviating_pivots(problem.mechanism, problem.linkage)
         self._names = [*problem.mechanism.quantities, *self._pivots]
         symbols = {name: casadi.SX.sym(name) for name in self._names}
         crank = casadi.SX.sym("crank direction", 2)
-        with tracing():
+        with symbols_in_numpy():
             _, slopes = output_slopes(
                 mechanism, symbols, (crank[0], crank[1]), "rocker", list(dict.fromkeys(d.size for d in self.deviations))
             )
@@ -92,12 +92,12 @@ class ErrorSlopes:
             Direction of the crank; broadcast with the dimensions.
         """
         if "tape" not in vars(self):
-            self.tape = Tape(self._inputs, self._outputs)
+            self.tape = NumpyEvaluator(self._inputs, self._outputs)
         found = self.tape(*self._arguments(values, crank))
         return [found[i] for i in self._place]
 
 
-class Judge:
+class ErrorResiduals:
     """Residuals of a problem's objective on numpy arrays: the error, or its combination with the scatter of a robust design."""
 
     def __init__(self, problem: DesignProblem) -> None:

@@ -1,4 +1,4 @@
-"""build_generation(problem, direction) -> NLP: path and motion synthesis as one scaled nonlinear programme.
+"""build_path_nlp(problem, direction) -> NLP: path and motion synthesis as one scaled nonlinear programme.
 
 Its variables are the design variables and, without prescribed timing, the crank angle of every point.
 """
@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Value, unit
-from optlink.optimization.constraints import DEGREES, PLAIN, Row, Scale, position_rows
+from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, position_rows
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.nlp import NLP, Variable
-from optlink.optimization.objectives import Measure, measures
+from optlink.optimization.objectives import ErrorMeasure, error_measures
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, STEP, TURN, GenerationProblem
-from optlink.symbolic import tracing
+from optlink.problem.path import START, STEP, TURN, PathProblem
+from optlink.symbolic import symbols_in_numpy
 
 Array = NDArray[np.float64]
 
@@ -34,9 +34,9 @@ BETWEEN = 3  # positions between two points if full crank rotation is not requir
 EXACT = 1e-10  # share of the size of the curve: residual that counts as zero
 
 
-def measure_of(problem: GenerationProblem) -> Measure:
+def deviation_measure(problem: PathProblem) -> ErrorMeasure:
     """Return the measure of the deviations."""
-    return measures(problem.unit, problem.width)[problem.measure]
+    return error_measures(problem.unit, problem.width)[problem.measure]
 
 
 def angle_name(index: int) -> str:
@@ -44,12 +44,12 @@ def angle_name(index: int) -> str:
     return f"crank angle of point {index + 1}"
 
 
-def variable_of(problem: GenerationProblem, name: str) -> Variable:
+def scaled_variable(problem: PathProblem, name: str) -> Variable:
     """Return the scaling of a quantity: lengths by the size of the curve, coordinates on the frame from its centre.
 
     Parameters
     ----------
-    problem : GenerationProblem
+    problem : PathProblem
     name : str
         Name of the quantity.
     """
@@ -61,17 +61,17 @@ def variable_of(problem: GenerationProblem, name: str) -> Variable:
     return Variable(name, problem.size, Scale("mm", 1e3 * problem.size, offset=1e3 * origin), origin)
 
 
-def positioned(problem: GenerationProblem) -> bool:
+def has_position_limits(problem: PathProblem) -> bool:
     """Return whether limits at single crank angles (`position_rows`) apply; for a four-bar the extremes are known instead."""
     return not isinstance(problem.mechanism, FourBarSection)
 
 
-def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
+def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
     """Build the nonlinear programme of a path or motion synthesis problem.
 
     Parameters
     ----------
-    problem : GenerationProblem
+    problem : PathProblem
         With definite assembly modes.
     direction : int
         Sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
@@ -83,17 +83,17 @@ def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
     size, share, free, data = problem.size, problem.whole, problem.free, problem.data
     fixed = tuple(name for name in problem.quantities if name not in free)
     own = data.offsets is None
-    count, measure = len(data.columns), measure_of(problem)
+    count, measure = len(data.columns), deviation_measure(problem)
     minimax = measure.name == "max"
-    variables = [variable_of(problem, name) for name in free]
+    variables = [scaled_variable(problem, name) for name in free]
     if own:
         variables += [Variable(angle_name(i), 1.0, DEGREES) for i in range(count)]
     if minimax:
         variables.append(Variable(EPIGRAPH, share, Scale("", share)))
-    constants = [variable_of(problem, name) for name in fixed]
+    constants = [scaled_variable(problem, name) for name in fixed]
 
     x = casadi.SX.sym("x", len(variables))
-    many = ROAMING if positioned(problem) else 0
+    many = ROAMING if has_position_limits(problem) else 0
     p = casadi.SX.sym("p", 1 + len(fixed) + many)
     values: dict[str, Any] = {v.name: v.origin + v.size * x[i] for i, v in enumerate(variables[: len(free)])}
     values |= {v.name: v.origin + v.size * p[1 + i] for i, v in enumerate(constants)}
@@ -104,7 +104,7 @@ def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
         assert data.offsets is not None
         angles = [start + offset for offset in data.offsets]
         direction = 1 if data.offsets[-1] >= data.offsets[0] else -1
-    with tracing():
+    with symbols_in_numpy():
         residual, at_angle = _traced(problem, values)
         names = [values[name] for name in problem.quantities]
         errors = [
@@ -116,7 +116,7 @@ def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
             span = direction * TURN
         rows = limit_rows(problem, values, Reach(angles[0], span, direction), size)
         asked: list[Any] = []
-        if not positioned(problem):
+        if not has_position_limits(problem):
             pass  # the extremes of a four-bar are known
         elif problem.limits.crank == "span":
             asked = [a + (b - a) * (k / (BETWEEN + 1)) for a, b in itertools.pairwise(angles) for k in range(BETWEEN + 1)]
@@ -128,24 +128,24 @@ def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
         first = len(rows) + (len(asked) - many) * len(at_angle[1])
         for angle in asked:
             found = at_angle[0](casadi.vertcat(*names, angle))
-            rows += [Row(r.limit, r.label, found[k], r.low, r.high, r.scale) for k, r in enumerate(at_angle[1])]
+            rows += [ConstraintRow(r.limit, r.label, found[k], r.low, r.high, r.scale) for k, r in enumerate(at_angle[1])]
         if own:
             steps = [(b - a) * direction for a, b in itertools.pairwise(angles)]
             rows += [
-                Row("requirement.points", f"order of points {i + 1} and {i + 2}", step, STEP, math.inf, DEGREES)
+                ConstraintRow("requirement.points", f"order of points {i + 1} and {i + 2}", step, STEP, math.inf, DEGREES)
                 for i, step in enumerate(steps)
             ]
             passed = (angles[-1] - angles[0]) * direction
             most = TURN - (0.0 if problem.meets_again else STEP)
-            rows.append(Row("requirement.points", "points within one revolution", passed, -math.inf, most, DEGREES))
+            rows.append(ConstraintRow("requirement.points", "points within one revolution", passed, -math.inf, most, DEGREES))
         for i, (error, tolerance) in enumerate(zip(errors, data.tolerances, strict=True)):
             if math.isfinite(tolerance):
                 square = casadi.sumsqr(error[:2]) / (data.roots[i] * size) ** 2
                 label = f"tolerance of point {i + 1}, squared share of the curve's size"
-                rows.append(Row("requirement.points", label, square, -math.inf, (tolerance / size) ** 2, PLAIN))
+                rows.append(ConstraintRow("requirement.points", label, square, -math.inf, (tolerance / size) ** 2, PLAIN))
             if minimax:
                 largest = (x[-1] * x[-1] - casadi.sumsqr(error) / share**2) / (p[0] * p[0])
-                rows.append(Row(EPIGRAPH, f"deviation at point {i + 1}", largest, 0.0, math.inf, PLAIN))
+                rows.append(ConstraintRow(EPIGRAPH, f"deviation at point {i + 1}", largest, 0.0, math.inf, PLAIN))
         vector = casadi.vertcat(*errors)
         f = x[-1] if minimax else casadi.sumsqr(vector) / (share**2 * (count if measure.name == "rms" else 1))
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
@@ -183,24 +183,24 @@ def build_generation(problem: GenerationProblem, direction: int = 1) -> NLP:
     )
 
 
-def required_motion(problem: GenerationProblem, angles: Any) -> tuple[Any, Any]:
+def required_motion(problem: PathProblem, angles: Any) -> tuple[Any, Any]:
     """Return the crank angle [rad] at which the motion with position limits begins, and its rotation [rad].
 
     Parameters
     ----------
-    problem : GenerationProblem
+    problem : PathProblem
     angles : sequence of float or symbol [rad]
         Crank angle of every point.
     """
     return (angles[0], angles[-1] - angles[0]) if problem.limits.crank == "span" else (0.0, TURN)
 
 
-def excesses(problem: GenerationProblem, values: Mapping[str, Value], angles: Array) -> Array:
+def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: Array) -> Array:
     """Return the excess over every position limit, in the units of the rows: negative if satisfied, -inf if undefined.
 
     Parameters
     ----------
-    problem : GenerationProblem
+    problem : PathProblem
     values : mapping of str to float or array (designs, 1) [m, rad]
         Value of every quantity.
     angles : array (n,) or (designs, n) [rad]
@@ -217,7 +217,7 @@ def excesses(problem: GenerationProblem, values: Mapping[str, Value], angles: Ar
     return np.where(np.isfinite(found), found, -np.inf)
 
 
-def _traced(problem: GenerationProblem, values: dict[str, Any]) -> tuple[Any, tuple[Any, list[Row]]]:
+def _traced(problem: PathProblem, values: dict[str, Any]) -> tuple[Any, tuple[Any, list[ConstraintRow]]]:
     """Trace the residual and the limits at one crank angle once, for evaluation at many angles."""
     names, width = list(problem.quantities), problem.data.columns.shape[1]
     inputs = casadi.SX.sym("inputs", len(names) + 1 + width)
@@ -231,4 +231,4 @@ def _traced(problem: GenerationProblem, values: dict[str, Any]) -> tuple[Any, tu
     return residual, (limits, rows)
 
 
-__all__ = ["angle_name", "build_generation", "excesses", "measure_of", "required_motion", "variable_of"]
+__all__ = ["angle_name", "build_path_nlp", "deviation_measure", "limit_excesses", "required_motion", "scaled_variable"]

@@ -48,7 +48,7 @@ EXTREME = ("peak", "largest", "least")
 
 
 @dataclass(frozen=True)
-class Nature:
+class QuantityType:
     """Properties of a quantity: physical kind ("" for a plain number), its measures, and the element that `of` must name.
 
     `vector`: it has two components and only its magnitude counts; `cyclic`: it has a value at every crank angle.
@@ -62,23 +62,23 @@ class Nature:
 
 
 _SIGNED = ("peak", "rms", "mean", "largest", "least")
-NATURES: dict[str, Nature] = {
-    "torque": Nature("torque", _SIGNED, ""),
-    "reaction": Nature("force", ("peak", "rms"), "pin joint", vector=True),
-    "guide force": Nature("force", _SIGNED, "guide"),
-    "guide moment": Nature("torque", _SIGNED, "guide"),
-    "shaking force": Nature("force", ("peak", "rms"), "", vector=True),
-    "shaking moment": Nature("torque", _SIGNED, ""),
-    "velocity": Nature("velocity", ("peak", "rms"), "moving point", vector=True),
-    "acceleration": Nature("acceleration", ("peak", "rms"), "moving point", vector=True),
-    "transmission angle": Nature("angle", ("least", "largest"), "joint of two links, or of a link and a slider"),
-    "slide": Nature("coordinate", ("least", "largest"), "guide"),
-    "lever arm": Nature("length", ("peak", "rms"), "guide"),
-    "stroke": Nature("length", (), "slider, body or point", cyclic=False),
-    "end": Nature("coordinate", (), "slider or point", cyclic=False),
-    "time ratio": Nature("", (), "slider, body or point", cyclic=False),
-    "work": Nature("energy", (), "slider", cyclic=False),
-    "length": Nature("coordinate", (), "size", cyclic=False),
+NATURES: dict[str, QuantityType] = {
+    "torque": QuantityType("torque", _SIGNED, ""),
+    "reaction": QuantityType("force", ("peak", "rms"), "pin joint", vector=True),
+    "guide force": QuantityType("force", _SIGNED, "guide"),
+    "guide moment": QuantityType("torque", _SIGNED, "guide"),
+    "shaking force": QuantityType("force", ("peak", "rms"), "", vector=True),
+    "shaking moment": QuantityType("torque", _SIGNED, ""),
+    "velocity": QuantityType("velocity", ("peak", "rms"), "moving point", vector=True),
+    "acceleration": QuantityType("acceleration", ("peak", "rms"), "moving point", vector=True),
+    "transmission angle": QuantityType("angle", ("least", "largest"), "joint of two links, or of a link and a slider"),
+    "slide": QuantityType("coordinate", ("least", "largest"), "guide"),
+    "lever arm": QuantityType("length", ("peak", "rms"), "guide"),
+    "stroke": QuantityType("length", (), "slider, body or point", cyclic=False),
+    "end": QuantityType("coordinate", (), "slider or point", cyclic=False),
+    "time ratio": QuantityType("", (), "slider, body or point", cyclic=False),
+    "work": QuantityType("energy", (), "slider", cyclic=False),
+    "length": QuantityType("coordinate", (), "size", cyclic=False),
 }
 STATIC = ("torque", "reaction", "guide force", "guide moment")
 """Quantities that can be asked for without the inertia of the bodies."""
@@ -109,7 +109,7 @@ class Term(Section):
         return self
 
     @property
-    def nature(self) -> Nature:
+    def nature(self) -> QuantityType:
         """Properties of the quantity."""
         return NATURES[self.quantity]
 

@@ -20,10 +20,10 @@ from optlink.problem.cycle_terms import Limit
 from optlink.problem.function import DesignProblem, cross_check_design
 from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem, cross_check
-from optlink.problem.path import GenerationProblem
-from optlink.problem.path_checks import FOUR_BAR_LIMITS, cross_check_generation, foreign
+from optlink.problem.path import PathProblem
+from optlink.problem.path_checks import FOUR_BAR_LIMITS, cross_check_path, inapplicable_keys
 from optlink.problem.quantity import Unusable, nearest
-from optlink.problem.tolerances import assigned
+from optlink.problem.tolerances import with_tolerance
 
 MAX_BYTES = 1_000_000
 GENERATED = ("path", "motion", "transmission")
@@ -69,7 +69,7 @@ class ProblemFile:
     def kind(self) -> str:
         """Type of the linkage and kind of the task, for display."""
         asked = "cycle design" if self.task == "cycle" else "analysis" if self.model.balance is None else "balancing"
-        if isinstance(self.model, DesignProblem | GenerationProblem):
+        if isinstance(self.model, DesignProblem | PathProblem):
             asked = f"{self.model.requirement.kind} design"
         return f"{self.model.mechanism.type}, {asked}"
 
@@ -193,7 +193,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     generation = isinstance(task, dict) and (task.get("kind") in GENERATED or output)
     model: type[Problem] = DesignProblem if "requirement" in raw or "limits" in raw else Problem
     if generation:
-        model = GenerationProblem
+        model = PathProblem
     if "objective" in raw and "requirement" not in raw:
         model = CycleProblem
     if generation and isinstance(task, dict) and "robust" in task:
@@ -207,8 +207,8 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     try:
         if isinstance(problem, DesignProblem):
             cross_check_design(problem)
-        if isinstance(problem, GenerationProblem):
-            cross_check_generation(problem)
+        if isinstance(problem, PathProblem):
+            cross_check_path(problem)
         if isinstance(problem, CycleProblem):
             cross_check_cycle(problem)
         cross_check(problem)
@@ -321,7 +321,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
     key, value = _whole(raw, key, value, file)
     section, _, name = key.partition(".")
     if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):
-        assigned(raw[section], name, value)
+        with_tolerance(raw[section], name, value)
         return
     steps = key.split(".")
     table: Any = raw
@@ -389,7 +389,7 @@ def _side(pair: list[Any], side: str, value: object) -> list[Any]:
 
 def _known(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
     """Return the keys that models of these kinds (default: any kind) have at a path of sections."""
-    models: list[Any] = list(kinds) or [DesignProblem, GenerationProblem, CycleProblem, Problem]
+    models: list[Any] = list(kinds) or [DesignProblem, PathProblem, CycleProblem, Problem]
     for step in path:
         fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
         if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same
@@ -425,8 +425,8 @@ def _models(annotation: Any) -> Iterator[Any]:
 def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
     """Return the keys at a path of sections that are valid for the task of the file."""
     known = _known(path, model)
-    if model is GenerationProblem and len(path) == 1:
-        others = foreign(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not _dyads(raw))
+    if model is PathProblem and len(path) == 1:
+        others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not _dyads(raw))
         known = [key for key in known if key not in others]
     return known
 

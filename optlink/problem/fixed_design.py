@@ -10,15 +10,15 @@ from typing import Any
 
 from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.file import ProblemFile, read
-from optlink.problem.targets.target_points import contents
-from optlink.problem.tolerances import read_stated
+from optlink.problem.targets.target_points import read_file
+from optlink.problem.tolerances import read_tolerance
 from optlink.units import KINDS, factor
 
 ASKED = ("requirement", "objective", "limits", "expected")
 """Sections that say what is wanted; without them a problem is a machine."""
 
 
-def settled(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
+def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     """Return the machine of a problem with fixed quantities, without requirement, objective and limits.
 
     Parameters
@@ -29,12 +29,12 @@ def settled(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     """
     raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in ASKED})
     for name, quantity in file.model.mechanism.quantities.items():
-        unit = KINDS[quantity.kind].people
+        unit = KINDS[quantity.kind].display
         write(raw["mechanism"], name, f"{values[name] / factor(unit, quantity.kind)!r} {unit}")
     return read(raw, file.name, file.file, file.folder)
 
 
-def portable(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]:
+def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]:
     """Return the problem with every CSV or SVG file renamed to one beside it, and the contents of these files by name.
 
     Raises
@@ -45,9 +45,9 @@ def portable(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]:
     raw: dict[str, Any] = copy.deepcopy(dict(file.raw))
     files: dict[str, bytes] = {}
     for table, key, suffix in [*_references(raw)]:
-        named = read_stated(table[key], file.folder).text if suffix == "" else table[key]
+        named = read_tolerance(table[key], file.folder).text if suffix == "" else table[key]
         suffix = suffix or "csv"
-        data = contents({suffix: named}, suffix, file.folder)[1]
+        data = read_file({suffix: named}, suffix, file.folder)[1]
         stem = f"design-{Path(named).stem[:60].lower()}"
         name, number = f"{stem}.{suffix}", 1
         while files.get(name, data) != data:
@@ -64,7 +64,7 @@ def _references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], st
             yield from _references(value, within)
     for key, value in raw.items() if isinstance(raw, dict) else ():
         if isinstance(value, str):
-            measured = within == "tolerances" and read_stated(value, Path()).measured
+            measured = within == "tolerances" and read_tolerance(value, Path()).measured
             if measured or key in ("csv", "svg"):
                 yield raw, key, "" if measured else key
         else:
@@ -83,7 +83,7 @@ def write(mechanism: dict[str, Any], name: str, value: object) -> None:
     value : object
         New value as in a TOML file.
     """
-    *steps, last = place(mechanism, name)
+    *steps, last = key_path(mechanism, name)
     if steps == ["pivot"]:
         mechanism["pivot"] = list(mechanism.get("pivot") or ["0 mm", "0 mm"])
     section: Any = mechanism
@@ -92,7 +92,7 @@ def write(mechanism: dict[str, Any], name: str, value: object) -> None:
     section[last] = value
 
 
-def place(mechanism: Mapping[str, Any], name: str) -> list[str | int]:
+def key_path(mechanism: Mapping[str, Any], name: str) -> list[str | int]:
     """Return the path of a quantity in the section [mechanism]: keys, and the index of a coordinate.
 
     Parameters

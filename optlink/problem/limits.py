@@ -102,7 +102,7 @@ def check_ranges(limits: Limits) -> None:
         for bound in () if interval is None else (interval.low, interval.high):
             if bound is not None and not lowest <= bound <= highest:
                 raise Unusable(
-                    f"{interval.people(bound)} is out of the range that it can have",
+                    f"{interval.to_display(bound)} is out of the range that it can have",
                     f"Give a range such as {example}",
                     f"limits.{key}",
                     str(interval),

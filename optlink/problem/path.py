@@ -1,4 +1,4 @@
-"""GenerationProblem: path, motion and function synthesis of any linkage, or optimal force transmission.
+"""PathProblem: path, motion and function synthesis of any linkage, or optimal force transmission.
 
 Its unknowns are the design variables of the mechanism and, without prescribed timing, the crank angles at the points.
 """
@@ -35,7 +35,7 @@ from optlink.problem.quantity import (
 )
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, Source, Table, read_output_law
-from optlink.problem.targets.points import Wanted, closed, read_points
+from optlink.problem.targets.points import TargetPoints, closed, read_points
 
 Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
@@ -56,7 +56,7 @@ def _read_crank(raw: object) -> object:
     raise Unusable("not a kind of timing", nearest(str(raw), ("free", "from start", "given")), "", raw)
 
 
-class Task(Section):
+class PathRequirement(Section):
     """Requirement of the design.
 
     A point passes the listed points in order (path), a body takes the listed poses (motion), the output is a function of the
@@ -98,7 +98,7 @@ class Task(Section):
 
     @field_validator("points", mode="before")
     @classmethod
-    def _points(cls, raw: object, info: ValidationInfo) -> Wanted | int | None:
+    def _points(cls, raw: object, info: ValidationInfo) -> TargetPoints | int | None:
         kind = info.data.get("kind")
         if kind in ("function", "transmission"):
             if raw is not None and (
@@ -127,7 +127,7 @@ class RegionSection(Section):
     """Range of y; left out: anywhere."""
 
 
-class GenerationLimits(Limits):
+class PathLimits(Limits):
     """Limits of a path synthesis problem."""
 
     pivots: RegionSection | None = None
@@ -135,7 +135,7 @@ class GenerationLimits(Limits):
 
 
 @dataclass(frozen=True, eq=False)
-class Data:
+class TargetArrays:
     """Targets at each point, as arrays.
 
     `columns` (points, k): x, y [m] and, for poses, cosine and sine of the angle; `roots` (points,): square roots of the weights;
@@ -148,12 +148,12 @@ class Data:
     tolerances: Array
 
 
-class GenerationProblem(Problem):
+class PathProblem(Problem):
     """A path, motion, function or transmission problem: input of `solve`. Change it with `optlink.load(..., overrides)`."""
 
-    requirement: Task
+    requirement: PathRequirement
     """Points, poses, a function, or the best transmission."""
-    limits: GenerationLimits = GenerationLimits()
+    limits: PathLimits = PathLimits()
     """What must hold beside the points."""
 
     @property
@@ -261,10 +261,10 @@ class GenerationProblem(Problem):
         return self.size if self.unit == "m" else 1.0
 
     @property
-    def wanted(self) -> Wanted:
+    def wanted(self) -> TargetPoints:
         """The target points; none for a function or transmission."""
         points = self.requirement.points
-        return points if isinstance(points, Wanted) else Wanted(points=())
+        return points if isinstance(points, TargetPoints) else TargetPoints(points=())
 
     @property
     def timing(self) -> str:
@@ -295,7 +295,7 @@ class GenerationProblem(Problem):
         return self.mechanism.side
 
     @cached_property
-    def data(self) -> Data:
+    def data(self) -> TargetArrays:
         """The targets as arrays."""
         wanted, task = self.wanted, self.requirement
         if task.kind == "function":
@@ -313,7 +313,7 @@ class GenerationProblem(Problem):
         roots = np.ones(count) if wanted.weights is None else np.sqrt(np.array(wanted.weights))
         tolerances = np.full(count, np.inf) if wanted.tolerances is None else np.array(wanted.tolerances)
         prescribed = None if self.timing == "free" or wanted.crank is None else np.array(wanted.crank)
-        return Data(columns, roots, prescribed, tolerances)
+        return TargetArrays(columns, roots, prescribed, tolerances)
 
     @property
     def pointed(self) -> bool:
@@ -406,9 +406,9 @@ class GenerationProblem(Problem):
         return offsets + (values[START] if self.timing == "from start" else 0.0)
 
 
-def _plain(columns: Array, offsets: Array) -> Data:
+def _plain(columns: Array, offsets: Array) -> TargetArrays:
     """Return positions of equal weight without tolerances."""
-    return Data(columns, np.ones(len(columns)), offsets, np.full(len(columns), np.inf))
+    return TargetArrays(columns, np.ones(len(columns)), offsets, np.full(len(columns), np.inf))
 
 
 def joint_cosine(pose: Pose, group: RRR) -> Value:

@@ -9,7 +9,7 @@ import numpy as np
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.limits import check_ranges
 from optlink.problem.mechanism import FourBarSection, check_one_mode
-from optlink.problem.path import FINE, SLIDES, TURN, GenerationProblem
+from optlink.problem.path import FINE, SLIDES, TURN, PathProblem
 from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import SLIDE, Table
@@ -34,7 +34,7 @@ FOUR_BAR_LIMITS = ("length_margin", "frame_length", "link_ratio", "swing_angle",
 """Limits that only a four-bar has."""
 
 
-def cross_check_generation(problem: GenerationProblem) -> None:
+def cross_check_path(problem: PathProblem) -> None:
     """Check that the sections of a path synthesis problem are consistent.
 
     Raises
@@ -63,7 +63,7 @@ def cross_check_generation(problem: GenerationProblem) -> None:
     _check_limits(problem, mechanism)
 
 
-def foreign(section: str, kind: str, *, four_bar: bool) -> set[str]:
+def inapplicable_keys(section: str, kind: str, *, four_bar: bool) -> set[str]:
     """Return the keys of a section that are not valid for a kind of task.
 
     Parameters
@@ -80,7 +80,7 @@ def foreign(section: str, kind: str, *, four_bar: bool) -> set[str]:
     return set() if section != "limits" or four_bar else set(FOUR_BAR_LIMITS)
 
 
-def _check_output(problem: GenerationProblem, mechanism: Mechanism) -> None:
+def _check_output(problem: PathProblem, mechanism: Mechanism) -> None:
     task = problem.requirement
     if task.law is None:
         remedy = f'Write law = "psi0 + 0.5*(phi - phi0)", {SLIDE} or {SLIDES}'
@@ -103,7 +103,7 @@ def _check_output(problem: GenerationProblem, mechanism: Mechanism) -> None:
     _check_values(problem)
 
 
-def _check_span(problem: GenerationProblem) -> None:
+def _check_span(problem: PathProblem) -> None:
     """Check the span of a law: required for an expression, defined by a table or a function."""
     task = problem.requirement
     if isinstance(task.law, Function) and task.span is not None:
@@ -127,7 +127,7 @@ def _check_span(problem: GenerationProblem) -> None:
         )
 
 
-def _check_values(problem: GenerationProblem) -> None:
+def _check_values(problem: PathProblem) -> None:
     """Check that an expression has a finite value over the span and moves the output."""
     task = problem.requirement
     if isinstance(task.law, Table):
@@ -142,7 +142,7 @@ def _check_values(problem: GenerationProblem) -> None:
         raise Unusable("the law does not move the output", "Change the law", "requirement.law", task.law.text)
 
 
-def _check_points(problem: GenerationProblem, mechanism: Mechanism) -> None:
+def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
     task, wanted = problem.requirement, problem.wanted
     named = [name for name, bodies in mechanism.owners.items() if FRAME not in bodies]
     if task.point not in named:
@@ -200,7 +200,7 @@ def _check_points(problem: GenerationProblem, mechanism: Mechanism) -> None:
         )
 
 
-def _check_limits(problem: GenerationProblem, mechanism: Mechanism) -> None:
+def _check_limits(problem: PathProblem, mechanism: Mechanism) -> None:
     limits, four_bar = problem.limits, isinstance(problem.mechanism, FourBarSection)
     for key in FOUR_BAR_LIMITS:
         if key in limits.model_fields_set and not four_bar:

@@ -80,12 +80,12 @@ class Interval:
     unit: str
 
     def __str__(self) -> str:
-        low, high = (None if bound is None else self.people(bound) for bound in (self.low, self.high))
+        low, high = (None if bound is None else self.to_display(bound) for bound in (self.low, self.high))
         if low is None or high is None:
             return f"at least {low}" if high is None else f"at most {high}"
         return f"exactly {low}" if low == high else f"{low} ... {high}"
 
-    def people(self, value: float) -> str:
+    def to_display(self, value: float) -> str:
         """Return the value in the interval's own unit."""
         return show(value, self.kind, self.unit) if self.kind else f"{value:.6g}"
 

@@ -43,18 +43,18 @@ def _triangular(share: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Shape:
+class Distribution:
     """A distribution with a tolerance of 1 and mean 0: its standard deviation and its quantile function."""
 
     sigma: float
     quantile: Callable[[Array], Array]
 
 
-SHAPES: Mapping[str, Shape] = {
-    NORMAL: Shape(1.0 / SIGMAS, _normal),
-    "uniform": Shape(1.0 / math.sqrt(3.0), lambda share: 2.0 * share - 1.0),
-    "triangular": Shape(1.0 / math.sqrt(6.0), _triangular),
-    CONTACT: Shape(1.0 / math.sqrt(2.0), lambda share: -np.cos(np.pi * share)),
+SHAPES: Mapping[str, Distribution] = {
+    NORMAL: Distribution(1.0 / SIGMAS, _normal),
+    "uniform": Distribution(1.0 / math.sqrt(3.0), lambda share: 2.0 * share - 1.0),
+    "triangular": Distribution(1.0 / math.sqrt(6.0), _triangular),
+    CONTACT: Distribution(1.0 / math.sqrt(2.0), lambda share: -np.cos(np.pi * share)),
 }
 """By name. Contact: the part along a link of a gap whose journal rests on the bearing's wall, in any direction alike."""
 
@@ -109,7 +109,7 @@ class Deviation:
 
 
 @dataclass(frozen=True)
-class Stated:
+class ToleranceEntry:
     """Tolerance of one dimension as specified: `text` with a unit, or a CSV file in `folder`; `shape` of the distribution."""
 
     text: str
@@ -133,7 +133,7 @@ class Stated:
         return found | ({"distribution": self.shape} if self.shape else {}) | ({"cost": self.cost} if self.cost != 1.0 else {})
 
 
-def read_stated(raw: object, folder: Path) -> Stated:
+def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
     """Read "0.1 mm", "0.1 mm uniform", "parts.csv" or { tolerance, distribution, cost }; the unit is not checked.
 
     Parameters
@@ -148,7 +148,7 @@ def read_stated(raw: object, folder: Path) -> Stated:
     Unusable
         when the value cannot be read, with the key below the present one.
     """
-    if isinstance(raw, Stated):
+    if isinstance(raw, ToleranceEntry):
         return raw
     if isinstance(raw, dict):
         for key in raw:
@@ -156,7 +156,7 @@ def read_stated(raw: object, folder: Path) -> Stated:
                 raise Unusable("unknown key", nearest(str(key), KEYS), str(key))
         if "tolerance" not in raw:
             raise Unusable("this key is missing", 'Add tolerance = "0.1 mm"', "tolerance")
-        found = read_stated(raw["tolerance"], folder) if isinstance(raw["tolerance"], str) else None
+        found = read_tolerance(raw["tolerance"], folder) if isinstance(raw["tolerance"], str) else None
         if found is None:
             raise Unusable("expected a tolerance with its unit", 'Write tolerance = "0.1 mm"', "tolerance", raw["tolerance"])
         shape, cost = raw.get("distribution", found.shape), raw.get("cost", 1.0)
@@ -175,8 +175,8 @@ def read_stated(raw: object, folder: Path) -> Stated:
     if numbered and word.isalpha() and quantity.strip()[-1:].isalpha():  # two words after the number: a unit and a distribution
         if word not in CHOICES:
             raise Unusable("unknown distribution", nearest(word, CHOICES), "", word)
-        return Stated(quantity.strip(), word)
-    found = Stated(text)
+        return ToleranceEntry(quantity.strip(), word)
+    found = ToleranceEntry(text)
     return replace(found, folder=folder) if found.measured else found
 
 
@@ -189,15 +189,15 @@ def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]
             yield f"{above}{key}", entry
 
 
-def _read_table(raw: object, info: ValidationInfo) -> dict[str, Stated]:
+def _read_table(raw: object, info: ValidationInfo) -> dict[str, ToleranceEntry]:
     if not isinstance(raw, dict):
         raise Unusable("expected a table", "Begin it with [tolerances]", "", raw)
-    found: dict[str, Stated] = {}
+    found: dict[str, ToleranceEntry] = {}
     for name, entry in _flat(raw):
         if name in found:
             raise Unusable("a tolerance is given twice", "Give each once", name)
         try:
-            found[name] = read_stated(entry, (info.context or {}).get("folder", Path()))
+            found[name] = read_tolerance(entry, (info.context or {}).get("folder", Path()))
         except Unusable as error:
             below = f".{error.key}" if error.key else ""
             raise Unusable(error.message, error.remedy, name + below, entry if error.value is None else error.value) from None
@@ -205,10 +205,10 @@ def _read_table(raw: object, info: ValidationInfo) -> dict[str, Stated]:
 
 
 Tolerances = Annotated[dict[str, Any], BeforeValidator(_read_table)]
-"""By the name of a size, what is said of it (`Stated`)."""
+"""By the name of a size, what is said of it (`ToleranceEntry`)."""
 
 
-def assigned(table: dict[str, Any], name: str, value: object) -> None:
+def with_tolerance(table: dict[str, Any], name: str, value: object) -> None:
     """Assign a tolerance in a [tolerances] table; distribution and cost are kept unless the new value specifies its own.
 
     Parameters
@@ -229,7 +229,7 @@ def assigned(table: dict[str, Any], name: str, value: object) -> None:
         return
     if before is not None and isinstance(value, str):
         try:
-            old, new = read_stated(before, Path()), read_stated(value, Path())
+            old, new = read_tolerance(before, Path()), read_tolerance(value, Path())
         except Unusable:  # reported when the whole file is read
             table[name] = value
             return
@@ -254,7 +254,7 @@ def _taken(table: dict[str, Any], name: str) -> None:
 # --- deviations of a linkage -------------------------------------------------------------------------------------------
 
 
-def loosened(section: FourBarSection | DyadsSection, mechanism: Mechanism) -> tuple[Mechanism, dict[str, float]]:
+def with_deviating_pivots(section: FourBarSection | DyadsSection, mechanism: Mechanism) -> tuple[Mechanism, dict[str, float]]:
     """Return the linkage with pivots that can deviate, and the values of these coordinates [m].
 
     A four-bar without a defined frame pose has its pivots in the origin and on the x axis.
@@ -271,7 +271,7 @@ def loosened(section: FourBarSection | DyadsSection, mechanism: Mechanism) -> tu
 
 
 def deviations(
-    stated: Mapping[str, Stated],
+    stated: Mapping[str, ToleranceEntry],
     mechanism: Mechanism,
     quantities: Mapping[str, Quantity],
     sizes: Mapping[str, float],
@@ -281,7 +281,7 @@ def deviations(
 
     Parameters
     ----------
-    stated : mapping of str to Stated
+    stated : mapping of str to ToleranceEntry
         Tolerances by name.
     mechanism : Mechanism
         Returned by `loosened`.
@@ -316,7 +316,7 @@ def deviations(
     return tuple(found)
 
 
-def _deviation(said: Stated, name: str, size: str, kind: str, shape: str) -> Deviation:
+def _deviation(said: ToleranceEntry, name: str, size: str, kind: str, shape: str) -> Deviation:
     if said.measured:
         try:
             (values,) = read_columns({"csv": said.text}, said.folder, {name: "angle" if kind == "angle" else "coordinate"})

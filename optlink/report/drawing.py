@@ -18,7 +18,7 @@ from matplotlib.patches import FancyArrowPatch, Polygon
 from numpy.typing import NDArray
 
 from optlink.dynamics.loads import Spring
-from optlink.dynamics.machine import Machine, parts
+from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Vector
@@ -100,14 +100,14 @@ class Sketch:
         shape = motion.crank_angle.shape
         with np.errstate(all="ignore"):  # at a dead centre of a group its rates are infinite or NaN
             way = motion.pose.direction(body)
-        x, y = (np.broadcast_to(parts(part)[0], shape)[:, None] for part in way)
+        x, y = (np.broadcast_to(jet_parts(part)[0], shape)[:, None] for part in way)
         start = self.position(motion, self.mechanism.bodies[body].start)[:, None, :]
         along, across = outline[:, 0], outline[:, 1]
         placed: Array = start + np.stack([along * x - across * y, along * y + across * x], axis=-1)
         return placed
 
     def _vector(self, vector: Vector) -> Array:
-        return np.array([float(parts(part)[0]) for part in vector]) * self.scale.factor
+        return np.array([float(jet_parts(part)[0]) for part in vector]) * self.scale.factor
 
     def _own(self, body: str) -> Array:
         """Return the named points of a body in its own axes, without duplicates."""

@@ -14,7 +14,7 @@ from typing import Any
 from optlink.errors import Fault, InputError
 from optlink.io import folder, whole, write_json
 from optlink.problem.file import ProblemFile, dump
-from optlink.problem.fixed_design import portable
+from optlink.problem.fixed_design import with_files_beside
 from optlink.problem.quantity import Unusable
 
 __all__ = ["Stream", "checkpoint", "folder", "stream", "whole", "write_csv", "write_design", "write_json"]
@@ -36,7 +36,7 @@ def write_design(directory: Path, machine: ProblemFile, comment: str) -> list[Pa
         If a file cannot be read or written.
     """
     try:
-        moved, files = portable(machine)
+        moved, files = with_files_beside(machine)
     except Unusable as error:
         raise InputError(Fault(error.message, error.remedy, machine.file, error.key, error.value)) from None
     texts = {"design.toml": f"# {' '.join(comment.split())}\n{dump(moved)}".encode(), **files}

@@ -34,7 +34,7 @@ class Label:
     prefer: tuple[float, float] = (0.0, 0.0)
 
 
-def settle(figure: Figure, labels: Iterable[Label]) -> None:
+def place_labels(figure: Figure, labels: Iterable[Label]) -> None:
     """Finish the layout of a figure and place every label where it hides least.
 
     Parameters

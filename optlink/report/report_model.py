@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING
 from optlink.errors import InputError
 from optlink.linkage.stroke import TURN
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import analyze
-from optlink.tasks.function import Result
+from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.balance import Balance
-from optlink.tasks.results.cycle import MachineDesign
-from optlink.tasks.results.path import Generation
+from optlink.tasks.results.cycle import CycleResult
+from optlink.tasks.results.path import PathResult
 from optlink.tasks.run import solve, validate
 
 if TYPE_CHECKING:
     from optlink.studies.sensitivity import Sensitivities
 
-Outcome = Result | Generation | MachineDesign | Analysis
+Outcome = FunctionResult | PathResult | CycleResult | Analysis
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class ReportModel:
     """A problem with its result.
 
     `cycle` is the analysis of the resulting machine over its whole motion from the start of its task; it is None if the machine
@@ -60,7 +60,7 @@ class Subject:
         return self.cycle is not None and bool(self.cycle.machine.inertias or self.cycle.machine.loads)
 
 
-def answered(
+def solve_or_validate(
     problem: ProblemFile,
     backend: str = "ipopt",
     starts: int | None = None,
@@ -95,9 +95,9 @@ def answered(
     return found
 
 
-def subject_of(
+def report_model_of(
     problem: ProblemFile, outcome: Outcome, limits: tuple[LimitState, ...] = (), notes: tuple[str, ...] = ()
-) -> Subject:
+) -> ReportModel:
     """Return the report model of a solved problem.
 
     Parameters
@@ -110,16 +110,16 @@ def subject_of(
         Notes on the origin of the result.
     """
     if isinstance(outcome, Analysis):
-        return Subject(problem, outcome, outcome, limits=limits, notes=notes)
+        return ReportModel(problem, outcome, outcome, limits=limits, notes=notes)
     try:
         machine = machine_found(outcome)
         cycle = None if machine is None else analyze(machine)
     except InputError as error:
-        return Subject(problem, outcome, None, error.faults[0].message, limits, notes)
-    return Subject(problem, outcome, cycle, "" if cycle else "no linkage was found", limits, notes)
+        return ReportModel(problem, outcome, None, error.faults[0].message, limits, notes)
+    return ReportModel(problem, outcome, cycle, "" if cycle else "no linkage was found", limits, notes)
 
 
-def machine_found(outcome: Result | Generation | MachineDesign) -> ProblemFile | None:
+def machine_found(outcome: FunctionResult | PathResult | CycleResult) -> ProblemFile | None:
     """Return the resulting machine with all dimensions fixed; its crank starts and turns as the task requires.
 
     None if the search found no design.
@@ -129,15 +129,15 @@ def machine_found(outcome: Result | Generation | MachineDesign) -> ProblemFile |
     InputError
         If the dimensions do not form a linkage.
     """
-    if isinstance(outcome, MachineDesign):
+    if isinstance(outcome, CycleResult):
         return outcome.machine
-    if isinstance(outcome, Result):
-        return _begun(settled(outcome.problem, outcome.design), outcome.design["phi0"], outcome.problem.spec.span)
+    if isinstance(outcome, FunctionResult):
+        return _begun(fixed_design(outcome.problem, outcome.design), outcome.design["phi0"], outcome.problem.spec.span)
     design = outcome.best
     if design is None:
         return None
     begin, end = float(design.crank_angles[0]), float(design.crank_angles[-1])
-    return _begun(settled(design.problem, design.values), begin, end - begin)
+    return _begun(fixed_design(design.problem, design.values), begin, end - begin)
 
 
 def _begun(machine: ProblemFile, begin: float, way: float) -> ProblemFile:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from optlink.errors import Status
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.solvers import multistart
-from optlink.solvers.semi_infinite import level
+from optlink.solvers.semi_infinite import exchange
 from optlink.solvers.solution import Solution
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solutio
         x = solution.x.copy()
         x[lead] = target
         other = multistart.solve_from(nlp, nlp.lifted(x), name)
-        other = level(nlp, other) if other.usable else other
+        other = exchange(nlp, other) if other.usable else other
     finally:
         nlp.limit(lead, low, upper=False)
         nlp.limit(lead, high, upper=True)

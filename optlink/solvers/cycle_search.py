@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
-from optlink.optimization.cycle_signals import Structure, Trace
+from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.problem.cycle import CycleProblem
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers import multistart
 from optlink.solvers.feasibility import repair
 from optlink.solvers.infeasibility import Explanation, Relaxation, explain
-from optlink.solvers.semi_infinite import held, level, peaks
+from optlink.solvers.semi_infinite import exchange, peaks, restart_from
 from optlink.solvers.solution import Solution
 
 Array = NDArray[np.float64]
@@ -35,23 +35,23 @@ COARSE, TRIED = 24, 2  # positions per revolution, and starts, of the infeasibil
 
 
 @dataclass(frozen=True)
-class Begin:
+class StartGroup:
     """Starting points [SI] with the same order of events and the same slow strokes, for which one NLP is valid."""
 
-    structure: Structure
+    structure: EventOrder
     starts: tuple[Mapping[str, float], ...]
 
 
-class Samples:
+class StartSequence:
     """A fixed sequence of starting points: the design of the file, then random ones within the bounds."""
 
-    def __init__(self, trace: Trace, seed: int) -> None:
-        self.trace, self._known = trace, list[tuple[Mapping[str, float], Structure | None]]()
+    def __init__(self, trace: TracedCycle, seed: int) -> None:
+        self.trace, self._known = trace, list[tuple[Mapping[str, float], EventOrder | None]]()
         task = trace.problem
         given = {name: task.quantities[name].value for name in task.free}
         self._next = itertools.chain([given], _random(task, seed))
 
-    def first(self, count: int) -> Iterator[tuple[Mapping[str, float], Structure | None]]:
+    def first(self, count: int) -> Iterator[tuple[Mapping[str, float], EventOrder | None]]:
         """Iterate over the design of the file and `count` random ones, with their structure (None if the crank cannot rotate)."""
         for k in range(count + 1):
             if k == len(self._known):
@@ -71,12 +71,12 @@ def _random(task: CycleProblem, seed: int) -> Iterator[dict[str, float]]:
             yield dict(zip(task.free, (low + share * (high - low)).tolist(), strict=True))
 
 
-def begins(samples: Samples, count: int, fits: Callable[[Structure], bool]) -> list[Begin]:
+def start_groups(samples: StartSequence, count: int, fits: Callable[[EventOrder], bool]) -> list[StartGroup]:
     """Return up to `count` starting points per choice of slow strokes that share the structure of the first suitable one.
 
     Parameters
     ----------
-    samples : Samples
+    samples : StartSequence
     count : int
         Greatest number of starting points of each Begin.
     fits : function of a Structure
@@ -86,8 +86,8 @@ def begins(samples: Samples, count: int, fits: Callable[[Structure], bool]) -> l
     -------
     list of Begin, that of the first starting point first; empty if none is suitable
     """
-    order: Structure | None = None
-    found: dict[tuple[bool, ...], Begin] = {}
+    order: EventOrder | None = None
+    found: dict[tuple[bool, ...], StartGroup] = {}
     choices = list(itertools.product((True, False), repeat=len(samples.trace.paced)))
     for k, (values, structure) in enumerate(samples.first(SAMPLES * count)):
         if structure is None or not fits(structure):
@@ -97,26 +97,28 @@ def begins(samples: Samples, count: int, fits: Callable[[Structure], bool]) -> l
             _sort_in(found, choices, values, structure)
         if (k >= SAMPLES or len(choices) == 1) and any(len(own.starts) >= count for own in found.values()):
             break
-    return [Begin(own.structure, own.starts[:count]) for own in found.values()]
+    return [StartGroup(own.structure, own.starts[:count]) for own in found.values()]
 
 
 def _sort_in(
-    found: dict[tuple[bool, ...], Begin], choices: list[tuple[bool, ...]], values: Mapping[str, float], structure: Structure
+    found: dict[tuple[bool, ...], StartGroup], choices: list[tuple[bool, ...]], values: Mapping[str, float], structure: EventOrder
 ) -> None:
     """Add a starting point to the Begin of its slow strokes; to both if the strokes take equally long."""
     for slow in choices:
         if all(own is None or own == other for own, other in zip(structure.slow, slow, strict=True)):
-            known = found.get(slow, Begin(replace(structure, slow=slow), ()))
+            known = found.get(slow, StartGroup(replace(structure, slow=slow), ()))
             found[slow] = replace(known, starts=(*known.starts, values))
 
 
-def others(samples: Samples, known: Sequence[Begin], count: int, fits: Callable[[Structure], bool]) -> list[Begin]:
+def further_start_groups(
+    samples: StartSequence, known: Sequence[StartGroup], count: int, fits: Callable[[EventOrder], bool]
+) -> list[StartGroup]:
     """Return further Begins for a search without a feasible design: missing slow strokes and the next most frequent orders.
 
     Parameters
     ----------
-    samples : Samples
-    known : sequence of Begin
+    samples : StartSequence
+    known : sequence of StartGroup
         Those searched already; the first one defines the order of events.
     count : int
         Greatest number of starting points of each Begin.
@@ -126,8 +128,8 @@ def others(samples: Samples, known: Sequence[Begin], count: int, fits: Callable[
     trace, first = samples.trace, known[0]
     choices = list(itertools.product((True, False), repeat=len(trace.paced)))
     missing = [slow for slow in choices if slow not in [own.structure.slow for own in known]]
-    found = [Begin(replace(first.structure, slow=slow), first.starts) for slow in missing]
-    groups: dict[tuple[object, ...], dict[tuple[bool, ...], Begin]] = {}
+    found = [StartGroup(replace(first.structure, slow=slow), first.starts) for slow in missing]
+    groups: dict[tuple[object, ...], dict[tuple[bool, ...], StartGroup]] = {}
     frequent: Counter[tuple[object, ...]] = Counter()
     for k, (values, structure) in enumerate(samples.first(SAMPLES * max(count, STARTS))):
         if structure is not None and not structure.like(first.structure) and fits(structure):
@@ -135,21 +137,21 @@ def others(samples: Samples, known: Sequence[Begin], count: int, fits: Callable[
             frequent[key] += k <= SAMPLES * STARTS
             _sort_in(groups.setdefault(key, {}), choices, values, structure)
     for order, _ in frequent.most_common(ORDERS):
-        found += [Begin(own.structure, own.starts[:count]) for own in groups[order].values()]
+        found += [StartGroup(own.structure, own.starts[:count]) for own in groups[order].values()]
     return found
 
 
-def programme(trace: Trace, begin: Begin) -> CycleNLP:
+def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
     """Return the NLP of one order of events, with its roaming positions at the peaks of the first starting point.
 
     Parameters
     ----------
-    trace : Trace
-    begin : Begin
+    trace : TracedCycle
+    begin : StartGroup
     """
     slow = trace.slow_loads(begin.structure.slow) if begin.structure.slow else None
     if slow and slow != trace.slow:
-        trace = Trace(trace.problem, slow=slow)
+        trace = TracedCycle(trace.problem, slow=slow)
     nlp = build_cycle(trace, begin.structure, begin.starts[0])
     nlp.roam(peaks(nlp, nlp.lifted(nlp.x_start)).shares)
     return nlp
@@ -164,7 +166,7 @@ class OrderSearch:
     """
 
     nlp: CycleNLP
-    begin: Begin
+    begin: StartGroup
     names: tuple[str, ...]
     insists: bool = True  # whether the first search runs even without a feasible point near the start
     runs: dict[str, list[Solution]] = field(default_factory=dict)
@@ -184,7 +186,7 @@ class OrderSearch:
             found = self._from(self.nlp.x_of(self.begin.starts[k]), name, insist=self.insists and k == 0)
             worse = best is not None and found.status is not Status.OPTIMAL and rank(best) < rank(found)
             if found.usable and not worse:
-                found = level(self.nlp, found)
+                found = exchange(self.nlp, found)
             self.runs[name].append(found)
             if best is None or rank(found) < rank(best):
                 self._places[name] = self._roaming()
@@ -194,10 +196,10 @@ class OrderSearch:
         nlp = self.nlp
         start = repair(nlp, x, nlp.p)
         if start is None and insist and math.isfinite(nlp.values(x, nlp.p)[0]):
-            x = multistart.backend(name)(nlp, nlp.lifted(x), multistart.scaled(nlp, x)).x
+            x = multistart.backend(name)(nlp, nlp.lifted(x), multistart.scaled_parameters(nlp, x)).x
             start = repair(nlp, x, nlp.p, inside=0.0)
         if start is None:
-            missed = multistart.given(nlp, x, "no feasible point was found beside the start")
+            missed = multistart.solution_at(nlp, x, "no feasible point was found beside the start")
             return replace(missed, status=Status.INFEASIBLE) if missed.status is Status.NON_FINITE else missed
         return multistart.solve_from(nlp, start, name)
 
@@ -212,7 +214,7 @@ class OrderSearch:
 
 
 @dataclass(frozen=True)
-class Searched:
+class CycleSearchResult:
     """Result of a search: the NLP of the best design, the best design for each back end, and every run.
 
     If no design is feasible, the conflicting limits. `starts`: number of starting points.
@@ -232,7 +234,7 @@ class Searched:
         return any(solution.usable for solution in self.found.values())
 
     @property
-    def begin(self) -> Begin:
+    def begin(self) -> StartGroup:
         """The Begin of the best design."""
         return next(order.begin for order in self.orders if order.nlp is self.nlp)
 
@@ -242,29 +244,29 @@ class Searched:
         return [solution for order in self.orders for run in order.runs.values() for solution in run]
 
 
-def searched(
-    trace: Trace,
-    firsts: Sequence[Begin],
+def search_all(
+    trace: TracedCycle,
+    firsts: Sequence[StartGroup],
     names: Sequence[str],
     done: Callable[[], None],
-    further: Callable[[], Sequence[Begin]] = lambda: (),
-) -> Searched:
+    further: Callable[[], Sequence[StartGroup]] = lambda: (),
+) -> CycleSearchResult:
     """Search from every starting point with every back end, refine by the exchange method, reconcile the back ends.
 
     Parameters
     ----------
-    trace : Trace
-    firsts : sequence of Begin
+    trace : TracedCycle
+    firsts : sequence of StartGroup
         With the order of events of the initial design.
     names : sequence of str
         Names of back ends.
     done : function
         Called after each starting point.
-    further : function that returns a sequence of Begin
+    further : function that returns a sequence of StartGroup
         Searched as well while no feasible design is found.
     """
     own = tuple(names)
-    orders = [OrderSearch(programme(trace, begin), begin, own) for begin in firsts]
+    orders = [OrderSearch(build_programme(trace, begin), begin, own) for begin in firsts]
     more: list[OrderSearch] | None = None
     count, interrupted = 0, False
     try:
@@ -272,7 +274,7 @@ def searched(
             _round(orders, k)
             if not any(order.usable for order in orders):
                 if more is None:
-                    more = [OrderSearch(programme(trace, begin), begin, own, False) for begin in further()]
+                    more = [OrderSearch(build_programme(trace, begin), begin, own, False) for begin in further()]
                 _round(more, k)
             count = k + 1
             done()
@@ -284,8 +286,8 @@ def searched(
     winner = min(every, key=lambda order: min(rank(best) for name in own if (best := order.best(name)) is not None))
     found = {name: best for name in own if (best := winner.best(name)) is not None}
     if winner.usable:
-        found = settle(winner.nlp, found)
-    return Searched(winner.nlp, found, tuple(every), count, interrupted=interrupted)
+        found = reconcile_backends(winner.nlp, found)
+    return CycleSearchResult(winner.nlp, found, tuple(every), count, interrupted=interrupted)
 
 
 def _round(orders: Sequence[OrderSearch], k: int) -> None:
@@ -294,7 +296,7 @@ def _round(orders: Sequence[OrderSearch], k: int) -> None:
             order.advance(k)
 
 
-def settle(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
+def reconcile_backends(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
     """Restart the worse back end from the better one's design if they ended at different optima.
 
     At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
@@ -307,7 +309,9 @@ def settle(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
     """
     winner = min(found.values(), key=rank)
     return {
-        name: solution if multistart.compare(solution, winner).same else min((solution, held(nlp, winner, name)), key=rank)
+        name: solution
+        if multistart.compare(solution, winner).same
+        else min((solution, restart_from(nlp, winner, name)), key=rank)
         for name, solution in found.items()
     }
 
@@ -317,14 +321,14 @@ def rank(solution: Solution) -> tuple[bool, bool, float]:
     return not solution.usable, solution.status is not Status.OPTIMAL, solution.objective
 
 
-def explained(found: Searched, names: Sequence[str]) -> Searched:
+def explain_infeasibility(found: CycleSearchResult, names: Sequence[str]) -> CycleSearchResult:
     """Return the conflicting limits and the nearest design of an infeasible problem, or a feasible design if one is found.
 
     The conflict among [limits] is analysed on an NLP with fewer positions; the bounds of the design variables are kept.
 
     Parameters
     ----------
-    found : Searched
+    found : CycleSearchResult
         A search without a feasible design.
     names : sequence of str
         Names of back ends.
@@ -342,8 +346,8 @@ def explained(found: Searched, names: Sequence[str]) -> Searched:
 
     reason = explain(replace(coarse, states=kept), points=points, quick=True, follow=follow)
     if isinstance(reason, Explanation):
-        miss = replace(multistart.given(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design"), status=Status.INFEASIBLE)
+        miss = replace(multistart.solution_at(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design"), status=Status.INFEASIBLE)
         return replace(found, nlp=nlp, found=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
     x = nlp.x_of(coarse.design(reason))
-    again = {name: level(nlp, multistart.solve_from(nlp, x, name)) for name in names}
-    return replace(found, nlp=nlp, found=settle(nlp, again))
+    again = {name: exchange(nlp, multistart.solve_from(nlp, x, name)) for name in names}
+    return replace(found, nlp=nlp, found=reconcile_backends(nlp, again))

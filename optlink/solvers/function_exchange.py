@@ -40,13 +40,13 @@ def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array
     return np.asarray(np.remainder(target - angle + np.pi, 2.0 * np.pi) - np.pi, dtype=float)
 
 
-def judged(problem: DesignProblem) -> Callable[[Mapping[str, float], Array], Array]:
+def error_function(problem: DesignProblem) -> Callable[[Mapping[str, float], Array], Array]:
     """Return the error [rad] as a function of design and crank rotations, enlarged by the tolerances for a robust requirement."""
     if problem.requirement.robust is None or problem.requirement.measure != "max":
         return lambda design, offsets: error_at(problem, design, offsets)
-    from optlink.optimization.output_derivatives import Judge
+    from optlink.optimization.output_derivatives import ErrorResiduals
 
-    judge = Judge(problem)
+    judge = ErrorResiduals(problem)
 
     def widened(design: Mapping[str, float], offsets: Array) -> Array:
         lower, upper = judge.band(design, offsets)
@@ -55,7 +55,7 @@ def judged(problem: DesignProblem) -> Callable[[Mapping[str, float], Array], Arr
     return widened
 
 
-def level(problem: DesignProblem, nlp: NLP, solution: Solution, backend: str) -> Solution:
+def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backend: str) -> Solution:
     """Add the largest errors between the design positions to the NLP until no error exceeds those at its positions.
 
     Positions of earlier rounds are kept as far as there is room: where the error is flat, two designs would otherwise alternate.
@@ -70,7 +70,7 @@ def level(problem: DesignProblem, nlp: NLP, solution: Solution, backend: str) ->
     backend : str
         Back end used if the minimax method does not end at an optimum.
     """
-    grid, error = np.sort(np.linspace(0.0, problem.span, ALONG)), judged(problem)
+    grid, error = np.sort(np.linspace(0.0, problem.span, ALONG)), error_function(problem)
     known: list[float] = []
     ends = [0.0, problem.span]  # already positions of the NLP
     for _ in range(EXCHANGES):

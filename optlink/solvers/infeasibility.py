@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
-from optlink.optimization.constraints import DEGREES, PLAIN, Row, Scale
+from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale
 from optlink.optimization.nlp import NLP, Variable
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.multistart import BACKENDS, backend, starts
@@ -41,7 +41,7 @@ Follow = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
-class Side:
+class LimitSide:
     """One side of one limit: the rows (and bounds) that share it."""
 
     key: str
@@ -84,7 +84,7 @@ class Explanation:
     together: tuple[Relaxation, ...]
 
 
-def sides(nlp: NLP) -> list[Side]:
+def limit_sides(nlp: NLP) -> list[LimitSide]:
     """Return every side of every limit that can conflict; rows of one limit and one side are combined.
 
     Bounds of variables without influence on any limit are left out, as are bounds of an angle over a full revolution.
@@ -99,7 +99,7 @@ def sides(nlp: NLP) -> list[Side]:
     result = []
     for (key, name, upper), rows in found.items():
         row = nlp.rows[rows[0]]
-        result.append(Side(key, name, upper, tuple(rows), (), row.high if upper else row.low, row.scale))
+        result.append(LimitSide(key, name, upper, tuple(rows), (), row.high if upper else row.low, row.scale))
     asked = [j for j, row in enumerate(nlp.rows) if row.limit != EPIGRAPH]
     used = casadi.which_depends(nlp.g_expression[asked], nlp.x_symbol, 1, False) if asked else [False] * len(nlp.variables)
     for i, variable in enumerate(nlp.variables):
@@ -107,11 +107,11 @@ def sides(nlp: NLP) -> list[Side]:
         if variable.name in nlp.helpers or variable.name in nlp.states or around or not used[i]:
             continue
         for upper, bound in ((False, nlp.x_low[i]), (True, nlp.x_high[i])):
-            result.append(Side(key_of(variable.name), variable.name, upper, (), (i,), float(bound), variable.scale))
+            result.append(LimitSide(key_of(variable.name), variable.name, upper, (), (i,), float(bound), variable.scale))
     return result
 
 
-def elastic(nlp: NLP, limits: list[Side]) -> NLP:
+def elastic_programme(nlp: NLP, limits: list[LimitSide]) -> NLP:
     """Return the elastic programme: minimise weights . s over x and slacks s >= 0, each limit relaxed by its s.
 
     Its parameters are the weights (k,), followed by those of the NLP.
@@ -119,7 +119,7 @@ def elastic(nlp: NLP, limits: list[Side]) -> NLP:
     Parameters
     ----------
     nlp : NLP
-    limits : list of Side
+    limits : list of LimitSide
         The k limits to relax.
     """
     n, k = len(nlp.variables), len(limits)
@@ -135,8 +135,8 @@ def elastic(nlp: NLP, limits: list[Side]) -> NLP:
     for i, side in enumerate(limits):
         give = -s[i] if side.upper else s[i]
         low, high = (-math.inf, side.bound) if side.upper else (side.bound, math.inf)
-        rows += [Row(side.key, side.name, g[j] + give, low, high, side.scale) for j in side.rows if j not in exact]
-        rows += [Row(side.key, side.name, x[j] + give, low, high, side.scale) for j in side.variables]
+        rows += [ConstraintRow(side.key, side.name, g[j] + give, low, high, side.scale) for j in side.rows if j not in exact]
+        rows += [ConstraintRow(side.key, side.name, x[j] + give, low, high, side.scale) for j in side.variables]
     rows += [replace(row, value=g[j]) for j, row in enumerate(nlp.rows) if row.limit in nlp.states]
     bounded = np.array([v.name not in nlp.helpers for v in nlp.variables])
     giving = {i for side in limits for i in side.variables}
@@ -172,10 +172,15 @@ class _Search:
     """
 
     def __init__(
-        self, nlp: NLP, limits: list[Side], points: list[Array], names: Sequence[str] = BACKENDS, follow: Follow | None = None
+        self,
+        nlp: NLP,
+        limits: list[LimitSide],
+        points: list[Array],
+        names: Sequence[str] = BACKENDS,
+        follow: Follow | None = None,
     ) -> None:
         self.follow, self.p = follow, nlp.p.copy()
-        self.programme, self.n, self.k = elastic(nlp, limits), len(nlp.variables), len(limits)
+        self.programme, self.n, self.k = elastic_programme(nlp, limits), len(nlp.variables), len(limits)
         self.points = points
         self.last: list[Array] = []  # end of the previous search
         self.solvers = [backend(name) for name in reversed(names)]
@@ -259,7 +264,7 @@ def explain(
     follow : function, optional
         Function of a point x (n,) that returns the parameters of the NLP with its roaming positions at the peaks there.
     """
-    limits = sides(nlp)
+    limits = limit_sides(nlp)
     k = len(limits)
     search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points, ("ipopt",) if quick else BACKENDS, follow)
     free = np.full(k, FREE)
@@ -314,8 +319,8 @@ def _conflicting(search: _Search, free: Array, giving: NDArray[np.bool_]) -> Arr
     return held
 
 
-def _relaxation(side: Side, slack: float) -> Relaxation:
+def _relaxation(side: LimitSide, slack: float) -> Relaxation:
     upper = side.upper != side.scale.cosine
-    bound = side.scale.people(side.bound)
-    relaxed = side.scale.people(side.bound + (slack if side.upper else -slack)) if math.isfinite(slack) else math.nan
+    bound = side.scale.to_display(side.bound)
+    relaxed = side.scale.to_display(side.bound + (slack if side.upper else -slack)) if math.isfinite(slack) else math.nan
     return Relaxation(side.key, side.name, "<=" if upper else ">=", bound, relaxed, abs(relaxed - bound), side.scale.unit)

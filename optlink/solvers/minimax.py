@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import Attempt
-from optlink.symbolic import Compiled
+from optlink.symbolic import CompiledFunction
 
 Array = NDArray[np.float64]
 
@@ -82,10 +82,10 @@ class _View:
         if "minimax" not in nlp.cache:
             x, e = nlp.x_symbol[:-1], nlp.residual_expression
             g = nlp.g_expression[keep] if keep else casadi.SX(0, 1)
-            first = Compiled([nlp.x_symbol, nlp.p_symbol], [e, casadi.jacobian(e, x), g, casadi.jacobian(g, x)])
+            first = CompiledFunction([nlp.x_symbol, nlp.p_symbol], [e, casadi.jacobian(e, x), g, casadi.jacobian(g, x)])
             one, other = casadi.SX.sym("one", e.numel()), casadi.SX.sym("other", g.numel())
             bend = casadi.hessian(casadi.dot(one, e) + casadi.dot(other, g), x)[0]
-            nlp.cache["minimax"] = first, Compiled([nlp.x_symbol, nlp.p_symbol, one, other], [bend])
+            nlp.cache["minimax"] = first, CompiledFunction([nlp.x_symbol, nlp.p_symbol, one, other], [bend])
         self.first, self.second = nlp.cache["minimax"]
         self.size = 1.0
 

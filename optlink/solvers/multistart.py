@@ -14,7 +14,7 @@ from optlink.errors import Status
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE
 from optlink.solvers.feasibility import repair
 from optlink.solvers.newton import polish
-from optlink.solvers.solution import FEASIBLE, Attempt, Backend, Solution, examine, violation
+from optlink.solvers.solution import FEASIBLE, Attempt, Backend, Solution, verified_solution, violation
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def prepare(nlp: NLP, name: str) -> None:
     nlp.residuals(nlp.x_start)
 
 
-def scaled(nlp: NLP, x: Array) -> Array:
+def scaled_parameters(nlp: NLP, x: Array) -> Array:
     """Return the parameters of the NLP with the objective scaled to 1 at x.
 
     Parameters
@@ -80,7 +80,7 @@ def scaled(nlp: NLP, x: Array) -> Array:
     return np.array([max(abs(f), SMALLEST_SCALE) if math.isfinite(f) else 1.0, *nlp.p[1:]])
 
 
-def given(nlp: NLP, x: Array, message: str) -> Solution:
+def solution_at(nlp: NLP, x: Array, message: str) -> Solution:
     """Wrap a given design as a Solution without optimising.
 
     Parameters
@@ -92,7 +92,7 @@ def given(nlp: NLP, x: Array, message: str) -> Solution:
         Message of the Solution.
     """
     x = nlp.lifted(x)
-    return examine(nlp, Attempt(x, 0, message), scaled(nlp, x))
+    return verified_solution(nlp, Attempt(x, 0, message), scaled_parameters(nlp, x))
 
 
 def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solution:
@@ -110,13 +110,13 @@ def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solutio
     """
     start = repair(nlp, x, nlp.p)
     if start is None and not math.isfinite(nlp.values(x, nlp.p)[0]):
-        return replace(given(nlp, x, "the start could not be repaired"), status=Status.INFEASIBLE)
+        return replace(solution_at(nlp, x, "the start could not be repaired"), status=Status.INFEASIBLE)
     x = nlp.lifted(x if start is None else start)
     run = backend(name)
-    p = scaled(nlp, x)
+    p = scaled_parameters(nlp, x)
     solution = _ended(nlp, run(nlp, x, p, track=track), p)
     for _ in range(CONTINUATIONS):
-        fine = scaled(nlp, solution.x)
+        fine = scaled_parameters(nlp, solution.x)
         if solution.status is Status.OPTIMAL and fine[0] >= RESCALE * p[0]:
             break
         again = _ended(nlp, run(nlp, solution.x, fine, tight=True), fine)
@@ -134,7 +134,7 @@ def _ended(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
     if FEASIBLE < violation(nlp, x, nlp.values(x, p)[1]) <= NEARLY:
         mended = repair(nlp, x, p, inside=0.0)
         x = x if mended is None else mended
-    return examine(nlp, polish(nlp, replace(attempt, x=x), p), p)
+    return verified_solution(nlp, polish(nlp, replace(attempt, x=x), p), p)
 
 
 def starts(nlp: NLP, count: int, seed: int) -> list[Array]:

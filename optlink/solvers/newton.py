@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.optimization.nlp import NLP, Point
+from optlink.optimization.nlp import NLP, NLPValues
 from optlink.solvers.solution import FEASIBLE, Attempt, stationarity, violation
 
 Array = NDArray[np.float64]
@@ -61,8 +61,8 @@ def polish(nlp: NLP, attempt: Attempt, p: Array, near: float = NEAR) -> Attempt:
 
 
 def _refined(
-    nlp: NLP, x: Array, p: Array, begin: Point, active: NDArray[np.intp], multipliers: Array
-) -> tuple[Array, Point, float] | None:
+    nlp: NLP, x: Array, p: Array, begin: NLPValues, active: NDArray[np.intp], multipliers: Array
+) -> tuple[Array, NLPValues, float] | None:
     """Return the best Newton iterate of an active set, its values, and the residual tolerance; None without convergence."""
     n, here = len(x), begin
     rows = active[active >= n] - n

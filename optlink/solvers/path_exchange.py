@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, extremes
 from optlink.optimization.nlp import NLP
-from optlink.optimization.path_nlp import ROAMING_ROWS, excesses, required_motion
-from optlink.problem.path import GenerationProblem
+from optlink.optimization.path_nlp import ROAMING_ROWS, limit_excesses, required_motion
+from optlink.problem.path import PathProblem
 from optlink.solvers import multistart as local
 from optlink.solvers.newton import polish
 from optlink.solvers.semi_infinite import with_places
@@ -38,7 +38,7 @@ MISSED = 1e3  # penalty of exceeding a limit by one, in multiples of the objecti
 
 
 @dataclass(frozen=True)
-class Peak:
+class RowPeak:
     """A local maximum of a row, at a share of the required motion."""
 
     at: float
@@ -46,7 +46,7 @@ class Peak:
     row: int
 
 
-def search_everywhere(task: GenerationProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
+def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
     """Return an optimum near a start that satisfies its limits also between the positions of the NLP.
 
     In every round the roaming positions move to where limits are exceeded or nearly so, and the NLP is solved within a radius, in
@@ -54,7 +54,7 @@ def search_everywhere(task: GenerationProblem, start: Solution, backend: str, *,
 
     Parameters
     ----------
-    task : GenerationProblem
+    task : PathProblem
     start : Solution
         Start; its `nlp` is solved.
     backend : str
@@ -66,7 +66,7 @@ def search_everywhere(task: GenerationProblem, start: Solution, backend: str, *,
     if not nlp.roaming:
         return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend)
     nlp.roam((np.arange(nlp.roaming) + 0.5) / nlp.roaming)
-    found = local.given(nlp, start.x, start.message)
+    found = local.solution_at(nlp, start.x, start.message)
     if not near and found.status is not Status.OPTIMAL:
         found = local.solve_from(nlp, start.x, backend)
     radius, tops = RADIUS, _tops(task, found)
@@ -74,7 +74,7 @@ def search_everywhere(task: GenerationProblem, start: Solution, backend: str, *,
         if not math.isfinite(found.objective):
             break
         nlp.roam(_places(tops, nlp.roaming))
-        found = local.given(nlp, found.x, found.message)
+        found = local.solution_at(nlp, found.x, found.message)
         if (found.status is Status.OPTIMAL and tops[0].height <= 0.0) or radius < SMALLEST:
             break
         moved = _followed(nlp, found, len(task.free), radius, backend, tops)
@@ -87,7 +87,7 @@ def search_everywhere(task: GenerationProblem, start: Solution, backend: str, *,
     return found if settled else replace(found, status=Status.STALLED, message="limits are exceeded between the positions")
 
 
-def _followed(nlp: NLP, start: Solution, count: int, radius: float, backend: str, tops: list[Peak]) -> Solution:
+def _followed(nlp: NLP, start: Solution, count: int, radius: float, backend: str, tops: list[RowPeak]) -> Solution:
     """Return the optimum with the first `count` variables within a radius, the positions of active peaks being unknowns."""
     chosen = [top for top in tops[: nlp.roaming] if top.height > -CLOSE and EDGE < top.at < 1.0 - EDGE]
     chosen.sort(key=lambda top: (top.row, top.at))
@@ -107,23 +107,23 @@ def _followed(nlp: NLP, start: Solution, count: int, radius: float, backend: str
     for i in range(len(x)):
         moving.limit(i, low[i], upper=False)
         moving.limit(i, high[i], upper=True)
-    p = local.scaled(moving, x)
+    p = local.scaled_parameters(moving, x)
     end = polish(moving, local.backend(backend)(moving, x, p), p)
-    return local.given(nlp, end.x[:n], end.message)
+    return local.solution_at(nlp, end.x[:n], end.message)
 
 
-def _merit(found: Solution, tops: list[Peak]) -> float:
+def _merit(found: Solution, tops: list[RowPeak]) -> float:
     """Return the objective plus a penalty on violated limits, at the positions of the NLP or between them."""
     missed = max(found.violation, tops[0].height, 0.0)
     return found.objective + MISSED * missed * abs(found.objective) if math.isfinite(missed) else math.inf
 
 
-def _tops(task: GenerationProblem, found: Solution) -> list[Peak]:
+def _tops(task: PathProblem, found: Solution) -> list[RowPeak]:
     """Return the peaks where limits are exceeded or nearly so, largest first."""
-    return peaks(excess_over(task, found), np.linspace(0.0, 1.0, ALONG), NEAR) or [Peak(0.0, -math.inf, 0)]
+    return peaks(excess_over(task, found), np.linspace(0.0, 1.0, ALONG), NEAR) or [RowPeak(0.0, -math.inf, 0)]
 
 
-def _places(tops: list[Peak], count: int) -> Array:
+def _places(tops: list[RowPeak], count: int) -> Array:
     """Return the positions of the first peaks, and evenly spaced ones where there is room."""
     chosen: list[float] = []
     for at in [*(top.at for top in tops if top.height > -NEAR), *((np.arange(count) + 0.5) / count).tolist()]:
@@ -132,22 +132,22 @@ def _places(tops: list[Peak], count: int) -> Array:
     return np.array(chosen + chosen[:1] * (count - len(chosen)))
 
 
-def excess_over(task: GenerationProblem, found: Solution) -> Function:
+def excess_over(task: PathProblem, found: Solution) -> Function:
     """Return the excess over the limits, minus the permitted one, as a function of shares (n,) of the required motion.
 
     Parameters
     ----------
-    task : GenerationProblem
+    task : PathProblem
     found : Solution
         The design.
     """
     values = {name: quantity.value for name, quantity in task.quantities.items()} | found.design
     own = found.x[len(task.free) :][: len(task.data.columns)] if task.data.offsets is None else None
     begin, whole = required_motion(task, task.crank_angles(values, own))
-    return lambda at: excesses(task, values, begin + whole * at) - EXCEEDED
+    return lambda at: limit_excesses(task, values, begin + whole * at) - EXCEEDED
 
 
-def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[Peak]:
+def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:
     """Return the local maxima of all rows above -near, largest first.
 
     Parameters
@@ -161,10 +161,10 @@ def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[Peak]:
     values = heights(grid)
     padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
     top = (values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > -2.0 * near)
-    found: list[Peak] = []
+    found: list[RowPeak] = []
     for row, k in np.argwhere(top).tolist():
         bracket = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)], 9)
         at, value = extremes(lambda u: heights(u)[row : row + 1], bracket)  # noqa: B023
-        found.append(Peak(float(at[0, 1]), float(value[0, 1]), row))
+        found.append(RowPeak(float(at[0, 1]), float(value[0, 1]), row))
     found.sort(key=lambda peak: -peak.height)
     return [peak for k, peak in enumerate(found) if all(abs(peak.at - other.at) > APART for other in found[:k])]

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.extrema import extremes
-from optlink.optimization.constraints import PLAIN, Row
-from optlink.optimization.cycle_constraints import Watched
+from optlink.optimization.constraints import PLAIN, ConstraintRow
+from optlink.optimization.cycle_constraints import WatchedTerm
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.nlp import NLP, Variable
 from optlink.solvers import multistart
 from optlink.solvers.newton import polish
-from optlink.solvers.solution import FEASIBLE, STATIONARY, Attempt, Solution, examine, stationarity, violation
+from optlink.solvers.solution import FEASIBLE, STATIONARY, Attempt, Solution, stationarity, verified_solution, violation
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class Peaks:
     tops: tuple[float, ...]
 
 
-def level(nlp: CycleNLP, solution: Solution) -> Solution:
+def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
     """Move the roaming positions to the peaks and continue the search until no peak exceeds the values at those positions.
 
     With fixed positions the NLP does not account for the shift of a peak with the design: where the limits alone do not determine
@@ -100,7 +100,7 @@ def level(nlp: CycleNLP, solution: Solution) -> Solution:
     return solution if settled else replace(solution, status=Status.STALLED, message="the peaks did not settle")
 
 
-def held(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
+def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
     """Restart a back end from a levelled design; a true optimum does not move.
 
     Parameters
@@ -114,7 +114,7 @@ def held(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
     found = peaks(nlp, solution.x)
     nlp.roam(found.shares)
     near = _followed(nlp, nlp.lifted(solution.x), found, RADIUS, name)
-    return solution if near is None else level(nlp, near)
+    return solution if near is None else exchange(nlp, near)
 
 
 def _merit(nlp: CycleNLP, x: Array, found: Peaks) -> float:
@@ -140,8 +140,8 @@ def _examined(nlp: CycleNLP, attempt: Attempt) -> Solution:
 
     A second position beside a peak is nearly active too; counting both would overstate the number of active constraints.
     """
-    p = multistart.scaled(nlp, attempt.x)
-    found = examine(nlp, attempt, p)
+    p = multistart.scaled_parameters(nlp, attempt.x)
+    found = verified_solution(nlp, attempt, p)
     if not found.usable:
         return found
     kkt = stationarity(nlp, found.x, nlp.at(found.x, p), EXACTLY).kkt
@@ -150,7 +150,7 @@ def _examined(nlp: CycleNLP, attempt: Attempt) -> Solution:
 
 def _polished(nlp: CycleNLP, x: Array, found: Peaks, radius: float) -> Solution | None:
     """Return the optimum for fixed positions by a few Newton steps; None if there is none nearby."""
-    near = _examined(nlp, polish(nlp, Attempt(x, 0, "peaks followed"), multistart.scaled(nlp, x)))
+    near = _examined(nlp, polish(nlp, Attempt(x, 0, "peaks followed"), multistart.scaled_parameters(nlp, x)))
     return near if near.status is Status.OPTIMAL and _distance(nlp, near.x, x) <= radius else None
 
 
@@ -163,7 +163,7 @@ def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = 
         if i < count or i >= n:
             moving.limit(i, low[i] if i < n else max(start[i] - REACH, 0.0), upper=False)
             moving.limit(i, high[i] if i < n else min(start[i] + REACH, 1.0), upper=True)
-    p = multistart.scaled(moving, start)
+    p = multistart.scaled_parameters(moving, start)
     end = multistart.backend(name)(moving, start, p, tight=True)
     for attempt in (polish(moving, end, p), end):
         if violation(moving, attempt.x, moving.values(attempt.x, p)[1]) > ALLOWED:
@@ -177,7 +177,7 @@ def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = 
     return None
 
 
-def sharpened(nlp: CycleNLP, solution: Solution) -> Solution:
+def refine_peaks(nlp: CycleNLP, solution: Solution) -> Solution:
     """Refine an optimum by Newton's method with the positions of the peaks as unknowns.
 
     Parameters
@@ -189,7 +189,7 @@ def sharpened(nlp: CycleNLP, solution: Solution) -> Solution:
     n, found = len(nlp.variables), peaks(nlp, solution.x)
     nlp.roam(found.shares)
     moving, start = _moving(nlp, nlp.lifted(solution.x), found)
-    begin, p = Attempt(start, solution.iterations, solution.message), multistart.scaled(moving, start)
+    begin, p = Attempt(start, solution.iterations, solution.message), multistart.scaled_parameters(moving, start)
     tries = (polish(moving, begin, p, near) for near in SHARP)
     end = next((found for found in tries if found is not begin), begin)
     shares = found.shares.copy()
@@ -203,7 +203,7 @@ def _moving(nlp: CycleNLP, x: Array, found: Peaks) -> tuple[NLP, Array]:
     """Return the NLP with the positions of inner peaks as unknowns (cached), and its starting point."""
     key = f"following {found.inner}"
     if key not in nlp.cache:
-        nlp.cache[key] = following(nlp, found.inner)
+        nlp.cache[key] = with_following_peaks(nlp, found.inner)
     moving: NLP = nlp.cache[key]
     count = len(found.inner)
     for i, (low, high) in enumerate(zip((*nlp.x_low, *[0.0] * count), (*nlp.x_high, *[1.0] * count), strict=True)):
@@ -212,7 +212,7 @@ def _moving(nlp: CycleNLP, x: Array, found: Peaks) -> tuple[NLP, Array]:
     return moving, np.concatenate([x, [found.shares[slot] for slot, _ in found.inner]])
 
 
-def following(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> NLP:
+def with_following_peaks(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> NLP:
     """Return the NLP with the positions of inner peaks as unknowns: each where the derivative of its watched term vanishes.
 
     Parameters
@@ -249,7 +249,7 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
     return NLP(
         variables=(*nlp.variables, *(Variable(label, 1.0, PLAIN) for label in names)),
         fixed=nlp.fixed,
-        rows=(*nlp.rows, *(Row(PEAK, label, slope[k], 0.0, 0.0, PLAIN) for k, label in enumerate(names))),
+        rows=(*nlp.rows, *(ConstraintRow(PEAK, label, slope[k], 0.0, 0.0, PLAIN) for k, label in enumerate(names))),
         measure=nlp.measure,
         x_start=np.concatenate([nlp.x_start, at]),
         x_low=np.concatenate([nlp.x_low, np.zeros(count)]),
@@ -315,7 +315,7 @@ def peaks(nlp: CycleNLP, x: Array) -> Peaks:
 
 
 def _local(
-    watched: Watched, least: float, whole: Array, grid: Array, signals: Callable[[Array], Array]
+    watched: WatchedTerm, least: float, whole: Array, grid: Array, signals: Callable[[Array], Array]
 ) -> Iterator[tuple[float, float]]:
     """Generate the refined local maxima (height, position) of a term along a stroke that are at least `least` high."""
     score = watched.score(whole)

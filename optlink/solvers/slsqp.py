@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from optlink.optimization.nlp import NLP, Point
+from optlink.optimization.nlp import NLP, NLPValues
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import Attempt
 
@@ -62,7 +62,7 @@ class _View:
     def _look(self, x: Array) -> _Seen:
         point = self.nlp.at(x, self.p)
         if not point.finite:
-            point = Point(
+            point = NLPValues(
                 point.f if math.isfinite(point.f) else UNDEFINED,
                 np.nan_to_num(point.gradient),
                 np.nan_to_num(point.g, nan=-UNDEFINED, posinf=UNDEFINED, neginf=-UNDEFINED),

@@ -18,7 +18,7 @@ from optlink.io import Summary
 
 if TYPE_CHECKING:
     from optlink.optimization.constraints import Scale
-    from optlink.optimization.nlp import NLP, Point
+    from optlink.optimization.nlp import NLP, NLPValues
 
 Array = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ def violation(nlp: NLP, x: Array, g: Array) -> float:
     return float(np.max([nlp.lower - values, values - nlp.upper, 0.0 * values])) if np.all(np.isfinite(g)) else math.inf
 
 
-def examine(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
+def verified_solution(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
     """Turn an attempt into a Solution by recomputing everything from the NLP at its x.
 
     Parameters
@@ -190,7 +190,7 @@ def examine(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
     )
 
 
-def stationarity(nlp: NLP, x: Array, point: Point, within: float = ACTIVE) -> Stationarity:
+def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -> Stationarity:
     """Return multipliers of the active bounds and rows by least squares, and the remaining KKT residual.
 
     A multiplier is positive at an upper bound and negative at a lower bound; multipliers of the wrong sign are dropped, worst
@@ -201,7 +201,7 @@ def stationarity(nlp: NLP, x: Array, point: Point, within: float = ACTIVE) -> St
     nlp : NLP
     x : array (n,)
         Scaled point.
-    point : Point
+    point : NLPValues
         The NLP at x.
     within : float
         Distance at which a limit counts as active, scaled.
@@ -227,7 +227,7 @@ def stationarity(nlp: NLP, x: Array, point: Point, within: float = ACTIVE) -> St
     return Stationarity(multipliers, active, kkt)
 
 
-def curvature(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity) -> float:
+def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, proof: Stationarity) -> float:
     """Return the least eigenvalue of the reduced Hessian of the Lagrangian; a positive one proves a strict local optimum.
 
     The Hessian is reduced to the null space of the active limits. NaN if this space is empty (a vertex, which needs no
@@ -240,7 +240,7 @@ def curvature(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity) -
         Scaled point.
     p : array
         Parameters of the NLP.
-    point : Point
+    point : NLPValues
         The NLP at x.
     proof : Stationarity
         Active limits and multipliers at x.
@@ -257,7 +257,7 @@ def curvature(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity) -
     return float(np.linalg.eigvalsh(hessian)[0]) if np.all(np.isfinite(hessian)) else math.nan
 
 
-def _optimal(nlp: NLP, x: Array, p: Array, point: Point, proof: Stationarity, residuals: Array) -> bool:
+def _optimal(nlp: NLP, x: Array, p: Array, point: NLPValues, proof: Stationarity, residuals: Array) -> bool:
     """Return whether no small change of the design measurably improves the objective.
 
     One of three conditions holds: the KKT residual vanishes; the residuals vanish to rounding; or the objective is so strongly
@@ -306,7 +306,7 @@ def _limit_state(
     active = abs(value - bound) <= ACTIVE
     mine = side == "=" or (multiplier > 0.0) == (side == "<=")
     shown = {"<=": ">=", ">=": "<=", "=": "="}[side] if scale.cosine else side
-    at, limit = scale.people(value), scale.people(bound)
+    at, limit = scale.to_display(value), scale.to_display(bound)
     slack = {"<=": limit - at, ">=": at - limit, "=": -abs(at - limit)}[shown]
     worth = float(-multiplier * price / scale.slope(bound)) if active and mine and multiplier else 0.0
     return LimitState(key, name, at, limit, shown, scale.unit, active, worth, slack)

@@ -15,15 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.columns import Record, slider_names
+from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
-from optlink.linkage.alignment import listed
+from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import Ranges, failure, reachable
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.studies.grid import Axis
-from optlink.studies.sweep_task import Sweeping, figure
+from optlink.studies.sweep_task import SweepTask, number_text
 from optlink.tasks.analyze import analyze
 from optlink.tasks.batch import analyze_batch, batch_extremes, reaction_parts
 from optlink.tasks.machine import crank_speed, machine_of
@@ -38,7 +38,7 @@ ANALYSED = "analysed"
 ANGLE = ".angle_rad"  # its extremes are those of the swing
 
 
-class Outcome(NamedTuple):
+class AnalysedPoint(NamedTuple):
     """Outcome of one design: its figures by name, and the reason where they are missing."""
 
     figures: Mapping[str, float]
@@ -47,7 +47,7 @@ class Outcome(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Analysing(Sweeping):
+class AnalysisTask(SweepTask):
     """Analysis of given designs over the whole revolution.
 
     Parameters
@@ -109,10 +109,10 @@ class Analysing(Sweeping):
             if status == ANALYSED and missing:
                 status, reason = "no value", f"{missing[0]} has no value for this design"
             valid = str(status == ANALYSED).lower()
-            rows.append([*map(repr, own), *map(figure, cells), status, valid, reason])  # repr: the axes' own digits
+            rows.append([*map(repr, own), *map(number_text, cells), status, valid, reason])  # repr: the axes' own digits
         return rows
 
-    def _batched(self, designs: Mapping[str, Array]) -> dict[int, Outcome]:
+    def _batched(self, designs: Mapping[str, Array]) -> dict[int, AnalysedPoint]:
         """Return the outcomes of the designs clear of all singular positions, by their index."""
         stems = {name.rpartition(".")[0] for name in self.figures}
         columns, _ = known_figures(self.problem)
@@ -130,22 +130,22 @@ class Analysing(Sweeping):
             with np.errstate(all="ignore"):
                 found[f"{name}.rms"] = np.sqrt(np.mean(sum(np.square(sampled[part]) for part in parts), axis=1))
         return {
-            int(number): Outcome({name: float(column[i]) for name, column in found.items()}, ANALYSED)
+            int(number): AnalysedPoint({name: float(column[i]) for name, column in found.items()}, ANALYSED)
             for i, number in enumerate(numbers)
         }
 
-    def _alone(self, design: Mapping[str, float]) -> Outcome:
+    def _alone(self, design: Mapping[str, float]) -> AnalysedPoint:
         """Return the outcome of one design [SI], including failures."""
         machine = machine_of(self.problem, design)
         ranges = reachable(machine.mechanism, machine.sizes)
         if not ranges.full:
-            return Outcome(
+            return AnalysedPoint(
                 {}, "partial rotation" if ranges.ranges else "not assembled", _unreached(self.problem, machine, ranges)
             )
         found = analyze(self.problem, self.points, design=design)
         if not found.sound:
-            return Outcome({}, "singular position" if found.singular.size else "no finite reactions", _unsound(found))
-        return Outcome({**found.figures, **dict(self._sampled(found))}, ANALYSED)
+            return AnalysedPoint({}, "singular position" if found.singular.size else "no finite reactions", _unsound(found))
+        return AnalysedPoint({**found.figures, **dict(self._sampled(found))}, ANALYSED)
 
     def _sampled(self, found: Analysis) -> Iterator[tuple[str, float]]:
         """Yield figures missing in the summary of the analysis: rms values, and extremes of angles."""
@@ -164,7 +164,7 @@ def known_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str, ...
     """Return the columns of the analysis, whose extremes and rms values can be columns of a sweep, and its other figures."""
     machine, drive = machine_of(problem), problem.model.drive
     mechanism = machine.mechanism
-    columns = list(Record(machine.moving(np.array([drive.start.value]), crank_speed(problem))).columns)
+    columns = list(MotionColumns(machine.moving(np.array([drive.start.value]), crank_speed(problem))).columns)
     for point, bodies in mechanism.pins.items():
         columns += [f"{point}.f_N"] if len(bodies) == 2 else [f"{point}.{body}.f_N" for body in bodies]
     sliders = set(slider_names(machine).values())
@@ -187,7 +187,7 @@ def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:
 def _unsound(found: Analysis) -> str:
     """Return why an analysis is not sound, and where."""
     if found.ranges.singular:
-        where = f"singular position at crank angle {listed(found.ranges.singular)}"
+        where = f"singular position at crank angle {positions_text(found.ranges.singular)}"
         return f"{where}: the assembly modes meet, and the motion beyond it is not determined"
     for angles, what in (
         (found.singular, "singular position, reactions are infinite,"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from optlink.errors import Status
 from optlink.optimization.nlp import NLP
 from optlink.solvers.newton import newton
-from optlink.solvers.solution import Attempt, Solution, examine
+from optlink.solvers.solution import Attempt, Solution, verified_solution
 
 Array = NDArray[np.float64]
 MAX_STEPS = 8
@@ -21,7 +21,7 @@ CONVERGED = 1e-10
 FOLLOWED = "followed from a neighbour"
 
 
-def follow(nlp: NLP, near: Solution) -> Solution | None:
+def follow_optimum(nlp: NLP, near: Solution) -> Solution | None:
     """Return the optimum of a programme after a change of its parameters or bounds; None if a search is needed.
 
     Parameters
@@ -56,5 +56,5 @@ def follow(nlp: NLP, near: Solution) -> Solution | None:
             return None
         x, steps = x + step[:n], steps + 1
         multipliers = multipliers + step[n:]
-    solution = examine(nlp, Attempt(nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)), steps, FOLLOWED), p)
+    solution = verified_solution(nlp, Attempt(nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)), steps, FOLLOWED), p)
     return solution if solution.status is Status.OPTIMAL and not solution.curvature < 0.0 else None

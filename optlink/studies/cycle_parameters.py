@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from optlink.errors import Fault, InputError, Status
 from optlink.optimization.constraints import Scale
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
-from optlink.optimization.cycle_signals import Trace
+from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import place
+from optlink.problem.fixed_design import key_path
 from optlink.problem.limits import MARGIN_KEYS
-from optlink.solvers.semi_infinite import sharpened
+from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution
-from optlink.studies.cycle_task import restarted
-from optlink.studies.kkt_derivatives import Push, System
+from optlink.studies.cycle_task import with_starting_values
+from optlink.studies.kkt_derivatives import KKTPerturbation, KKTSystem
 from optlink.studies.parameters import Parameter, parameters
-from optlink.studies.toml_keys import raw_at, text
-from optlink.symbolic import Compiled
+from optlink.studies.toml_keys import exact_text, value_at
+from optlink.symbolic import CompiledFunction
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.results.cycle import task_of
 from optlink.units import KINDS, UnitProblem, factor
@@ -45,10 +45,10 @@ WHOLE = "%"  # unit of a table whose values are scaled together
 _FIGURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*)?")
 
 
-class Givens:
+class CycleParameters:
     """Parameters of a machine, and their effect on the optimality system at its optimum."""
 
-    def __init__(self, problem: ProblemFile, system: System) -> None:
+    def __init__(self, problem: ProblemFile, system: KKTSystem) -> None:
         assert isinstance(system.nlp, CycleNLP)
         self.problem, self.system, self.nlp = problem, system, system.nlp
 
@@ -58,7 +58,7 @@ class Givens:
         known = [replace(parameter, key=self._key(parameter)) for parameter in parameters(self.nlp)]
         return [*(parameter for parameter in known if parameter.key), *_figures(self.problem)]
 
-    def push(self, parameter: Parameter) -> Push:
+    def push(self, parameter: Parameter) -> KKTPerturbation:
         """Return the change of the optimality system per unit of a parameter.
 
         Raises
@@ -73,7 +73,9 @@ class Givens:
         still = np.zeros(len(self.system.values))
         entries = still.copy()
         entries[self.system.free :] = (over - under) / (2.0 * step)
-        return Push((high - low) / (2.0 * step), (above - below)[self.system.unknown] / (2.0 * step), entries, still, still)
+        return KKTPerturbation(
+            (high - low) / (2.0 * step), (above - below)[self.system.unknown] / (2.0 * step), entries, still, still
+        )
 
     def _key(self, parameter: Parameter) -> str:
         """Return the key in the problem file; empty for a row that the file does not state."""
@@ -83,13 +85,13 @@ class Givens:
             limit = self.nlp.rows[entry - len(self.nlp.variables)].limit
             if not limit.startswith("limits.") or limit in MARGIN_KEYS:
                 return ""
-            stated = raw_at(self.problem, limit)
+            stated = value_at(self.problem, limit)
             exactly = isinstance(stated, Mapping) and "exactly" in stated
             return f"{limit}.exactly" if exactly else limit if parameter.equal else f"{limit}{side}"
         name = parameter.name if parameter.constant >= 0 else self.nlp.variables[entry].name
         if name not in self.problem.model.mechanism.quantities:
             return f"{parameter.key}{side}"
-        steps = place(self.problem.raw["mechanism"], name)
+        steps = key_path(self.problem.raw["mechanism"], name)
         if isinstance(steps[-1], int):
             steps[-1] = name.rpartition(".")[2]
         return f"mechanism.{'.'.join(map(str, steps))}{side}"
@@ -97,7 +99,7 @@ class Givens:
     def _seen(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
         """Return the Lagrangian, its gradient by (x, p) and the rows at the optimum, with another value in the file."""
         system, nlp = self.system, self.nlp
-        trace = Trace(task_of(changed(self.problem, parameter, value)), slow=self.nlp.traced.slow)
+        trace = TracedCycle(task_of(with_parameter(self.problem, parameter, value)), slow=self.nlp.traced.slow)
         slots = nlp.slots // nlp.strokes
         other = build_cycle(trace, nlp.structure, nlp.design(system.x), nlp.nodes, slots, nlp.scales)
         if [row.label for row in other.rows] != [row.label for row in nlp.rows]:
@@ -106,14 +108,14 @@ class Givens:
         prices = casadi.DM(system.multipliers[system.free :])
         whole = other.f_expression + casadi.dot(prices, other.g_expression)
         both = casadi.vertcat(other.x_symbol, other.p_symbol)
-        seen = Compiled([other.x_symbol, other.p_symbol], [whole, casadi.gradient(whole, both), other.g_expression])
+        seen = CompiledFunction([other.x_symbol, other.p_symbol], [whole, casadi.gradient(whole, both), other.g_expression])
         value_, gradient, rows = seen(system.x, system.p)
         return float(value_[0]), gradient, rows
 
 
 def _figures(problem: ProblemFile) -> list[Parameter]:
     """Return all numbers of bodies and loads in the file, guide friction, the speed and gravity as parameters."""
-    found = [*(leaf for key in ALONE for leaf in _leaves(key, raw_at(problem, key)))]
+    found = [*(leaf for key in ALONE for leaf in _leaves(key, value_at(problem, key)))]
     for section in SECTIONS:
         found += _leaves(section, problem.raw.get(section, {}))
     guides = problem.raw["mechanism"].get("guides", {})
@@ -164,7 +166,7 @@ def _angular(unit: str) -> bool:
     return _measures(unit, "angle")
 
 
-def changed(problem: ProblemFile, parameter: Parameter, value: float) -> ProblemFile:
+def with_parameter(problem: ProblemFile, parameter: Parameter, value: float) -> ProblemFile:
     """Return the problem with another value of a parameter.
 
     Parameters
@@ -174,15 +176,15 @@ def changed(problem: ProblemFile, parameter: Parameter, value: float) -> Problem
     value : float [parameter.unit]
     """
     if parameter.unit == WHOLE:
-        pairs = [_read(each) for each in raw_at(problem, parameter.key)]
-        return problem.override({parameter.key: [text(own * value / parameter.value, unit) for own, unit in pairs]})
-    written = text(value, parameter.unit)
+        pairs = [_read(each) for each in value_at(problem, parameter.key)]
+        return problem.override({parameter.key: [exact_text(own * value / parameter.value, unit) for own, unit in pairs]})
+    written = exact_text(value, parameter.unit)
     if parameter.equal and not parameter.key.endswith(".exactly"):
         return problem.override({f"{parameter.key}.{side}": written for side in ("min", "max")})
     return problem.override({parameter.key: written})
 
 
-def searched_again(
+def search_again(
     problem: ProblemFile, solution: Solution, parameter: Parameter, value: float, moved: float
 ) -> tuple[float, dict[str, float]] | None:
     """Return objective and design variables of the machine with another value, built anew and searched from the optimum.
@@ -204,7 +206,9 @@ def searched_again(
     """
     assert isinstance(solution.nlp, CycleNLP)
     try:
-        found = solve_cycle(restarted(changed(problem, parameter, value), solution.design), CLOSE, starts=1).solution
+        found = solve_cycle(
+            with_starting_values(with_parameter(problem, parameter, value), solution.design), CLOSE, starts=1
+        ).solution
     except InputError:
         return None
     if found is None or found.status is not Status.OPTIMAL:
@@ -214,6 +218,6 @@ def searched_again(
     away = max(abs(found.design[name] - own) for name, own in solution.design.items()) / solution.nlp.scales[0]
     if away > 10.0 * moved and away > ELSEWHERE:
         return None
-    end = sharpened(nlp, found)
+    end = refine_peaks(nlp, found)
     free = zip(nlp.variables, end.x, strict=True)
-    return end.objective, {v.name: v.scale.people(float(x)) for v, x in free if v.name not in nlp.helpers}
+    return end.objective, {v.name: v.scale.to_display(float(x)) for v, x in free if v.name not in nlp.helpers}

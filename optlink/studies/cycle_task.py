@@ -18,24 +18,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
-from optlink.optimization.constraints import Row
+from optlink.optimization.constraints import ConstraintRow
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
-from optlink.optimization.cycle_signals import Trace
+from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.problem.cycle import CycleProblem
 from optlink.problem.file import ProblemFile, read
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Quantity
 from optlink.solvers import multistart
-from optlink.solvers.semi_infinite import level, peaks
+from optlink.solvers.semi_infinite import exchange, peaks
 from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import column
 from optlink.studies.reoptimise_task import SEARCHED, TAIL, active
-from optlink.studies.sweep_task import Sweeping, figure
+from optlink.studies.sweep_task import SweepTask, number_text
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.results.common import optimality
-from optlink.tasks.results.cycle import MachineDesign, task_of
+from optlink.tasks.results.cycle import CycleResult, task_of
 from optlink.units import KINDS, factor
 from optlink.validation.check import Validation
 from optlink.validation.cycle import validate_cycle
@@ -48,7 +48,7 @@ COMPILED = ("_values", "_all", "_residuals", "_hessian", "_levels")  # compiled 
 
 
 @dataclass(frozen=True)
-class Designing(Sweeping):
+class CycleTask(SweepTask):
     """Optimum at every point; `anchors`: dimensions [SI] of machines from which the first search of a chunk starts."""
 
     backend: str
@@ -63,23 +63,23 @@ class Designing(Sweeping):
     @property
     def columns(self) -> list[str]:
         """The axes, the design variables in display units, the objective in SI, and the outcome."""
-        free = [f"{name}_{KINDS[quantity.kind].people}" for name, quantity in self.free.items()]
+        free = [f"{name}_{KINDS[quantity.kind].display}" for name, quantity in self.free.items()]
         kind = task_of(self.problem).unit_kind
         objective = column("objective", KINDS[kind].si.replace("**", "^") if kind else "")
         return [*(axis.column for axis in self.grid.axes), *free, objective, *TAIL]
 
     @cached_property
-    def programme(self) -> Programme | None:
+    def programme(self) -> CycleProgramme | None:
         """Common programme of all points; None if every point needs its own."""
         limits = [axis.key.rpartition(".") for axis in self.grid.axes]
         if not all(limit.startswith("limits.") and side in BOUNDS for limit, _, side in limits):
             return None
-        made = Programme(self.problem.override(self.grid.changes(0)), self.backend)
+        made = CycleProgramme(self.problem.override(self.grid.changes(0)), self.backend)
         return made if made.possible else None
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
-        done: dict[int, MachineDesign] = {}
+        done: dict[int, CycleResult] = {}
         rows = []
         for point in self.span(index):
             task = self.problem.override(self.grid.changes(point))
@@ -94,7 +94,7 @@ class Designing(Sweeping):
             rows.append(self._row(point, found, how))
         return rows
 
-    def begun(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> MachineDesign:
+    def begun(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> CycleResult:
         """Return the machine of a point, searched from given dimensions.
 
         Parameters
@@ -110,38 +110,38 @@ class Designing(Sweeping):
         if self.programme is not None:
             bounds = {axis.key: value for axis, value in zip(self.grid.axes, self.grid.values(point), strict=True)}
             found = self.programme.design(task, bounds, sizes)
-        return solve_cycle(restarted(task, sizes), self.backend, starts=1) if found is None else found
+        return solve_cycle(with_starting_values(task, sizes), self.backend, starts=1) if found is None else found
 
-    def searched(self, task: ProblemFile) -> MachineDesign:
+    def searched(self, task: ProblemFile) -> CycleResult:
         """Return the machine of a separate search, repeated once from its result if the peak exchange did not converge."""
         found = solve_cycle(task, self.backend)
         if found.valid or found.status is not Status.OPTIMAL:
             return found
-        again = solve_cycle(restarted(task, found.values), self.backend, starts=1)
+        again = solve_cycle(with_starting_values(task, found.values), self.backend, starts=1)
         return again if again.valid else found
 
-    def _row(self, point: int, found: MachineDesign, how: str) -> list[str]:
+    def _row(self, point: int, found: CycleResult, how: str) -> list[str]:
         usable = found.status in (Status.OPTIMAL, Status.STALLED)
-        people = [found.values[n] / factor(KINDS[q.kind].people, q.kind) for n, q in self.free.items()]
+        displayed = [found.values[n] / factor(KINDS[q.kind].display, q.kind) for n, q in self.free.items()]
         missed = [item.name for item in found.conflict] or [check.name for check in found.validation.checks if not check.passed]
         failed = "; ".join(dict.fromkeys(missed))
         held = "" if found.solution is None or not usable else "; ".join(active(found.solution))
-        values = [figure(value) if usable else "" for value in (*people, found.objective)]
+        values = [number_text(value) if usable else "" for value in (*displayed, found.objective)]
         return [*map(repr, self.grid.values(point)), *values, found.status.value, str(found.valid).lower(), failed, held, how]
 
 
-def _rank(found: MachineDesign) -> tuple[bool, float]:
+def _rank(found: CycleResult) -> tuple[bool, float]:
     """Return a sort key: validated first, then by objective."""
     return not found.valid, found.objective
 
 
-class Programme:
+class CycleProgramme:
     """One programme for many bounds of its limits, traced and compiled once."""
 
     def __init__(self, problem: ProblemFile, backend: str) -> None:
         task = problem.model
         assert isinstance(task, CycleProblem)
-        self.backend, self.trace = backend, Trace(task)
+        self.backend, self.trace = backend, TracedCycle(task)
         self.structure = self.trace.structure({name: task.quantities[name].value for name in task.free})
         self.possible = self.structure is not None and not any(term.integral for term in self.trace.terms)
 
@@ -156,7 +156,7 @@ class Programme:
         made.lifted(made.x_start)
         return made
 
-    def design(self, problem: ProblemFile, bounds: Mapping[str, float], near: Mapping[str, float]) -> MachineDesign | None:
+    def design(self, problem: ProblemFile, bounds: Mapping[str, float], near: Mapping[str, float]) -> CycleResult | None:
         """Return the machine of a problem with other bounds; None if the motion reverses in a different order at the start.
 
         Parameters
@@ -171,15 +171,15 @@ class Programme:
         structure = self.trace.structure(near)
         if structure is None or self.structure is None or not structure.like(self.structure):
             return None
-        nlp = held(self.nlp, bounds)
+        nlp = with_bounds(self.nlp, bounds)
         x = nlp.x_of(near)
         nlp.roam(peaks(nlp, x).shares)
         built = time.perf_counter()
-        found = level(nlp, multistart.solve_from(nlp, x, self.backend))
+        found = exchange(nlp, multistart.solve_from(nlp, x, self.backend))
         self.nlp.cache.update(nlp.cache)
         done = time.perf_counter()
         proof = validate_cycle(task_of(problem), found.design, found.objective)
-        return MachineDesign(
+        return CycleResult(
             problem=problem,
             status=found.status,
             backend=self.backend,
@@ -193,7 +193,7 @@ class Programme:
         )
 
 
-def held(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
+def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
     """Return the programme with other bounds of limits; compiled parts are shared.
 
     Parameters
@@ -209,7 +209,7 @@ def held(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
         limit, _, side = key.rpartition(".")
         own = [j for j, row in enumerate(rows) if row.limit == limit]
         for j in own:
-            row, value = rows[j], rows[j].scale.own(bound)
+            row, value = rows[j], rows[j].scale.to_internal(bound)
             low = value if side != "max" and math.isfinite(row.low) else row.low
             high = value if side != "min" and math.isfinite(row.high) else row.high
             rows[j] = replace(row, low=low, high=high)
@@ -224,7 +224,7 @@ def held(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
     return _rebound(nlp, tuple(rows), p, watched=tuple(watched), cache=kept)
 
 
-def _rebound(nlp: N, rows: tuple[Row, ...], p: Array, **changes: Any) -> N:
+def _rebound(nlp: N, rows: tuple[ConstraintRow, ...], p: Array, **changes: Any) -> N:
     """Return a programme with other bounds and parameters, and all compiled parts."""
     made = replace(nlp, rows=rows, p=p, **changes)
     for name in COMPILED:
@@ -233,7 +233,7 @@ def _rebound(nlp: N, rows: tuple[Row, ...], p: Array, **changes: Any) -> N:
     return made
 
 
-def restarted(problem: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
+def with_starting_values(problem: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     """Return the problem with other starting values of its design variables, clipped to their bounds.
 
     Parameters
@@ -245,7 +245,7 @@ def restarted(problem: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     for name, value in values.items():
         low, high = problem.model.quantities[name].bounds
         sizes[name] = min(max(value, low), high)
-    begun = _begun(problem.raw["mechanism"], settled(problem, sizes).raw["mechanism"])
+    begun = _begun(problem.raw["mechanism"], fixed_design(problem, sizes).raw["mechanism"])
     return read({**problem.raw, "mechanism": begun}, problem.name, problem.file, problem.folder)
 
 

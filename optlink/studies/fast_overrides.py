@@ -24,7 +24,7 @@ Setter = Callable[[Any, float], Any]
 _FIELDS = {"from": "start"}  # fields of the requirement with a different key in the file
 
 
-def fresh(model: M, **update: object) -> M:
+def copy_model(model: M, **update: object) -> M:
     """Return a copy of a checked model with other fields, without values cached from the old ones.
 
     Parameters
@@ -39,7 +39,7 @@ def fresh(model: M, **update: object) -> M:
     return copy
 
 
-class Direct:
+class FastOverride:
     """Sets values of axes in the model of a problem; `possible` states whether all of them are plain numbers of the model."""
 
     def __init__(self, template: DesignProblem, axes: Sequence[Axis]) -> None:
@@ -58,7 +58,7 @@ class Direct:
             section, name, setter, size = place
             known = sections.setdefault(section, {})
             known[name] = setter(known.get(name, getattr(getattr(self.template, section), name)), value * size)
-        return fresh(self.template, **{s: fresh(getattr(self.template, s), **fields) for s, fields in sections.items()})
+        return copy_model(self.template, **{s: copy_model(getattr(self.template, s), **fields) for s, fields in sections.items()})
 
 
 def _place(template: DesignProblem, axis: Axis) -> tuple[str, str, Setter, float] | None:

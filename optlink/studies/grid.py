@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
-from optlink.studies.toml_keys import Raw, text
+from optlink.studies.toml_keys import Raw, exact_text
 
 MAX_POINTS = 10_000_000
 ROW_BYTES, POINTS_PER_SECOND = 160, 200  # for the error message on too many points
@@ -52,7 +52,7 @@ class Axis:
 
     def raw(self, index: int) -> Raw:
         """Return a value as written in a problem file."""
-        return text(self.values[index], self.unit)
+        return exact_text(self.values[index], self.unit)
 
 
 def read_axis(assignment: str) -> Axis:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from optlink.optimization.nlp import NLP
 from optlink.solvers.solution import STATIONARY, Solution, stationarity
 from optlink.studies.parameters import Parameter
-from optlink.symbolic import Compiled
+from optlink.symbolic import CompiledFunction
 
 Array = NDArray[np.float64]
 TIGHT = 1e-9  # scaled units; tolerance of active limits, less than the distance of neighbours in a finely divided span
@@ -33,7 +33,7 @@ SAME = 1e-6  # relative difference of the slopes of duplicate rows
 
 
 @dataclass(frozen=True)
-class End:
+class ValidityEnd:
     """End of the first-order validity: at `value` of the parameter, because of `event`; infinite if unlimited."""
 
     value: float
@@ -41,7 +41,7 @@ class End:
 
 
 @dataclass(frozen=True)
-class Push:
+class KKTPerturbation:
     """Change of the optimality system per unit of a parameter at fixed unknowns.
 
     `slope`: of the Lagrangian; `gradient` (unknowns,): of its derivatives by the unknowns; `entries` (n + rows,): of x and the
@@ -56,7 +56,7 @@ class Push:
 
 
 @dataclass(frozen=True)
-class Answer:
+class KKTResponse:
     """Response to one unit of a parameter: change of the objective [SI], of the unknowns and of the multipliers."""
 
     objective: float
@@ -73,7 +73,7 @@ class _Lagrangian:
         whole = nlp.f_expression + casadi.dot(prices, nlp.g_expression)
         hessian, gradient = casadi.hessian(whole, both)
         inputs = [nlp.x_symbol, nlp.p_symbol, prices]
-        self._call = Compiled(inputs, [hessian, gradient, casadi.jacobian(nlp.g_expression, both)])
+        self._call = CompiledFunction(inputs, [hessian, gradient, casadi.jacobian(nlp.g_expression, both)])
 
     def __call__(self, x: Array, p: Array, prices: Array) -> tuple[Array, Array, Array]:
         """Return Hessian and gradient of f + prices . g by (x, p), and the Jacobian of g."""
@@ -89,7 +89,7 @@ def lagrangian(nlp: NLP) -> _Lagrangian:
     return nlp.cache["lagrangian"]  # type: ignore[no-any-return]
 
 
-class System:
+class KKTSystem:
     """The optimality system at a solution: its active set, and its response to parameters.
 
     `unknown`: indices in (x, p) of the unknowns, x first, then positions of the largest error or force, which move along.
@@ -147,7 +147,7 @@ class System:
             return False
         return bool(np.max(np.abs(slopes[entry] - slopes[other])) <= SAME * np.max(np.abs(slopes[entry])))
 
-    def push(self, parameter: Parameter) -> Push:
+    def push(self, parameter: Parameter) -> KKTPerturbation:
         """Return the effect of a parameter of the programme: a fixed quantity, or a bound."""
         rate, size = parameter.rate(), len(self.values)
         slope, gradient, entries = 0.0, np.zeros(self.count), np.zeros(size)
@@ -160,9 +160,9 @@ class System:
         own = list(parameter.entries)
         lower[own] += rate * (parameter.equal or not parameter.upper)
         upper[own] += rate * (parameter.equal or parameter.upper)
-        return Push(float(slope), gradient, entries, lower, upper)
+        return KKTPerturbation(float(slope), gradient, entries, lower, upper)
 
-    def answer(self, push: Push) -> Answer:
+    def answer(self, push: KKTPerturbation) -> KKTResponse:
         """Return the response of the optimum to a change of the optimality system."""
         size = len(self.values)
         bounds = np.where(self.multipliers > 0.0, push.upper, push.lower)
@@ -176,22 +176,22 @@ class System:
                 solved = np.linalg.solve(self.matrix, right)
         multipliers = np.zeros(size)
         multipliers[self.active] = solved[self.count :]
-        return Answer(slope * self.price, solved[: self.count], multipliers)
+        return KKTResponse(slope * self.price, solved[: self.count], multipliers)
 
-    def ends(self, parameter: Parameter, push: Push, answer: Answer) -> tuple[End, End]:
+    def ends(self, parameter: Parameter, push: KKTPerturbation, answer: KKTResponse) -> tuple[ValidityEnd, ValidityEnd]:
         """Return the first-order range of a parameter, until a multiplier vanishes or another limit becomes active.
 
         Parameters
         ----------
         parameter : Parameter
-        push : Push
+        push : KKTPerturbation
             Effect of the parameter on the optimality system.
-        answer : Answer
+        answer : KKTResponse
             Response of the optimum.
 
         Returns
         -------
-        lower, upper : End
+        lower, upper : ValidityEnd
         """
         rates = self.jacobian[:, self.unknown] @ answer.moved + push.entries
         least, most = (-math.inf, "nothing"), (math.inf, "nothing")
@@ -216,7 +216,7 @@ class System:
                     most = (at, f"{self._name(entry)} {what}")
                 if least[0] < at <= 0.0:
                     least = (at, f"{self._name(entry)} {what}")
-        return End(float(parameter.value + least[0]), least[1]), End(float(parameter.value + most[0]), most[1])
+        return ValidityEnd(float(parameter.value + least[0]), least[1]), ValidityEnd(float(parameter.value + most[0]), most[1])
 
     def _name(self, entry: int) -> str:
         if entry < self.free:

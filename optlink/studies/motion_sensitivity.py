@@ -17,7 +17,7 @@ from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import unit
 from optlink.optimization.output_derivatives import output_slopes
 from optlink.problem.quantity import nearest
-from optlink.symbolic import Tape, tracing
+from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 Array = NDArray[np.float64]
 
@@ -72,10 +72,10 @@ def output_sensitivity(
     names = list(sizes)
     symbols = {name: casadi.SX.sym(name) for name in names}
     crank = casadi.SX.sym("crank angle")
-    with tracing():
+    with symbols_in_numpy():
         value, slopes = output_slopes(mechanism, symbols, unit(crank), output, chosen)
     angles = np.atleast_1d(np.asarray(crank_angles, dtype=float))
-    tape = Tape([*symbols.values(), crank], [value, *slopes])
+    tape = NumpyEvaluator([*symbols.values(), crank], [value, *slopes])
     found = np.asarray(tape(*[np.full(angles.shape, sizes[name]) for name in names], angles), dtype=float)
     return OutputSensitivity(
         output, "rad" if output in mechanism.bodies else "m", angles, found[0], dict(zip(chosen, found[1:], strict=True))

@@ -51,7 +51,7 @@ class Parameter:
 
     def rate(self) -> float:
         """Return the change of the scaled number of the programme per unit of the parameter."""
-        return 1.0 / self.scale.slope(self.scale.own(self.value))
+        return 1.0 / self.scale.slope(self.scale.to_internal(self.value))
 
     def place(self, nlp: NLP, value: float) -> None:
         """Set another value of the parameter in the programme.
@@ -61,7 +61,7 @@ class Parameter:
         nlp : NLP
         value : float [unit of the parameter]
         """
-        own = self.scale.own(value)
+        own = self.scale.to_internal(value)
         if self.constant >= 0:
             nlp.p[1 + self.constant] = own
         for entry in self.entries:
@@ -103,5 +103,5 @@ def parameters(nlp: NLP) -> list[Parameter]:
 
 def _told(own: float, scale: Scale) -> float:
     """Return a number of the programme in display units, without rounding errors of scaling."""
-    value, size = scale.people(own), abs(scale.people(1.0) - scale.people(0.0))
+    value, size = scale.to_display(own), abs(scale.to_display(1.0) - scale.to_display(0.0))
     return 0.0 if abs(value) <= ROUNDING * size else float(f"{value:.14g}")

@@ -24,9 +24,9 @@ from optlink.problem.limits import MARGIN_KEYS
 from optlink.problem.quantity import Quantity, nearest
 from optlink.solvers import multistart
 from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
-from optlink.studies.continuation import FOLLOWED, follow
-from optlink.studies.fast_overrides import Direct
-from optlink.studies.sweep_task import Sweeping, figure
+from optlink.studies.continuation import FOLLOWED, follow_optimum
+from optlink.studies.fast_overrides import FastOverride
+from optlink.studies.sweep_task import SweepTask, number_text
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
 from optlink.units import KINDS, factor
@@ -57,7 +57,7 @@ def check_backend(name: str) -> None:
         raise InputError(Fault("unknown back end of a study", nearest(name, multistart.BACKENDS), key="--backend", value=name))
 
 
-def buildable(problem: ProblemFile, keys: tuple[str, ...]) -> bool:
+def one_programme_suffices(problem: ProblemFile, keys: tuple[str, ...]) -> bool:
     """Return whether one programme serves all values of these keys.
 
     Parameters
@@ -86,7 +86,7 @@ class _Optimum:
 
 
 @dataclass(frozen=True)
-class Reoptimising(Sweeping):
+class ReoptimiseTask(SweepTask):
     """Optimum at every point."""
 
     backend: str
@@ -107,19 +107,19 @@ class Reoptimising(Sweeping):
         """The axes, the design variables in display units, the objective in SI, and the outcome."""
         from optlink.studies.sweep import objective_column
 
-        free = [f"{name}_{KINDS[quantity.kind].people}" for name, quantity in self.free.items()]
+        free = [f"{name}_{KINDS[quantity.kind].display}" for name, quantity in self.free.items()]
         return [*(axis.column for axis in self.grid.axes), *free, objective_column(self.template), *TAIL]
 
     @cached_property
-    def programme(self) -> Programme | None:
+    def programme(self) -> ParametricProgramme | None:
         """Common programme of all points; None if every point needs its own."""
         keys = tuple(axis.key for axis in self.grid.axes)
-        return Programme(self.template) if buildable(self.template, keys) else None
+        return ParametricProgramme(self.template) if one_programme_suffices(self.template, keys) else None
 
     @cached_property
-    def direct(self) -> Direct | None:
+    def direct(self) -> FastOverride | None:
         """Sets values in the model; None if the file has to be read again for each."""
-        found = Direct(self.template.spec, self.grid.axes) if self.programme is not None else None
+        found = FastOverride(self.template.spec, self.grid.axes) if self.programme is not None else None
         return found if found is not None and found.possible else None
 
     def lines(self, index: int) -> list[list[str]]:
@@ -140,7 +140,7 @@ class Reoptimising(Sweeping):
             return self.direct.model(self.grid.values(point))
         return self.problem.override(self.grid.changes(point)).spec
 
-    def _again(self, programme: Programme, point: int, done: dict[int, Solution]) -> _Optimum:
+    def _again(self, programme: ParametricProgramme, point: int, done: dict[int, Solution]) -> _Optimum:
         """Return the optimum at a point, from that of a neighbour of this chunk if available."""
         task = self.model(point)
         programme.bind(task)
@@ -163,15 +163,15 @@ class Reoptimising(Sweeping):
 
     def _row(self, point: int, found: _Optimum) -> list[str]:
         usable = found.status in (Status.OPTIMAL, Status.STALLED)
-        values = [figure(v) if usable else "" for v in (*self._people(found.design), found.objective)]
+        values = [number_text(v) if usable else "" for v in (*self._people(found.design), found.objective)]
         tail = [found.status.value, str(found.valid).lower(), "; ".join(found.failed), "; ".join(found.active), found.found]
         return [*map(repr, self.grid.values(point)), *values, *tail]
 
     def _people(self, design: Mapping[str, float]) -> list[float]:
-        return [design.get(n, np.nan) / factor(KINDS[q.kind].people, q.kind) for n, q in self.free.items()]
+        return [design.get(n, np.nan) / factor(KINDS[q.kind].display, q.kind) for n, q in self.free.items()]
 
 
-class Programme:
+class ParametricProgramme:
     """One programme for many values of its parameters and bounds."""
 
     def __init__(self, problem: ProblemFile) -> None:
@@ -208,7 +208,7 @@ class Programme:
         """
         nlp = self.nlp
         if near is not None:
-            solution = follow(nlp, near)
+            solution = follow_optimum(nlp, near)
             if solution is not None:
                 return solution, FOLLOWED
         starts = [nlp.x_start] if near is None else [near.x, nlp.x_start]

@@ -20,12 +20,12 @@ from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.solvers import interrupts
-from optlink.solvers.semi_infinite import sharpened
+from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution
-from optlink.studies.cycle_parameters import Givens, searched_again
-from optlink.studies.kkt_derivatives import End, System
+from optlink.studies.cycle_parameters import CycleParameters, search_again
+from optlink.studies.kkt_derivatives import KKTSystem, ValidityEnd
 from optlink.studies.parameters import Parameter, parameters
-from optlink.studies.toml_keys import text
+from optlink.studies.toml_keys import exact_text
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
 
@@ -39,7 +39,7 @@ MACHINE_STEP, MACHINE_ROOM = 3e-4, 0.02  # the same for a machine: less accurate
 
 
 @dataclass(frozen=True)
-class Resolved:
+class DifferenceCheck:
     """Derivatives by central differences of `step` [unit of the parameter] between re-optimised designs."""
 
     step: float
@@ -59,9 +59,9 @@ class Sensitivity:
     parameter: Parameter
     objective: float
     design: Mapping[str, float]
-    below: End
-    above: End
-    check: Resolved | None = None
+    below: ValidityEnd
+    above: ValidityEnd
+    check: DifferenceCheck | None = None
 
     @property
     def effect(self) -> float:
@@ -102,7 +102,7 @@ class Sensitivities(Summary):
     @property
     def values(self) -> dict[str, float]:
         """Design variables of the optimum, in their units."""
-        return {v.name: v.scale.people(float(x)) for v, x in _shown(self.solution.nlp, self.solution.x)}
+        return {v.name: v.scale.to_display(float(x)) for v, x in _shown(self.solution.nlp, self.solution.x)}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the sensitivities as a JSON document: the objective in SI, everything else in the unit stated beside it."""
@@ -209,9 +209,9 @@ def of_solution(
     """
     nlp = solution.nlp
     if isinstance(nlp, CycleNLP):
-        solution = sharpened(nlp, solution)
-    system = System(solution)
-    machine = Givens(problem, system) if problem.task == "cycle" else None
+        solution = refine_peaks(nlp, solution)
+    system = KKTSystem(solution)
+    machine = CycleParameters(problem, system) if problem.task == "cycle" else None
     factors = {v.name: v.scale.slope(x) for v, x in _shown(nlp, solution.x)}
     notes, rows = _notes(system, solution), []
     for parameter in parameters(nlp) if machine is None else machine.parameters:
@@ -223,7 +223,7 @@ def of_solution(
         answer = system.answer(push)
         below, above = system.ends(parameter, push, answer)
         if parameter.positive and below.value < 0.0:
-            below = End(-math.inf, "nothing")
+            below = ValidityEnd(-math.inf, "nothing")
         objective, moved = answer.objective, answer.moved
         if abs(objective * parameter.step) <= ROUNDING * abs(solution.objective):
             objective = 0.0
@@ -253,7 +253,7 @@ def of_solution(
     )
 
 
-def _notes(system: System, solution: Solution) -> list[str]:
+def _notes(system: KKTSystem, solution: Solution) -> list[str]:
     found = []
     if system.singular:
         found.append("several designs are equally good, or limits depend on one another: the smallest change is shown")
@@ -264,7 +264,9 @@ def _notes(system: System, solution: Solution) -> list[str]:
     return found
 
 
-def _searched_again(problem: ProblemFile, solution: Solution, row: Sensitivity, backend: str, *, loose: bool) -> Resolved | None:
+def _searched_again(
+    problem: ProblemFile, solution: Solution, row: Sensitivity, backend: str, *, loose: bool
+) -> DifferenceCheck | None:
     """Return central differences between optima on either side, or None.
 
     None if the range of validity is too small, or an optimum is missing.
@@ -281,7 +283,7 @@ def _searched_again(problem: ProblemFile, solution: Solution, row: Sensitivity, 
     found: list[tuple[float, dict[str, float]] | None] = []
     for value in (parameter.value - step, parameter.value + step):
         if problem.task == "cycle":
-            found.append(searched_again(problem, solution, parameter, value, step * _pace(solution.nlp, row)))
+            found.append(search_again(problem, solution, parameter, value, step * _pace(solution.nlp, row)))
         elif isinstance(problem.model, DesignProblem) and parameter.stated:
             found.append(_rebuilt(problem, solution, parameter, value, backend))
         else:
@@ -294,10 +296,10 @@ def _searched_again(problem: ProblemFile, solution: Solution, row: Sensitivity, 
     design = {name: (above[name] - below[name]) / (2.0 * step) for name in row.design}
     small = SMALL * abs(solution.objective) / size
     gaps = [abs(objective - row.objective) / max(abs(objective), abs(row.objective), small, 1e-300)]
-    slight = SLIGHT * max(abs(v.scale.people(x)) for v, x in _shown(solution.nlp, solution.x)) / size
+    slight = SLIGHT * max(abs(v.scale.to_display(x)) for v, x in _shown(solution.nlp, solution.x)) / size
     largest = max(*(abs(d) for d in (*design.values(), *row.design.values())), slight, 1e-300)
     gaps += [abs(design[name] - row.design[name]) / largest for name in design if not loose]
-    return Resolved(step, objective, design, max(gaps))
+    return DifferenceCheck(step, objective, design, max(gaps))
 
 
 def _pace(nlp: NLP, row: Sensitivity) -> float:
@@ -311,11 +313,11 @@ def _rebuilt(
     """Return objective and design of the problem file with another value: built, scaled and searched anew."""
     from optlink.tasks.function import solve
 
-    other = problem.override({parameter.key: text(value, parameter.unit)})
+    other = problem.override({parameter.key: exact_text(value, parameter.unit)})
     found = solve(other, backend, begin=solution.design)
     assert found.solution is not None
     nlp = found.solution.nlp
-    return found.objective, {v.name: v.scale.people(x) for v, x in _shown(nlp, found.solution.x)}
+    return found.objective, {v.name: v.scale.to_display(x) for v, x in _shown(nlp, found.solution.x)}
 
 
 def _moved(
@@ -330,7 +332,7 @@ def _moved(
         found = multistart.solve_from(nlp, solution.x, backend)
     finally:
         parameter.place(nlp, parameter.value)
-    return found.objective, {v.name: v.scale.people(x) for v, x in _shown(nlp, found.x)}
+    return found.objective, {v.name: v.scale.to_display(x) for v, x in _shown(nlp, found.x)}
 
 
-__all__ = ["End", "Resolved", "Sensitivities", "Sensitivity", "of_solution", "sensitivities"]
+__all__ = ["DifferenceCheck", "Sensitivities", "Sensitivity", "ValidityEnd", "of_solution", "sensitivities"]

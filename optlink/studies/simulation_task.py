@@ -11,7 +11,7 @@ from typing import Any
 from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
-from optlink.studies.sweep_task import Sweeping, figure
+from optlink.studies.sweep_task import SweepTask, number_text
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.simulate import simulate
 
@@ -19,7 +19,7 @@ Figures = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Simulating(Sweeping):
+class SimulationTask(SweepTask):
     """Figures of the simulation of the machine at every point.
 
     Parameters
@@ -46,22 +46,22 @@ class Simulating(Sweeping):
         rows = []
         for point in self.span(index):
             figures, status, reason = self.outcome(point)
-            cells = [figure(figures.get(name, math.nan)) for name in self.figures]
+            cells = [number_text(figures.get(name, math.nan)) for name in self.figures]
             valid = str(not reason).lower()
             rows.append([*map(repr, self.grid.values(point)), *cells, status, valid, reason])
         return rows
 
     @cached_property
-    def loose(self) -> bool:
+    def has_clearance(self) -> bool:
         """Whether there are joints with clearance."""
-        return is_loose(self.problem.override(self.grid.changes(0)))
+        return has_clearance(self.problem.override(self.grid.changes(0)))
 
     def outcome(self, point: int) -> tuple[Figures, str, str]:
         """Return the figures of a simulation, its ending, and the reason of an incomplete one."""
         try:
             file = self.problem.override(self.grid.changes(point))
             design = {name: value for name, value in self.design if name in file.model.free} or None
-            found = simulated(file, dict(self.options), design, loose=self.loose)
+            found = simulate_machine(file, dict(self.options), design, loose=self.has_clearance)
         except InputError as error:
             return {}, "not simulated", error.faults[0].message
         if found[1] == Ending.INTERRUPTED.value:  # a row is complete or absent
@@ -69,12 +69,12 @@ class Simulating(Sweeping):
         return found
 
 
-def is_loose(problem: ProblemFile) -> bool:
+def has_clearance(problem: ProblemFile) -> bool:
     """Return whether the problem has joint clearance."""
-    return bool(problem.model.loose)
+    return bool(problem.model.has_clearance)
 
 
-def simulated(
+def simulate_machine(
     problem: ProblemFile, options: Mapping[str, Any], design: Mapping[str, float] | None, *, loose: bool
 ) -> tuple[Figures, str, str]:
     """Simulate one machine.
@@ -83,7 +83,7 @@ def simulated(
     ----------
     problem : ProblemFile
     options : mapping
-        See `Simulating`.
+        See `SimulationTask`.
     design : mapping of str to float [SI], optional
     loose : bool
         Whether joints have clearance.

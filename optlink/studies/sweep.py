@@ -21,14 +21,14 @@ from optlink.errors import Fault, InputError, Status
 from optlink.io import Summary, finite, head
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.file import ProblemFile
-from optlink.studies.analysis_task import MANY, Analysing, quantity_of
-from optlink.studies.cycle_task import Designing
+from optlink.studies.analysis_task import MANY, AnalysisTask, quantity_of
+from optlink.studies.cycle_task import CycleTask
 from optlink.studies.execution.runner import run
 from optlink.studies.execution.store import Progress, Store
 from optlink.studies.grid import Grid, read_grid
-from optlink.studies.reoptimise_task import CHUNK, SEARCHED, SLOW_CHUNK, Reoptimising, buildable, check_backend
-from optlink.studies.simulation_task import Simulating, is_loose, simulated
-from optlink.studies.sweep_task import Sweeping
+from optlink.studies.reoptimise_task import CHUNK, SEARCHED, SLOW_CHUNK, ReoptimiseTask, check_backend, one_programme_suffices
+from optlink.studies.simulation_task import SimulationTask, has_clearance, simulate_machine
+from optlink.studies.sweep_task import SweepTask
 
 SCHEMA = "optlink/sweep/1"
 CHANGED = "active_set_changed"
@@ -41,10 +41,10 @@ TEXT = ("status", "failed", "active", "found", "reason")
 def objective_column(problem: ProblemFile) -> str:
     """Return the name of the objective column, with its SI unit."""
     if problem.task == "path":
-        from optlink.problem.path import GenerationProblem
+        from optlink.problem.path import PathProblem
         from optlink.tasks.results.path import objective_unit
 
-        assert isinstance(problem.model, GenerationProblem)
+        assert isinstance(problem.model, PathProblem)
         unit = objective_unit(problem.model)
     else:
         unit = MEASURES[problem.spec.requirement.measure].unit
@@ -52,7 +52,7 @@ def objective_column(problem: ProblemFile) -> str:
 
 
 @dataclass(frozen=True)
-class Change:
+class ActiveSetChange:
     """Change of the active set: at a point `at`, relative to the preceding one."""
 
     at: Mapping[str, float]
@@ -70,7 +70,7 @@ class _Summary:
     searched: int = 0
     changed: int = 0
     best: dict[str, str] | None = None
-    changes: list[Change] = field(default_factory=list)
+    changes: list[ActiveSetChange] = field(default_factory=list)
 
 
 @dataclass(frozen=True, repr=False)
@@ -92,7 +92,7 @@ class Sweep(Summary):
     searched: int
     changed: int
     best: Mapping[str, str] | None
-    changes: tuple[Change, ...]
+    changes: tuple[ActiveSetChange, ...]
     done: int
     seconds: float
     cpu: float
@@ -170,7 +170,7 @@ def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
     return np.array([float(value) if value else np.nan for value in values])
 
 
-class Folder:
+class TemporaryFolder:
     """A temporary folder that is removed with its owner."""
 
     def __init__(self) -> None:
@@ -230,12 +230,12 @@ def sweep(
     begin = time.perf_counter()
     grid = read_grid(problem, vary)
     if simulate is not None:
-        task: Sweeping = _simulating(problem, grid, simulate, design)
+        task: SweepTask = _simulating(problem, grid, simulate, design)
     else:
         task = _task(problem, grid, analyze, columns, points, design, backend)
     evaluated = mode_of(task) != OPTIMISE
     run(task, (), engine, workers, scheduler)  # raises if the options are invalid
-    holder = Folder() if out is None else None
+    holder = TemporaryFolder() if out is None else None
     with Store(holder.path if holder is not None else Path(str(out)), _about(task), resume=resume) as store:
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(task, engine, workers, scheduler, progress)
@@ -277,14 +277,14 @@ def _task(
     points: int,
     design: Mapping[str, float] | None,
     backend: str,
-) -> Sweeping:
-    stated = Sweeping.stated(problem)
+) -> SweepTask:
+    stated = SweepTask.stated(problem)
     if analyze:
         if not 2 <= points <= MOST_ANGLES:
             raise InputError(Fault("out of range", f"Give 2 to {MOST_ANGLES:,} crank angles", key="--points", value=points))
         quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
         given = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
-        whole = Analysing(
+        whole = AnalysisTask(
             **stated, grid=grid, chunk=MANY, quantities=quantities, asked=tuple(columns), points=points, design=given
         )
         first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
@@ -294,41 +294,43 @@ def _task(
         raise InputError(Fault("a given design is not optimised", "Leave --design out, or add --analyze", key="--design"))
     check_backend(backend)
     if problem.task == "cycle":
-        designing = Designing(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
+        designing = CycleTask(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
         return _with_something_free(designing, problem)
     if problem.task != "path":
         problem.spec  # noqa: B018 - raises if there is nothing to solve
-    task = Reoptimising(**stated, grid=grid, chunk=CHUNK, backend=backend)
+    task = ReoptimiseTask(**stated, grid=grid, chunk=CHUNK, backend=backend)
     _with_something_free(task, problem)
-    if buildable(task.template, tuple(axis.key for axis in grid.axes)):
+    if one_programme_suffices(task.template, tuple(axis.key for axis in grid.axes)):
         return task
     return replace(task, chunk=SLOW_CHUNK)
 
 
-def _simulating(problem: ProblemFile, grid: Grid, options: Mapping[str, Any], design: Mapping[str, float] | None) -> Simulating:
+def _simulating(
+    problem: ProblemFile, grid: Grid, options: Mapping[str, Any], design: Mapping[str, float] | None
+) -> SimulationTask:
     """Return the simulation task; the names of its figures are those of a short run at the first point."""
     first = problem.override(grid.changes(0))
-    short = {**options, "revolutions": 1} if is_loose(first) else options
-    figures, _, _ = simulated(first, short, design, loose=is_loose(first))
+    short = {**options, "revolutions": 1} if has_clearance(first) else options
+    figures, _, _ = simulate_machine(first, short, design, loose=has_clearance(first))
     own = tuple((design or {}).items())
-    return Simulating(
-        **Sweeping.stated(problem), grid=grid, chunk=1, figures=tuple(figures), options=tuple(options.items()), design=own
+    return SimulationTask(
+        **SweepTask.stated(problem), grid=grid, chunk=1, figures=tuple(figures), options=tuple(options.items()), design=own
     )
 
 
-def _with_something_free(task: Designing | Reoptimising, problem: ProblemFile) -> Sweeping:
+def _with_something_free(task: CycleTask | ReoptimiseTask, problem: ProblemFile) -> SweepTask:
     """Return the task if there are design variables."""
     if not task.free:
         raise InputError(Fault("no design variables: every dimension is fixed", "Add --analyze, or free a size", problem.file))
     return task
 
 
-def mode_of(task: Sweeping) -> str:
+def mode_of(task: SweepTask) -> str:
     """Return the mode of a sweep."""
-    return "analyse" if isinstance(task, Analysing) else "simulate" if isinstance(task, Simulating) else OPTIMISE
+    return "analyse" if isinstance(task, AnalysisTask) else "simulate" if isinstance(task, SimulationTask) else OPTIMISE
 
 
-def _about(task: Sweeping) -> dict[str, Any]:
+def _about(task: SweepTask) -> dict[str, Any]:
     """Return the definition of a study."""
     about: dict[str, Any] = {
         "schema": "optlink/study/1",
@@ -340,11 +342,11 @@ def _about(task: Sweeping) -> dict[str, Any]:
         "points_per_chunk": task.chunk,
         "columns": task.columns,
     }
-    if isinstance(task, Analysing):
+    if isinstance(task, AnalysisTask):
         about |= {"crank_angles": task.points, "design": dict(task.design)}
-    if isinstance(task, Simulating):
+    if isinstance(task, SimulationTask):
         about |= {"options": dict(task.options), "design": dict(task.design)}
-    if isinstance(task, Designing | Reoptimising):
+    if isinstance(task, CycleTask | ReoptimiseTask):
         about["backend"] = task.backend
     return about
 
@@ -377,7 +379,7 @@ def _count(summary: _Summary, grid: Grid, names: list[str], number: int, row: li
         summary.changed += 1
         if len(summary.changes) < KEPT and before is not None:
             at = {axis.column: value for axis, value in zip(grid.axes, grid.values(number), strict=True)}
-            summary.changes.append(Change(at, before, found["active"]))
+            summary.changes.append(ActiveSetChange(at, before, found["active"]))
     if found["valid"] == "true":
         summary.valid += 1
         if summary.best is None or float(found[summary.objective]) < float(summary.best[summary.objective]):

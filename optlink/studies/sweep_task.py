@@ -22,7 +22,7 @@ from optlink.studies.grid import Axis, Grid
 from optlink.version import VERSION
 
 
-def figure(value: float) -> str:
+def number_text(value: float) -> str:
     """Return a number as text for a table: all digits, empty if not finite."""
     return repr(float(value)) if math.isfinite(value) else ""
 
@@ -32,7 +32,7 @@ def _tuples(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Sweeping(ABC):
+class SweepTask(ABC):
     """Common state of all chunks: the problem as written, the grid, and the number of points per chunk."""
 
     raw: Mapping[str, Any]
@@ -120,5 +120,5 @@ class Sweeping(ABC):
         return text.getvalue()
 
 
-_kept: dict[str, Sweeping] = {}
+_kept: dict[str, SweepTask] = {}
 """The task that this process is at: what it has built is used for every chunk, though each may come with a copy of the task."""

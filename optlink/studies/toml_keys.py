@@ -10,7 +10,7 @@ from optlink.problem.file import ProblemFile
 Raw = str | float | int
 
 
-def text(value: float, unit: str) -> Raw:
+def exact_text(value: float, unit: str) -> Raw:
     """Return a value with all its digits as written in a problem file.
 
     Parameters
@@ -24,7 +24,7 @@ def text(value: float, unit: str) -> Raw:
     return int(value) if float(value).is_integer() and abs(value) < 1e15 else value
 
 
-def raw_at(problem: ProblemFile, key: str) -> Any:
+def value_at(problem: ProblemFile, key: str) -> Any:
     """Return the value of the file at a key, or None.
 
     Parameters
@@ -41,7 +41,7 @@ def raw_at(problem: ProblemFile, key: str) -> Any:
     return found
 
 
-def begun(problem: ProblemFile, design: Mapping[str, float]) -> ProblemFile:
+def started_at(problem: ProblemFile, design: Mapping[str, float]) -> ProblemFile:
     """Return the problem with its design variables starting at a design, as far as the file states them.
 
     Parameters
@@ -55,8 +55,8 @@ def begun(problem: ProblemFile, design: Mapping[str, float]) -> ProblemFile:
     changes: dict[str, Any] = {}
     for name, value in design.items():
         key = key_of(name)
-        raw, quantity = raw_at(problem, key), problem.spec.quantities[name]
+        raw, quantity = value_at(problem, key), problem.spec.quantities[name]
         if isinstance(raw, Mapping) and "bounds" in raw:
             low, high = quantity.bounds
-            changes[key] = {**raw, "start": text(min(max(value, low), high), KINDS[quantity.kind].si)}
+            changes[key] = {**raw, "start": exact_text(min(max(value, low), high), KINDS[quantity.kind].si)}
     return problem.override(changes) if changes else problem

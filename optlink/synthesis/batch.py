@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import unit
 from optlink.optimization.constraints import position_rows
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.path_nlp import variable_of
+from optlink.optimization.path_nlp import scaled_variable
 from optlink.problem.limits import MARGIN_KEYS, Reach
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, TURN, GenerationProblem
-from optlink.symbolic import Tape, tracing
+from optlink.problem.path import START, TURN, PathProblem
+from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 Array = NDArray[np.float64]
 
@@ -35,10 +35,10 @@ class Batch:
     timing the crank angles follow from x, and `own` is False.
     """
 
-    def __init__(self, problem: GenerationProblem) -> None:
+    def __init__(self, problem: PathProblem) -> None:
         self.problem, self.data = problem, problem.data
         self.names = problem.free
-        self.variables = [variable_of(problem, name) for name in self.names]
+        self.variables = [scaled_variable(problem, name) for name in self.names]
         self.own = self.data.offsets is None
         self.start = self.names.index(START) if START in self.names else -1
         bounds = np.array([problem.quantities[name].bounds for name in self.names]).reshape(-1, 2)
@@ -74,24 +74,24 @@ class Batch:
         values |= {v.name: v.origin + v.size * x[i] for i, v in enumerate(self.variables)}
         wanted = tuple(more[k] for k in range(width))
         inputs = [x[i] for i in range(n)]
-        with tracing():
+        with symbols_in_numpy():
             pose = problem.linkage.pose(values, unit(t))
             residual = casadi.vertcat(*problem.deviation(pose, values, wanted)) * (more[width] / problem.whole)
             self.width = int(residual.numel())
             slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
-            self._residual = Tape([*inputs, t, *(more[k] for k in range(width + 1))], [residual, slopes])
+            self._residual = NumpyEvaluator([*inputs, t, *(more[k] for k in range(width + 1))], [residual, slopes])
             span = casadi.SX.sym("span")
             reach = Reach(t, span, casadi.sign(span))
             rows = limit_rows(problem, values, reach, problem.size) if self.turns or not self.four_bar else []
             self.bounds = np.array([(row.low + INSIDE * (row.limit in STRUCTURAL), row.high) for row in rows]).reshape(-1, 2)
             g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
-            self._limits = Tape([*inputs, t, span], [g, casadi.jacobian(g, x)]) if rows else None
+            self._limits = NumpyEvaluator([*inputs, t, span], [g, casadi.jacobian(g, x)]) if rows else None
             self._grid = None
             if self.turns and not self.four_bar:
                 asked = position_rows(problem, pose)
                 self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in asked])
                 g = casadi.vertcat(*[row.value for row in asked])
-                self._grid = Tape([*inputs, t], [g, casadi.jacobian(g, x)])
+                self._grid = NumpyEvaluator([*inputs, t], [g, casadi.jacobian(g, x)])
         self.angles = np.linspace(0.0, TURN, GRID, endpoint=False)
 
     def values(self, x: Array) -> dict[str, Array]:

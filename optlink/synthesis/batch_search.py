@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.problem.path import STEP, TURN, GenerationProblem
+from optlink.problem.path import STEP, TURN, PathProblem
 from optlink.synthesis import random_starts as starts
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.levenberg_marquardt import Ends, descend
-from optlink.synthesis.variable_projection import Similarity
+from optlink.synthesis.levenberg_marquardt import FinalDesigns, minimise
+from optlink.synthesis.variable_projection import SimilarityFit
 
 Array = NDArray[np.float64]
 
@@ -65,9 +65,9 @@ class Searcher:
     of a longer one with the same seed.
     """
 
-    def __init__(self, variants: list[GenerationProblem], seed: int) -> None:
+    def __init__(self, variants: list[PathProblem], seed: int) -> None:
         self.batches = [Batch(variant) for variant in variants]
-        self.fits = [Similarity(batch) for batch in self.batches]
+        self.fits = [SimilarityFit(batch) for batch in self.batches]
         few = [batch.thinned(FEW) for batch in self.batches]
         self.thin, self.lifts = [fit.of(thin) for fit, (thin, _) in zip(self.fits, few, strict=True)], [lift for _, lift in few]
         self.seed = seed
@@ -87,11 +87,11 @@ class Searcher:
         found.rounds += 1
         return found
 
-    def _sample(self, batch: Batch, fit: Similarity, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    def _sample(self, batch: Batch, fit: SimilarityFit, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         many = POOL * count
-        x, t = starts.designs(batch, many, rng), starts.timing(batch, many, rng)
+        x, t = starts.random_designs(batch, many, rng), starts.random_crank_angles(batch, many, rng)
         t = starts.within_reach(batch, x, t, rng)
-        whole = starts.assembled(batch, x, t)
+        whole = starts.assembles_everywhere(batch, x, t)
         x, t = x[whole], t[whole]
         if not len(x):
             return x, t
@@ -105,39 +105,39 @@ class Searcher:
         chosen = np.concatenate([best, rng.permutation(rest)[: count // 2]])
         return x[chosen], t[chosen]
 
-    def _run(self, variant: int, batch: Batch, fit: Similarity, x: Array, t: Array) -> Ends:
+    def _run(self, variant: int, batch: Batch, fit: SimilarityFit, x: Array, t: Array) -> FinalDesigns:
         with_fit = (fit.fit, fit.linear) if fit.applies else (None, None)
         steps = STEPS if fit.applies else 2 * STEPS
-        ends = descend(fit.batch, x, t, steps, *with_fit, zero=NEAR, left=STRAGGLERS)
+        ends = minimise(fit.batch, x, t, steps, *with_fit, zero=NEAR, left=STRAGGLERS)
         ends = replace(ends, t=ends.t @ self.lifts[variant])
         self._repair(variant, batch, ends)
         return self._finish(variant, batch, ends)
 
-    def _finish(self, variant: int, batch: Batch, ends: Ends) -> Ends:
+    def _finish(self, variant: int, batch: Batch, ends: FinalDesigns) -> FinalDesigns:
         """Refine the best designs of a round to full precision.
 
         Near-circular curves have curved and narrow valleys. Variable projection (the fit) shortens them; full Levenberg-Marquardt
         steps give the last digits.
         """
-        proper = ordered(batch, ends)[0] & (ends.missed <= MISSED)
+        proper = pass_in_order(batch, ends)[0] & (ends.missed <= MISSED)
         order = np.argsort(np.where(proper, ends.cost, np.inf))[: max(1, FINISHED // len(self.batches))]
         order = order[np.isfinite(ends.cost[order]) & proper[order]]
         fit = self.fits[variant]
         if len(order) and fit.applies:
-            ends = descend(
+            ends = minimise(
                 batch, ends.x[order], ends.t[order], VALLEY, fit.fit, fit.linear, slow=1e-7, left=STRAGGLERS, after=AFTER
             )
             order = np.arange(len(order))
         if not len(order):
             return ends.take(order)
-        return descend(batch, ends.x[order], ends.t[order], FINISH if fit.applies else VALLEY, slow=1e-9, after=AFTER)
+        return minimise(batch, ends.x[order], ends.t[order], FINISH if fit.applies else VALLEY, slow=1e-9, after=AFTER)
 
-    def _repair(self, variant: int, batch: Batch, ends: Ends) -> None:
+    def _repair(self, variant: int, batch: Batch, ends: FinalDesigns) -> None:
         """Reorder the crank angles of the best designs that violate the order of the points or a limit."""
-        proper, way = ordered(batch, ends)
+        proper, way = pass_in_order(batch, ends)
         wrong = np.isfinite(ends.cost) & ~(proper & (ends.missed <= MISSED))
         for i in np.argsort(np.where(wrong, ends.cost, np.inf))[: min(REPAIRED, int(wrong.sum()))]:
-            t, direction = (in_order(batch.problem, ends.t[i]), int(way[i])) if batch.own else (ends.t[i], int(way[i]))
+            t, direction = (nearest_in_order(batch.problem, ends.t[i]), int(way[i])) if batch.own else (ends.t[i], int(way[i]))
             if batch.own:
                 direction = 1 if t[-1] >= t[0] else -1
             angles = batch.crank_angles(ends.x[i : i + 1], t[None])
@@ -148,8 +148,8 @@ class Searcher:
                 self.found.repaired.append(Candidate(variant, ends.x[i], t, cost, direction))
         self.found.repaired.sort(key=lambda c: c.cost)
 
-    def _keep(self, variant: int, batch: Batch, ends: Ends) -> None:
-        proper, way = ordered(batch, ends)
+    def _keep(self, variant: int, batch: Batch, ends: FinalDesigns) -> None:
+        proper, way = pass_in_order(batch, ends)
         known = self.found.candidates
         for i in np.argsort(ends.cost):
             if not proper[i] or ends.missed[i] > MISSED or not np.isfinite(ends.cost[i]):
@@ -165,13 +165,13 @@ class Searcher:
         del known[KEPT:]
 
 
-def ordered(batch: Batch, ends: Ends) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:
+def pass_in_order(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:
     """Return whether the points are passed in order within one revolution, and the direction of the crank, both (designs,).
 
     Parameters
     ----------
     batch : Batch
-    ends : Ends
+    ends : FinalDesigns
         Designs and their crank angles.
     """
     angles = batch.crank_angles(ends.x, ends.t)
@@ -185,14 +185,14 @@ def ordered(batch: Batch, ends: Ends) -> tuple[NDArray[np.bool_], NDArray[np.int
     return proper if batch.own else np.ones(len(whole), dtype=bool), way
 
 
-def in_order(problem: GenerationProblem, t: Array) -> Array:
+def nearest_in_order(problem: PathProblem, t: Array) -> Array:
     """Return the crank angles (points,) [rad] nearest to `t` that pass the points in order within one revolution.
 
     Where the problem leaves the direction of the crank free, the direction with the smaller change is used.
 
     Parameters
     ----------
-    problem : GenerationProblem
+    problem : PathProblem
     t : array (points,) [rad]
         Crank angles of the points.
     """

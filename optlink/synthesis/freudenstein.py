@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.synthesis.freudenstein_convex import CLOSE, Refinement
-from optlink.synthesis.freudenstein_fit import Cells, Keep, Task, apart, fit, scan, step_of, zoom
-from optlink.synthesis.loop_equations import EXACT, linear, rocker_chain, slider_chain
+from optlink.synthesis.freudenstein_fit import Cells, FitProblem, Keep, distinct_cells, fit, scan, step_of, zoom
+from optlink.synthesis.loop_equations import EXACT, linear_form, rocker_chain, slider_chain
 
 Array = NDArray[np.float64]
 
@@ -79,16 +79,16 @@ class FirstStepSlider(Step):
     s0: float
 
 
-def _search(task: Task, x0: Array, y0: Array, count: int) -> list[tuple[Cells, dict[str, Any]]]:
+def _search(task: FitProblem, x0: Array, y0: Array, count: int) -> list[tuple[Cells, dict[str, Any]]]:
     """Return the best distinct linkages, each as a dimensionless cell and the fields of its `Step`, by increasing error."""
     cells = scan(task, x0, y0)
     steps = max(step_of(x0), EXACT), max(step_of(y0), EXACT * task.unit)
-    cells = zoom(task, cells[apart(task, cells, (APART * steps[0], APART * steps[1]), SPARE * count)], (x0, y0))
-    cells = cells[apart(task, cells, steps, count)]
+    cells = zoom(task, cells[distinct_cells(task, cells, (APART * steps[0], APART * steps[1]), SPARE * count)], (x0, y0))
+    cells = cells[distinct_cells(task, cells, steps, count)]
     refine, found = Refinement(task), []
     for i in range(len(cells.error)):
         cell, bound, status = refine(cells[i])
-        a, w = linear(task.chain, cell.x0 + task.x, cell.y0 + task.y)
+        a, w = linear_form(task.chain, cell.x0 + task.x, cell.y0 + task.y)
         error = float(cell.error)
         own: dict[str, Any] = {
             "side": int(cell.side),
@@ -186,11 +186,11 @@ def first_steps(
     x, y = _read(phi, psi, "psi", measure, ratios, count)
     grids = _grid(phi0, "phi0"), _grid(psi0, "psi0")
     ranges = (ANYWHERE, ANYWHERE) if shift else (_range(grids[0]), _range(grids[1]))
-    task = Task(rocker_chain(ratios or UNLIMITED), x, y, measure == "max", 1.0, shift, keep, *ranges)
+    task = FitProblem(rocker_chain(ratios or UNLIMITED), x, y, measure == "max", 1.0, shift, keep, *ranges)
     return [_step(task, cell, own) for cell, own in _search(task, *grids, count)]
 
 
-def fitted(
+def fit_pairs(
     phi: ArrayLike,
     psi: ArrayLike,
     phi0: ArrayLike,
@@ -218,7 +218,7 @@ def fitted(
         As in `first_steps`.
     """
     x, y = _read(phi, psi, "psi", measure, ratios, 1)
-    task = Task(rocker_chain(ratios or UNLIMITED), x, y, measure == "max", 1.0, shift, keep, ANYWHERE, ANYWHERE)
+    task = FitProblem(rocker_chain(ratios or UNLIMITED), x, y, measure == "max", 1.0, shift, keep, ANYWHERE, ANYWHERE)
     cells = fit(task, np.asarray(phi0, dtype=float), np.asarray(psi0, dtype=float))
     cells = cells[np.isfinite(cells.error)]
     own = {"residual": math.nan, "bound": 0.0, "proven": False, "status": "fit"}
@@ -227,7 +227,7 @@ def fitted(
     ]
 
 
-def _step(task: Task, cell: Cells, own: dict[str, Any]) -> FirstStep:
+def _step(task: FitProblem, cell: Cells, own: dict[str, Any]) -> FirstStep:
     crank, coupler, rocker = (float(size) for size in task.chain.sizes(cell.k))
     start = [_wrapped(float(angle)) if task.shift else float(angle) for angle in (cell.x0, cell.y0)]
     return FirstStep(**own, crank=crank, coupler=coupler, rocker=rocker, phi0=start[0], psi0=start[1])
@@ -279,7 +279,7 @@ def first_steps_slider(
     grids = _grid(phi0, "phi0"), _grid(s0, "s0")
     stroke = float(np.ptp(y))
     ranges = ANYWHERE if shift else _range(grids[0]), _range(grids[1])
-    task = Task(slider_chain(ratios or UNLIMITED, stroke), x, y, measure == "max", stroke, shift, keep, *ranges)
+    task = FitProblem(slider_chain(ratios or UNLIMITED, stroke), x, y, measure == "max", stroke, shift, keep, *ranges)
     steps = []
     for cell, own in _search(task, *grids, count):
         crank, coupler, offset = (float(size) for size in task.chain.sizes(cell.k))

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.synthesis.freudenstein_fit import Cells, Task, judge
-from optlink.synthesis.loop_equations import EXACT, linear
+from optlink.synthesis.freudenstein_fit import Cells, FitProblem, fit_error
+from optlink.synthesis.loop_equations import EXACT, linear_form
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ SHARES = 0.5 ** np.arange(6.0)  # trial fractions of a step: the error is quasi-
 
 
 @dataclass(frozen=True)
-class Answer:
+class ConvexStep:
     """Step y (3,) and multipliers of the rows and of the limits, as returned by the solver."""
 
     step: Array
@@ -45,7 +45,7 @@ class Answer:
     status: str
 
 
-class Programme:
+class ConvexFit:
     """Convex programme: minimise max(M y + m) or |M y + m|^2 subject to L y <= h, compiled once for all M, m, L, h."""
 
     def __init__(self, rows: int, limits: int, largest: bool) -> None:
@@ -63,7 +63,7 @@ class Programme:
             self.held.append(residual <= goal)
         self.problem = self.cvxpy.Problem(self.cvxpy.Minimize(goal), self.held)
 
-    def __call__(self, matrix: Array, vector: Array, limit_matrix: Array, limit_vector: Array) -> Answer | None:
+    def __call__(self, matrix: Array, vector: Array, limit_matrix: Array, limit_vector: Array) -> ConvexStep | None:
         """Solve the programme; return None on failure. The caller must verify the optimality of the answer.
 
         Parameters
@@ -90,13 +90,13 @@ class Programme:
             return None
         duals = [np.asarray(value, dtype=float) for value in values[1:]]
         rows = duals[1] if len(duals) > 1 else np.zeros(0)
-        return Answer(np.asarray(self.y.value, dtype=float), rows, duals[0], str(self.problem.status))
+        return ConvexStep(np.asarray(self.y.value, dtype=float), rows, duals[0], str(self.problem.status))
 
 
 class Refinement:
     """Refine linkages at their start positions; the convex programme is compiled on first use."""
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: FitProblem) -> None:
         self.task = task
 
     def __call__(self, cell: Cells) -> tuple[Cells, float, str]:
@@ -104,16 +104,16 @@ class Refinement:
         return (self._smallest_largest if self.task.largest else self._least_squares)(self._least(cell))
 
     @cached_property
-    def programme(self) -> Programme:
+    def programme(self) -> ConvexFit:
         """Convex programme of every step."""
         task = self.task
-        return Programme(task.x.size * (1 + task.largest), task.chain.limits[1].size, task.largest)
+        return ConvexFit(task.x.size * (1 + task.largest), task.chain.limits[1].size, task.largest)
 
     def _moved(self, cell: Cells, change: Array) -> Cells:
         """Apply the largest improving fraction of a change (3,) of the constants; return the same cell if none improves it."""
         task = self.task
         same = np.ones(len(SHARES))
-        others = judge(task, cell.x0 * same, cell.y0 * same, cell.k + SHARES[:, None] * change)
+        others = fit_error(task, cell.x0 * same, cell.y0 * same, cell.k + SHARES[:, None] * change)
         better = np.flatnonzero((others.error < cell.error) & (others.x0 == cell.x0) & (others.y0 == cell.y0))
         return others[better[0]] if better.size else cell
 
@@ -121,7 +121,7 @@ class Refinement:
         """Repeat the weighted fit by orthogonal factorisation, for full precision of the constants."""
         task = self.task
         x, y = cell.x0 + task.x, cell.y0 + task.y
-        a, w = linear(task.chain, x, y)
+        a, w = linear_form(task.chain, x, y)
         weight = 1.0 / np.abs(task.chain.slope(x, y, cell.k))
         change = np.linalg.lstsq(a * weight[:, None], (w - a @ cell.k) * weight, rcond=None)[0]
         return self._moved(cell, np.asarray(change, dtype=float))
@@ -142,7 +142,7 @@ class Refinement:
                 break
             aim = (1.0 - CLOSE) * float(cell.error)
             weight = cell.side / np.abs(chain.slope(x, y, cell.k))
-            below, above = linear(chain, x, y - aim), linear(chain, x, y + aim)
+            below, above = linear_form(chain, x, y - aim), linear_form(chain, x, y + aim)
             matrix = np.concatenate([-weight[:, None] * below[0], weight[:, None] * above[0]])
             vector = matrix @ cell.k + np.concatenate([weight * below[1], -weight * above[1]])
             straight = np.linalg.inv(np.linalg.qr(matrix, mode="r")) * aim  # constants change by straight @ step
@@ -152,7 +152,7 @@ class Refinement:
                 return cell, 0.0, "no answer"
             status = answer.status
             box = (chain.box[0] - cell.k, chain.box[1] - cell.k)
-            if proven(matrix, vector, rows, room, box, answer.rows, answer.limits * aim) > 0.0:
+            if lower_bound(matrix, vector, rows, room, box, answer.rows, answer.limits * aim) > 0.0:
                 return cell, aim, status
             better = self._moved(cell, straight @ answer.step)
             if better is cell:
@@ -175,7 +175,7 @@ class Refinement:
                 break
             actual = chain.follow(x, cell.k, cell.side)
             error = chain.difference(actual, y)
-            factor, r = np.linalg.qr(-linear(chain, x, actual)[0] / chain.slope(x, actual, cell.k)[:, None])
+            factor, r = np.linalg.qr(-linear_form(chain, x, actual)[0] / chain.slope(x, actual, cell.k)[:, None])
             size = float(np.linalg.norm(error))
             straight = np.linalg.inv(r) * size
             limit_matrix, room = rows @ straight, bounds - rows @ cell.k
@@ -196,7 +196,7 @@ class Refinement:
         return cell, bound, status
 
 
-def proven(matrix: Array, vector: Array, rows: Array, room: Array, box: tuple[Array, Array], *multipliers: Array) -> float:
+def lower_bound(matrix: Array, vector: Array, rows: Array, room: Array, box: tuple[Array, Array], *multipliers: Array) -> float:
     """Return a lower bound of max(matrix @ d + vector) subject to rows @ d <= room and box[0] <= d <= box[1], by weak duality.
 
     Any non-negative multipliers give a bound; those of the solver are first shifted, in proportion to themselves, to satisfy

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.synthesis.loop_equations import EXACT, Chain
+from optlink.synthesis.loop_equations import EXACT, LoopEquation
 
 Array = NDArray[np.float64]
 Keep = Callable[[Array, Array, Array, Array, Array, Array], Any]
@@ -26,10 +26,10 @@ FINE = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
 
 @dataclass(frozen=True)
-class Task:
+class FitProblem:
     """Target rotations `x` and outputs `y` (n,) from the start, the error measure and the admissible linkages."""
 
-    chain: Chain
+    chain: LoopEquation
     x: Array
     y: Array
     largest: bool
@@ -64,7 +64,7 @@ def _together(cells: list[Cells]) -> Cells:
     return Cells(*(np.concatenate([getattr(cell, name) for cell in cells]) for name in names))
 
 
-def _weighted(task: Task, u: Array, v: Array, w: Array, q: Array) -> Array:
+def _weighted(task: FitProblem, u: Array, v: Array, w: Array, q: Array) -> Array:
     """Minimise the sum of q (K1 u + K2 v + K3 - w)^2 within the limits; return the constants (m, 3), NaN where undetermined."""
     total = np.sum(q, axis=-1)
     mu, mv, mw = (np.einsum("mn,mn->m", q, a) / total for a in (u, v, w))
@@ -94,12 +94,12 @@ def _on_edges(normal: Array, right: Array, corners: Array) -> Array:
     return np.asarray(points[np.arange(len(points)), np.argmin(value, axis=-1)])
 
 
-def fit(task: Task, x0: Array, y0: Array) -> Cells:
+def fit(task: FitProblem, x0: Array, y0: Array) -> Cells:
     """Fit a linkage at every start position by weighted least squares that approximates the output error.
 
     Parameters
     ----------
-    task : Task
+    task : FitProblem
     x0, y0 : array (m,)
         Start positions of input [rad] and output [rad, or unit of the stroke].
     """
@@ -112,15 +112,15 @@ def fit(task: Task, x0: Array, y0: Array) -> Cells:
         floor = FLATTEST * np.max(slope, axis=-1, keepdims=True)
         q = np.maximum(np.maximum(slope, floor), 1e-100) ** -2.0
         k = _weighted(task, u, v, w, q / np.max(q, axis=-1, keepdims=True))
-    return judge(task, x0, y0, k)
+    return fit_error(task, x0, y0, k)
 
 
-def judge(task: Task, x0: Array, y0: Array, k: Array) -> Cells:
+def fit_error(task: FitProblem, x0: Array, y0: Array, k: Array) -> Cells:
     """Compute assembly mode, output error and transmission margin of linkages; inadmissible ones get an infinite error.
 
     Parameters
     ----------
-    task : Task
+    task : FitProblem
     x0, y0 : array (m,)
         Start positions of input [rad] and output [rad, or unit of the stroke].
     k : array (m, 3)
@@ -146,12 +146,12 @@ def judge(task: Task, x0: Array, y0: Array, k: Array) -> Cells:
     return Cells(x0, y0, k, side, np.where(good, error, np.inf), margin)
 
 
-def scan(task: Task, x0: Array, y0: Array) -> Cells:
+def scan(task: FitProblem, x0: Array, y0: Array) -> Cells:
     """Return the admissible fits of all pairs of start positions.
 
     Parameters
     ----------
-    task : Task
+    task : FitProblem
     x0 : array (p,) [rad]
         Start positions of the input.
     y0 : array (q,) [rad, or unit of the stroke]
@@ -171,14 +171,14 @@ def step_of(grid: Array) -> float:
     return float(np.max(np.diff(np.sort(grid)), initial=0.0))
 
 
-def apart(task: Task, cells: Cells, room: tuple[float, float], count: int) -> list[int]:
+def distinct_cells(task: FitProblem, cells: Cells, room: tuple[float, float], count: int) -> list[int]:
     """Return the indices of at most `count` best cells that differ by more than `room` in start position, or in assembly mode.
 
     Ordered by increasing error; cells of negligible error by decreasing transmission margin.
 
     Parameters
     ----------
-    task : Task
+    task : FitProblem
     cells : Cells
     room : tuple of two floats [rad, and rad or unit of the stroke]
         Distances in x0 and y0 within which two cells of one mode are the same.
@@ -197,12 +197,12 @@ def apart(task: Task, cells: Cells, room: tuple[float, float], count: int) -> li
     return chosen
 
 
-def zoom(task: Task, cells: Cells, grids: tuple[Array, Array]) -> Cells:
+def zoom(task: FitProblem, cells: Cells, grids: tuple[Array, Array]) -> Cells:
     """Refine the start positions of cells on successively finer local grids.
 
     Parameters
     ----------
-    task : Task
+    task : FitProblem
     cells : Cells
     grids : tuple of arrays (p,), (q,)
         Grids of x0 and y0 from which the cells come; their steps are the first search radii.

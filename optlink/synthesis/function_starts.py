@@ -14,7 +14,7 @@ from optlink.linkage.vector2d import unit
 from optlink.problem.function import FULL_TURN, DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
-from optlink.synthesis.freudenstein import FirstStep, first_steps, fitted
+from optlink.synthesis.freudenstein import FirstStep, first_steps, fit_pairs
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ GRID = 36  # start angles of crank and rocker that are scanned, each over half a
 WIDER = 2.0 * math.pi / 180.0  # relaxation of the transmission-angle limits: the nearest start may just violate them
 
 
-def applies(problem: DesignProblem) -> bool:
+def has_function_starts(problem: DesignProblem) -> bool:
     """Return whether the target is a function and crank, coupler and rocker are design variables, so that first designs exist."""
     lengths = all(problem.quantities[name].free for name in LENGTHS[:3])
     return isinstance(problem.requirement.law, Function) and lengths
@@ -65,7 +65,7 @@ def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
     size = np.array([math.pi if free else start[1] - start[0] for start in ranges])
     for _ in range(BLOCKS):
         phi0, psi0 = (low + size * points.random(BLOCK)).T
-        for step in fitted(*_rotations(problem), phi0, psi0, **_options(problem, free)):
+        for step in fit_pairs(*_rotations(problem), phi0, psi0, **_options(problem, free)):
             yield values(problem, step)
 
 

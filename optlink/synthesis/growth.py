@@ -25,13 +25,13 @@ from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME, Link, Mechanism
 from optlink.linkage.vector2d import unit
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.path_nlp import excesses, required_motion
+from optlink.optimization.path_nlp import limit_excesses, required_motion
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.limits import Reach
-from optlink.problem.path import GenerationProblem
+from optlink.problem.path import PathProblem
 from optlink.synthesis import random_starts
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.inner_four_bar import Loop, loops
+from optlink.synthesis.inner_four_bar import InnerFourBar, inner_four_bars
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -47,7 +47,7 @@ AROUND = 0.15  # rad: standard deviation of the rotation of the parallelogram si
 
 
 @dataclass(frozen=True)
-class Contained:
+class ContainedFourBar:
     """A four-bar within a linkage.
 
     `file` is the problem of the four-bar alone, with the same limits. `coincident` are points (body, point, joint) that must lie
@@ -55,12 +55,12 @@ class Contained:
     """
 
     file: ProblemFile
-    loop: Loop
+    loop: InnerFourBar
     coincident: tuple[tuple[str, str, str], ...] = ()
     arms: tuple[Link, Link] | None = None
 
 
-def contained(problem: ProblemFile) -> Contained | None:
+def contained_four_bar(problem: ProblemFile) -> ContainedFourBar | None:
     """Return the four-bar whose coupler curves the point of a linkage can trace, or None.
 
     Parameters
@@ -69,24 +69,24 @@ def contained(problem: ProblemFile) -> Contained | None:
         A path problem of a linkage of dyads.
     """
     task = problem.model
-    if not isinstance(task, GenerationProblem) or task.requirement.kind != "path" or "links" not in problem.raw["mechanism"]:
+    if not isinstance(task, PathProblem) or task.requirement.kind != "path" or "links" not in problem.raw["mechanism"]:
         return None
     mechanism, point = task.linkage, task.requirement.point
-    for loop in loops(mechanism):
+    for loop in inner_four_bars(mechanism):
         if task.body in (loop.coupler.body, loop.rocker.body, loop.crank.body) and len(mechanism.groups) == 1:
             return None  # it is the four-bar itself
         chain = _chain(mechanism, task.body, point, loop)
         if chain is not None:
             traced = chain[-1][2] if chain else point
-            return Contained(_part(problem, loop, traced, None), loop, chain)
+            return ContainedFourBar(_part(problem, loop, traced, None), loop, chain)
         arms = _pantograph(task, loop)
         if arms is not None:
-            return Contained(_part(problem, loop, point, _reach(task, arms[1])), loop, (), arms)
+            return ContainedFourBar(_part(problem, loop, point, _reach(task, arms[1])), loop, (), arms)
     return None
 
 
 def _chain(
-    mechanism: Mechanism, body: str, point: str, loop: Loop, seen: tuple[str, ...] = ()
+    mechanism: Mechanism, body: str, point: str, loop: InnerFourBar, seen: tuple[str, ...] = ()
 ) -> tuple[tuple[str, str, str], ...] | None:
     """Return the points that must coincide with joints so that the point becomes a coupler point; None where impossible."""
     if body == loop.coupler.body:
@@ -105,7 +105,7 @@ def _chain(
     return None
 
 
-def _pantograph(task: GenerationProblem, loop: Loop) -> tuple[Link, Link] | None:
+def _pantograph(task: PathProblem, loop: InnerFourBar) -> tuple[Link, Link] | None:
     """Return the links from coupler and rocker to their common joint if they can be the parallelogram of a pantograph."""
     mechanism = task.linkage
     quantities = task.quantities
@@ -123,14 +123,14 @@ def _pantograph(task: GenerationProblem, loop: Loop) -> tuple[Link, Link] | None
     return None
 
 
-def _reach(task: GenerationProblem, leg: Link) -> float:
+def _reach(task: PathProblem, leg: Link) -> float:
     """Return the largest distance [m] of the point from the pin of its link that its bounds and the coupler length allow."""
     mark = task.linkage.marks[leg.body, task.requirement.point]
     own = [max(map(abs, task.quantities[str(name)].bounds)) for name in (mark.along, mark.across)]
     return min(math.hypot(*own) + 2.0 * task.size, 1e3 * task.size)
 
 
-def _part(problem: ProblemFile, loop: Loop, point: str, reach: float | None) -> ProblemFile:
+def _part(problem: ProblemFile, loop: InnerFourBar, point: str, reach: float | None) -> ProblemFile:
     """Return the problem of the four-bar alone; `reach` bounds the coordinates [m] of a point that is new on the coupler."""
     kept = {loop.pin, loop.joint, loop.crank.start, loop.ground_pin, point}
     raw: dict[str, Any] = copy.deepcopy(
@@ -156,14 +156,14 @@ def _part(problem: ProblemFile, loop: Loop, point: str, reach: float | None) -> 
     return read(raw, problem.name, problem.file, problem.folder)
 
 
-def grown(
-    part: Contained, batch: Batch, values: Mapping[str, float], t: Array, count: int, rng: np.random.Generator
+def grow_from_four_bar(
+    part: ContainedFourBar, batch: Batch, values: Mapping[str, float], t: Array, count: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """Return designs of the linkage whose point repeats the curve of a four-bar design, within all bounds and limits.
 
     Parameters
     ----------
-    part : Contained
+    part : ContainedFourBar
         Its file has the definite assembly mode of the four-bar design.
     batch : Batch
         Linkage with definite assembly modes.
@@ -182,7 +182,7 @@ def grown(
     t : array (designs, points) [rad]
         Crank angles of the points.
     """
-    x = random_starts.designs(batch, SAMPLES, rng)
+    x = random_starts.random_designs(batch, SAMPLES, rng)
     for i, name in enumerate(batch.names):  # relative to the size of the curve, independent of the bounds
         kind, near = batch.problem.quantities[name].kind, slice(SAMPLES // 4, SAMPLES)
         if kind in NEARBY:
@@ -229,7 +229,7 @@ def _farthest(x: Array, angles: Array, slack: Array, count: int) -> tuple[Array,
 def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batch, x: Array, angles: Array) -> Array:
     """Return the largest distance (designs,) of the traced points from those of the four-bar, relative to the curve size."""
     small, task = part.model, batch.problem
-    assert isinstance(small, GenerationProblem)
+    assert isinstance(small, PathProblem)
     with np.errstate(all="ignore"):
         px, py = small.linkage.pose(values, unit(t)).point(small.requirement.point)
         qx, qy = task.linkage.pose(batch.values(x), unit(batch.crank_angles(x, angles))).point(task.requirement.point)
@@ -241,7 +241,7 @@ def _slack(batch: Batch, x: Array, angles: Array, along: int) -> Array:
     """Return the least slack (designs,) of the limits at `along` crank angles, in the units of the rows; negative if violated."""
     task, values, at = batch.problem, batch.values(x), batch.crank_angles(x, angles)
     begin, whole = required_motion(task, at.T[..., None])
-    found = [-np.max(excesses(task, values, begin + whole * np.linspace(0.0, 1.0, along)), axis=(0, 2))]
+    found = [-np.max(limit_excesses(task, values, begin + whole * np.linspace(0.0, 1.0, along)), axis=(0, 2))]
     span = at[:, -1:] - at[:, :1]
     for row in limit_rows(task, values, Reach(at[:, :1], span, np.sign(span)), task.size):
         found += [np.minimum(row.value - row.low, row.high - row.value)[:, 0]]
@@ -262,7 +262,7 @@ def _local(mechanism: Mechanism, sizes: Mapping[str, Any], body: str, point: str
 
 
 def _enlarge(
-    loop: Loop, arms: tuple[Link, Link], traced: complex, batch: Batch, sizes: Values, rng: np.random.Generator
+    loop: InnerFourBar, arms: tuple[Link, Link], traced: complex, batch: Batch, sizes: Values, rng: np.random.Generator
 ) -> Array:
     """Make the four-bar the driver of a pantograph that restores its curve; return the rotation (designs, 1) [rad].
 

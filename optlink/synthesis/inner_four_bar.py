@@ -10,7 +10,7 @@ from optlink.linkage.mechanism import FRAME, Link, Mechanism
 
 
 @dataclass(frozen=True)
-class Loop:
+class InnerFourBar:
     """Crank, coupler and rocker: `pin` joins crank and coupler, `joint` coupler and rocker, `ground_pin` rocker and frame."""
 
     crank: Link
@@ -41,7 +41,7 @@ class Loop:
         return f"{one}.x", f"{one}.y", f"{other}.x", f"{other}.y"
 
 
-def loops(mechanism: Mechanism) -> Iterator[Loop]:
+def inner_four_bars(mechanism: Mechanism) -> Iterator[InnerFourBar]:
     """Yield the four-bars of a linkage, in the order of its groups."""
     crank, owners = mechanism.crank, mechanism.owners
     for group in mechanism.groups:
@@ -50,4 +50,4 @@ def loops(mechanism: Mechanism) -> Iterator[Loop]:
         pins = tuple(zip(group.links, group.pins, strict=True))
         for (coupler, pin), (rocker, ground_pin) in (pins, pins[::-1]):
             if crank.body in owners[pin] and FRAME not in owners[pin] and FRAME in owners[ground_pin]:
-                yield Loop(crank, coupler, rocker, group, pin, ground_pin)
+                yield InnerFourBar(crank, coupler, rocker, group, pin, ground_pin)

@@ -29,7 +29,7 @@ ZERO = 1e-28  # cost (square of a fraction of the curve size) that counts as zer
 
 
 @dataclass(frozen=True)
-class Ends:
+class FinalDesigns:
     """Final designs: x (designs, n), crank angles (designs, points), total cost and weighted limit violations (designs,)."""
 
     x: Array
@@ -37,9 +37,9 @@ class Ends:
     cost: Array
     missed: Array
 
-    def take(self, keep: NDArray[np.intp]) -> Ends:
+    def take(self, keep: NDArray[np.intp]) -> FinalDesigns:
         """Return a selection of the designs."""
-        return Ends(self.x[keep], self.t[keep], self.cost[keep], self.missed[keep])
+        return FinalDesigns(self.x[keep], self.t[keep], self.cost[keep], self.missed[keep])
 
 
 @dataclass
@@ -72,7 +72,7 @@ def _look(batch: Batch, x: Array, t: Array) -> tuple[Array, Array, Array, Array,
     return r, by_x, by_t, h, by_h, np.where(smooth, cost, np.inf)
 
 
-def descend(
+def minimise(
     batch: Batch,
     x: Array,
     t: Array,
@@ -84,7 +84,7 @@ def descend(
     zero: float = ZERO,
     left: float = 0.0,
     after: int | None = None,
-) -> Ends:
+) -> FinalDesigns:
     """Minimise the sum of squares of residuals and limit violations for every design separately.
 
     Parameters
@@ -137,7 +137,7 @@ def descend(
             break
         with np.errstate(all="ignore"):  # a step to an undefined position is rejected
             _advance(batch, state, weight, fit, slow)
-    return Ends(end_x, end_t, end_cost, end_missed)
+    return FinalDesigns(end_x, end_t, end_cost, end_missed)
 
 
 def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: float) -> None:

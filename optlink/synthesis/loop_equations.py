@@ -42,7 +42,7 @@ def _parts(k: Array) -> tuple[Array, Array, Array]:
     return k[..., 0, None], k[..., 1, None], k[..., 2, None]
 
 
-class Chain(Protocol):
+class LoopEquation(Protocol):
     """F = K1 u + K2 v + K3 - w for input x [rad] and output y [rad, or unit of length], both (..., n); constants k (..., 3)."""
 
     limits: tuple[Array, Array]  # rows (r, 3) and bounds (r,): rows @ k <= bounds, exactly
@@ -224,12 +224,12 @@ class _SliderCrank:
         return np.asarray(1.0 - np.maximum(spread[0] ** 2, spread[1] ** 2))
 
 
-def rocker_chain(ratios: tuple[float, float]) -> Chain:
+def rocker_chain(ratios: tuple[float, float]) -> LoopEquation:
     """Return the loop equation of a four-bar with frame 1 and crank, coupler and rocker within `ratios`; output: rocker angle."""
     return _FourBar(ratios)
 
 
-def slider_chain(ratios: tuple[float, float], stroke: float) -> Chain:
+def slider_chain(ratios: tuple[float, float], stroke: float) -> LoopEquation:
     """Return the loop equation of an offset slider-crank; output: slider position.
 
     Parameters
@@ -241,12 +241,12 @@ def slider_chain(ratios: tuple[float, float], stroke: float) -> Chain:
     return _SliderCrank(ratios, stroke)
 
 
-def linear(chain: Chain, x: Array, y: Array) -> tuple[Array, Array]:
+def linear_form(chain: LoopEquation, x: Array, y: Array) -> tuple[Array, Array]:
     """Return F in the form A @ k - w: A (n, 3) and w (n,).
 
     Parameters
     ----------
-    chain : Chain
+    chain : LoopEquation
     x, y : array (n,)
         Input and output.
     """

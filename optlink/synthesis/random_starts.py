@@ -11,14 +11,14 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import unit
 from optlink.problem.path import MARK, START, STEP, TURN
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.inner_four_bar import loops
+from optlink.synthesis.inner_four_bar import inner_four_bars
 
 Array = NDArray[np.float64]
 
 SPREAD = 0.35  # relative standard deviation of a dimension about its value in the file
 
 
-def designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
+def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
     """Return random design variables (count, n), scaled and within their bounds.
 
     Parameters
@@ -46,7 +46,7 @@ def designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
             wide = rng.uniform(np.maximum(low, given - 3.0 * size), np.minimum(high, given + 3.0 * size), count)
             x[:, i] = np.where(rng.random(count) < 0.6, near, wide)
     if batch.four_bar:
-        shape = proportions(batch, count, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (count, 1)))
+        shape = random_proportions(batch, count, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (count, 1)))
         for k, name in enumerate(LENGTHS):
             if name in batch.names:
                 x[:, batch.names.index(name)] = shape[:, k]
@@ -57,7 +57,7 @@ def designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
 
 def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
     """Give half of the designs (count, n) a four-bar whose crank can turn, if all dimensions of the first one are free."""
-    loop = next(loops(batch.problem.linkage), None)
+    loop = next(inner_four_bars(batch.problem.linkage), None)
     if loop is None or not loop.plain or not batch.turns:
         return
     names = [str(link.length) for link in (loop.crank, loop.coupler, loop.rocker)] + list(loop.ground)
@@ -65,7 +65,7 @@ def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
         return
     crank, coupler, rocker, ax, ay, dx, dy = (batch.names.index(name) for name in names)
     half = len(x) // 2
-    shape = proportions(batch, half, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (half, 1)))
+    shape = random_proportions(batch, half, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (half, 1)))
     x[:half, [crank, coupler, rocker]] = shape[:, :3]
     direction = rng.uniform(0.0, TURN, half)
     x[:half, ax], x[:half, ay] = rng.standard_normal((2, half)) * 1.5
@@ -73,7 +73,7 @@ def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
     x[:half, dy] = x[:half, ay] + shape[:, 3] * np.sin(direction)
 
 
-def proportions(batch: Batch, count: int, rng: np.random.Generator) -> Array:
+def random_proportions(batch: Batch, count: int, rng: np.random.Generator) -> Array:
     """Return random lengths of crank, coupler, rocker and frame (count, 4), relative to the frame.
 
     The lengths of all crank-rockers are crank a, coupler a + v + w, rocker a + u + w, frame a + u + v with a, u, v, w > 0:
@@ -98,7 +98,7 @@ def proportions(batch: Batch, count: int, rng: np.random.Generator) -> Array:
     return np.asarray(lengths / lengths[:, 3:], dtype=float)
 
 
-def timing(batch: Batch, count: int, rng: np.random.Generator) -> Array:
+def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> Array:
     """Return random crank angles (count, points) [rad] in order, with steps that loosely follow the distances of the points.
 
     Zeros with prescribed timing.
@@ -162,7 +162,7 @@ def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> 
     return np.asarray(np.where(limited[:, None], moved, t), dtype=float)
 
 
-def assembled(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
+def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
     """Return which designs (count,) can be assembled at all points, and over the whole revolution if the crank must turn.
 
     Parameters

@@ -23,14 +23,14 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import minus, unit
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START
-from optlink.symbolic import Tape, tracing
+from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 from optlink.synthesis.batch import Batch
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-class Similarity:
+class SimilarityFit:
     """Optimal position, direction and size of every design of a batch, and its optimal coupler point where that is free."""
 
     def __init__(self, batch: Batch) -> None:
@@ -65,7 +65,7 @@ class Similarity:
         if self.applies:
             self._trace()
 
-    def of(self, batch: Batch) -> Similarity:
+    def of(self, batch: Batch) -> SimilarityFit:
         """Return the same projection for a batch with fewer points."""
         other = copy.copy(self)
         other.batch = batch
@@ -86,14 +86,14 @@ class Similarity:
         values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
         values |= {v.name: v.origin + v.size * x[i] for i, v in enumerate(batch.variables)}
         mechanism = problem.linkage
-        with tracing():
+        with symbols_in_numpy():
             pose = mechanism.pose(values, unit(t))
             link = mechanism.link(problem.body)
             pivot = pose.point(mechanism.crank.start)
             at = pose.point(link.start if self.point else problem.requirement.point)
             arm, axis = minus(at, pivot), pose.direction(problem.body)
             outputs = [arm[0] / problem.size, arm[1] / problem.size, axis[0] + 0.0 * t, axis[1] + 0.0 * t]
-            self._tape = Tape([*(x[i] for i in range(n)), t], outputs)
+            self._tape = NumpyEvaluator([*(x[i] for i in range(n)), t], outputs)
         self._pivot = [batch.names.index(f"{mechanism.crank.start}.{axis}") for axis in "xy"]
 
     def fit(self, x: Array, t: Array) -> tuple[Array, Array]:
@@ -156,4 +156,4 @@ class Similarity:
         return [i for i in found if self.batch.names[i] != START]
 
 
-__all__ = ["Similarity"]
+__all__ = ["SimilarityFit"]

@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.change_points import pin_columns, unbounded_reactions
-from optlink.dynamics.columns import Record, slider_names
+from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.flywheel import flywheel
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import acting_loads
 from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
-from optlink.linkage.alignment import Aligned, listed
+from optlink.linkage.alignment import AlignedPosition, positions_text
 from optlink.linkage.extrema import extremes, zeros
-from optlink.linkage.stroke import TURN, Ranges, Travel, stopping, travels, within_cycle
+from optlink.linkage.stroke import TURN, Ranges, Travel, range_end_reason, travels, within_cycle
 from optlink.problem.file import ProblemFile
-from optlink.tasks.machine import MARGIN, crank_speed, machine_of, motion_range, sampled
+from optlink.tasks.machine import MARGIN, crank_speed, machine_of, motion_range, table_angles
 from optlink.tasks.results.analysis import Analysis, Extreme
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def analyze(
     machine, start = machine_of(problem, design), model.drive.start.value
     ranges, low, high = motion_range(problem, machine, start)
     cycle = machine.mechanism.cycle
-    angles = sampled(start, low, high, speed, ranges.full, points, step)
+    angles = table_angles(start, low, high, speed, ranges.full, points, step)
     if not ranges.full:
         edge = MARGIN * (high - low)
         low, high = low + edge, high - edge
@@ -133,7 +133,7 @@ CHUNK = 20_000  # positions of the table per block
 
 def _table(machine: Machine, angles: Array, speed: float, work: Work) -> tuple[dict[str, Array], dict[str, str], list[Array]]:
     """Return the columns of the table, their meanings, and the positions without finite reactions (by `FAULTS`)."""
-    parts = [Record(machine.moving(angles[k : k + CHUNK], speed)) for k in range(0, len(angles), CHUNK)]
+    parts = [MotionColumns(machine.moving(angles[k : k + CHUNK], speed)) for k in range(0, len(angles), CHUNK)]
     columns = {"crank_angle_deg": np.degrees(angles), "time_s": np.abs(angles - angles[0]) / abs(speed)}
     meanings = {"crank_angle_deg": "crank angle", "time_s": "time since the first row"}
     for name, column in parts[0].columns.items():
@@ -146,7 +146,7 @@ def _table(machine: Machine, angles: Array, speed: float, work: Work) -> tuple[d
     return columns, meanings, [angles[np.concatenate([getattr(p, kind) for p in parts])] for kind in FAULTS]
 
 
-def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[Aligned], low: float, high: float) -> Array:
+def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[AlignedPosition], low: float, high: float) -> Array:
     """Remove values without a meaning at singular positions from the table; return the crank angles [rad] of these positions."""
     angles = np.radians(columns["crank_angle_deg"])
     exact = np.array([low + (position.crank_angle - low) % TURN for position in positions])
@@ -162,7 +162,7 @@ def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[Al
     return np.unique(np.concatenate([others, exact[exact <= high + BESIDE]]))
 
 
-def _beyond(rows: Array, positions: Iterable[Aligned], cycle: float) -> Array:
+def _beyond(rows: Array, positions: Iterable[AlignedPosition], cycle: float) -> Array:
     """Return crank angles [rad] of rows without finite reactions other than positions through which the motion is continued."""
     for position in positions:
         rows = rows[np.abs(np.remainder(rows - position.crank_angle + 0.5 * cycle, cycle) - 0.5 * cycle) > BESIDE]
@@ -175,7 +175,7 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
     passed = np.array([position.crank_angle for position in ranges.followed])
 
     def values(angles: Array, side: int = 1) -> Array:
-        record = Record(machine.moving(angles, speed, side=side))
+        record = MotionColumns(machine.moving(angles, speed, side=side))
         apart = np.abs(np.remainder(angles[:, None] - passed + 0.5 * cycle, cycle) - 0.5 * cycle)
         singular = record.singular | np.any(apart < ROUNDED, axis=1)
         rows = [
@@ -188,7 +188,7 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
             rows.append(np.where(singular, np.nan, np.hypot(x, y)))
         return np.array(rows)
 
-    first = Record(machine.moving(np.array([low]), speed))
+    first = MotionColumns(machine.moving(np.array([low]), speed))
     names = [name for name in first.columns if not name.endswith(".angle_rad")]
     names += [name for name, _, _ in pins]
     count = GRID * (max(1, round(cycle / TURN)) if full else 1)
@@ -262,7 +262,7 @@ def _notes(
         notes.append(f"the crank cannot turn fully; reachable: {reach} (the last 0.1 % at either end is left out)")
         for low, high in ranges.ranges[:1]:
             for end, way in ((low, -1.0), (high, 1.0)):
-                reason = stopping(machine.mechanism, machine.sizes, end, way)
+                reason = range_end_reason(machine.mechanism, machine.sizes, end, way)
                 if reason:
                     notes.append(reason)
     for position in ranges.aligned:
@@ -270,9 +270,9 @@ def _notes(
             notes.append(_near(machine, position))
     if ranges.singular:
         notes.append(
-            f"singular position at crank angle {listed(ranges.singular)}: the assembly modes meet, and the motion beyond it is "
-            "not determined, so extremes, strokes and work are left out. Change the lengths, or follow the smooth motion: write "
-            f"{CONTINUED}"
+            f"singular position at crank angle {positions_text(ranges.singular)}: the assembly modes meet, and the motion "
+            "beyond it is not determined, so extremes, strokes and work are left out. Change the lengths, or follow the smooth "
+            f"motion: write {CONTINUED}"
         )
         singular = np.empty(0)
     guilty = {name.rpartition(".")[0] for name, column in columns.items() if not np.all(np.isfinite(column))}
@@ -287,7 +287,7 @@ def _notes(
             notes.append(f"{what} at crank angle {shown} deg")
     if not machine.inertias and not machine.loads:
         notes.append("no masses and no loads are given, so there are no forces")
-    loose = [name for name, joint in problem.model.joints.items() if joint.loose]
+    loose = [name for name, joint in problem.model.joints.items() if joint.has_clearance]
     if loose:
         notes.append(f"joints count as ideal here; `optlink simulate` has the clearance of {', '.join(loose)}")
     return notes
@@ -297,7 +297,7 @@ def _followed_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]
     """Yield notes on the continuation of the motion through change points, and on what it leaves undetermined."""
     turns = round(machine.mechanism.cycle / TURN)
     if ranges.followed:
-        yield f"the motion is followed smoothly through the change points at crank angle {listed(ranges.followed)}"
+        yield f"the motion is followed smoothly through the change points at crank angle {positions_text(ranges.followed)}"
     if turns > 1:
         yield f"the motion repeats after {turns} revolutions of the crank, which are one cycle here"
     if unbounded:
@@ -308,12 +308,12 @@ def _followed_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]
         )
 
 
-def _near(machine: Machine, position: Aligned) -> str:
+def _near(machine: Machine, position: AlignedPosition) -> str:
     """Return a note on a joint whose near-alignment causes force peaks."""
     joint, amount = position.group.joint, f"{math.degrees(position.angle):.3g} deg"
     where = f"at crank angle {math.degrees(position.crank_angle):.6g} deg"
     name = f"{joint}.transmission_rad"
-    found = Record(machine.moving(np.array([position.crank_angle])), (name,))
+    found = MotionColumns(machine.moving(np.array([position.crank_angle])), (name,))
     if name in found.columns:
         what = f"the transmission angle at {joint} is {math.degrees(float(found[name][0])):.6g} deg,"
     else:

@@ -12,20 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.balancing import optimum as search
-from optlink.balancing.socp import GAP, NOTHING, Limits, Price, Programme, version
-from optlink.dynamics.columns import Record
-from optlink.dynamics.counterweights import Affine, Effects, Measure, amounts, joined, quantities
+from optlink.balancing.socp import GAP, NOTHING, BalancingProgramme, Limits, Price, version
+from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.counterweights import Affine, BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.optimization.pareto_front import knee
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.problem.machine.balance import check_measure, read_measure
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
-from optlink.tasks.machine import check_regular, crank_speed, machine_of, motion_range, sampled
-from optlink.tasks.results.balance import ACTIVE, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
+from optlink.tasks.machine import check_regular, crank_speed, machine_of, motion_range, table_angles
+from optlink.tasks.results.balance import (
+    ACTIVE,
+    ActiveLimit,
+    AddedCounterweight,
+    Balance,
+    FittedSpring,
+    MeasureChange,
+    RelaxedLimit,
+    TradeOff,
+    TradePoint,
+)
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -59,7 +69,7 @@ class _Task:
             math.inf if section.mass is None or section.mass.high is None else section.mass.high,
         )
         masses = sum(float(inertia.mass) for inertia in self.machine.inertias.values())
-        self.programme = Programme(
+        self.programme = BalancingProgramme(
             self.effects, self.counterweights, self.springs, self.limits, masses or 1.0, float(self.machine.size)
         )
 
@@ -67,11 +77,11 @@ class _Task:
         start, count = self.problem.model.drive.start.value, self.section.positions
         ranges, low, high = motion_range(self.problem, self.machine, start)
         check_regular(self.problem, ranges, "nothing can be balanced")
-        angles = sampled(start, low, high, self.speed, ranges.full, count, None)
+        angles = table_angles(start, low, high, self.speed, ranges.full, count, None)
         return angles[:-1] if ranges.full else angles  # the last position of a revolution equals the first
 
     def _check_finite(self) -> None:
-        record = Record(self.moving, ())
+        record = MotionColumns(self.moving, ())
         bad = record.singular | record.jammed | record.undefined
         if np.any(bad):
             where = ", ".join(f"{math.degrees(a):.6g}" for a in self.angles[bad][:3])
@@ -84,27 +94,27 @@ class _Task:
                 )
             )
 
-    def affine(self, measure: Measure) -> Affine:
+    def affine(self, measure: BalanceMeasure) -> Affine:
         """Return a quantity as an affine function of the parameters."""
         return self.effects.affine(measure)
 
-    def parts(self, x: Array) -> tuple[tuple[Added, ...], tuple[Fitted, ...]]:
+    def parts(self, x: Array) -> tuple[tuple[AddedCounterweight, ...], tuple[FittedSpring, ...]]:
         """Return counterweights and springs of scaled parameters; omit those of negligible size."""
         values = x * self.programme.scales
         added = tuple(
-            Added(weight, Parameters(*(float(v) for v in values[4 * k : 4 * k + 4])))
+            AddedCounterweight(weight, Parameters(*(float(v) for v in values[4 * k : 4 * k + 4])))
             for k, weight in enumerate(self.counterweights)
             if x[4 * k] > NOTHING
         )
         begin = 4 * len(self.counterweights)
         springs = tuple(
-            Fitted(spring, float(values[begin + 2 * k]), float(values[begin + 2 * k + 1] / values[begin + 2 * k]))
+            FittedSpring(spring, float(values[begin + 2 * k]), float(values[begin + 2 * k + 1] / values[begin + 2 * k]))
             for k, spring in enumerate(self.springs)
             if x[begin + 2 * k] > NOTHING
         )
         return added, springs
 
-    def parameters(self, added: Sequence[Added], springs: Sequence[Fitted]) -> Array:
+    def parameters(self, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]) -> Array:
         """Return parameters [SI] of counterweights and springs, zero for omitted ones."""
         found = np.zeros(self.effects.count)
         for k, weight in enumerate(self.counterweights):
@@ -156,7 +166,7 @@ def balance(
     seconds = {"loading cvxpy": time.perf_counter() - begin}
     begin = time.perf_counter()
     if design is not None:
-        problem = settled(problem, {**sizes_of(problem.model.mechanism.quantities), **design})
+        problem = fixed_design(problem, {**sizes_of(problem.model.mechanism.quantities), **design})
     task = _Task(problem)
     goal = task.section.goal if minimise is None else ((_measure(minimise, "--minimise", task), 1.0),)
     pair = () if trade is None else _pair(trade, task)
@@ -173,7 +183,7 @@ def balance(
         )
     if found.certificate.status != "optimal":
         return Balance(*common, "stalled", task.machine, task.angles, task.speed, task.about, before, **shared)
-    best = search.made(programme, goal, found.x)
+    best = search.realised_discs(programme, goal, found.x)
     added, springs = task.parts(best)
     after = search.evaluate(programme, goal, best)
     scale = before if len(goal) == 1 else 1.0
@@ -215,7 +225,7 @@ def balance(
     )
 
 
-def _measure(text: str, option: str, task: _Task) -> Measure:
+def _measure(text: str, option: str, task: _Task) -> BalanceMeasure:
     try:
         measure = read_measure(text)
         check_measure(measure, task.machine)
@@ -224,7 +234,7 @@ def _measure(text: str, option: str, task: _Task) -> Measure:
     return measure
 
 
-def _pair(text: str, task: _Task) -> tuple[Measure, Measure]:
+def _pair(text: str, task: _Task) -> tuple[BalanceMeasure, BalanceMeasure]:
     first, comma, second = text.partition(",")
     if not comma or "," in second:
         raise InputError(
@@ -233,7 +243,7 @@ def _pair(text: str, task: _Task) -> tuple[Measure, Measure]:
     return _measure(first, "--trade", task), _measure(second, "--trade", task)
 
 
-def _check(task: _Task, goal: Sequence[tuple[Measure, float]], pair: Sequence[Measure], points: int) -> None:
+def _check(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], pair: Sequence[BalanceMeasure], points: int) -> None:
     """Refuse measures that are zero already: they cannot be reduced, and no relative value is defined."""
     if not 3 <= points <= 1000:
         raise InputError(Fault("out of range", "Give a number from 3 to 1000", key="--points", value=points))
@@ -249,7 +259,7 @@ def _check(task: _Task, goal: Sequence[tuple[Measure, float]], pair: Sequence[Me
             )
 
 
-def _before(task: _Task, goal: Sequence[tuple[Measure, float]]) -> float:
+def _before(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]]) -> float:
     if len(goal) == 1:
         return task.programme.before(goal[0][0])
     return sum(weight for _, weight in goal)
@@ -258,7 +268,9 @@ def _before(task: _Task, goal: Sequence[tuple[Measure, float]]) -> float:
 # --- proof by inverse dynamics ------------------------------------------------------------------------------------------------
 
 
-def written(problem: ProblemFile, machine: Machine, added: Sequence[Added], springs: Sequence[Fitted]) -> ProblemFile:
+def balanced_problem(
+    problem: ProblemFile, machine: Machine, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]
+) -> ProblemFile:
     """Return the problem with the counterweights in its bodies and the springs among its loads.
 
     Parameters
@@ -266,12 +278,12 @@ def written(problem: ProblemFile, machine: Machine, added: Sequence[Added], spri
     problem : ProblemFile
     machine : Machine
         Machine without counterweights.
-    added : sequence of Added
-    springs : sequence of Fitted
+    added : sequence of AddedCounterweight
+    springs : sequence of FittedSpring
     """
     changes: dict[str, object] = {"balance": None}
     for one in added:
-        whole = joined(machine.inertias.get(one.body, Inertia()), one.parameters)
+        whole = with_counterweight(machine.inertias.get(one.body, Inertia()), one.parameters)
         changes[f"bodies.{one.body}"] = {
             "mass": f"{float(whole.mass)!r} kg",
             "centroid": [f"{float(whole.along)!r} m", f"{float(whole.across)!r} m"],
@@ -288,23 +300,23 @@ def written(problem: ProblemFile, machine: Machine, added: Sequence[Added], spri
 
 
 def _verified(
-    task: _Task, added: Sequence[Added], springs: Sequence[Fitted]
-) -> tuple[ProblemFile, Machine, tuple[Row, ...], float]:
+    task: _Task, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]
+) -> tuple[ProblemFile, Machine, tuple[MeasureChange, ...], float]:
     """Return the balanced problem, its machine, measures before and after by inverse dynamics, and the disagreement."""
-    balanced = written(task.problem, task.machine, added, springs)
+    balanced = balanced_problem(task.problem, task.machine, added, springs)
     machine = machine_of(balanced)
     asked = quantities(task.machine)
-    given = amounts(task.moving, asked, task.about)
-    now = amounts(machine.moving(task.angles, task.speed), asked, task.about)
+    given = quantities_of(task.moving, asked, task.about)
+    now = quantities_of(machine.moving(task.angles, task.speed), asked, task.about)
     rows = []
     for quantity, old, new in zip(asked, given, now, strict=True):
         for how in ("rms", "largest"):
-            measure = Measure(quantity.kind, how, quantity.joint, quantity.on)
-            rows.append(Row(measure, measure.value(old), measure.value(new)))
+            measure = BalanceMeasure(quantity.kind, how, quantity.joint, quantity.on)
+            rows.append(MeasureChange(measure, measure.value(old), measure.value(new)))
     return balanced, machine, tuple(rows), _disagreement(task, asked, now, task.parameters(added, springs))
 
 
-def _disagreement(task: _Task, asked: Sequence[Measure], now: Sequence[Array], parameters: Array) -> float:
+def _disagreement(task: _Task, asked: Sequence[BalanceMeasure], now: Sequence[Array], parameters: Array) -> float:
     """Return the largest difference of the affine functions from the inverse dynamics, relative to the largest contribution."""
     worst = 0.0
     for quantity, amount in zip(asked, now, strict=True):
@@ -324,10 +336,10 @@ SHOWN: dict[str, tuple[str, float, float]] = {
     "force": ("N", 1.0, 0.0),
     "measure": ("", 1.0, 0.0),
 }
-"""Kinds of limits: the unit for people, how many are one in SI, the step that is told [SI]; zero: one per cent of the limit."""
+"""Kinds of limits: the display unit, how many are one in SI, the step that is told [SI]; zero: one per cent of the limit."""
 
 
-def _held(price: Price, after: float, scale: float) -> Held:
+def _held(price: Price, after: float, scale: float) -> ActiveLimit:
     unit, factor, step = SHOWN[price.kind]
     if price.kind == "measure":
         unit = "N m" if "moment" in price.name or "torque" in price.name else "N"
@@ -336,7 +348,7 @@ def _held(price: Price, after: float, scale: float) -> Held:
     active = off <= ACTIVE * max(abs(price.bound), 1e-12)
     buys = price.price * step / after if after > NOTHING else 0.0
     sense = "at most" if price.sense > 0 else "at least"
-    return Held(
+    return ActiveLimit(
         price.name,
         sense,
         price.bound * factor,
@@ -349,7 +361,7 @@ def _held(price: Price, after: float, scale: float) -> Held:
     )
 
 
-def _conflict(task: _Task) -> tuple[Relaxed, ...]:
+def _conflict(task: _Task) -> tuple[RelaxedLimit, ...]:
     found = []
     for item in search.conflict(task.programme):
         unit, factor, _ = SHOWN[item.bound.kind]
@@ -357,7 +369,7 @@ def _conflict(task: _Task) -> tuple[Relaxed, ...]:
             unit = "N m" if "moment" in item.bound.name or "torque" in item.bound.name else "N"
         sense = "at most" if item.bound.sense > 0 else "at least"
         found.append(
-            Relaxed(item.bound.name, sense, item.bound.bound * factor, item.alone * factor, item.together * factor, unit)
+            RelaxedLimit(item.bound.name, sense, item.bound.bound * factor, item.alone * factor, item.together * factor, unit)
         )
     return tuple(found)
 
@@ -365,7 +377,7 @@ def _conflict(task: _Task) -> tuple[Relaxed, ...]:
 # --- the trade-off -----------------------------------------------------------------------------------------------------------
 
 
-def _trade(task: _Task, first: Measure, second: Measure, count: int, progress: Progress | None) -> Trade:
+def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: int, progress: Progress | None) -> TradeOff:
     programme = task.programme
     found = search.curve(programme, first, second, count)
     scales = programme.before(first), programme.before(second)
@@ -375,7 +387,7 @@ def _trade(task: _Task, first: Measure, second: Measure, count: int, progress: P
         added, springs = task.parts(x)
         machine = _heavier(task.machine, added, springs)
         asked = [first, second]
-        now = amounts(machine.moving(task.angles, task.speed), asked, task.about)
+        now = quantities_of(machine.moving(task.angles, task.speed), asked, task.about)
         rows = [measure.rows(task.angles) for measure in asked]
         made = tuple(m.value(amount[row]) for m, amount, row in zip(asked, now, rows, strict=True))
         off = _disagreement(task, asked, [a[row] for a, row in zip(now, rows, strict=True)], task.parameters(added, springs))
@@ -393,16 +405,16 @@ def _trade(task: _Task, first: Measure, second: Measure, count: int, progress: P
         if progress is not None:
             progress((k + 1) / len(found.points))
     bend = knee(np.array([[point.first, point.second] for point in points]))
-    return Trade(
+    return TradeOff(
         first, second, scales, tuple(points), None if bend is None else bend[0], found.first_seconds, found.further_seconds
     )
 
 
-def _heavier(machine: Machine, added: Sequence[Added], springs: Sequence[Fitted]) -> Machine:
+def _heavier(machine: Machine, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]) -> Machine:
     """Return the machine with counterweights and springs."""
     inertias = dict(machine.inertias)
     for one in added:
-        inertias[one.body] = joined(inertias.get(one.body, Inertia()), one.parameters)
+        inertias[one.body] = with_counterweight(inertias.get(one.body, Inertia()), one.parameters)
     loads = (*machine.loads, *(spring.asked.spring(spring.stiffness, spring.free) for spring in springs))
     return machine.with_(inertias=inertias, loads=loads)
 
@@ -412,11 +424,11 @@ def _heavier(machine: Machine, added: Sequence[Added], springs: Sequence[Fitted]
 
 def _notes(
     task: _Task,
-    goal: Sequence[tuple[Measure, float]],
+    goal: Sequence[tuple[BalanceMeasure, float]],
     status: str,
     slack: float,
     heavier: Machine,
-    added: Sequence[Added],
+    added: Sequence[AddedCounterweight],
 ) -> list[str]:
     notes = []
     if any(weight.kind == "disc" for weight in task.counterweights):
@@ -440,14 +452,14 @@ def _notes(
     return notes
 
 
-def _between(task: _Task, goal: Sequence[tuple[Measure, float]], heavier: Machine) -> list[str]:
+def _between(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], heavier: Machine) -> list[str]:
     """Return notes on higher values between the positions, for largest amounts that are minimised or limited."""
     largest = [m for m in (*(m for m, _ in goal), *(m for m, _ in task.limits.measures)) if m.of == "largest"]
     if not largest:
         return []
     fine = np.interp(np.linspace(0, len(task.angles) - 1, 16 * len(task.angles)), np.arange(len(task.angles)), task.angles)
-    coarse = amounts(heavier.moving(task.angles, task.speed), largest, task.about)
-    dense = amounts(heavier.moving(fine, task.speed), largest, task.about)
+    coarse = quantities_of(heavier.moving(task.angles, task.speed), largest, task.about)
+    dense = quantities_of(heavier.moving(fine, task.speed), largest, task.about)
     notes = []
     for measure, one, other in zip(largest, coarse, dense, strict=True):
         at, between = measure.value(one[measure.rows(task.angles)]), measure.value(other[measure.rows(fine)])

@@ -9,11 +9,11 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.dynamics.columns import Record
+from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
-from optlink.linkage.alignment import listed, near_singular
-from optlink.linkage.continuation import follow
+from optlink.linkage.alignment import near_singular, positions_text
+from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import extremes_of_rows
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import TURN, reachable
@@ -89,7 +89,7 @@ def analyze_batch(
     follows = problem.model.mechanism.follows
     turns = _most_turns(problem, arrays) if follows else 1
     angles = drive.start.value + np.copysign(TURN, way) * np.arange(turns * points) / points
-    known = Record(machine_of(problem).moving(angles[:1], way)).columns
+    known = MotionColumns(machine_of(problem).moving(angles[:1], way)).columns
     for name in columns:
         if name not in known:
             raise InputError(Fault("no such column", nearest(name, known), problem.file, "columns", name))
@@ -104,7 +104,7 @@ def analyze_batch(
                     found[name][part] = np.nan
                 continue
             machine = machine_of(problem, _designs(arrays, part, alone=follows))
-            record = Record(machine.moving(angles, way), columns)
+            record = MotionColumns(machine.moving(angles, way), columns)
             for name in columns:
                 found[name][part] = record[name]
             found.singular |= _singular(machine, part, samples)
@@ -121,7 +121,9 @@ def _singular(machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[i
         sizes = {name: float(np.ravel(size)[k if np.size(size) > 1 else 0]) for name, size in machine.sizes.items()}
         singular = reachable(machine.mechanism, sizes).singular
         if singular:
-            found[int(part[k])] = f"singular position at crank angle {listed(singular)}: the motion beyond it is not determined"
+            found[int(part[k])] = (
+                f"singular position at crank angle {positions_text(singular)}: the motion beyond it is not determined"
+            )
     return found
 
 
@@ -135,7 +137,7 @@ def _most_turns(problem: ProblemFile, arrays: Mapping[str, Array]) -> int:
     model, count = problem.model, len(next(iter(arrays.values())))
     sizes, start = sizes_of(model.mechanism.quantities), model.drive.start.value
     each = ({**sizes, **_designs(arrays, np.array([k]), alone=True)} for k in range(count))
-    return max(round(follow(model.linkage, design, start).cycle / TURN) for design in each)
+    return max(round(continue_through_singularities(model.linkage, design, start).cycle / TURN) for design in each)
 
 
 def _alike(
@@ -189,7 +191,7 @@ def batch_extremes(
     for first in range(0, count, portion):
         machine = machine_of(problem, {name: values[first : first + portion, None] for name, values in arrays.items()})
         moving = machine.moving(grid, way)
-        record = Record(moving, [part for name in columns for part in reaction_parts(name)])
+        record = MotionColumns(moving, [part for name in columns for part in reaction_parts(name)])
         with np.errstate(all="ignore"):
             apart = [np.min(np.abs(record.full(sine)), axis=1) > CLEAR for sine in record.reactions.singularity.values()]
             apart.append(np.all(moving.motion.assembled, axis=1))
@@ -210,7 +212,7 @@ def reaction_parts(name: str) -> tuple[str, ...]:
 
 def _column(machine: Machine, speed: float, name: str, angles: Array) -> Array:
     """Return a column of a batch of designs at crank angles (1, n) or (designs, n)."""
-    record = Record(machine.moving(angles, speed), reaction_parts(name))
+    record = MotionColumns(machine.moving(angles, speed), reaction_parts(name))
     values = [record[part] for part in reaction_parts(name)]
     return values[0] if len(values) == 1 else np.hypot(*values)
 

@@ -15,22 +15,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.clearance.closed_loop import Plant
+from optlink.clearance.closed_loop import ClosedLoop
 from optlink.clearance.controller import PID, Control, Controller, Gains
 from optlink.clearance.equations import Drive, Servo, Weightless
 from optlink.clearance.integration import Stalled
 from optlink.clearance.inverse_model import Inverse, leverage
 from optlink.clearance.joint import Gap
-from optlink.clearance.output import Output, outputs, usual
-from optlink.clearance.reference_signal import even
-from optlink.clearance.statistics import Account, Twin, table
+from optlink.clearance.output import Output, default_output, outputs
+from optlink.clearance.reference_signal import constant_speed
+from optlink.clearance.statistics import PredictabilityCheck, Statistics, table
 from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Unusable, nearest
 from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
-from optlink.tasks.results.clearance import SETTLED, LooseSimulation
+from optlink.tasks.results.clearance import SETTLED, ClearanceSimulation
 
 Array = NDArray[np.float64]
 CHECKPOINT = "optlink/checkpoint/1"
@@ -57,12 +57,12 @@ class _Setting:
     nominal: float
     points: int
 
-    def plant(self, tolerance: float) -> Plant:
+    def plant(self, tolerance: float) -> ClosedLoop:
         """Return the machine in its initial state, with its controller."""
         section = self.file.model.control
         sampled = self.control.fed_back and section is not None
         try:
-            plant = Plant(
+            plant = ClosedLoop(
                 self.machine,
                 self.gaps,
                 self.drive,
@@ -92,7 +92,7 @@ class _Setting:
         if self.servo is None:
             return Drive(torque=self.file.model.drive.torque)
         section = self.file.model.control
-        command = even(self.start, self.nominal)
+        command = constant_speed(self.start, self.nominal)
         if self.control.inverted and section is not None:
             known = [gap for gap in self.gaps if section.known is None or gap.point in section.known]
             bandwidth = 0.5 * self.servo.bandwidth if section.bandwidth is None else section.bandwidth.value
@@ -127,7 +127,7 @@ def simulate_clearance(
     stream: Callable[[Mapping[str, Array]], None] | None = None,
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
     resume: Mapping[str, Any] | None = None,
-) -> LooseSimulation:
+) -> ClearanceSimulation:
     """Simulate a machine with joint clearance from the state of the machine without clearance.
 
     Parameters
@@ -163,7 +163,7 @@ def simulate_clearance(
 
     Returns
     -------
-    LooseSimulation
+    ClearanceSimulation
         If the integration stalls or is interrupted, the results until then.
 
     Raises
@@ -174,10 +174,10 @@ def simulate_clearance(
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)
     plant = setting.plant(tolerance)
-    account, pair = Account(plant), None
+    account, pair = Statistics(plant), None
     if twin:
-        pair = Twin(setting.plant(tolerance * COARSER))
-    skipped = revolutions - counted(revolutions)
+        pair = PredictabilityCheck(setting.plant(tolerance * COARSER))
+    skipped = revolutions - revolutions_counted(revolutions)
     label = {
         "schema": CHECKPOINT,
         "problem_hash": problem.hash,
@@ -248,7 +248,7 @@ def simulate_clearance(
             "single values of the trajectory mean nothing; root mean squares and other statistics still do"
         )
     kept = {} if not account.rows else {name: np.concatenate([rows[name] for rows in account.rows]) for name in account.meanings}
-    return LooseSimulation(
+    return ClearanceSimulation(
         problem,
         setting.machine,
         setting.gaps,
@@ -272,7 +272,7 @@ def simulate_clearance(
     )
 
 
-def counted(revolutions: int) -> int:
+def revolutions_counted(revolutions: int) -> int:
     """Return the number of last revolutions of a run that the statistics include."""
     return revolutions - SETTLED if revolutions > 2 * SETTLED else revolutions
 
@@ -306,7 +306,7 @@ def checked_output(
 
 
 @contextlib.contextmanager
-def _interruptible(plants: Sequence[Plant]) -> Iterator[None]:
+def _interruptible(plants: Sequence[ClosedLoop]) -> Iterator[None]:
     """End the work after the present integrator call on a keyboard interrupt; at once on a second one."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not (
         signal.default_int_handler
@@ -403,7 +403,7 @@ def _setting(
         first = drive.initial_speed.value if drive.initial_speed is not None else 0.0
     known = outputs(machine)
     said = model.control.output if model.control is not None else None
-    output = known[said] if said is not None else usual(machine)
+    output = known[said] if said is not None else default_output(machine)
     return _Setting(problem, machine, gaps, output, kind, servo, begin, first, nominal, points)
 
 
@@ -419,7 +419,7 @@ def _check(revolutions: int, points: int, tolerance: float) -> None:
         raise InputError(Fault("out of range", "Give a number from 1e-13 to 1e-4", key="tolerance", value=tolerance))
 
 
-def _state(plant: Plant) -> str:
+def _state(plant: ClosedLoop) -> str:
     """Return the coordinates and their rates as text."""
     cut, state = plant.equations.cut, plant.integration.state
     units = {"angle": "rad", "x": "m", "y": "m", "slide": "m"}
@@ -427,7 +427,7 @@ def _state(plant: Plant) -> str:
     return "; ".join(f"{c.name} {q:.6g} {units[c.kind]}, {v:.6g} {units[c.kind]}/s" for c, q, v in pairs)
 
 
-def _told(setting: _Setting, plant: Plant) -> list[str]:
+def _told(setting: _Setting, plant: ClosedLoop) -> list[str]:
     section = setting.file.model.control
     if plant.controller and section is not None and abs(plant.sample_time / section.sample_time.value - 1.0) > 1e-9:
         return [f"The sample time is {plant.sample_time * 1e3:.6g} ms, so that it fits the revolution and its rows"]

@@ -16,8 +16,8 @@ from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
 from optlink.tasks.clearance import checked_output
 from optlink.tasks.machine import machine_of
-from optlink.tasks.parallel_runs import Ran, job_of, perform_all
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.parallel_runs import RunOutcome, job_of, run_jobs
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/compensation/1"
@@ -63,7 +63,7 @@ class Comparison(Summary):
     starts: Array
     seed: int
     revolutions: int
-    examples: Mapping[str, LooseSimulation]
+    examples: Mapping[str, ClearanceSimulation]
     unit: str
 
     @property
@@ -88,7 +88,7 @@ class Comparison(Summary):
         )
 
 
-def starts_of(count: int, seed: int) -> Array:
+def random_crank_angles(count: int, seed: int) -> Array:
     """Return uniformly distributed initial crank angles (count,) [rad].
 
     Parameters
@@ -110,7 +110,7 @@ def starts_of(count: int, seed: int) -> Array:
     return np.random.default_rng(seed).uniform(0.0, TURN, count)
 
 
-def _trials(runs: Sequence[Ran]) -> Trials:
+def _trials(runs: Sequence[RunOutcome]) -> Trials:
     """Return the figures of one kind of control from its runs."""
     unit = runs[0].unit
     names = (f"rms_{unit}", f"peak_{unit}", "correction_rms_rad", "torque_rms_Nm")
@@ -173,7 +173,7 @@ def compare(
     KeyboardInterrupt
         On interruption; the last checkpoint contains all complete runs.
     """
-    angles = starts_of(starts, seed)
+    angles = random_crank_angles(starts, seed)
     common: dict[str, Any] = {
         "revolutions": revolutions,
         "points": points,
@@ -187,12 +187,12 @@ def compare(
     kept = {} if resume is None else _kept(resume, label)
     # ordered by start, so that the progress predicts the remaining time; figures need the whole first run of each kind
     order = [(kind, k) for k in range(starts) for kind in kinds]
-    runs: dict[tuple[str, int], Ran] = {key: kept[key] for key in order if key in kept and key[1] > 0}
+    runs: dict[tuple[str, int], RunOutcome] = {key: kept[key] for key in order if key in kept and key[1] > 0}
     todo = [key for key in order if key not in runs]
     jobs = [job_of(problem, control=kind, start=float(angles[k]), whole=k == 0, **common) for kind, k in todo]
     if progress is not None:
         progress(len(runs) / len(order))
-    for index, ran in perform_all(jobs, workers):
+    for index, ran in run_jobs(jobs, workers):
         runs[todo[index]] = kept[todo[index]] = ran
         if checkpoint is not None:
             checkpoint(
@@ -216,12 +216,12 @@ def _check_options(problem: ProblemFile, kinds: Sequence[str], options: Mapping[
         checked_output(problem, control=kind, **options)
 
 
-def _document(key: tuple[str, int], ran: Ran) -> dict[str, Any]:
+def _document(key: tuple[str, int], ran: RunOutcome) -> dict[str, Any]:
     figures = {name: value for name, value in ran.figures.items() if np.isfinite(value)}
     return {"control": key[0], "start": key[1], "unit": ran.unit, "finished": ran.finished, "figures": figures}
 
 
-def _kept(resume: Mapping[str, Any], label: Mapping[str, Any]) -> dict[tuple[str, int], Ran]:
+def _kept(resume: Mapping[str, Any], label: Mapping[str, Any]) -> dict[tuple[str, int], RunOutcome]:
     """Return the runs of a checkpoint.
 
     Raises
@@ -234,7 +234,7 @@ def _kept(resume: Mapping[str, Any], label: Mapping[str, Any]) -> dict[tuple[str
         found = {}
         for one in resume["runs"]:
             figures = {str(name): float(value) for name, value in one["figures"].items()}
-            ran = Ran(figures, str(one["unit"]), one["finished"] is True)
+            ran = RunOutcome(figures, str(one["unit"]), one["finished"] is True)
             _trials([ran])
             found[str(one["control"]), int(one["start"])] = ran
     except (KeyError, TypeError, ValueError, AttributeError):
@@ -367,7 +367,7 @@ def tune(
         raise InputError(Fault("no such parameter", f"Known: {', '.join(RANGES)}", key="names", value=", ".join(unknown)))
     if not 4 <= evaluations <= 100_000:
         raise InputError(Fault("out of range", "Give a number from 4 to 100,000", key="evaluations", value=evaluations))
-    angles = starts_of(starts, seed)
+    angles = random_crank_angles(starts, seed)
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))
     generator = np.random.default_rng(seed)
     sobol = qmc.Sobol(len(names), seed=seed).random(1 << int(np.ceil(np.log2(max(2, evaluations // 2)))))
@@ -390,7 +390,7 @@ def tune(
         else:
             limit = starts * min((one for one, _ in done), default=np.inf)
             jobs = [job_of(changed, control=control, start=float(start), limit=limit, **common) for start in angles]
-            runs = dict(perform_all(jobs, workers))
+            runs = dict(run_jobs(jobs, workers))
             useless = any(run.hopeless or not run.finished for run in runs.values())
             found = None if useless else _trials([runs[k] for k in range(starts)])
             done.append((np.inf, np.nan) if found is None else (found.mean, found.scatter))

@@ -17,16 +17,16 @@ from optlink.problem.quantity import Unusable, nearest
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
 from optlink.tasks.results.common import Optimum, optimality
-from optlink.tasks.results.cycle import MachineDesign, measured, task_of
+from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
 from optlink.units import factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import validate_cycle
 
 if TYPE_CHECKING:
     from optlink.optimization.cycle_nlp import CycleNLP
-    from optlink.optimization.cycle_signals import Structure, Trace
+    from optlink.optimization.cycle_signals import EventOrder, TracedCycle
     from optlink.solvers.continuum import Continuum
-    from optlink.solvers.cycle_search import Begin, Samples, Searched
+    from optlink.solvers.cycle_search import CycleSearchResult, StartGroup, StartSequence
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def solve(
     starts: int | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
-) -> MachineDesign:
+) -> CycleResult:
     """Find the dimensions that minimise the objective within the limits, and validate them.
 
     Parameters
@@ -62,10 +62,10 @@ def solve(
     InputError
         If there are no design variables, or an argument is out of range.
     """
-    from optlink.optimization.cycle_signals import Trace
+    from optlink.optimization.cycle_signals import TracedCycle
     from optlink.solvers import multistart
     from optlink.solvers.continuum import continuum
-    from optlink.solvers.cycle_search import STARTS, Samples, explained, others, rank, searched
+    from optlink.solvers.cycle_search import STARTS, StartSequence, explain_infeasibility, further_start_groups, rank, search_all
 
     _check(problem, backend, starts, seed)
     task, count = task_of(problem), STARTS if starts is None else starts
@@ -74,12 +74,12 @@ def solve(
         multistart.backend(name)  # imports do not count as solving time
     clock = [time.perf_counter()]
     try:
-        trace = Trace(task, slow=task.slow_assumed)
+        trace = TracedCycle(task, slow=task.slow_assumed)
     except Unusable as error:
         raise InputError(Fault(error.message, error.remedy, problem.file, error.key, error.value)) from None
-    samples = Samples(trace, seed)
+    samples = StartSequence(trace, seed)
 
-    def fits(structure: Structure) -> bool:
+    def fits(structure: EventOrder) -> bool:
         return _strokeless(task, trace, structure) is None
 
     firsts = _firsts(problem, samples, count)
@@ -94,9 +94,9 @@ def solve(
         if progress:
             progress(min(done / count, 1.0))
 
-    result = searched(trace, firsts, names, advance, lambda: others(samples, firsts, count, fits))
+    result = search_all(trace, firsts, names, advance, lambda: further_start_groups(samples, firsts, count, fits))
     if not result.usable:
-        result = explained(result, names)
+        result = explain_infeasibility(result, names)
     nlp, found = _dense(result.nlp, result.found)
     winner = min(found.values(), key=rank)
     chosen = next(name for name, solution in found.items() if solution is winner)
@@ -105,7 +105,7 @@ def solve(
     proof = validate_cycle(task, winner.design, winner.objective)
     checks = (*proof.checks, *optimality(winner), *(_agreement(found) if len(found) > 1 else ()))
     clock.append(time.perf_counter())
-    return MachineDesign(
+    return CycleResult(
         problem=problem,
         status=winner.status,
         backend=chosen,
@@ -125,7 +125,7 @@ def solve(
     )
 
 
-def _firsts(problem: ProblemFile, samples: Samples, count: int) -> list[Begin]:
+def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[StartGroup]:
     """Return starting points: dimensions that move like the first ones in which every output with a stroke reciprocates.
 
     Raises
@@ -133,18 +133,18 @@ def _firsts(problem: ProblemFile, samples: Samples, count: int) -> list[Begin]:
     InputError
         If such an output reciprocates in none of the dimensions that turn fully.
     """
-    from optlink.solvers.cycle_search import begins
+    from optlink.solvers.cycle_search import start_groups
 
     task = task_of(problem)
     wrong: list[tuple[str, Term, int]] = []
 
-    def fits(structure: Structure) -> bool:
+    def fits(structure: EventOrder) -> bool:
         fault = _strokeless(task, samples.trace, structure)
         if fault is not None:
             wrong.append(fault)
         return fault is None
 
-    found = begins(samples, count, fits)
+    found = start_groups(samples, count, fits)
     if not found and wrong:
         key, term, reversals = wrong[0]
         message = f"{term.of} reverses {reversals} times in a revolution" if reversals else f"{term.of} never reverses"
@@ -153,7 +153,9 @@ def _firsts(problem: ProblemFile, samples: Samples, count: int) -> list[Begin]:
     return found
 
 
-def _notes(problem: ProblemFile, result: Searched, winner: Solution, count: int, equal: Continuum | None) -> Iterator[str]:
+def _notes(
+    problem: ProblemFile, result: CycleSearchResult, winner: Solution, count: int, equal: Continuum | None
+) -> Iterator[str]:
     """Yield notes on the search and the design."""
     from optlink.solvers.cycle_search import SAMPLES
 
@@ -166,7 +168,7 @@ def _notes(problem: ProblemFile, result: Searched, winner: Solution, count: int,
             yield "its motions reverse in another order than those of the given machine"
         if equal is not None:
             yield _continuum_note(equal)
-        made = measured(task, winner.design)
+        made = analysis_of(task, winner.design)
         if made is not None and made.full:
             yield from quick_stroke_notes(problem, made.machine, task.drive.speed.value)
 
@@ -198,7 +200,7 @@ def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equ
     return tuple(Optimum(solution.design, solution.objective, max(hits, 1)) for solution, hits in kept)
 
 
-def validate(problem: ProblemFile, values: Mapping[str, float]) -> MachineDesign:
+def validate(problem: ProblemFile, values: Mapping[str, float]) -> CycleResult:
     """Validate given dimensions, or show where they fail.
 
     Parameters
@@ -211,7 +213,7 @@ def validate(problem: ProblemFile, values: Mapping[str, float]) -> MachineDesign
     own = {name: values.get(name, task.quantities[name].value) for name in task.free}
     proof = validate_cycle(task, own)
     seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-    return MachineDesign(problem, Status.NOT_SEARCHED, "none", own, proof.objective, proof, seconds, 0, 0)
+    return CycleResult(problem, Status.NOT_SEARCHED, "none", own, proof.objective, proof, seconds, 0, 0)
 
 
 def _check(problem: ProblemFile, backend: str, starts: int | None, seed: int) -> None:
@@ -229,7 +231,7 @@ def _check(problem: ProblemFile, backend: str, starts: int | None, seed: int) ->
         raise InputError(Fault("no design variables: every dimension is fixed", example, problem.file, "mechanism"))
 
 
-def _strokeless(task: CycleProblem, trace: Trace, structure: Structure) -> tuple[str, Term, int] | None:
+def _strokeless(task: CycleProblem, trace: TracedCycle, structure: EventOrder) -> tuple[str, Term, int] | None:
     """Return a stroke term whose output has too few dead centres, with their number: a time ratio requires exactly two."""
     placed: list[tuple[str, Term]] = [("objective", goal) for goal in task.goals]
     for key, term in [*placed, *((bound.key, bound.term) for bound in task.bounds)]:
@@ -240,7 +242,7 @@ def _strokeless(task: CycleProblem, trace: Trace, structure: Structure) -> tuple
     return None
 
 
-def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: float) -> MachineDesign:
+def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: float) -> CycleResult:
     """Return the result for a problem without dimensions within the bounds for which the crank turns fully."""
     from optlink.solvers.cycle_search import SAMPLES
 
@@ -252,24 +254,24 @@ def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: float) -> Ma
         "widen the bounds, or begin from sizes that do"
     )
     times = {"build": 0.0, "solve": seconds, "validate": 0.0}
-    return MachineDesign(problem, Status.INFEASIBLE, "none", values, proof.objective, proof, times, seed, starts, notes=(note,))
+    return CycleResult(problem, Status.INFEASIBLE, "none", values, proof.objective, proof, times, seed, starts, notes=(note,))
 
 
 def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
     """Double the positions until integrals agree with those of the validation, and continue the search."""
     from optlink.optimization.cycle_nlp import NODES, build_cycle
     from optlink.solvers import multistart
-    from optlink.solvers.semi_infinite import level, peaks
+    from optlink.solvers.semi_infinite import exchange, peaks
 
     trace = nlp.traced
     task, nodes = trace.problem, NODES
     while any(term.integral for term in trace.terms) and nodes < MOST_NODES:
         winner = multistart.best(list(found.values()))
-        cycle = measured(task, winner.design) if winner.usable else None
+        cycle = analysis_of(task, winner.design) if winner.usable else None
         if cycle is None:
             break
         gaps = [abs(cycle.objective() - winner.objective) / max(abs(winner.objective), cycle.natural(), 1e-300)]
-        values = {row.limit: row.scale.people(float(value)) for row, value in zip(nlp.rows, winner.g, strict=True)}
+        values = {row.limit: row.scale.to_display(float(value)) for row, value in zip(nlp.rows, winner.g, strict=True)}
         for bound in task.bounds:
             if bound.term.integral:
                 size = factor(bound.interval.unit, bound.interval.kind or "")
@@ -281,7 +283,7 @@ def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[st
         nlp = build_cycle(trace, nlp.structure, winner.design, nodes)
         nlp.roam(peaks(nlp, nlp.x_start).shares)
         found = {
-            name: level(nlp, multistart.solve_from(nlp, nlp.x_of(solution.design), name)) for name, solution in found.items()
+            name: exchange(nlp, multistart.solve_from(nlp, nlp.x_of(solution.design), name)) for name, solution in found.items()
         }
     return nlp, found
 

@@ -22,9 +22,9 @@ from optlink.optimization.objectives import MEASURES
 from optlink.problem.file import ProblemFile, parse_assignment
 from optlink.problem.quantity import Quantity, Unusable, nearest, read_quantity
 from optlink.solvers.evidence import Evidence, evidence
-from optlink.solvers.function_exchange import ALONG, error_at, judged
+from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Solution
-from optlink.tasks.machine import turning
+from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.common import Optimum, Relaxed, heading, proof, proven, shortest_link
 from optlink.tasks.results.fit import Fit, law_fit
@@ -46,7 +46,7 @@ FLAT = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimu
 PEOPLE = {"length": (1e3, "mm"), "angle": (math.degrees(1.0), "deg")}
 
 
-def people(name: str, value: float) -> tuple[float, str]:
+def display_value(name: str, value: float) -> tuple[float, str]:
     """Return a quantity of a design in its display unit (mm or deg), and the unit.
 
     Parameters
@@ -60,7 +60,7 @@ def people(name: str, value: float) -> tuple[float, str]:
 
 
 @dataclass(frozen=True, repr=False)
-class Result(Summary):
+class FunctionResult(Summary):
     """A design with its validation, or the reason why there is none."""
 
     problem: ProblemFile
@@ -142,7 +142,7 @@ class Result(Summary):
         A minimax optimum of k design variables has k + 1 of them if no limit is active.
         """
         begin, end = self.problem.spec.law.offsets[[0, -1]]
-        error = judged(self.problem.spec)(self.design, np.linspace(begin, end, ALONG))
+        error = error_function(self.problem.spec)(self.design, np.linspace(begin, end, ALONG))
         peaks = error[np.abs(error) >= LEVEL * np.max(np.abs(error))]
         return 1 + int(np.sum(np.diff(np.sign(peaks)) != 0.0)) if len(peaks) else 0
 
@@ -175,7 +175,7 @@ class Result(Summary):
             },
         }
         document["fit"] = None if self.fit is None else self.fit.to_dict()
-        machine = turning(self.problem, self.design)
+        machine = turning_machine(self.problem, self.design)
         document["strokes"] = {} if machine is None else stroke_document(machine, self.problem.spec.span)
         document |= proof(self, lambda design: _design(self.problem.spec.design(design)))
         if self.evidence is not None:
@@ -193,7 +193,7 @@ class Result(Summary):
 
 
 def _design(design: Mapping[str, float]) -> dict[str, float]:
-    return {f"{name}_{people(name, value)[1]}": people(name, value)[0] for name, value in design.items()}
+    return {f"{name}_{display_value(name, value)[1]}": display_value(name, value)[0] for name, value in design.items()}
 
 
 def solve(
@@ -205,7 +205,7 @@ def solve(
     *,
     track: bool = False,
     begin: Mapping[str, float] | None = None,
-) -> Result:
+) -> FunctionResult:
     """Find the optimal design and validate it.
 
     Parameters
@@ -234,7 +234,7 @@ def solve(
     """
     from optlink.optimization.nlp import build
     from optlink.solvers import multistart
-    from optlink.tasks.function_search import Search, starts_of
+    from optlink.tasks.function_search import FunctionSearch, start_sequence
 
     if backend not in (*multistart.BACKENDS, "both"):
         raise InputError(
@@ -248,7 +248,7 @@ def solve(
         example = 'Free one: coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
         raise InputError(Fault("no design variables: every dimension is fixed", example, problem.file, "mechanism"))
     if problem.spec.mechanism.assembly == EITHER:
-        found: list[Result] = []
+        found: list[FunctionResult] = []
         variants = _variants(problem)
         for k, variant in enumerate(variants):
             found.append(solve(variant, backend, starts, seed, _part(progress, k, len(variants)), track=track, begin=begin))
@@ -263,9 +263,9 @@ def solve(
     for name in names:
         multistart.prepare(nlp, name)
     clock.append(time.perf_counter())
-    points = starts_of(problem.spec, nlp, seed, begin)
+    points = start_sequence(problem.spec, nlp, seed, begin)
     reason = functools.cache(lambda: _explained(nlp, seed))
-    searches = {name: Search(problem.spec, nlp, name, track=track) for name in names}
+    searches = {name: FunctionSearch(problem.spec, nlp, name, track=track) for name in names}
     count, interrupted = starts, False
     for k, one in enumerate(searches.values()):
         if one.run(points, count, lambda: reason()[0], _part(progress, k, len(searches))):
@@ -286,7 +286,7 @@ def solve(
     clock.append(time.perf_counter())
     seconds = dict(zip(("build", "solve"), np.diff(clock).tolist(), strict=True))
     validating = sum(one.validating for one in searches.values())
-    return Result(
+    return FunctionResult(
         problem=problem,
         status=winner.solution.status,
         backend=next(name for name, one in searches.items() if one is chosen),
@@ -325,7 +325,7 @@ def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conf
     if not isinstance(reason, Explanation):
         return reason, None, ((), ())
     conflict, together = (tuple(Relaxed(**vars(item)) for item in items) for items in (reason.conflict, reason.together))
-    miss = replace(multistart.given(nlp, reason.x, "nearest design"), status=Status.INFEASIBLE)
+    miss = replace(multistart.solution_at(nlp, reason.x, "nearest design"), status=Status.INFEASIBLE)
     return None, miss, (conflict, together)
 
 
@@ -335,12 +335,12 @@ def _variants(problem: ProblemFile) -> list[ProblemFile]:
     return [problem.override(change) if change else problem for change in changes]
 
 
-def _better(result: Result) -> tuple[bool, bool, float]:
+def _better(result: FunctionResult) -> tuple[bool, bool, float]:
     """Return a sort key: valid before invalid before infeasible, then by objective."""
     return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective
 
 
-def _merged(found: list[Result]) -> Result:
+def _merged(found: list[FunctionResult]) -> FunctionResult:
     """Return the best result over the assembly modes, with the evidence of all."""
     best = min(found, key=_better)
     optima = sorted((optimum for result in found for optimum in result.optima), key=lambda optimum: optimum.objective)
@@ -364,7 +364,7 @@ def _agreement(agreement: Agreement) -> tuple[Check, ...]:
     )
 
 
-def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
+def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
     """Validate a given design, in the better assembly mode if the file leaves it open.
 
     Parameters
@@ -379,7 +379,7 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result:
         full = variant.spec.design(design)
         proof = prove(variant.spec, full)
         seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-        results.append(Result(variant, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds))
+        results.append(FunctionResult(variant, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds))
     return min(results, key=_better)
 
 

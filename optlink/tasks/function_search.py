@@ -20,7 +20,7 @@ from optlink.problem.function import FULL_TURN, DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
 from optlink.solvers.evidence import evidence
-from optlink.solvers.function_exchange import level
+from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
 from optlink.synthesis import function_starts
 from optlink.synthesis.freudenstein import FirstStep
@@ -37,7 +37,7 @@ NEARBY = 2.0  # times the best objective, up to which an optimum at the design p
 
 
 @dataclass(frozen=True)
-class Start:
+class SearchStart:
     """Starting point `x` of a local search, whether it is random, and whether it is close to an optimum."""
 
     x: Array
@@ -46,7 +46,7 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class FunctionCandidate:
     """A local optimum over the whole range with its design [SI] and its validation."""
 
     solution: Solution
@@ -63,28 +63,28 @@ class Candidate:
 
 
 @dataclass
-class Distinct:
+class DistinctOptimum:
     """A distinct optimum at the design positions, and the resulting candidate over the whole range.
 
     `count`: searches that ended there; `drawn`: those of them with a random start.
     """
 
     coarse: Solution
-    candidate: Candidate | None
+    candidate: FunctionCandidate | None
     count: int
     drawn: int
 
 
 @dataclass(frozen=True)
-class Starts:
+class StartSequence:
     """The first starts, always complete, then an unlimited sequence of random ones; `step` is the best convex first design."""
 
-    first: list[Start]
-    rest: Callable[[], Iterator[Start]]
+    first: list[SearchStart]
+    rest: Callable[[], Iterator[SearchStart]]
     step: FirstStep | None
 
 
-def starts_of(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[str, float] | None) -> Starts:
+def start_sequence(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[str, float] | None) -> StartSequence:
     """Return the sequence of starts: convex first designs and the given start; then random fits of a function and Sobol points.
 
     Parameters
@@ -97,23 +97,23 @@ def starts_of(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[str, f
         Design variables of the only starting point.
     """
     if begin is not None:
-        return Starts([Start(nlp.x_of(dict(begin)), drawn=False, close=False)], lambda: iter(()), None)
-    given = Start(multistart.starts(nlp, 1, seed)[0], drawn=False, close=False)
+        return StartSequence([SearchStart(nlp.x_of(dict(begin)), drawn=False, close=False)], lambda: iter(()), None)
+    given = SearchStart(multistart.starts(nlp, 1, seed)[0], drawn=False, close=False)
 
-    def bounds() -> Iterator[Start]:
-        return (Start(x, drawn=True, close=False) for x in multistart.sobol(nlp, seed))
+    def bounds() -> Iterator[SearchStart]:
+        return (SearchStart(x, drawn=True, close=False) for x in multistart.sobol(nlp, seed))
 
-    if not function_starts.applies(problem):
-        return Starts([given], bounds, None)
+    if not function_starts.has_function_starts(problem):
+        return StartSequence([given], bounds, None)
     steps = function_starts.steps(problem)
-    first = [Start(nlp.x_of(function_starts.values(problem, step)), drawn=False, close=True) for step in steps]
+    first = [SearchStart(nlp.x_of(function_starts.values(problem, step)), drawn=False, close=True) for step in steps]
 
-    def rest() -> Iterator[Start]:
+    def rest() -> Iterator[SearchStart]:
         for sizes in function_starts.fits(problem, seed):
-            yield Start(nlp.x_of(sizes), drawn=True, close=True)
+            yield SearchStart(nlp.x_of(sizes), drawn=True, close=True)
         yield from bounds()
 
-    return Starts([*first, given], rest, steps[0] if steps else None)
+    return StartSequence([*first, given], rest, steps[0] if steps else None)
 
 
 def _alike(one: Solution, other: Solution) -> bool:
@@ -130,17 +130,17 @@ def _alike(one: Solution, other: Solution) -> bool:
     return float(np.max(np.abs(away), initial=0.0)) <= multistart.SAME_DESIGN
 
 
-class Search:
+class FunctionSearch:
     """Search with one solver: distinct `optima` in the order of their discovery, and the `best` candidate."""
 
     def __init__(self, problem: DesignProblem, nlp: NLP, backend: str, *, track: bool = False) -> None:
         self.problem, self.nlp, self.backend, self.track = problem, nlp, backend, track
-        self.best: Candidate | None = None
-        self.optima: list[Distinct] = []
+        self.best: FunctionCandidate | None = None
+        self.optima: list[DistinctOptimum] = []
         self.starts = 0
         self.validating = 0.0  # s
 
-    def advance(self, start: Start) -> None:
+    def advance(self, start: SearchStart) -> None:
         """Search from a start; refine the solution over the whole range and validate it."""
         nlp = self.nlp
         nlp.roam(np.zeros(nlp.roaming))
@@ -153,7 +153,7 @@ class Search:
                 found = again if again.status is Status.OPTIMAL else found
             candidate = self._followed(found)
             if found.status is Status.OPTIMAL:
-                self.optima.append(Distinct(found, candidate, 1, int(start.drawn)))
+                self.optima.append(DistinctOptimum(found, candidate, 1, int(start.drawn)))
             if candidate is not None and (self.best is None or candidate.rank < self.best.rank):
                 self.best = candidate
         else:
@@ -161,27 +161,27 @@ class Search:
             known.drawn += start.drawn
         self.starts += 1
 
-    def _advance(self, start: Start, progress: Progress, total: int) -> None:
+    def _advance(self, start: SearchStart, progress: Progress, total: int) -> None:
         self.advance(start)
         if progress is not None:
             progress(min(self.starts / total, 1.0))
 
-    def judge(self, solution: Solution) -> Candidate:
+    def judge(self, solution: Solution) -> FunctionCandidate:
         """Return a solution with its validation."""
         begin = time.perf_counter()
         design = self.problem.design(solution.design)
         proof = prove(self.problem, design, solution.objective)
-        candidate = Candidate(solution, design, replace(proof, checks=(*proof.checks, *optimality(solution))))
+        candidate = FunctionCandidate(solution, design, replace(proof, checks=(*proof.checks, *optimality(solution))))
         self.validating += time.perf_counter() - begin
         return candidate
 
-    def _method(self, start: Start) -> str:
+    def _method(self, start: SearchStart) -> str:
         """Return the solver: IPOPT near a close start, also before SLSQP, which is slow with the many rows of a largest error."""
         if start.close and (self.backend == "ipopt" or (start.drawn and self.problem.everywhere)):
             return multistart.CLOSE
         return self.backend
 
-    def _followed(self, found: Solution) -> Candidate | None:
+    def _followed(self, found: Solution) -> FunctionCandidate | None:
         """Return the candidate of a new solution; None if it is clearly worse than the best one."""
         best = self.best
         if not found.usable:
@@ -190,11 +190,11 @@ class Search:
         if self.problem.everywhere:
             if best is not None and valid and found.objective > NEARBY * best.solution.objective + multistart.SAME_ERROR:
                 return None
-            found = level(self.problem, self.nlp, found, self.backend)
+            found = add_peak_errors(self.problem, self.nlp, found, self.backend)
         return self.judge(found)
 
     @property
-    def result(self) -> Candidate:
+    def result(self) -> FunctionCandidate:
         """The best candidate of a completed search."""
         assert self.best is not None
         return self.best
@@ -206,7 +206,7 @@ class Search:
 
     def listed(self, assembly: str) -> tuple[Optimum, ...]:
         """Return distinct optima over the whole range, best first, without those far above the best."""
-        found: list[tuple[Candidate, int]] = []
+        found: list[tuple[FunctionCandidate, int]] = []
         for candidate, count in sorted(
             ((c, one.count) for one in self.optima if (c := one.candidate)), key=lambda one: one[0].rank
         ):
@@ -241,12 +241,12 @@ class Search:
         groups.sort(key=lambda group: (not group[2], group[0].objective))
         return [max(1, drawn) for _, drawn, _ in groups]
 
-    def run(self, starts: Starts, count: int | None, rescue: Callable[[], Array | None], progress: Progress) -> bool:
+    def run(self, starts: StartSequence, count: int | None, rescue: Callable[[], Array | None], progress: Progress) -> bool:
         """Search from the first starts and random ones.
 
         Parameters
         ----------
-        starts : Starts
+        starts : StartSequence
         count : int, optional
             Total number of starts. Default: until the evidence suffices.
         rescue : function
@@ -265,7 +265,7 @@ class Search:
                 self._advance(start, progress, total)
             x = None if self.usable else rescue()
             if x is not None:
-                self.advance(Start(x, drawn=False, close=False))
+                self.advance(SearchStart(x, drawn=False, close=False))
                 self.starts -= 1
             rest = starts.rest() if self.usable or count is not None else iter(())
             while not self._enough(self.starts - len(starts.first), len(starts.first), count):

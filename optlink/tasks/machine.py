@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
-from optlink.linkage.alignment import listed
+from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import TURN, Ranges, failure, reachable
 from optlink.linkage.vector2d import Value
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.problem.quantity import Unusable
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
 
 
-def turning(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None:
+def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None:
     """Return the machine of a design if its crank turns fully, else None.
 
     Parameters
@@ -36,7 +36,7 @@ def turning(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None
     if not all(math.isfinite(value) for value in design.values()):
         return None
     try:
-        machine = machine_of(settled(problem, design))
+        machine = machine_of(fixed_design(problem, design))
     except InputError:
         return None
     return machine if reachable(machine.mechanism, machine.sizes).full else None
@@ -147,12 +147,12 @@ def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
     """
     positions = (*ranges.singular, *ranges.followed)
     if positions:
-        message = f"singular position at crank angle {listed(positions)}, where reactions have no bound: {what}"
+        message = f"singular position at crank angle {positions_text(positions)}, where reactions have no bound: {what}"
         remedy = "Change the lengths so that coupler and rocker, or a link and the normal of its guide, are never in line"
         raise InputError(Fault(message, remedy, problem.file, "mechanism"))
 
 
-def sampled(start: float, low: float, high: float, speed: float, full: bool, points: int, step: float | None) -> Array:
+def table_angles(start: float, low: float, high: float, speed: float, full: bool, points: int, step: float | None) -> Array:
     """Return the crank angles [rad] of the table: one cycle from the start in the direction of rotation, or through the range.
 
     Parameters

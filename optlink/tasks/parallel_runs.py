@@ -24,21 +24,21 @@ from optlink.dynamics.forward import Ending
 from optlink.errors import Fault, InputError, SolverError
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers.interrupts import shielded
-from optlink.tasks.clearance import counted, simulate_clearance
+from optlink.tasks.clearance import revolutions_counted, simulate_clearance
 from optlink.tasks.machine import machine_of
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
 WAIT = 0.2  # s, polling interval for interrupts
 MOST = 256  # processes
 
 
-class Hopeless(Exception):
+class ErrorLimitExceeded(Exception):
     """The error of a run exceeds its limit, whatever the remaining revolutions give."""
 
 
 @dataclass(frozen=True)
-class Job:
+class RunJob:
     """One run.
 
     Parameters
@@ -73,7 +73,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Ran:
+class RunOutcome:
     """Outcome of a run: figures, whether it finished or exceeded the error limit; optionally the whole simulation."""
 
     figures: Mapping[str, float]
@@ -82,7 +82,7 @@ class Ran:
     hopeless: bool = False
     parts: Mapping[str, Any] | None = None
 
-    def simulation(self, problem: ProblemFile, design: Mapping[str, float] | None) -> LooseSimulation:
+    def simulation(self, problem: ProblemFile, design: Mapping[str, float] | None) -> ClearanceSimulation:
         """Return the whole simulation.
 
         Parameters
@@ -93,22 +93,22 @@ class Ran:
             Design of the run.
         """
         assert self.parts is not None
-        return LooseSimulation(problem=problem, machine=machine_of(problem, design), **self.parts)
+        return ClearanceSimulation(problem=problem, machine=machine_of(problem, design), **self.parts)
 
 
-def job_of(problem: ProblemFile, **options: Any) -> Job:
+def job_of(problem: ProblemFile, **options: Any) -> RunJob:
     """Return a run of a problem.
 
     Parameters
     ----------
     problem : ProblemFile
     **options
-        Further fields of `Job`.
+        Further fields of `RunJob`.
     """
-    return Job(problem.raw, problem.name, problem.file, problem.folder, **options)
+    return RunJob(problem.raw, problem.name, problem.file, problem.folder, **options)
 
 
-def perform(job: Job) -> Ran:
+def run_job(job: RunJob) -> RunOutcome:
     """Perform a run.
 
     Raises
@@ -119,7 +119,7 @@ def perform(job: Job) -> Ran:
         On interruption.
     """
     problem = read(job.raw, job.name, job.file, job.folder)
-    count, seen, square = counted(job.revolutions), 0, 0.0
+    count, seen, square = revolutions_counted(job.revolutions), 0, 0.0
 
     def judge(columns: Mapping[str, Array]) -> None:
         nonlocal seen, square
@@ -127,7 +127,7 @@ def perform(job: Job) -> Ran:
         if seen > job.revolutions - count:
             square += sum(float(np.sum(values**2)) for name, values in columns.items() if ".error_" in name)
             if square > count * job.points * job.limit**2:
-                raise Hopeless
+                raise ErrorLimitExceeded
 
     options: dict[str, Any] = {"start": job.start, "design": job.design, "tolerance": job.tolerance, "twin": False}
     try:
@@ -140,20 +140,20 @@ def perform(job: Job) -> Ran:
             stream=judge if math.isfinite(job.limit) else None,
             **options,
         )
-    except Hopeless:
-        return Ran({}, "", finished=False, hopeless=True)
+    except ErrorLimitExceeded:
+        return RunOutcome({}, "", finished=False, hopeless=True)
     if run.ending is Ending.INTERRUPTED:
         raise KeyboardInterrupt
     parts = {one.name: getattr(run, one.name) for one in fields(run) if one.name not in ("problem", "machine")}
-    return Ran(dict(run.figures), run.output.unit, run.finished, parts=parts if job.whole else None)
+    return RunOutcome(dict(run.figures), run.output.unit, run.finished, parts=parts if job.whole else None)
 
 
-def perform_all(jobs: Sequence[Job], workers: int | None = None) -> Iterator[tuple[int, Ran]]:
+def run_jobs(jobs: Sequence[RunJob], workers: int | None = None) -> Iterator[tuple[int, RunOutcome]]:
     """Perform runs, and yield each with its index on completion.
 
     Parameters
     ----------
-    jobs : sequence of Job
+    jobs : sequence of RunJob
     workers : int, optional
         Number of processes. Default: the present process only. A script that starts processes must guard its code by
         `if __name__ == "__main__":`.
@@ -166,14 +166,14 @@ def perform_all(jobs: Sequence[Job], workers: int | None = None) -> Iterator[tup
         raise InputError(Fault("out of range", f"Give 1 to {MOST} processes", key="workers", value=workers))
     if workers is None or not jobs:
         for index, job in enumerate(jobs):
-            yield index, perform(job)
+            yield index, run_job(job)
         return
     before = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(jobs)), context, initializer=_quiet)
     try:
         with shielded():
-            futures = {pool.submit(perform, job): index for index, job in enumerate(jobs)}
+            futures = {pool.submit(run_job, job): index for index, job in enumerate(jobs)}
         todo = set(futures)
         while todo:
             done, todo = wait(todo, WAIT, FIRST_COMPLETED)

@@ -15,10 +15,10 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.solvers import interrupts
 from optlink.solvers.evidence import evidence
-from optlink.tasks.path_search import Collection, Polisher, compound, model
+from optlink.tasks.path_search import DesignCollection, Polisher, has_several_dyads, path_model
 from optlink.tasks.results.common import Relaxed, shortest_link
-from optlink.tasks.results.path import Design, Generation
-from optlink.validation.path import validate_generation
+from optlink.tasks.results.path import PathDesign, PathResult
+from optlink.validation.path import validate_path
 
 if TYPE_CHECKING:
     from optlink.solvers.infeasibility import Explanation
@@ -39,7 +39,7 @@ MOST_IN_VAIN = 12  # rounds without a valid design
 OFTEN = 3  # starts per exact design after which no other one is expected
 
 
-def variants_of(problem: ProblemFile) -> list[ProblemFile]:
+def assembly_variants(problem: ProblemFile) -> list[ProblemFile]:
     """Return the problem with definite assembly modes, one for each combination that the file leaves open."""
     changes = problem.model.mechanism.variants(problem.model.linkage)
     return [problem.override(change) if change else problem for change in changes]
@@ -52,7 +52,7 @@ def solve(
     seed: int = 0,
     designs: int = 3,
     progress: Callable[[float], None] | None = None,
-) -> Generation:
+) -> PathResult:
     """Find linkages that pass the points or poses, and validate them.
 
     Parameters
@@ -95,7 +95,7 @@ def solve(
     search.run(starts, progress)
     clock.append(time.perf_counter())
     found, told = search.collection, search.collection.evidence()
-    task = model(problem)
+    task = path_model(problem)
     notes = [*([task.wanted.note] if task.wanted.note else []), *search.notes]
     reason = None if found.designs or search.interrupted else search.conflict(seed)
     limits = () if reason is None else tuple(Relaxed(**vars(item)) for item in reason.conflict)
@@ -106,7 +106,7 @@ def solve(
     if found.designs and told.missed > SMALL:
         count = search.searcher.found.starts
         notes.append(f"search incomplete: {count} starts, {told.chance}; use --starts {min(4 * count, MAX_STARTS)}")
-    return Generation(
+    return PathResult(
         problem=problem,
         designs=tuple(found.designs),
         nearest=found.nearest,
@@ -128,13 +128,13 @@ class _Search:
     def __init__(self, problem: ProblemFile, backend: str, seed: int, requested: int) -> None:
         from optlink.synthesis.batch_search import Searcher
 
-        files = variants_of(problem)
-        self.searcher = Searcher([model(file) for file in files], seed)
-        self.collection = Collection(Polisher(files, backend), requested)
+        files = assembly_variants(problem)
+        self.searcher = Searcher([path_model(file) for file in files], seed)
+        self.collection = DesignCollection(Polisher(files, backend), requested)
         self.requested, self.interrupted = requested, False
         self.problem, self.backend, self.seed = problem, backend, seed
         self.notes: list[str] = []
-        self.better: Design | None = None  # the best four-bar, if no linkage that repeats its curve satisfies all limits
+        self.better: PathDesign | None = None  # the best four-bar, if no linkage that repeats its curve satisfies all limits
 
     def run(self, starts: int | None, progress: Callable[[float], None] | None) -> None:
         """Search until `starts` are complete; without a number, until a better design is unlikely."""
@@ -143,7 +143,7 @@ class _Search:
             while found.starts < starts if starts else not self._enough(exact):
                 exact = self.collection.exact
                 self.collection.add(self.searcher.advance())
-                if found.rounds == 1 and compound(model(self.problem)) and not self.collection.exact:
+                if found.rounds == 1 and has_several_dyads(path_model(self.problem)) and not self.collection.exact:
                     self._grow()
                 if progress:
                     progress(min(found.starts / starts if starts else found.rounds / self._most, 1.0))
@@ -167,16 +167,16 @@ class _Search:
 
     def _grow(self) -> None:
         """Add designs derived from the best four-bars that the linkage contains."""
-        from optlink.synthesis.growth import contained
-        from optlink.tasks.path_growth import grow
+        from optlink.synthesis.growth import contained_four_bar
+        from optlink.tasks.path_growth import designs_from_four_bar
 
-        part = contained(self.problem)
+        part = contained_four_bar(self.problem)
         if part is None:
-            if model(self.problem).requirement.kind == "path":
-                self.notes.append(NO_FOUR_BAR.format(model(self.problem).requirement.point))
+            if path_model(self.problem).requirement.kind == "path":
+                self.notes.append(NO_FOUR_BAR.format(path_model(self.problem).requirement.point))
             return
         four_bars = solve(part.file, self.backend, PART_STARTS, self.seed).designs
-        for design in grow(part, four_bars, self.collection.polisher, self.seed):
+        for design in designs_from_four_bar(part, four_bars, self.collection.polisher, self.seed):
             self.collection.insert(design)
         if four_bars and not self.collection.no_worse(four_bars[0]):
             self.better = four_bars[0]
@@ -184,7 +184,7 @@ class _Search:
     @property
     def _most(self) -> int:
         """Largest number of rounds, if no number of starts is prescribed."""
-        if compound(model(self.problem)) and not self.collection.exact:
+        if has_several_dyads(path_model(self.problem)) and not self.collection.exact:
             return COMPOUND_ROUNDS
         if not self.collection.designs:
             return MOST_IN_VAIN
@@ -201,7 +201,7 @@ class _Search:
         return rounds >= self._most or collection.evidence().missed <= SMALL
 
 
-def validate(problem: ProblemFile, given: Mapping[str, float]) -> Generation:
+def validate(problem: ProblemFile, given: Mapping[str, float]) -> PathResult:
     """Validate a given design; with free timing, at the crank angles with the least deviation.
 
     Of assembly modes that the problem leaves open, a valid one is taken before others, then the one with the least objective.
@@ -216,14 +216,14 @@ def validate(problem: ProblemFile, given: Mapping[str, float]) -> Generation:
 
     clock = time.perf_counter()
     found = []
-    for file in variants_of(problem):
-        task = model(file)
+    for file in assembly_variants(problem):
+        task = path_model(file)
         values = {name: float(given.get(name, quantity.value)) for name, quantity in task.quantities.items()}
         angles = passing(task, values)
-        proof = validate_generation(task, values, angles)
-        found.append(Design(file, values, angles, proof.objective, Status.NOT_SEARCHED, proof))
+        proof = validate_path(task, values, angles)
+        found.append(PathDesign(file, values, angles, proof.objective, Status.NOT_SEARCHED, proof))
     design = min(found, key=lambda each: (not each.valid, each.objective if math.isfinite(each.objective) else math.inf))
-    return Generation(
+    return PathResult(
         problem=problem,
         designs=(design,) if design.valid else (),
         nearest=None if design.valid else design,
@@ -232,5 +232,5 @@ def validate(problem: ProblemFile, given: Mapping[str, float]) -> Generation:
         starts=0,
         evidence=evidence(()),
         seconds={"validate": time.perf_counter() - clock},
-        notes=tuple(filter(None, [model(problem).wanted.note])),
+        notes=tuple(filter(None, [path_model(problem).wanted.note])),
     )

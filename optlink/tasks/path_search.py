@@ -10,12 +10,12 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.problem.file import ProblemFile
-from optlink.problem.path import GenerationProblem
+from optlink.problem.path import PathProblem
 from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.solution import Solution
 from optlink.tasks.results.common import OPTIMALITY_CHECK, optimality
-from optlink.tasks.results.path import Design
-from optlink.validation.path import validate_generation
+from optlink.tasks.results.path import PathDesign
+from optlink.validation.path import validate_path
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP
@@ -31,13 +31,13 @@ SAME = 1e-6  # relative difference of equal objectives
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
 
 
-def model(file: ProblemFile) -> GenerationProblem:
+def path_model(file: ProblemFile) -> PathProblem:
     """Return the model of a path or motion problem."""
-    assert isinstance(file.model, GenerationProblem)
+    assert isinstance(file.model, PathProblem)
     return file.model
 
 
-def compound(task: GenerationProblem) -> bool:
+def has_several_dyads(task: PathProblem) -> bool:
     """Return whether a linkage has several dyads."""
     return len(task.linkage.groups) > 1
 
@@ -59,14 +59,14 @@ class Polisher:
         direction : int
             Crank direction, +1 or -1; ignored with prescribed timing.
         """
-        from optlink.optimization.path_nlp import build_generation
+        from optlink.optimization.path_nlp import build_path_nlp
 
-        key = (variant, direction if model(self.files[variant]).data.offsets is None else 1)
+        key = (variant, direction if path_model(self.files[variant]).data.offsets is None else 1)
         if key not in self.programmes:
-            self.programmes[key] = build_generation(model(self.files[variant]), key[1])
+            self.programmes[key] = build_path_nlp(path_model(self.files[variant]), key[1])
         return self.programmes[key]
 
-    def polish(self, candidate: Candidate, *, near: bool = False) -> Design:
+    def polish(self, candidate: Candidate, *, near: bool = False) -> PathDesign:
         """Return the nearest local optimum with all limits, validated.
 
         Parameters
@@ -76,42 +76,42 @@ class Polisher:
             Whether the candidate itself satisfies its limits everywhere.
         """
         from optlink.solvers import multistart as local
-        from optlink.solvers.path_exchange import search_everywhere
+        from optlink.solvers.path_exchange import solve_semi_infinite
 
         file, start = self.files[candidate.variant], self._given(candidate)
-        task, minimax = model(file), model(file).measure == "max"
-        solution = search_everywhere(task, start, local.MINIMAX if minimax else self.backend, near=near)
+        task, minimax = path_model(file), path_model(file).measure == "max"
+        solution = solve_semi_infinite(task, start, local.MINIMAX if minimax else self.backend, near=near)
         if minimax and solution.status is not Status.OPTIMAL:
-            solution = local.best([solution, search_everywhere(task, start, self.backend, near=near)])
+            solution = local.best([solution, solve_semi_infinite(task, start, self.backend, near=near)])
         if minimax and start.usable and solution.objective > start.objective * (1.0 + 1e-9):
             solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
-        return proven(file, start.nlp, solution)
+        return validated_design(file, start.nlp, solution)
 
-    def unpolished(self, candidate: Candidate) -> Design:
+    def unpolished(self, candidate: Candidate) -> PathDesign:
         """Return the candidate itself, validated: a feasible design if it satisfies its limits everywhere."""
         start = self._given(candidate)
-        return feasible(proven(self.files[candidate.variant], start.nlp, start))
+        return feasible(validated_design(self.files[candidate.variant], start.nlp, start))
 
     def _given(self, candidate: Candidate) -> Solution:
         """Return a candidate as a point of its NLP."""
         from optlink.solvers import multistart as local
 
         nlp = self.programme(candidate.variant, candidate.direction)
-        own = model(self.files[candidate.variant]).data.offsets is None
+        own = path_model(self.files[candidate.variant]).data.offsets is None
         x = np.concatenate([candidate.x, candidate.t]) if own else candidate.x
         if len(nlp.variables) > len(x):
             x = np.append(x, 0.0)  # the largest deviation; `given` sets it
-        return local.given(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
+        return local.solution_at(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
 
 
-def feasible(design: Design) -> Design:
+def feasible(design: PathDesign) -> PathDesign:
     """Return a design without an optimality proof as one that only has to satisfy all limits."""
     checks = tuple(check for check in design.validation.checks if check.name != OPTIMALITY_CHECK)
     proof = replace(design.validation, checks=checks)
     return replace(design, status=Status.FEASIBLE, validation=proof, solution=None)  # no shadow prices without an optimum
 
 
-def proven(file: ProblemFile, nlp: NLP, solution: Solution) -> Design:
+def validated_design(file: ProblemFile, nlp: NLP, solution: Solution) -> PathDesign:
     """Return a solution of the NLP as a validated design.
 
     Parameters
@@ -122,18 +122,18 @@ def proven(file: ProblemFile, nlp: NLP, solution: Solution) -> Design:
     solution : Solution
         Solution of `nlp`.
     """
-    task = model(file)
+    task = path_model(file)
     values = {name: quantity.value for name, quantity in task.quantities.items()}
     values |= {name: solution.design[name] for name in task.free}
     free = len(task.free)
     own = solution.x[free : free + len(task.data.columns)] if task.data.offsets is None else None
     angles = task.crank_angles(values, own)
-    proof = validate_generation(task, values, angles, solution.objective)
+    proof = validate_path(task, values, angles, solution.objective)
     proof = replace(proof, checks=(*proof.checks, *optimality(solution)))
-    return Design(file, values, angles, solution.objective, solution.status, proof, solution)
+    return PathDesign(file, values, angles, solution.objective, solution.status, proof, solution)
 
 
-class Collection:
+class DesignCollection:
     """Distinct valid designs, best first, and the optima of all refined candidates.
 
     Candidates are refined after every round, so that a search of few rounds collects a subset of what a longer one with
@@ -148,11 +148,11 @@ class Collection:
 
     def __init__(self, polisher: Polisher, requested: int) -> None:
         self.polisher, self.requested = polisher, requested
-        self.designs: list[Design] = []
-        self.nearest: Design | None = None
-        self._ends: dict[Candidate, Design] = {}
-        self._tries = COMPOUND_TRIES if compound(model(polisher.files[0])) else PER_ROUND
-        self._vain = (COMPOUND_TRIES, 1) if compound(model(polisher.files[0])) else (TRIES * requested, REPAIRED)
+        self.designs: list[PathDesign] = []
+        self.nearest: PathDesign | None = None
+        self._ends: dict[Candidate, PathDesign] = {}
+        self._tries = COMPOUND_TRIES if has_several_dyads(path_model(polisher.files[0])) else PER_ROUND
+        self._vain = (COMPOUND_TRIES, 1) if has_several_dyads(path_model(polisher.files[0])) else (TRIES * requested, REPAIRED)
         self._first = True
 
     @property
@@ -174,7 +174,7 @@ class Collection:
     @property
     def far(self) -> bool:
         """Whether the best design fits poorly: the order of the points then dominates, and costs without it are uninformative."""
-        if not self.designs or compound(self.designs[0].task):
+        if not self.designs or has_several_dyads(self.designs[0].task):
             return False
         fit = self.designs[0].fit
         return fit is not None and fit.grade == "poor"
@@ -206,11 +206,11 @@ class Collection:
             return math.inf
         return max(_cost(self.designs[0]) * COMPARABLE**2, _cost(self.designs[-1]))
 
-    def no_worse(self, other: Design) -> bool:
+    def no_worse(self, other: PathDesign) -> bool:
         """Return whether the best design is as good as another design of the same curve, within rounding."""
-        return any(as_good(design, other) for design in self.designs[:1])
+        return any(no_worse_fit(design, other) for design in self.designs[:1])
 
-    def insert(self, design: Design) -> None:
+    def insert(self, design: PathDesign) -> None:
         """Add a valid design, unless a better one is practically the same."""
         alike = next((known for known in self.designs if design.alike(known)), None)
         if alike is not None:
@@ -249,30 +249,30 @@ class Collection:
         return replace(told, missed=0.0) if best.exact else told  # no design is better than an exact one
 
 
-def as_good(design: Design, other: Design) -> bool:
+def no_worse_fit(design: PathDesign, other: PathDesign) -> bool:
     """Return whether a design is no worse than another one for the same points, within rounding.
 
     Parameters
     ----------
-    design : Design
-    other : Design
+    design : PathDesign
+    other : PathDesign
         Reference.
     """
     return design.exact or design.error <= other.error * (1.0 + ROUNDING)
 
 
-def _cost(design: Design) -> float:
+def _cost(design: PathDesign) -> float:
     """Return an upper bound of the batch cost of a candidate with the error of a design."""
     task = design.task
     share = (design.error / task.whole) ** 2
     return share if task.measure == "sum of squares" else share * len(task.data.columns)
 
 
-def _failing(design: Design) -> tuple[int, float]:
+def _failing(design: PathDesign) -> tuple[int, float]:
     return sum(not check.passed for check in design.validation.checks), design.objective
 
 
-def _rank(design: Design) -> tuple[float, float]:
+def _rank(design: PathDesign) -> tuple[float, float]:
     """Return a sort key: the objective; exact designs by decreasing worst transmission angle."""
     transmission = design.least_transmission
     return (0.0 if design.exact else design.objective), -(transmission if math.isfinite(transmission) else 0.0)

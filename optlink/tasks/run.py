@@ -9,10 +9,10 @@ from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
 
 if TYPE_CHECKING:
-    from optlink.tasks.function import Result
+    from optlink.tasks.function import FunctionResult
     from optlink.tasks.results.balance import Balance
-    from optlink.tasks.results.cycle import MachineDesign
-    from optlink.tasks.results.path import Generation
+    from optlink.tasks.results.cycle import CycleResult
+    from optlink.tasks.results.path import PathResult
 
 Progress = Callable[[float], None]
 """Receives the share of the work that is done, from 0 to 1."""
@@ -27,7 +27,7 @@ def solve(
     *,
     designs: int | None = None,
     track: bool = False,
-) -> Result | Generation | MachineDesign | Balance:
+) -> FunctionResult | PathResult | CycleResult | Balance:
     """Find the best design for a problem and validate it.
 
     Parameters
@@ -49,7 +49,7 @@ def solve(
 
     Returns
     -------
-    Result, Generation, MachineDesign or Balance
+    FunctionResult, PathResult, CycleResult or Balance
         By the kind of problem. All have `valid`, `status`, `design`, `objective` and `to_dict()`.
 
     Raises
@@ -81,7 +81,7 @@ def solve(
     return function.solve(problem, backend, starts, seed, progress, track=track)
 
 
-def validate(problem: ProblemFile, design: Mapping[str, float]) -> Result | Generation | MachineDesign:
+def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult | PathResult | CycleResult:
     """Check a given design by the kinematics core, or show which requirement it fails.
 
     Parameters

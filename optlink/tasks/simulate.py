@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.columns import Record
+from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.forward import Ending, Run, reduced_inertia, run
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.io import Summary, finite, head
-from optlink.linkage.continuation import follow
+from optlink.linkage.continuation import continue_through_singularities
 from optlink.problem.file import ProblemFile
 from optlink.tasks.machine import machine_of, motion_range, with_flywheel
 
@@ -149,7 +149,10 @@ def simulate(
     limits = None if ranges.full else (low, high)
     singular = [position.crank_angle for position in ranges.singular]
     if singular:  # same motion up to there, without the rounding errors of 0/0 expressions
-        mechanism, cycle = follow(machine.mechanism, machine.sizes, start, every=True), machine.mechanism.cycle
+        mechanism, cycle = (
+            continue_through_singularities(machine.mechanism, machine.sizes, start, every=True),
+            machine.mechanism.cycle,
+        )
         singular = [at + k * cycle for at in singular for k in range(round(mechanism.cycle / cycle))]
         machine = machine.with_(mechanism=mechanism)
     found = run(machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress, singular)
@@ -176,7 +179,7 @@ def _check(duration: float, rows: int, speed: float, free: bool) -> None:
 def _columns(machine: Machine, found: Run) -> tuple[dict[str, Array], dict[str, str]]:
     """Return the table: the columns of `analyze` over time."""
     moving = machine.moving(found.crank_angle, found.speed, found.acceleration, direction=found.direction)
-    record = Record(moving)
+    record = MotionColumns(moving)
     crank = machine.mechanism.crank.body
     columns = {"time_s": found.time, "crank_angle_deg": np.degrees(found.crank_angle)}
     meanings = {"time_s": "time", "crank_angle_deg": "crank angle"}

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.columns import Record, slider_names
+from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.inverse import reported_on
 from optlink.dynamics.loads import Acting
@@ -62,32 +62,32 @@ class _Weight:
         return 0.0
 
 
-def without_inertia(machine: Machine) -> Machine:
+def without_masses(machine: Machine) -> Machine:
     """Return the machine with weights and loads only."""
     weights = tuple(_Weight(body, mass.parameters, machine.gravity) for body, mass in machine.inertias.items())
     return machine.with_(inertias={}, gravity=(0.0, 0.0), loads=(*machine.loads, *weights))
 
 
 @dataclass(frozen=True)
-class Course:
+class MachineCycle:
     """One machine over its revolution, evaluated on either side of load jumps."""
 
     machine: Machine
     speed: float
     jumps: Array
 
-    def values(self, columns: Callable[[Record], Array], angles: Array, side: int = 1) -> Array:
+    def values(self, columns: Callable[[MotionColumns], Array], angles: Array, side: int = 1) -> Array:
         """Return a quantity at crank angles.
 
         Parameters
         ----------
-        columns : function of Record to array (n,)
+        columns : function of MotionColumns to array (n,)
             Reads the quantity.
         angles : array (n,) [rad]
         side : int
             Side of load jumps, +1 after, -1 before.
         """
-        return columns(Record(self.machine.moving(angles, self.speed, side=side)))
+        return columns(MotionColumns(self.machine.moving(angles, self.speed, side=side)))
 
 
 class Cycle:
@@ -120,7 +120,7 @@ class Cycle:
 
     @cached_property
     def _still(self) -> Machine:
-        return without_inertia(self.machine)
+        return without_masses(self.machine)
 
     def travel(self, term: Term) -> Travel | None:
         """Return the motion of an output between its dead centres."""
@@ -178,12 +178,12 @@ class Cycle:
         whole, one = float(self.work(np.array([TURN]))[0]), float(np.diff(self.work(np.array([begin, end])))[0])
         return one if end >= begin else one + whole
 
-    def course(self, term: Term) -> tuple[Machine, Callable[[Record], Array]]:
+    def course(self, term: Term) -> tuple[Machine, Callable[[MotionColumns], Array]]:
         """Return the machine of a cyclic term, and a function that reads the term from a record."""
         what, name = term.quantity, str(term.of)
         machine = self._still if term.static else self.machine
 
-        def size(x: str, y: str) -> Callable[[Record], Array]:
+        def size(x: str, y: str) -> Callable[[MotionColumns], Array]:
             return lambda record: np.hypot(record[x], record[y])
 
         if what == "torque":
@@ -191,7 +191,7 @@ class Cycle:
         if what == "reaction":
             on = term.on or reported_on(self.machine)[name]
 
-            def pin(record: Record) -> Array:
+            def pin(record: MotionColumns) -> Array:
                 x, y = (record.full(part) for part in record.reactions.pins[name][on])
                 return np.asarray(np.hypot(x, y))
 
@@ -213,7 +213,7 @@ class Cycle:
             return machine, lambda record: np.abs(record[f"{slider}.v_m_s"] / self.speed)
         return machine, lambda record: record[column[what]]
 
-    def _transmission(self, joint: str, record: Record) -> Array:
+    def _transmission(self, joint: str, record: MotionColumns) -> Array:
         """Return the transmission angle at a joint [rad]: between two links, or between a link and the normal of the guide."""
         group = next(group for group in self.mechanism.groups if group.joint == joint)
         if isinstance(group, RRR):
@@ -232,7 +232,7 @@ class Cycle:
         jumps = self.work.jumps
 
         def values(angles: Array, side: int = 1) -> Array:
-            return read(Record(machine.moving(angles, self.speed, side=side)))[None, :]
+            return read(MotionColumns(machine.moving(angles, self.speed, side=side)))[None, :]
 
         grid = np.unique(np.concatenate([np.linspace(0.0, TURN, POSITIONS + 1), np.remainder(jumps, TURN)]))
         least, largest = extremes(values, grid, tuple(np.remainder(jumps, TURN)))[1][0]
@@ -241,12 +241,12 @@ class Cycle:
             least, largest = min(least, float(np.nanmin(before))), max(largest, float(np.nanmax(before)))
         return float({"least": least, "largest": largest, "peak": max(-least, largest)}[term.how])
 
-    def _average(self, machine: Machine, read: Callable[[Record], Array], *, square: bool) -> float:
+    def _average(self, machine: Machine, read: Callable[[MotionColumns], Array], *, square: bool) -> float:
         """Return the mean, or root mean square, over the revolution by Gauss quadrature between the knots of the work."""
         a, b = self.work.knots[:-1], self.work.knots[1:]
         half = 0.5 * (b - a)
         points = (0.5 * (a + b))[:, None] + half[:, None] * NODES
-        values = read(Record(machine.moving(points.ravel(), self.speed))).reshape(points.shape)
+        values = read(MotionColumns(machine.moving(points.ravel(), self.speed))).reshape(points.shape)
         mean = float(np.sum(half * ((values**2 if square else values) @ WEIGHTS))) / TURN
         return math.sqrt(mean) if square else mean
 
@@ -266,7 +266,7 @@ class Cycle:
             return 0.0
         course = term if term.how == "mean" else Term(quantity="torque")
         machine, read = self.course(course)
-        values = read(Record(machine.moving(np.linspace(0.0, TURN, POSITIONS + 1), self.speed)))
+        values = read(MotionColumns(machine.moving(np.linspace(0.0, TURN, POSITIONS + 1), self.speed)))
         return float(np.max(np.abs(values))) * (1.0 if term.how == "mean" else TURN)
 
     def natural(self) -> float:
@@ -287,7 +287,7 @@ class Cycle:
         half = 0.5 * (b - a)
         points = ((0.5 * (a + b))[:, None] + half[:, None] * NODES).ravel()
         moving = self.machine.moving(points, self.speed)
-        record = Record(moving)
+        record = MotionColumns(moving)
         powers = [record["input.power_W"]]
         names = slider_names(self.machine)
         powers += [record[f"{guide}.friction_N"] * record[f"{names[guide]}.v_m_s"] for guide in self.machine.friction]
@@ -363,7 +363,7 @@ def _motion(tested: Cycle) -> Iterator[Check]:
         return sweep(tested.mechanism, tested.design, angles)
 
     yield from alignment_checks(placed, grid, tested.problem.limits, "the revolution")
-    record = Record(tested.machine.moving(grid, tested.speed))
+    record = MotionColumns(tested.machine.moving(grid, tested.speed))
     good = not np.any(record.singular | record.jammed | record.undefined)
     yield Check("finite forces over the revolution", bool(good), float(good), "= 1", "")
     if tested.machine.inertias or tested.machine.loads:
@@ -374,7 +374,7 @@ def _motion(tested: Cycle) -> Iterator[Check]:
 def _limit(tested: Cycle, item: Bound) -> Iterator[Check]:
     """Check a limit."""
     kind, unit = item.interval.kind, item.interval.unit
-    size = 1.0 / factor(unit or KINDS[kind].people, kind) if kind else 1.0
+    size = 1.0 / factor(unit or KINDS[kind].display, kind) if kind else 1.0
     value = tested.figure(item.term)
     for wanted, words, sense in ((item.interval.low, ">=", 1.0), (item.interval.high, "<=", -1.0)):
         if wanted is not None:

@@ -15,7 +15,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import MARK, STEP, TURN, ZERO, GenerationProblem
+from optlink.problem.path import MARK, STEP, TURN, ZERO, PathProblem
 from optlink.validation.check import (
     ANGLE_TOLERANCE,
     LENGTH_TOLERANCE,
@@ -36,7 +36,7 @@ ROUNDING = 1e-11  # of the size of the curve; absolute agreement required of nea
 
 
 @dataclass(frozen=True)
-class Deviations:
+class MeasuredDeviations:
     """Measured deviations at the positions, and the objective [SI].
 
     `generated` (positions, 2) [m]: points; of a function (positions, 1): its output [m or rad]; of the transmission (positions,
@@ -50,12 +50,12 @@ class Deviations:
     objective: float
 
 
-def deviations(problem: GenerationProblem, design: Mapping[str, float], crank_angles: Array) -> Deviations:
+def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: Array) -> MeasuredDeviations:
     """Move the mechanism to the crank angles and measure its deviations from the targets, weighted as in the problem.
 
     Parameters
     ----------
-    problem : GenerationProblem
+    problem : PathProblem
         With definite assembly modes.
     design : mapping of str to float [m, rad]
         All quantities.
@@ -90,7 +90,7 @@ def deviations(problem: GenerationProblem, design: Mapping[str, float], crank_an
     else:
         objective = float(np.sum(square * weights))
         objective = math.sqrt(objective / len(wanted)) if problem.measure == "rms" else objective
-    return Deviations(generated, distances, turned, objective)
+    return MeasuredDeviations(generated, distances, turned, objective)
 
 
 def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
@@ -112,14 +112,14 @@ def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
     return np.stack(found, axis=1) if found else np.zeros((len(motion.crank_angle), 0))
 
 
-def validate_generation(
-    problem: GenerationProblem, design: Mapping[str, float], crank_angles: Array, objective: float | None = None
+def validate_path(
+    problem: PathProblem, design: Mapping[str, float], crank_angles: Array, objective: float | None = None
 ) -> Validation:
     """Validate a design, or show where it fails.
 
     Parameters
     ----------
-    problem : GenerationProblem
+    problem : PathProblem
         With definite assembly modes.
     design : mapping of str to float [m, rad]
         All quantities.
@@ -147,7 +147,7 @@ def validate_generation(
 class _Tested:
     """A design in motion: the sweeps shared by the checks."""
 
-    def __init__(self, problem: GenerationProblem, design: Mapping[str, float], crank_angles: Array) -> None:
+    def __init__(self, problem: PathProblem, design: Mapping[str, float], crank_angles: Array) -> None:
         self.problem, self.design, self.crank_angles = problem, dict(design), crank_angles
         self.mechanism = problem.linkage
         self.turns = problem.limits.crank != "span"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.motion import sweep
-from optlink.problem.path import MARK, STEP, TURN, GenerationProblem
+from optlink.problem.path import MARK, STEP, TURN, PathProblem
 
 Array = NDArray[np.float64]
 
@@ -24,12 +24,12 @@ SHRINK = 6.0
 FAR = 1e3  # sizes of the curve: distance assigned to a position that does not exist
 
 
-def passing(problem: GenerationProblem, design: Mapping[str, float]) -> Array:
+def passing(problem: PathProblem, design: Mapping[str, float]) -> Array:
     """Return the crank angles at which a design best passes the targets.
 
     Parameters
     ----------
-    problem : GenerationProblem
+    problem : PathProblem
         With definite assembly modes.
     design : mapping of str to float [m, rad]
         All quantities.
@@ -46,7 +46,7 @@ def passing(problem: GenerationProblem, design: Mapping[str, float]) -> Array:
     return min(found, key=lambda each: each[1])[0]
 
 
-def _squares(problem: GenerationProblem, design: Mapping[str, float], angles: Array) -> Array:
+def _squares(problem: PathProblem, design: Mapping[str, float], angles: Array) -> Array:
     """Return the weighted squares of the deviations of every point (points, k) at crank angles (points, k) or (points,)."""
     data, at = problem.data, np.atleast_2d(angles.T).T
     motion = sweep(problem.linkage, design, at.ravel())
@@ -61,7 +61,7 @@ def _squares(problem: GenerationProblem, design: Mapping[str, float], angles: Ar
     return found
 
 
-def _one_way(problem: GenerationProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:
+def _one_way(problem: PathProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:
     count = len(problem.data.columns)
     grid = TURN * np.arange(GRID) / GRID
     cost = _squares(problem, design, np.broadcast_to(way * grid, (count, GRID)))

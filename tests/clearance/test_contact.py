@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from optlink.clearance import contact_laws
-from optlink.symbolic import tracing
+from optlink.symbolic import symbols_in_numpy
 
 STIFF, MASS = 6.6102e10, 0.14
 SPEEDS = (1e-2, 0.3, 4.0)
@@ -111,7 +111,7 @@ def test_friction_opposes_the_slip_and_reaches_coulomb():
 def test_casadi_sees_the_same_law(name):
     law, point = contact_laws.NORMAL[name], (2e-6, 0.05, 0.3, STIFF, 0.8)
     symbols = [casadi.SX.sym(f"x{k}") for k in range(5)]
-    with tracing():
+    with symbols_in_numpy():
         force = law(*symbols)
     function = casadi.Function("law", symbols, [force, casadi.jacobian(force, casadi.vertcat(*symbols[:2]))])
     value, slope = function(*point)

@@ -34,7 +34,7 @@ from optlink.dynamics.loads import Acting
 from optlink.linkage.vector2d import cross, minus
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.machine import machine_of
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 from tests import gap_oracle as oracle
 from tests.clearance.test_contact import DAMPING, closed_form
 
@@ -131,7 +131,7 @@ class Case:
         return replace(found, bodies=bodies)
 
 
-def simulate(raw: Mapping, revolutions: int = 1, points: int = 360, tolerance: float = 1e-9, **more) -> LooseSimulation:
+def simulate(raw: Mapping, revolutions: int = 1, points: int = 360, tolerance: float = 1e-9, **more) -> ClearanceSimulation:
     return simulate_clearance(optlink.read(raw), revolutions, points, tolerance=tolerance, twin=False, **more)
 
 
@@ -158,12 +158,12 @@ def largest(values) -> float:
     return float(np.max(np.abs(values)))
 
 
-def ended(found: LooseSimulation) -> list[Impact]:
+def ended(found: ClearanceSimulation) -> list[Impact]:
     """Contacts that are over: one that lasts has no end yet."""
     return [impact for impact in found.impacts if math.isfinite(impact.end)]
 
 
-def imbalance(found: LooseSimulation) -> float:
+def imbalance(found: ClearanceSimulation) -> float:
     return found.figures["imbalance_J"] / found.figures["largest_energy_J"]
 
 
@@ -214,7 +214,7 @@ def differences(case: Case) -> dict[str, float]:
     return off
 
 
-def _contacts(found: LooseSimulation, contacts: Iterable[oracle.Contact], until: float, pins: list[str]) -> float:
+def _contacts(found: ClearanceSimulation, contacts: Iterable[oracle.Contact], until: float, pins: list[str]) -> float:
     mine = [impact for impact in found.impacts if impact.end < until]
     theirs = sorted((contact for contact in contacts if contact.end < until), key=lambda contact: contact.end)
     assert [pins[impact.gap] for impact in mine] == [contact.joint for contact in theirs]
@@ -337,7 +337,7 @@ def test_oracle_sees_a_defect(monkeypatch, spoil):
 # --- the ideal machine ---------------------------------------------------------------------------------------------------
 
 
-def assert_ideal(raw: Mapping, revolutions: int, near: float = 1e-3, points: int = 360) -> LooseSimulation:
+def assert_ideal(raw: Mapping, revolutions: int, near: float = 1e-3, points: int = 360) -> ClearanceSimulation:
     """The last revolution is that of the ideal machine: motion, reactions, torque."""
     found = simulate(raw, revolutions, points, 1e-10)
     assert found.ending is Ending.FINISHED, found.message
@@ -395,7 +395,7 @@ def shipped(name: str, pin: str, journal: str, **joint) -> dict:
     return edited(raw, {"joints": {pin: {**known, **fit, **joint}}, "expected": None})
 
 
-def drift_of_six_bar(found: LooseSimulation, cut: str) -> float:
+def drift_of_six_bar(found: ClearanceSimulation, cut: str) -> float:
     """By how much the links of the six-bar are not where its ideal pins and its guide want them [m]."""
     ends = {}
     for body, pin, length in (("link2", "B", 1.2), ("link3", "D", 0.8), ("link5", "C", 1.2)):
@@ -581,7 +581,7 @@ def test_resting_contact_stays_at_rest(gaps):
 
 
 @cache
-def bouncing(nominal: float, points: int = 360) -> LooseSimulation:
+def bouncing(nominal: float, points: int = 360) -> ClearanceSimulation:
     """Half a second of the slider's bounces on the rod's journal."""
     return simulate(hanging("C", nominal, 0.9), max(1, round(0.6 * nominal / 60.0)), points, 1e-10)
 
@@ -665,7 +665,7 @@ LOADED = Case("loads", {"C": "rod"}, speed=1200.0, height=0.01)
 FINE = 3600
 
 
-def loaded(**loads) -> LooseSimulation:
+def loaded(**loads) -> ClearanceSimulation:
     raw = edited(LOADED.raw, {"loads": loads, "mechanism.ground.S": ["30 mm", "90 mm"]})
     found = simulate(raw, 1, FINE, 1e-10)
     assert found.ending is Ending.FINISHED, found.message
@@ -673,13 +673,13 @@ def loaded(**loads) -> LooseSimulation:
     return found
 
 
-def path(power: np.ndarray, found: LooseSimulation) -> np.ndarray:
+def path(power: np.ndarray, found: ClearanceSimulation) -> np.ndarray:
     """Work since the first row, from the power at the rows."""
     time = found["time_s"]
     return np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(time))])
 
 
-def since(found: LooseSimulation, load: str) -> np.ndarray:
+def since(found: ClearanceSimulation, load: str) -> np.ndarray:
     work = found[f"work.{load}_J"]
     return work - work[0]
 

@@ -135,7 +135,7 @@ def test_processes_are_begun_without_ctrl_c(monkeypatch):
 
     monkeypatch.setattr(parallel_runs, "ProcessPoolExecutor", Pool)
     with pytest.raises(KeyboardInterrupt):
-        list(parallel_runs.perform_all([None], 1))
+        list(parallel_runs.run_jobs([None], 1))
     assert masked == [True]
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 

@@ -25,7 +25,7 @@ from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import unit
-from optlink.optimization.nlp import tracing
+from optlink.optimization.nlp import symbols_in_numpy
 from tests.oracle import External, Kinematics, Mass, Solution, newton_euler
 
 GRAVITY = (3.1, -9.2)
@@ -1020,7 +1020,7 @@ def traced(machine: Machine, phi: object, speed: float = 7.0, acceleration: floa
 
 def symbolic(machine: Machine) -> tuple[casadi.Function, casadi.Function, list[str]]:
     """All reactions of lengths and crank angle; derivative of the torque with respect to the lengths and the angle."""
-    with tracing():
+    with symbols_in_numpy():
         x = casadi.SX.sym("x", len(machine.sizes) + 1)
         sizes = {name: Jet(x[k]) for k, name in enumerate(machine.sizes)}  # casadi does not leave a product with a Jet to it
         named = values(traced(machine.with_(sizes=sizes), x[len(machine.sizes)]))

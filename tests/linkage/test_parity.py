@@ -26,7 +26,7 @@ from optlink.optimization.nlp import NLP, build
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.function import DesignProblem, StartPosition
 from optlink.problem.targets.expression import FUNCTIONS, parse
-from optlink.symbolic import tracing
+from optlink.symbolic import symbols_in_numpy
 
 SAME = 1e-12
 JET = 1e-10
@@ -370,7 +370,7 @@ class Traced:
     def __init__(self, function: Callable[..., Sequence[object]], arguments: int) -> None:
         x, v, a = (casadi.SX.sym(name, arguments) for name in "xva")
         t = casadi.SX.sym("t")
-        with tracing():
+        with symbols_in_numpy():
             out = casadi.vertcat(*function(*casadi.vertsplit(x)))
         moving = casadi.substitute(out, x, x + v * t + 0.5 * a * t**2)
         rate = casadi.jacobian(moving, t)
@@ -546,7 +546,7 @@ def test_rows_of_a_dead_centre_are_met_exactly_where_it_exists(start, coupler_lo
     assert min(verdicts.count(True), verdicts.count(False)) > 40
 
 
-def rows_of(name: str) -> list[constraints.Row]:
+def rows_of(name: str) -> list[constraints.ConstraintRow]:
     rule = LIMITS[name][0]
     design = rule.design({})
     return constraints.rows(rule, design, rule.reach(design), 0.5)
@@ -581,9 +581,9 @@ def test_slope_of_a_measure_is_its_derivative():
     ],
 )
 def test_scales_turn_rows_into_peoples_figures_and_back(scale, value, people):
-    assert scale.people(value) == pytest.approx(people, rel=1e-14)
+    assert scale.to_display(value) == pytest.approx(people, rel=1e-14)
     assert scale.own(people) == pytest.approx(value, rel=1e-14)
-    slope = (scale.people(value + 1e-6) - scale.people(value - 1e-6)) / 2e-6
+    slope = (scale.to_display(value + 1e-6) - scale.to_display(value - 1e-6)) / 2e-6
     assert scale.slope(value) == pytest.approx(slope, rel=1e-8)
 
 
@@ -595,7 +595,7 @@ def test_bounds_of_the_rows_are_the_limits_of_the_file():
 
     def people(words: str) -> tuple[float, float]:
         (row,) = (row for label, row in found.items() if words in label)
-        return tuple(row.scale.people(bound) if math.isfinite(bound) else bound for bound in (row.low, row.high))
+        return tuple(row.scale.to_display(bound) if math.isfinite(bound) else bound for bound in (row.low, row.high))
 
     assert people("smallest transmission angle") == (-math.inf, pytest.approx(40.0, rel=1e-12))
     assert people("largest transmission angle") == (pytest.approx(130.0, rel=1e-12), math.inf)
@@ -606,7 +606,7 @@ def test_bounds_of_the_rows_are_the_limits_of_the_file():
     assert people("crank <= rocker")[1] == people("crank + frame <=")[1] == math.inf
     (row,) = (row for label, row in found.items() if "crank + frame <=" in label)
     slack = design["coupler"] + design["rocker"] - design["crank"] - design["frame"]
-    reserve = slack * 1e3 - row.scale.people(row.value - row.low)
+    reserve = slack * 1e3 - row.scale.to_display(row.value - row.low)
     assert reserve == pytest.approx(0.1 * max(design[name] for name in fourbar.LENGTHS), rel=1e-6)  # a ten-thousandth, in mm
 
 
@@ -877,7 +877,7 @@ def test_tracing_restores_what_was_set():
     seen = []
 
     def break_down() -> None:
-        with tracing():
+        with symbols_in_numpy():
             seen.append(casadi.GlobalOptions.getNumpyMode())
             raise RuntimeError("planted")
 

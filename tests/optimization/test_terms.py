@@ -11,7 +11,7 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
-from optlink.optimization.cycle_signals import Trace
+from optlink.optimization.cycle_signals import TracedCycle
 from optlink.validation.cycle import Cycle
 
 CUT = {"of": "F"}
@@ -57,7 +57,7 @@ def changed(**changes: object) -> optlink.ProblemFile:
 @cache
 def programme(speed: str = "64 rpm") -> CycleNLP:
     file = changed(**{"limits": EVERY, "drive.speed": speed})
-    trace = Trace(file.model)
+    trace = TracedCycle(file.model)
     start = {name: quantity.value for name, quantity in file.model.quantities.items() if quantity.free}
     start["C.x"], start["coupler.length"] = 0.013, 0.21  # no symmetry, which would hide a wrong derivative
     structure = trace.structure(start)
@@ -95,7 +95,7 @@ def test_values_of_every_term_are_those_of_the_analysis(speed):
     cycle = Cycle(problem, nlp.design(nlp.x_start))
     _, g = nlp.values(nlp.x_start, nlp.p)
     for bound in problem.bounds:
-        own = [(row.scale.people(value), row) for row, value in zip(nlp.rows, g, strict=True) if row.limit == bound.key]
+        own = [(row.scale.to_display(value), row) for row, value in zip(nlp.rows, g, strict=True) if row.limit == bound.key]
         unit = optlink.units.factor(bound.interval.unit, bound.interval.kind) if bound.interval.kind else 1.0
         figures = np.array([value * unit for value, _ in own])
         found, measured = (np.min if bound.term.how == "least" else np.max)(figures), cycle.figure(bound.term)
@@ -113,7 +113,7 @@ def test_work_of_the_stroke_and_mean_torque_are_those_of_the_cutting_force():
     nlp = programme()
     stroke = 5880.0 * Cycle(nlp.traced.problem, nlp.design(nlp.x_start)).figure(nlp.traced.problem.limits.named["stroke"])
     _, g = nlp.values(nlp.x_start, nlp.p)
-    found = {row.limit: row.scale.people(value) for row, value in zip(nlp.rows, g, strict=True)}
+    found = {row.limit: row.scale.to_display(value) for row, value in zip(nlp.rows, g, strict=True)}
     assert found["limits.work"] == pytest.approx(stroke, rel=1e-8)
     assert found["limits.mean_torque"] == pytest.approx(stroke / (2.0 * math.pi), rel=1e-8)
 
@@ -133,7 +133,7 @@ def test_static_torque_by_virtual_work():
     np.testing.assert_allclose(static, -power / trace.speed, rtol=1e-10)
 
 
-def _term(trace: Trace) -> object:
+def _term(trace: TracedCycle) -> object:
     return next(term for term in trace.cyclic if term.static and term.how == "largest")
 
 

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.dynamics.columns import Record
+from optlink.dynamics.columns import MotionColumns
 from optlink.errors import InputError
 from optlink.problem.file import dump, load, read
 from optlink.tasks.analyze import analyze
@@ -489,7 +489,7 @@ def test_override_round_trip(name, key, value, path, tmp_path):
     back = changed.override({key: _value(base.raw, path)})
     assert back.model == base.override({"expected": None}).model
     positions = np.linspace(0.0, 6.0, 5)
-    records = [Record(machine_of(p).moving(positions, p.model.drive.speed.value)) for p in (base, changed, again)]
+    records = [MotionColumns(machine_of(p).moving(positions, p.model.drive.speed.value)) for p in (base, changed, again)]
     torques = [record["input.torque_Nm"] for record in records]
     assert np.max(np.abs(torques[1] - torques[0])) > 1e-6
     np.testing.assert_array_equal(torques[2], torques[1])
@@ -612,7 +612,7 @@ def test_three_thousand_mutated_machines_never_break_the_loader():
         loaded += 1
         assert all(math.isfinite(q.value) for q in problem.model.quantities.values())
         drive = problem.model.drive
-        Record(machine_of(problem).moving(np.linspace(drive.start.value, drive.start.value + 6.0, 7), drive.speed.value))
+        MotionColumns(machine_of(problem).moving(np.linspace(drive.start.value, drive.start.value + 6.0, 7), drive.speed.value))
         if loaded % 15 == 0:
             try:
                 analysis = analyze(problem, points=12)

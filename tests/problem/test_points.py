@@ -15,12 +15,12 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from optlink.problem.quantity import Unusable
-from optlink.problem.targets.points import DEFAULT_POINTS, MAX_POINTS, Wanted, closed, read_points
+from optlink.problem.targets.points import DEFAULT_POINTS, MAX_POINTS, TargetPoints, closed, read_points
 
 CIRCLE = {"x": "20*cos(t)", "y": "20*sin(t)", "unit": "mm", "t": [0, "2*pi"], "points": 40}
 
 
-def mm(wanted: Wanted) -> np.ndarray:
+def mm(wanted: TargetPoints) -> np.ndarray:
     return 1e3 * np.array(wanted.points)
 
 
@@ -48,7 +48,7 @@ def svg(folder, body, root='viewBox="0 0 80 60"', name="drawing.svg", **more):
 def test_list_of_points(tmp_path):
     wanted = read_points([["20 mm", "25 mm"], ["2.5 cm", "-1e-2 m"], ["1 in", "0 mm"]], tmp_path)
     np.testing.assert_allclose(mm(wanted), [[20, 25], [25, -10], [25.4, 0]], rtol=1e-14)
-    assert wanted == Wanted(wanted.points)
+    assert wanted == TargetPoints(wanted.points)
     assert not closed(wanted)
     assert read_points(wanted, tmp_path) is wanted
     assert read_points([["1 in", "0 in"]], tmp_path).unit == "in"

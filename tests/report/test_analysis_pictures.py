@@ -14,12 +14,12 @@ from matplotlib.patches import Polygon
 from PIL import Image
 
 import optlink
-from optlink.dynamics.columns import Record
+from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import TURN
 from optlink.report import style
 from optlink.report.drawing import Sketch
-from optlink.report.labels import Label, settle
+from optlink.report.labels import Label, place_labels
 from optlink.report.views import analysis_forces, analysis_pictures
 from optlink.report.views.analysis_curves import Course
 from optlink.tasks.analyze import analyze
@@ -218,7 +218,7 @@ def test_jumps_of_loads_are_gaps_between_one_sided_values():
     for jump in result.jumps:
         (gap,) = np.flatnonzero(np.isnan(curve[:, 0]) & (np.abs(np.roll(curve[:, 0], 1) - math.degrees(jump)) < 1e-9))
         for side, place in ((-1, gap - 1), (1, gap + 1)):
-            one_sided = Record(result.machine.moving(np.array([jump]), result.speed, side=side))["F.normal_N"][0]
+            one_sided = MotionColumns(result.machine.moving(np.array([jump]), result.speed, side=side))["F.normal_N"][0]
             assert curve[place] == pytest.approx([math.degrees(jump), one_sided], rel=1e-9)
     assert slopes(curve) < 0.2
     assert len(by_gid(figure, "jump F.normal_N")) == 2
@@ -296,7 +296,7 @@ def test_hodograph_is_the_force_over_the_force_on_equal_scales():
     assert low < path[:, 0].min() < path[:, 0].max() < high
     assert bottom < path[:, 1].min() < path[:, 1].max() < top
     (mark,) = by_gid(picture("six-bar", "shaking"), "largest")
-    fine = Record(result.machine.moving(np.linspace(0.0, TURN, 7201), result.speed))
+    fine = MotionColumns(result.machine.moving(np.linspace(0.0, TURN, 7201), result.speed))
     most = np.hypot(fine["frame.shaking_fx_N"], fine["frame.shaking_fy_N"]).max()
     assert np.hypot(*mark.get_xydata()[0]) == pytest.approx(most, rel=1e-6)
 
@@ -487,7 +487,7 @@ def test_a_label_is_pushed_off_what_is_there_and_back_into_the_axes():
     axes.plot([0.95, 0.95], [0.0, 1.0], linewidth=3.0)
     axes.plot([0.6, 1.0], [0.95, 0.95], linewidth=3.0)
     label = Label(axes, (1.0, 1.0), "a label as long as this")
-    settle(figure, [label, replace(label, text="another of them"), replace(label, at=(math.nan, 0.0))])
+    place_labels(figure, [label, replace(label, text="another of them"), replace(label, at=(math.nan, 0.0))])
     assert len(axes.texts) == 2  # what has no place gets no label
     area, (one, other) = axes.get_window_extent(), (text.get_window_extent() for text in axes.texts)
     assert not one.overlaps(other)
@@ -644,7 +644,7 @@ def test_the_mark_runs_along_the_curve(monkeypatch):
         analysis_pictures.frames(course(name), count=24)
         steps, marks = caught["steps"], caught["marks"]
         np.testing.assert_allclose(marks[:, 0], np.degrees(steps))
-        record = Record(analysed(name).machine.moving(steps, analysed(name).speed))
+        record = MotionColumns(analysed(name).machine.moving(steps, analysed(name).speed))
         np.testing.assert_allclose(
             marks[:, 1], record["input.torque_Nm"], rtol=2e-2, atol=1e-3 * course(name).peak("input.torque_Nm")
         )

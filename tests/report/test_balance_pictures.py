@@ -14,7 +14,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 import optlink
-from optlink.dynamics.counterweights import Measure, amounts
+from optlink.dynamics.counterweights import BalanceMeasure, quantities_of
 from optlink.report.views import balance_pictures, function_tables
 from optlink.report.views import balance_tables as tables
 
@@ -72,7 +72,7 @@ def test_curves_are_the_machine_before_and_after(quantity):
     for name, machine in (("given", found.machine), ("balanced", found.heavier)):
         line = lines(made, f"{name} {quantity}")[0]
         x, y = (np.asarray(part, dtype=float) for part in (line.get_xdata(), line.get_ydata()))
-        wanted = amounts(machine.moving(np.radians(x), found.speed), [Measure(quantity)], found.about)[0][:, 0]
+        wanted = quantities_of(machine.moving(np.radians(x), found.speed), [BalanceMeasure(quantity)], found.about)[0][:, 0]
         assert "[N m]" in line.axes.get_ylabel()
         assert y == pytest.approx(wanted, rel=1e-9, abs=1e-9 * float(np.max(np.abs(wanted))))
         assert abs(x[-1] - x[0]) == pytest.approx(360.0)

@@ -22,7 +22,7 @@ from optlink.report.views import clearance_pictures, control_comparison_pictures
 from optlink.report.views.revolutions import FULL, Turns, fold, rough, round_below, runs
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.control_comparison import compare
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 GAP = {"clearance": "0.5 mm", "bearing_radius": "10 mm", "modulus": "207 GPa", "friction": 0.1}
 BAR = {"mass": "1 kg", "inertia": "uniform bar"}
@@ -73,12 +73,12 @@ CONTROL = {"regularisation": "5 mm", "sample_time": "0.5 ms", "proportional": 0.
 LONG = "A machine whose title goes on and on, so that no line of any picture holds it, and which has clearance in its joint"
 
 
-def run(problem: dict, revolutions: int = 1, **how: object) -> LooseSimulation:
+def run(problem: dict, revolutions: int = 1, **how: object) -> ClearanceSimulation:
     how = {"points": 72, "twin": False, "tolerance": 1e-7, **how}
     return simulate_clearance(optlink.read(problem), revolutions, **how)  # type: ignore[arg-type]
 
 
-def stopped(after: float) -> LooseSimulation:
+def stopped(after: float) -> ClearanceSimulation:
     """Interrupted by the user after so many revolutions."""
     advance = Integration.advance
 
@@ -112,7 +112,7 @@ MACHINES = {
 
 
 @functools.cache
-def simulated(name: str) -> LooseSimulation:
+def simulated(name: str) -> ClearanceSimulation:
     return MACHINES[name]()
 
 
@@ -210,7 +210,7 @@ def test_without_rows_there_are_no_pictures(tmp_path: Path, monkeypatch: pytest.
     def never(self: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(closed_loop.Plant, "turn", never)
+    monkeypatch.setattr(closed_loop.ClosedLoop, "turn", never)
     result = run(slider_crank("C"), 3)
     assert result.revolutions == 0
     assert [path.name for path in clearance_pictures.write_all(result, tmp_path)] == ["result.json"]

@@ -18,13 +18,13 @@ from ezdxf.document import Drawing
 
 import optlink
 from optlink.dynamics.columns import slider_names
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.export import dxf
 from optlink.report.export.export import FORMATS, Options, export, geometry
-from optlink.report.report_model import Subject, answered, subject_of
+from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
-from optlink.tasks.path import variants_of
+from optlink.tasks.path import assembly_variants
 from tests.cli.test_cli import run
 
 MACHINES = ("crank-rocker", "shaper", "watt-i", "toggle-press", "scotch-yoke", "slider-crank", "oscillating-cylinder")
@@ -41,18 +41,18 @@ start = "{start} deg"
 """
 
 
-def subject(name: str) -> Subject:
+def subject(name: str) -> ReportModel:
     file = optlink.load(name)
-    return subject_of(file, answered(file))
+    return report_model_of(file, solve_or_validate(file))
 
 
 @pytest.fixture(scope="module", params=MACHINES)
-def machine(request) -> Subject:
+def machine(request) -> ReportModel:
     return subject(request.param)
 
 
 @pytest.fixture(scope="module")
-def crank_rocker_subject() -> Subject:
+def crank_rocker_subject() -> ReportModel:
     return subject("crank-rocker")
 
 
@@ -69,21 +69,21 @@ def assembled(drawing: Drawing) -> dict[str, list[np.ndarray]]:
     return found
 
 
-def written(about: Subject, path: Path, **options) -> Drawing:
+def written(about: ReportModel, path: Path, **options) -> Drawing:
     export(about, path, Options(**options))
     return ezdxf.readfile(path)
 
 
-def machine_as_stated(name: str) -> Subject:
+def machine_as_stated(name: str) -> ReportModel:
     """The machine of a shipped problem with its values and starts; of modes that are open, the first that closes."""
     file = optlink.load(name)
-    for variant in variants_of(file):
-        settled_ = settled(variant, sizes_of(variant.model.mechanism.quantities))
+    for variant in assembly_variants(file):
+        settled_ = fixed_design(variant, sizes_of(variant.model.mechanism.quantities))
         try:
             cycle = optlink.analyze(settled_)
         except optlink.InputError:
             continue
-        return Subject(settled_, cycle, cycle)
+        return ReportModel(settled_, cycle, cycle)
     pytest.skip("its start cannot be assembled: only a search finds its sizes")
 
 
@@ -462,7 +462,7 @@ def test_a_place_that_cannot_be_written_to_is_named_before_any_work(tmp_path, mo
     ending = ".html" if command == "report" else ".dxf"
     (tmp_path / f"folder{ending}").mkdir()
     (tmp_path / "file").write_text("mine")
-    monkeypatch.setattr("optlink.report.report_model.answered", None)  # whatever is solved would break down
+    monkeypatch.setattr("optlink.report.report_model.solve_or_validate", None)  # whatever is solved would break down
     for name, words in {
         f"nowhere/a{ending}": "there is no folder",
         f"file/a{ending}": "there is no folder",

@@ -26,8 +26,8 @@ from optlink.report.views import path_tables as tables
 from optlink.report.views.path_closeup import Close
 from optlink.report.views.path_view import Track
 from optlink.solvers.evidence import evidence
-from optlink.tasks.results.path import Design, Generation
-from optlink.validation.path import validate_generation
+from optlink.tasks.results.path import PathDesign, PathResult
+from optlink.validation.path import validate_path
 from tests import synthesis_oracle as oracle
 
 MM = 1e-3
@@ -55,7 +55,7 @@ def values_of(design: dict) -> dict[str, float]:
     return {**lengths, **place, "direction": design["direction"]}
 
 
-def oracle_of(design: Design) -> dict[str, float]:
+def oracle_of(design: PathDesign) -> dict[str, float]:
     """A four-bar design as the oracle [mm, rad] takes it."""
     v = design.values
     lengths = [v[name] / MM for name in ("frame", "crank", "coupler", "rocker")]
@@ -64,17 +64,17 @@ def oracle_of(design: Design) -> dict[str, float]:
     return oracle.four_bar(*lengths, **more, direction=v["direction"], mode=design.task.side)
 
 
-def made(raw: dict, values: dict[str, float], angles: np.ndarray) -> Design:
+def made(raw: dict, values: dict[str, float], angles: np.ndarray) -> PathDesign:
     """A given design with its proof."""
     problem = optlink.read(raw)
     full = {name: quantity.value for name, quantity in problem.model.quantities.items()} | values
-    proof = validate_generation(problem.model, full, angles)
-    return Design(problem, full, angles, proof.objective, Status.NOT_SEARCHED, proof)
+    proof = validate_path(problem.model, full, angles)
+    return PathDesign(problem, full, angles, proof.objective, Status.NOT_SEARCHED, proof)
 
 
-def outcome(*found: Design, nearest: Design | None = None) -> Generation:
+def outcome(*found: PathDesign, nearest: PathDesign | None = None) -> PathResult:
     problem = (found[0] if found else nearest).problem
-    return Generation(problem, tuple(found), nearest, "ipopt", 0, 100, evidence([10, 90]), {})
+    return PathResult(problem, tuple(found), nearest, "ipopt", 0, 100, evidence([10, 90]), {})
 
 
 def path_raw(wanted: np.ndarray, tolerances: np.ndarray | None = None, side: str = "left", **more: object) -> dict:
@@ -113,7 +113,7 @@ PLACED = oracle.planted_path(PLANTED, ROUND)
 
 
 @functools.cache
-def result(name: str) -> Generation:
+def result(name: str) -> PathResult:
     """The results of these tests, each made once."""
     exact = values_of(PLANTED)
     match name:
@@ -445,7 +445,7 @@ def test_what_is_not_valid_says_so_everywhere(tmp_path, monkeypatch):
 
 
 def test_no_design_no_pictures(tmp_path):
-    nothing = Generation(result("path").problem, (), None, "ipopt", 0, 100, evidence([]), {})
+    nothing = PathResult(result("path").problem, (), None, "ipopt", 0, 100, evidence([]), {})
     assert [path.name for path in path_pictures.write_all(nothing, tmp_path)] == ["result.json"]
     assert {path.name for path in tmp_path.iterdir()} == {"result.json"}
     assert not json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["valid"]
@@ -586,7 +586,7 @@ def test_labels_keep_in_and_off_one_another(name, kind):
 # --- terminal ----------------------------------------------------------------------------------------------------------------
 
 
-def told(found: Generation, width: int) -> str:
+def told(found: PathResult, width: int) -> str:
     page = Console(file=io.StringIO(), width=width, highlight=False, markup=False, emoji=False)
     page.print(tables.generation(found))
     return page.file.getvalue()

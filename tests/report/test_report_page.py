@@ -19,7 +19,7 @@ import pytest
 import optlink
 from optlink.report.html.charts import charts, tornado
 from optlink.report.html.page import LARGEST, page, sensitivities_of, write_page
-from optlink.report.report_model import Subject, answered, subject_of
+from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
 from optlink.report.stored.stored_result import read_subject
 from tests.browser import browser, console, opened, requests
@@ -38,18 +38,18 @@ PROBLEMS = (
 EVIL = "<script>window.caught = 1</script><img src=x onerror='window.caught = 2'> \"&' </title></style>"
 
 
-def subject(name: str, given: dict[str, float] | None = None, **changes: object) -> Subject:
+def subject(name: str, given: dict[str, float] | None = None, **changes: object) -> ReportModel:
     file = optlink.load(name, changes)
-    return subject_of(file, answered(file, given=given))
+    return report_model_of(file, solve_or_validate(file, given=given))
 
 
 @pytest.fixture(scope="module", params=PROBLEMS)
-def about(request) -> Subject:
+def about(request) -> ReportModel:
     return subject(request.param)
 
 
 @pytest.fixture(scope="module")
-def crank_rocker_subject() -> Subject:
+def crank_rocker_subject() -> ReportModel:
     return subject("crank-rocker")
 
 
@@ -203,7 +203,7 @@ def evil_problem(folder: Path) -> Path:
 
 def test_texts_stay_texts(tmp_path):
     file = optlink.load(evil_problem(tmp_path))
-    about = subject_of(file, answered(file, given={"coupler": 0.41286542, "rocker": 0.23224617}))
+    about = report_model_of(file, solve_or_validate(file, given={"coupler": 0.41286542, "rocker": 0.23224617}))
     read = Reader(page(about))
     assert read.scripts == 4
     assert read.handlers == []
@@ -488,7 +488,7 @@ def test_a_page_prints(driver, tmp_path, crank_rocker_subject):
 def test_texts_do_not_run_in_a_browser(driver, tmp_path):
     file = optlink.load(evil_problem(tmp_path))
     path = tmp_path / "a.html"
-    write_page(subject_of(file, answered(file, given={"coupler": 0.41286542, "rocker": 0.23224617})), path)
+    write_page(report_model_of(file, solve_or_validate(file, given={"coupler": 0.41286542, "rocker": 0.23224617})), path)
     complaints, asked = opened(driver, path)
     assert (complaints, asked) == ([], [])
     assert driver.execute_script("return window.caught === undefined")

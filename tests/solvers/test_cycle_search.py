@@ -12,11 +12,11 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.optimization.cycle_signals import Trace
+from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
-from optlink.solvers.cycle_search import Samples, begins
+from optlink.solvers.cycle_search import StartSequence, start_groups
 from optlink.tasks.cycle import solve, validate
-from optlink.tasks.results.cycle import MachineDesign, task_of
+from optlink.tasks.results.cycle import CycleResult, task_of
 
 PUMP = """
 title = "Offset pump"
@@ -73,14 +73,14 @@ def problem(text: str, **changes: object) -> ProblemFile:
 
 
 @cache
-def pump(**changes: object) -> MachineDesign:
+def pump(**changes: object) -> CycleResult:
     return solve(problem(PUMP, **changes), starts=2)
 
 
 # --- the slow stroke in a search -----------------------------------------------------------------------------------------
 
 
-def rotations(result: MachineDesign) -> dict[str, float]:
+def rotations(result: CycleResult) -> dict[str, float]:
     """Crank rotation of each stroke, from the signs of the ordinary analysis alone [deg]."""
     assert result.found is not None
     velocity = result.found["piston.v_m_s"][:-1]
@@ -160,8 +160,8 @@ def test_ratios_that_no_stroke_has_are_refused(limit, key):
 
 
 def test_starting_points_of_a_smaller_number_come_first():
-    trace = Trace(task_of(problem(PUMP)), slow={"delivery": "forward"})
-    few, more = (begins(Samples(trace, 3), count, lambda _: True) for count in (3, 9))
+    trace = TracedCycle(task_of(problem(PUMP)), slow={"delivery": "forward"})
+    few, more = (start_groups(StartSequence(trace, 3), count, lambda _: True) for count in (3, 9))
     assert {own.structure.slow for own in few} == {own.structure.slow for own in more}
     for own in few:
         (same,) = (other for other in more if other.structure.slow == own.structure.slow)

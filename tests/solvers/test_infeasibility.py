@@ -9,7 +9,7 @@ import pytest
 
 import optlink
 from optlink.optimization.nlp import build
-from optlink.solvers.infeasibility import Explanation, explain, sides
+from optlink.solvers.infeasibility import Explanation, explain, limit_sides
 
 LIMITS = {"limits.transmission_angle": ["80 deg", "82 deg"], "limits.link_ratio": [0.95, 1.05]}
 SPAN = 90.0  # deg, of the crank in function-sin
@@ -55,6 +55,6 @@ def test_a_relaxation_is_the_least_that_a_grid_of_linkages_shows(found: Explanat
 def test_what_has_no_part_in_a_limit_cannot_conflict() -> None:
     """The rocker's start angle moves no limit; the crank's may take every direction, so its bounds hold nothing back."""
     problem = optlink.load("function-sin", {"mechanism.assembly": "left", **LIMITS})
-    assert {side.name for side in sides(build(problem.spec))}.isdisjoint({"phi0", "psi0"})
+    assert {side.name for side in limit_sides(build(problem.spec))}.isdisjoint({"phi0", "psi0"})
     narrow = problem.override({"requirement.from": {"start": "10 deg", "bounds": ["0 deg", "20 deg"]}})
-    assert "phi0" in {side.name for side in sides(build(narrow.spec))}
+    assert "phi0" in {side.name for side in limit_sides(build(narrow.spec))}

@@ -12,14 +12,14 @@ from scipy.optimize import minimize_scalar
 
 import optlink
 from optlink.errors import Status
-from optlink.optimization.constraints import PLAIN, Row
+from optlink.optimization.constraints import PLAIN, ConstraintRow
 from optlink.optimization.nlp import NLP, Variable
-from optlink.optimization.objectives import measures
-from optlink.optimization.path_nlp import build_generation
+from optlink.optimization.objectives import error_measures
+from optlink.optimization.path_nlp import build_path_nlp
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers import multistart
 from optlink.solvers.minimax import minimax
-from optlink.tasks.path import variants_of
+from optlink.tasks.path import assembly_variants
 
 Array = np.ndarray
 
@@ -28,14 +28,17 @@ def circle(points: Array, least: float = -math.inf) -> NLP:
     """The centre (x, y) nearest to the farthest of the points, x >= least."""
     x, p = casadi.SX.sym("x", 3), casadi.SX.sym("p", 1)
     errors = [x[:2] - casadi.SX(row) for row in points.tolist()]
-    rows = [Row(EPIGRAPH, "distance", (x[2] ** 2 - casadi.sumsqr(error)) / p[0] ** 2, 0.0, math.inf, PLAIN) for error in errors]
+    rows = [
+        ConstraintRow(EPIGRAPH, "distance", (x[2] ** 2 - casadi.sumsqr(error)) / p[0] ** 2, 0.0, math.inf, PLAIN)
+        for error in errors
+    ]
     if math.isfinite(least):
-        rows.append(Row("limits.x", "x", x[0], least, math.inf, PLAIN))
+        rows.append(ConstraintRow("limits.x", "x", x[0], least, math.inf, PLAIN))
     return NLP(
         variables=(Variable("x", 1.0, PLAIN), Variable("y", 1.0, PLAIN), Variable(EPIGRAPH, 1.0, PLAIN)),
         fixed=(),
         rows=tuple(rows),
-        measure=measures("m", 2)["max"],
+        measure=error_measures("m", 2)["max"],
         x_start=np.array([5.0, -4.0, 10.0]),
         x_low=np.array([-20.0, -20.0, 0.0]),
         x_high=np.array([20.0, 20.0, math.inf]),
@@ -113,11 +116,11 @@ def test_largest_distance_is_no_more_than_the_best_known(name):
 
 
 def test_a_start_without_a_value_is_given_back():
-    (file,) = variants_of(optlink.load("path-arc5", {"requirement.measure": "max", "mechanism.assembly": "left"}))
-    nlp = build_generation(file.model)
+    (file,) = assembly_variants(optlink.load("path-arc5", {"requirement.measure": "max", "mechanism.assembly": "left"}))
+    nlp = build_path_nlp(file.model)
     x = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
     x[[v.name for v in nlp.variables].index("coupler")] = nlp.x_low[[v.name for v in nlp.variables].index("coupler")]
     end = minimax(nlp, x, nlp.p)
     assert end.iterations == 0
     np.testing.assert_array_equal(end.x, x)
-    assert multistart.given(nlp, x, "").status is not Status.OPTIMAL
+    assert multistart.solution_at(nlp, x, "").status is not Status.OPTIMAL

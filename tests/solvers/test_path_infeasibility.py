@@ -12,7 +12,7 @@ import pytest
 import optlink
 from optlink.errors import Status
 from optlink.solvers.solution import LEAST_PRICE
-from optlink.tasks.path import Generation
+from optlink.tasks.path import PathResult
 from optlink.tasks.results.common import optimality
 from optlink.tasks.run import solve
 
@@ -32,7 +32,7 @@ MOVER: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def mover() -> Generation:
+def mover() -> PathResult:
     return solve(optlink.read(MOVER), starts=60)
 
 
@@ -53,7 +53,7 @@ def widest_swing() -> float:
     return best
 
 
-def test_an_infeasible_transmission_problem_names_its_limits_and_their_amounts(mover: Generation) -> None:
+def test_an_infeasible_transmission_problem_names_its_limits_and_their_amounts(mover: PathResult) -> None:
     assert not mover.valid
     assert {item.key for item in mover.conflict} == {"limits.swing_angle", "limits.transmission_angle"}
     (swing,) = (item for item in mover.conflict if item.key == "limits.swing_angle")
@@ -80,7 +80,7 @@ def test_a_law_whose_crank_is_longest_says_so() -> None:
     assert any("cannot be the shortest link" in note for note in result.notes)
 
 
-def test_the_check_of_optimality_never_contradicts_its_figure(mover: Generation) -> None:
+def test_the_check_of_optimality_never_contradicts_its_figure(mover: PathResult) -> None:
     solution = solve(optlink.load("crank-rocker")).solution
     assert solution is not None
     for status in Status:

@@ -25,7 +25,7 @@ from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.file import ProblemFile, load
 from optlink.report.views.pareto_pictures import picture
 from optlink.studies import cycle_task
-from optlink.studies.cycle_task import restarted
+from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.pareto import epsilon_ranges
 from optlink.studies.pareto import objectives as pareto_objectives
 from optlink.studies.pareto.epsilon_constraint import ENDS, Pareto, pareto
@@ -264,9 +264,9 @@ def test_the_limit_on_an_objective_gives_way_and_others_stay(press):
             }.items()
         }
     )
-    found = pareto_objectives.read_aims(limited, "stroke of ram, limits.angle")
+    found = pareto_objectives.read_objectives(limited, "stroke of ram, limits.angle")
     assert [aim.name for aim in found] == ["stroke of ram", LEAST]
-    walked = pareto_objectives.walked(limited, found, {0: 1.0}, {1: "60 deg"})
+    walked = pareto_objectives.epsilon_problem(limited, found, {0: 1.0}, {1: "60 deg"})
     assert set(walked.raw["limits"]) == {"rod", "front_2"}
     assert walked.raw["limits"]["front_2"]["min"] == "60 deg"
 
@@ -280,7 +280,7 @@ def test_three_objectives_of_a_machine_lie_on_their_surface(press):
 
 
 def test_a_search_begins_where_it_is_told(press):
-    begun = restarted(press, {"rod.length": 0.3, "crank.length": 1.0})
+    begun = with_starting_values(press, {"rod.length": 0.3, "crank.length": 1.0})
     assert begun.model.quantities["rod.length"].value == pytest.approx(0.3, rel=1e-12)
     assert begun.model.quantities["crank.length"].value == pytest.approx(0.1, rel=1e-12)  # its bound
     assert begun.model.quantities["rod.length"].bounds == press.model.quantities["rod.length"].bounds
@@ -289,14 +289,14 @@ def test_a_search_begins_where_it_is_told(press):
 def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
     """Every row in people's units, and what peaks are judged by, as if the file had stated the bound."""
     problem = optlink.load("shaper-design")
-    found = pareto_objectives.read_aims(problem, "peak torque, guide force in F")
-    one, other = (pareto_objectives.walked(problem, found, {0: 1.0}, {1: f"{bound} N"}) for bound in (1500.0, 1320.0))
-    made, wanted = cycle_task.Programme(one, "slsqp").nlp, cycle_task.Programme(other, "slsqp").nlp
-    moved = cycle_task.held(made, {"limits.front_2.max": 1320.0})
+    found = pareto_objectives.read_objectives(problem, "peak torque, guide force in F")
+    one, other = (pareto_objectives.epsilon_problem(problem, found, {0: 1.0}, {1: f"{bound} N"}) for bound in (1500.0, 1320.0))
+    made, wanted = cycle_task.CycleProgramme(one, "slsqp").nlp, cycle_task.CycleProgramme(other, "slsqp").nlp
+    moved = cycle_task.with_bounds(made, {"limits.front_2.max": 1320.0})
 
     def rows(nlp):
         return [
-            (row.limit, row.label, *(row.scale.people(float(bound)) if math.isfinite(bound) else bound for bound in bounds))
+            (row.limit, row.label, *(row.scale.to_display(float(bound)) if math.isfinite(bound) else bound for bound in bounds))
             for row, *bounds in zip(nlp.rows, nlp.low, nlp.high, strict=True)
         ]
 

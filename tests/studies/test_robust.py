@@ -14,7 +14,7 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.optimization.nlp import build
 from optlink.problem.robust import read_robust
-from optlink.problem.tolerances import assigned
+from optlink.problem.tolerances import with_tolerance
 from optlink.studies.sensitivity import sensitivities
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
@@ -526,17 +526,17 @@ def test_names_with_dots_are_written_as_one_likes(problem):
 
 def test_a_new_tolerance_keeps_distribution_and_cost():
     table = {"coupler": "0.1 mm uniform", "rocker": {"tolerance": "1 mm", "cost": 3}}
-    assigned(table, "coupler", "0.2 mm")
-    assigned(table, "rocker", "2 mm triangular")
-    assigned(table, "crank", "0.1 mm")
+    with_tolerance(table, "coupler", "0.2 mm")
+    with_tolerance(table, "rocker", "2 mm triangular")
+    with_tolerance(table, "crank", "0.1 mm")
     assert table == {
         "coupler": {"tolerance": "0.2 mm", "distribution": "uniform"},
         "rocker": {"tolerance": "2 mm", "distribution": "triangular", "cost": 3.0},
         "crank": "0.1 mm",
     }
-    assigned(table, "coupler", "0.2 mm normal")
+    with_tolerance(table, "coupler", "0.2 mm normal")
     assert table["coupler"] == {"tolerance": "0.2 mm", "distribution": "normal"}
-    assigned(table, "coupler", {"tolerance": "0.3 mm"})
+    with_tolerance(table, "coupler", {"tolerance": "0.3 mm"})
     assert table["coupler"] == {"tolerance": "0.3 mm"}
 
 

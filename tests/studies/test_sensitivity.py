@@ -20,14 +20,14 @@ from optlink.studies.sensitivity import sensitivities
 LIMIT = "limits.transmission_angle.max"
 
 
-def solved(**overrides) -> optlink.Result:
+def solved(**overrides) -> optlink.FunctionResult:
     """The crank-rocker with other values, built and searched from its own start."""
     result = optlink.solve(optlink.load("crank-rocker", overrides))
     assert result.valid
     return result
 
 
-def figures(result: optlink.Result) -> np.ndarray:
+def figures(result: optlink.FunctionResult) -> np.ndarray:
     """Objective [rad^2], coupler and rocker [mm]."""
     return np.array([result.objective, 1e3 * result.design["coupler"], 1e3 * result.design["rocker"]])
 

@@ -27,7 +27,7 @@ from optlink.cli.app import app
 from optlink.errors import InputError, SolverError
 from optlink.report.views.sweep_pictures import picture
 from optlink.studies.execution import runner, store
-from optlink.studies.fast_overrides import Direct
+from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import read_axis, read_grid
 from optlink.studies.sweep import CHANGED, sweep
 from optlink.validation import validate as prove
@@ -227,7 +227,7 @@ def test_models_made_directly_are_those_of_the_file(vary):
     grid = read_grid(file, vary)
     template = file.override(grid.changes(0)).spec
     template.quantities, template.law  # noqa: B018 - what is derived must not be taken along
-    direct = Direct(template, grid.axes)
+    direct = FastOverride(template, grid.axes)
     assert direct.possible
     for point in range(grid.count):
         made, read = direct.model(grid.values(point)), file.override(grid.changes(point)).spec

@@ -20,7 +20,7 @@ OPTIONS = {"revolutions": 1, "points": 60}
 @pytest.mark.slow
 def test_clearance_varied_over_simulations_gives_the_figures_of_single_runs(tmp_path):
     file = optlink.load("slider-crank-clearance")
-    (joint,) = (name for name, section in file.model.joints.items() if section.loose)
+    (joint,) = (name for name, section in file.model.joints.items() if section.has_clearance)
     vary = [f"joints.{joint}.clearance=0.2, 0.4 mm"]
     one = sweep(file, vary, tmp_path / "one", simulate=OPTIONS, workers=1)
     assert one.complete

@@ -18,12 +18,12 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.problem.tolerances import SHAPES, Deviation
 from optlink.studies.tolerance.allocation import least_cost
-from optlink.studies.tolerance.analysis import analysed, tolerance
+from optlink.studies.tolerance.analysis import linear_analysis, tolerance
 from optlink.studies.tolerance.monte_carlo import monte_carlo
-from optlink.studies.tolerance.nominal import drawing
+from optlink.studies.tolerance.nominal import nominal_design
 from optlink.studies.tolerance.options import read_deviations
 from optlink.studies.tolerance.robust_design import robust
-from optlink.studies.tolerance.sampling import drawn, read_costs, read_yield, wilson
+from optlink.studies.tolerance.sampling import read_costs, read_yield, sample_deviations, wilson
 
 DESIGN = {"coupler": 0.412865417, "rocker": 0.23224617}
 LENGTHS = {"crank": 0.1, **DESIGN, "frame": 0.5}
@@ -53,8 +53,8 @@ def rocker_angle(crank, coupler, rocker, frame, phi, lift=0.0):
 
 
 def study(problem, texts, output="rocker", angles=(0.0, 60.0, 120.0, 240.0), limit=None, shape="normal"):
-    nominal = drawing(problem, output, None if angles is None else np.radians(angles), DESIGN)
-    return analysed(problem, nominal, read_deviations(problem, nominal, texts, shape), limit)
+    nominal = nominal_design(problem, output, None if angles is None else np.radians(angles), DESIGN)
+    return linear_analysis(problem, nominal, read_deviations(problem, nominal, texts, shape), limit)
 
 
 # --- to first order ----------------------------------------------------------------------------------------------------
@@ -132,7 +132,7 @@ def test_distributions_are_those_of_scipy(shape):
     deviation = Deviation("a", "a", "length", 2.0, shape)
     np.testing.assert_allclose(deviation.at(share), 2.0 * KNOWN[shape].ppf(share), atol=1e-12)
     assert deviation.sigma == pytest.approx(2.0 * KNOWN[shape].std(), rel=1e-12)
-    values = np.concatenate([batch[:, 0] for batch in drawn([deviation], 20_000, 3)])
+    values = np.concatenate([batch[:, 0] for batch in sample_deviations([deviation], 20_000, 3)])
     assert len(values) == 20_000
     assert scipy.stats.kstest(values / 2.0, KNOWN[shape].cdf).pvalue > 0.5
     assert np.std(values) == pytest.approx(deviation.sigma, rel=2e-3)
@@ -140,7 +140,7 @@ def test_distributions_are_those_of_scipy(shape):
 
 def test_samples_are_those_of_their_seed():
     deviations = [Deviation("a", "a", "length", 1.0), Deviation("b", "b", "length", 1.0, "uniform")]
-    one, again, other = (np.concatenate(list(drawn(deviations, 9000, seed))) for seed in (1, 1, 2))
+    one, again, other = (np.concatenate(list(sample_deviations(deviations, 9000, seed))) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, again)
     assert np.max(np.abs(one - other)) > 0.1
     assert abs(np.corrcoef(one.T)[0, 1]) < 0.01
@@ -189,7 +189,7 @@ def test_a_yield_over_the_span_is_that_of_other_samples(problem):
     """Numpy's own random numbers and the law of cosines."""
     limit = math.radians(2.32)
     carlo = monte_carlo(study(problem, FOUR, "error", None, limit), 1 << 15, 0)
-    nominal = drawing(problem, "error", None, DESIGN)
+    nominal = nominal_design(problem, "error", None, DESIGN)
     random = np.random.default_rng(1)
     by = random.normal(0.0, np.array(list(SIZES.values())) / 3.0, (20_000, 4))
     phi = nominal.crank_angles
@@ -399,8 +399,8 @@ def test_the_safest_design_keeps_the_limit_with_most_standard_deviations(name, l
     assert best.robust.value == pytest.approx(math.radians(limit), rel=1e-3)
 
     def margin(design):
-        nominal = drawing(best.robust.result.problem, None, None, design)
-        found = analysed(problem, nominal, best.deviations, best.limit)
+        nominal = nominal_design(best.robust.result.problem, None, None, design)
+        found = linear_analysis(problem, nominal, best.deviations, best.limit)
         return np.min((found.limit - np.abs(nominal.base)) / found.sigma)
 
     free = best.robust.free
@@ -505,7 +505,7 @@ def test_a_limit_that_no_design_keeps_is_told(problem):
 
 def test_angles_out_of_reach_are_told(problem):
     with pytest.raises(InputError, match="cannot be assembled at 180 deg"):
-        drawing(problem, "rocker", np.radians([0.0, 180.0]), {"coupler": 0.25, "rocker": 0.24})
+        nominal_design(problem, "rocker", np.radians([0.0, 180.0]), {"coupler": 0.25, "rocker": 0.24})
 
 
 def test_an_output_that_nothing_moves(tmp_path):

@@ -13,7 +13,7 @@ from optlink.linkage.fourbar import four_bar
 from optlink.linkage.motion import sweep
 from optlink.synthesis import freudenstein_convex
 from optlink.synthesis.freudenstein import FirstStep, FirstStepSlider, first_steps, first_steps_slider
-from optlink.synthesis.loop_equations import Chain, rocker_chain, slider_chain
+from optlink.synthesis.loop_equations import LoopEquation, rocker_chain, slider_chain
 
 DEGREE = math.radians(1.0)
 HALF_TURN = np.arange(36) * np.pi / 36
@@ -355,7 +355,7 @@ def test_slider_optimum_is_proven() -> None:
 
 
 @pytest.mark.parametrize("chain", [rocker_chain(RATIOS), slider_chain(RATIOS, 1.5)])
-def test_equation_slope_and_output_belong_together(chain: Chain) -> None:
+def test_equation_slope_and_output_belong_together(chain: LoopEquation) -> None:
     """F vanishes where the output follows, falls there on the mode +1 and rises on -1, and its slope is its derivative."""
     rng = np.random.default_rng(6)
     x = rng.uniform(-3.0, 3.0, (500, 4))
@@ -385,7 +385,7 @@ def test_any_multipliers_give_a_bound() -> None:
         matrix, vector, rows = rng.normal(size=(6, 3)), rng.normal(size=6), rng.normal(size=(2, 3))
         room = rng.uniform(0.0, 1.0, 2)
         p = np.where(rng.random(8) < 0.3, rng.random(8), 0.0) + rng.normal(size=8) * 1e-3
-        bound = freudenstein_convex.proven(matrix, vector, rows, room, (-np.ones(3), np.ones(3)), p[:6], p[6:])
+        bound = freudenstein_convex.lower_bound(matrix, vector, rows, room, (-np.ones(3), np.ones(3)), p[:6], p[6:])
         found = linprog(
             [0.0, 0.0, 0.0, 1.0],
             A_ub=np.block([[matrix, -np.ones((6, 1))], [rows, np.zeros((2, 1))]]),
@@ -403,15 +403,15 @@ def test_a_lying_solver_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None
     start = (0.9, 1.3)
     honest = first_steps(phi, psi, *start, "max", RATIOS)[0]
     rng = np.random.default_rng(1)
-    solve = freudenstein_convex.Programme.__call__
+    solve = freudenstein_convex.ConvexFit.__call__
 
-    def lie(self: freudenstein_convex.Programme, *data: np.ndarray) -> freudenstein_convex.Answer:
+    def lie(self: freudenstein_convex.ConvexFit, *data: np.ndarray) -> freudenstein_convex.ConvexStep:
         answer = solve(self, *data)
         assert answer is not None
         noise = [rng.normal(size=part.shape) for part in (answer.step, answer.rows, answer.limits)]
-        return freudenstein_convex.Answer(answer.step + noise[0], answer.rows + noise[1], answer.limits + noise[2], "optimal")
+        return freudenstein_convex.ConvexStep(answer.step + noise[0], answer.rows + noise[1], answer.limits + noise[2], "optimal")
 
-    monkeypatch.setattr(freudenstein_convex.Programme, "__call__", lie)
+    monkeypatch.setattr(freudenstein_convex.ConvexFit, "__call__", lie)
     for _ in range(10):
         (told,) = first_steps(phi, psi, *start, "max", RATIOS)
         assert told.status == "optimal"
@@ -419,7 +419,7 @@ def test_a_lying_solver_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None
         assert told.bound <= honest.error
         assert np.max(np.abs(rocker_error(told, phi, psi))) == pytest.approx(told.error, rel=1e-9)
         assert told.proven == (told.error <= honest.error * (1.0 + 3e-4) and told.bound > 0.0)
-    monkeypatch.setattr(freudenstein_convex.Programme, "__call__", lambda self, *data: None)
+    monkeypatch.setattr(freudenstein_convex.ConvexFit, "__call__", lambda self, *data: None)
     (silent,) = first_steps(phi, psi, *start, "max", RATIOS)
     assert (silent.status, silent.bound, silent.proven) == ("no answer", 0.0, False)
 

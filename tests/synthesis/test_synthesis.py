@@ -13,14 +13,14 @@ from scipy.optimize import least_squares
 import optlink
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.vector2d import unit
-from optlink.optimization.path_nlp import build_generation
+from optlink.optimization.path_nlp import build_path_nlp
 from optlink.problem.path import STEP
 from optlink.synthesis import random_starts
 from optlink.synthesis.batch import INSIDE, WEIGHT, Batch
 from optlink.synthesis.batch_search import Searcher
-from optlink.synthesis.levenberg_marquardt import descend
-from optlink.synthesis.variable_projection import Similarity
-from optlink.tasks.path import variants_of
+from optlink.synthesis.levenberg_marquardt import minimise
+from optlink.synthesis.variable_projection import SimilarityFit
+from optlink.tasks.path import assembly_variants
 from optlink.validation.path import deviations
 from tests import synthesis_oracle as oracle
 from tests.stated import ANGLE, SLIDER_CRANK, SPOTS, STEPHENSON, document, four_bar_section, free, model
@@ -72,8 +72,8 @@ def sample(batch: Batch, count: int, seed: int = 0) -> tuple[Array, Array]:
     rng = np.random.default_rng(seed)
     found: list[tuple[Array, Array]] = []
     for _ in range(200):
-        x = random_starts.designs(batch, 400, rng)
-        t = random_starts.timing(batch, 400, rng) if batch.own else np.zeros((400, len(batch.data.columns)))
+        x = random_starts.random_designs(batch, 400, rng)
+        t = random_starts.random_crank_angles(batch, 400, rng) if batch.own else np.zeros((400, len(batch.data.columns)))
         x = batch.low + (batch.high - batch.low) * np.clip((x - batch.low) / (batch.high - batch.low), 1e-3, 1.0 - 1e-3)
         mechanism = batch.problem.linkage
         with np.errstate(all="ignore"):
@@ -152,7 +152,7 @@ def test_missed_limits_are_those_of_the_lengths() -> None:
     problem = model(document(four_bar_section("left"), limits={"link_ratio": [0.8, 1.5], "pivots": {"x": ["-5 mm", "5 mm"]}}))
     batch = Batch(problem)
     rng = np.random.default_rng(3)
-    x, t = random_starts.designs(batch, 200, rng), random_starts.timing(batch, 200, rng)
+    x, t = random_starts.random_designs(batch, 200, rng), random_starts.random_crank_angles(batch, 200, rng)
     values = {name: v[:, 0] for name, v in batch.values(x).items()}
     crank, coupler, rocker, frame = (values[name] for name in LENGTHS)
     others = np.sort([coupler, rocker, frame], axis=0)
@@ -196,7 +196,7 @@ FITTED = ["left, free", "right, free, weights", "timed from start", "timed as gi
 def test_fit_of_a_four_bar_is_complex_least_squares(name: str) -> None:
     """Place, size, direction and coupler point by numpy's own least squares: P = a + w S + b u."""
     batch = Batch(model(TASKS[name]))
-    fit = Similarity(batch)
+    fit = SimilarityFit(batch)
     assert fit.applies
     x, t = sample(batch, 20)
     values, angles = batch.values(x), batch.crank_angles(x, t)
@@ -220,7 +220,7 @@ def test_a_weight_draws_the_fit_to_its_point() -> None:
     heavy = np.array([1.0, 1.0, 1e6, 1.0, 1.0])
     batch = Batch(model(document(four_bar_section("right"), weights=heavy)))
     x, t = sample(batch, 10)
-    fitted, _ = Similarity(batch).fit(x, t)
+    fitted, _ = SimilarityFit(batch).fit(x, t)
     r, _, _ = batch.residuals(fitted, t)
     assert np.all(np.abs(r[:, 2]) / 1e3 < 0.02 * np.max(np.abs(r), axis=(1, 2))[:, None])
 
@@ -232,7 +232,7 @@ PLACED = [*FITTED, "slider-crank, free", "slider-crank, from start", "six-bar, f
 def test_nothing_linear_is_better_than_the_fit(name: str) -> None:
     """Moving, turning and scaling the whole by a little never improves it, nor does moving the point on its body."""
     batch = Batch(model(TASKS[name]))
-    fit = Similarity(batch)
+    fit = SimilarityFit(batch)
     assert fit.applies
     x, t = sample(batch, 12, seed=3)
     fitted, t = fit.fit(x, batch.crank_angles(x, t))
@@ -274,7 +274,7 @@ def test_the_fit_finds_a_planted_linkage_again() -> None:
         x = np.zeros((1, len(batch.names)))
         for name in LENGTHS:
             x[0, batch.names.index(name)] = 0.37 * design[name]
-        fitted, _ = Similarity(batch).fit(x, phi[None])
+        fitted, _ = SimilarityFit(batch).fit(x, phi[None])
         assert cost_of(batch, fitted, phi[None])[0] < 1e-16
         values = batch.values(fitted)
         for name in LENGTHS:
@@ -285,7 +285,7 @@ def test_the_fit_finds_a_planted_linkage_again() -> None:
 
 @pytest.mark.parametrize("name", ["not placed", "some sizes fixed", "motion, free", "motion, timed", "slider-crank, given"])
 def test_where_place_or_size_is_bound_nothing_is_fitted(name: str) -> None:
-    assert not Similarity(Batch(model(TASKS[name]))).applies
+    assert not SimilarityFit(Batch(model(TASKS[name]))).applies
 
 
 # --- descent -----------------------------------------------------------------------------------------------------------------
@@ -343,13 +343,13 @@ def test_descent_ends_where_scipy_does(name: str) -> None:
     """From near an optimum both reach it; the crank angles that are eliminated change nothing in that."""
     batch = Batch(model(TASKS[name]))
     x, t = sample(batch, 200, seed=5)
-    ends = descend(batch, x, t, 300)
+    ends = minimise(batch, x, t, 300)
     rng = np.random.default_rng(6)
     checked = 0
     for i in np.argsort(ends.cost)[:4]:
         near = np.clip(ends.x[i] + 1e-3 * rng.normal(size=x.shape[1]), batch.low, batch.high)
         at = ends.t[i] + (1e-3 * rng.normal(size=t.shape[1]) if batch.own else 0.0)
-        again = descend(batch, near[None], at[None], 1000, slow=1e-12)
+        again = minimise(batch, near[None], at[None], 1000, slow=1e-12)
         inside = np.clip(near, batch.low + 1e-9, batch.high - 1e-9)
         aim = minimum_by_scipy(batch, inside, at)
         assert again.cost[0] <= aim * (1.0 + 1e-4) + 1e-9
@@ -360,15 +360,15 @@ def test_descent_ends_where_scipy_does(name: str) -> None:
 @pytest.mark.parametrize("name", [*DESCENDED, "span", "six-bar, free", "slider-crank, free"])
 def test_descent_keeps_to_bounds_and_never_rises(name: str) -> None:
     batch = Batch(model(TASKS[name]))
-    fit = Similarity(batch)
+    fit = SimilarityFit(batch)
     x, t = sample(batch, 60, seed=7)
     angles = batch.crank_angles(x, t)
     h, _ = batch.misses(x, angles)
     before = cost_of(batch, x, t) + np.sum(h**2, axis=1)
     least = before
-    ways: list[tuple[int, Similarity | None]] = [(1, None), (10, None), (30, None)]
+    ways: list[tuple[int, SimilarityFit | None]] = [(1, None), (10, None), (30, None)]
     for steps, using in ways + [(10, fit)] * fit.applies:
-        ends = descend(batch, x, t, steps, using.fit if using else None, using.linear if using else None)
+        ends = minimise(batch, x, t, steps, using.fit if using else None, using.linear if using else None)
         assert np.all(ends.x >= batch.low - 1e-12)
         assert np.all(ends.x <= batch.high + 1e-12)
         assert np.all(ends.cost <= before * (1.0 + 1e-12))
@@ -386,11 +386,11 @@ def test_a_start_that_does_not_assemble_is_given_back() -> None:
     x, t = sample(batch, 3)
     x[1, [batch.names.index(name) for name in LENGTHS]] = [0.1, 0.2, 0.3, 9.0]
     kept = x.copy()
-    ends = descend(batch, x, t, 20)
+    ends = minimise(batch, x, t, 20)
     assert np.isinf(ends.cost[1])
     np.testing.assert_array_equal(ends.x[1], kept[1])
     assert np.all(np.isfinite(ends.cost[[0, 2]]))
-    alone = descend(batch, kept[[0, 2]], t[[0, 2]], 20)
+    alone = minimise(batch, kept[[0, 2]], t[[0, 2]], 20)
     np.testing.assert_allclose(alone.cost, ends.cost[[0, 2]], rtol=1e-6)
 
 
@@ -407,7 +407,7 @@ def test_a_bound_holds_the_optimum() -> None:
     truth = {**design, "A.x": design["x"], "A.y": design["y"], "P.along": design["along"], "P.across": design["across"]}
     x = np.array([[truth[name] * (1.0 if name == "direction" else 1e-3) for name in batch.names]])
     x = np.clip((x - batch.origin) / batch.scale, batch.low, batch.high)
-    ends = descend(batch, x, np.zeros((1, 12)), 500, slow=1e-12)
+    ends = minimise(batch, x, np.zeros((1, 12)), 500, slow=1e-12)
     i = batch.names.index("coupler")
     assert ends.x[0, i] == pytest.approx(batch.high[i], rel=1e-9)
     assert 0.0 < ends.cost[0] <= cost_of(batch, x, np.zeros((1, 12)))[0]
@@ -421,7 +421,7 @@ def test_a_bound_holds_the_optimum() -> None:
 )
 def test_proportions_are_all_of_their_kind(crank: str, inversion: Inversion) -> None:
     batch = Batch(model(document(four_bar_section(), limits={"crank": crank})))
-    lengths = random_starts.proportions(batch, 2000, np.random.default_rng(0))
+    lengths = random_starts.random_proportions(batch, 2000, np.random.default_rng(0))
     assert lengths.shape == (2000, 4)
     assert np.all(lengths > 0.0)
     assert np.all(lengths[:, 3] == 1.0)
@@ -431,7 +431,7 @@ def test_proportions_are_all_of_their_kind(crank: str, inversion: Inversion) -> 
 def test_proportions_leave_no_crank_rocker_out() -> None:
     """Around every random crank-rocker of the oracle there are some, though they are three numbers."""
     batch = Batch(model(document(four_bar_section())))
-    logs = np.log(random_starts.proportions(batch, 60_000, np.random.default_rng(1))[:, :3])
+    logs = np.log(random_starts.random_proportions(batch, 60_000, np.random.default_rng(1))[:, :3])
     rng = np.random.default_rng(2)
     for _ in range(60):
         design = oracle.random_crank_rocker(rng)
@@ -443,7 +443,7 @@ def test_proportions_leave_no_crank_rocker_out() -> None:
 @pytest.mark.parametrize("closed", [False, True])
 def test_random_timing_is_in_order(rotation: str, closed: bool) -> None:
     batch = Batch(model(document(four_bar_section(), closed=closed, rotation=rotation)))
-    t = random_starts.timing(batch, 500, np.random.default_rng(0))
+    t = random_starts.random_crank_angles(batch, 500, np.random.default_rng(0))
     steps = np.diff(t, axis=1)
     way = np.sign(steps[:, :1])
     assert np.all(steps * way >= STEP)
@@ -453,7 +453,7 @@ def test_random_timing_is_in_order(rotation: str, closed: bool) -> None:
 
 @pytest.mark.parametrize("rotation", ["clockwise", "counter-clockwise"])
 def test_candidates_keep_order_and_rotation(rotation: str) -> None:
-    files = variants_of(optlink.read(document(four_bar_section("either"), closed=True, rotation=rotation)))
+    files = assembly_variants(optlink.read(document(four_bar_section("either"), closed=True, rotation=rotation)))
     searcher = Searcher([file.model for file in files], 0)
     searcher.advance()
     found = searcher.advance()
@@ -494,7 +494,7 @@ def test_the_programme_measures_what_the_validator_does(name: str, measure: str)
     raw = TASKS[name]
     problem = model({**raw, "requirement": {**raw["requirement"], "measure": measure}})  # type: ignore[dict-item]
     batch = Batch(problem)
-    nlp = build_generation(problem)
+    nlp = build_path_nlp(problem)
     x, t = sample(batch, 6, seed=8)
     for k in range(len(x)):
         values = {key: float(v[k, 0]) for key, v in batch.values(x).items()}
@@ -517,7 +517,7 @@ def test_the_programme_measures_what_the_validator_does(name: str, measure: str)
 
 def test_the_programme_knows_order_and_whole_revolutions() -> None:
     for direction in (1, -1):
-        nlp = build_generation(model(TASKS["left, free"]), direction)
+        nlp = build_path_nlp(model(TASKS["left, free"]), direction)
         labels = [row.label for row in nlp.rows]
         assert sum(label.startswith("order of points") for label in labels) == len(SPOTS) - 1
         x = nlp.x_start.copy()

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.dynamics.columns import Record
+from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.work import Work, jumps
 from optlink.linkage import stroke as cycle
 from optlink.linkage.extrema import extremes, zeros
@@ -88,7 +88,7 @@ def test_json_is_plain_and_complete(six_bar):
 def test_extremes_are_those_of_a_brute_sweep_and_no_less(name):
     result = optlink.analyze(optlink.load(name), points=8)
     angles = np.linspace(result.low, result.high, 20_001)
-    record = Record(result.machine.moving(angles, result.speed))
+    record = MotionColumns(result.machine.moving(angles, result.speed))
     checked = 0
     for column, extreme in result.extremes.items():
         size = float(np.nanmax(np.abs(record[column]))) if column in record.columns else 0.0
@@ -277,7 +277,9 @@ def test_batch_is_the_loop(name):
     rng = np.random.default_rng(5)
     designs = {key: problem.model.quantities[key].value * (1.0 + 0.003 * rng.uniform(-1, 1, 37)) for key in lengths}
     columns = ["input.torque_Nm", "input.torque_gravity_Nm", "frame.shaking_fx_N"]
-    columns += [name for name in Record(machine_of(problem).moving(np.array([1.0]))).columns if name.endswith((".fx_N", ".s_m"))]
+    columns += [
+        name for name in MotionColumns(machine_of(problem).moving(np.array([1.0]))).columns if name.endswith((".fx_N", ".s_m"))
+    ]
     found = optlink.analyze_batch(problem, designs, columns, points=500)
     for k in (0, 20, 36):
         alone = optlink.analyze(problem, 500, design={key: float(values[k]) for key, values in designs.items()})

@@ -17,7 +17,15 @@ import optlink
 from optlink.balancing import socp
 from optlink.cli.app import app
 from optlink.dynamics import counterweights as effects_module
-from optlink.dynamics.counterweights import Affine, Counterweight, Effects, Measure, amounts, joined, quantities
+from optlink.dynamics.counterweights import (
+    Affine,
+    BalanceMeasure,
+    Counterweight,
+    Effects,
+    quantities,
+    quantities_of,
+    with_counterweight,
+)
 from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.problem.machine.balance import read_measure
 from optlink.problem.quantity import Unusable
@@ -56,13 +64,13 @@ def run(*arguments: str):
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
-        ("rms shaking force", Measure("shaking force", "rms")),
-        ("force", Measure("shaking force", "rms")),
-        ("largest torque", Measure("driving torque", "largest")),
-        ("largest  driving torque", Measure("driving torque", "largest")),
-        ("moment", Measure("shaking moment", "rms")),
-        ("largest reaction at C on link2", Measure("reaction", "largest", "C", "link2")),
-        ("rms torque from 90 to 180 deg", Measure("driving torque", "rms", arc=(math.pi / 2, math.pi))),
+        ("rms shaking force", BalanceMeasure("shaking force", "rms")),
+        ("force", BalanceMeasure("shaking force", "rms")),
+        ("largest torque", BalanceMeasure("driving torque", "largest")),
+        ("largest  driving torque", BalanceMeasure("driving torque", "largest")),
+        ("moment", BalanceMeasure("shaking moment", "rms")),
+        ("largest reaction at C on link2", BalanceMeasure("reaction", "largest", "C", "link2")),
+        ("rms torque from 90 to 180 deg", BalanceMeasure("driving torque", "rms", arc=(math.pi / 2, math.pi))),
     ],
 )
 def test_measures_are_read(text, wanted):
@@ -83,7 +91,7 @@ def test_compression_is_exact():
     rows, offset = affine.compressed()
     assert len(rows) == 10
     for x in rng.normal(size=(50, 9)) * 10.0 ** rng.uniform(-3, 3, (50, 1)):
-        wanted = Measure("shaking force").value(affine.at(x))
+        wanted = BalanceMeasure("shaking force").value(affine.at(x))
         assert np.linalg.norm(rows @ x + offset) == pytest.approx(wanted, rel=1e-12)
 
 
@@ -104,10 +112,10 @@ def test_effects_are_those_of_the_inverse_dynamics(name):
     weights = [Inertia(*rng.uniform(0.1, 3.0, 1), *rng.uniform(-0.3, 0.3, 2), *rng.uniform(0.0, 0.1, 1)) for _ in effects.bodies]
     added = {body: weight.parameters for body, weight in zip(effects.bodies, weights, strict=True)}
     parameters = np.concatenate([np.array(part, dtype=float) for part in added.values()])
-    heavier = machine.with_(inertias={b: joined(machine.inertias.get(b, Inertia()), p) for b, p in added.items()})
+    heavier = machine.with_(inertias={b: with_counterweight(machine.inertias.get(b, Inertia()), p) for b, p in added.items()})
     asked = quantities(machine)
     for quantity, wanted in zip(
-        asked, amounts(heavier.moving(moving.motion.crank_angle, moving.motion.speed), asked, about), strict=True
+        asked, quantities_of(heavier.moving(moving.motion.crank_angle, moving.motion.speed), asked, about), strict=True
     ):
         found = effects.affine(quantity).at(parameters)
         assert found == pytest.approx(wanted, rel=1e-9, abs=1e-10 * float(np.max(np.abs(wanted))) + 1e-12)
@@ -116,8 +124,8 @@ def test_effects_are_those_of_the_inverse_dynamics(name):
 def test_shaking_moment_about_another_point():
     """About D it differs from that about A by the moment of the shaking force."""
     force, about_a = (
-        amounts(optlink.load("balance-four-bar").model.machine().moving(ANGLES, 1.0), [m], p)[0]
-        for m, p in ((Measure("shaking force"), (0.0, 0.0)), (Measure("shaking moment"), (0.0, 0.0)))
+        quantities_of(optlink.load("balance-four-bar").model.machine().moving(ANGLES, 1.0), [m], p)[0]
+        for m, p in ((BalanceMeasure("shaking force"), (0.0, 0.0)), (BalanceMeasure("shaking moment"), (0.0, 0.0)))
     )
     about_d = optlink.balance(four_bar("rms shaking moment", about="D"))
     wanted = about_a[:, 0] - LENGTHS[3] * force[:, 1]
@@ -458,9 +466,9 @@ def test_six_bar_against_local_search(measure):
         for k, body in enumerate(extents):
             m = max(float(x[3 * k]), 1e-9)
             own = Inertia(m, float(x[3 * k + 1]), float(x[3 * k + 2]), 0.5 * m * m / (math.pi * rho * thick))
-            inertias[body] = joined(inertias[body], own.parameters)
+            inertias[body] = with_counterweight(inertias[body], own.parameters)
         return (
-            asked.value(amounts(machine.with_(inertias=inertias).moving(result.angles, 10.0), [asked], (0.0, 0.0))[0])
+            asked.value(quantities_of(machine.with_(inertias=inertias).moving(result.angles, 10.0), [asked], (0.0, 0.0))[0])
             / result.before
         )
 
@@ -508,8 +516,8 @@ def test_a_random_disc_on_other_machines_against_local_search(name, measure):
     def value(x: np.ndarray) -> float:
         m, place = max(4.0 * float(x[0]), 1e-12), origin + reach * complex(x[1], x[2])
         own = Inertia(m, place.real, place.imag, 0.5 * m * m / (math.pi * 7850.0 * 0.01))
-        heavier = machine.with_(inertias={**machine.inertias, body: joined(machine.inertias[body], own.parameters)})
-        return quantity.value(amounts(heavier.moving(result.angles, speed), [quantity], (0.0, 0.0))[0]) / result.before
+        heavier = machine.with_(inertias={**machine.inertias, body: with_counterweight(machine.inertias[body], own.parameters)})
+        return quantity.value(quantities_of(heavier.moving(result.angles, speed), [quantity], (0.0, 0.0))[0]) / result.before
 
     inside = {"type": "ineq", "fun": lambda x: 1.0 - x[1] ** 2 - x[2] ** 2}
     best = value(np.zeros(3))
@@ -605,7 +613,7 @@ def test_prices_are_the_slope_of_the_optimum(key, name, step):
 # --- the certificate -----------------------------------------------------------------------------------------------
 
 
-def programme_of(file: optlink.ProblemFile) -> socp.Programme:
+def programme_of(file: optlink.ProblemFile) -> socp.BalancingProgramme:
     return balance._Task(file).programme
 
 
@@ -639,7 +647,7 @@ def test_a_point_outside_its_cones_is_not_proven(monkeypatch):
     monkeypatch.setattr(socp, "_certified", wrong)
     problem = programme_of(optlink.load("balance-six-bar"))
     cp = problem.cp
-    found = socp.solved(cp, cp.Problem(cp.Minimize(problem.expression(Measure("shaking force"))), problem.held()))
+    found = socp.solved(cp, cp.Problem(cp.Minimize(problem.expression(BalanceMeasure("shaking force"))), problem.held()))
     assert not found.proven
 
 
@@ -708,11 +716,11 @@ def test_a_spring_against_brute_force():
     assert result.proven
     assert result.objective < 0.999 * result.before
     spring, machine = result.springs[0], file.model.machine()
-    torque = Measure("driving torque")
+    torque = BalanceMeasure("driving torque")
 
     def value(stiffness: float, free: float) -> float:
         loads = (spring.asked.spring(stiffness, free),)
-        return torque.value(amounts(machine.with_(loads=loads).moving(ANGLES, 1.0), [torque], (0.0, 0.0))[0])
+        return torque.value(quantities_of(machine.with_(loads=loads).moving(ANGLES, 1.0), [torque], (0.0, 0.0))[0])
 
     assert value(spring.stiffness, spring.free) == pytest.approx(result.objective, rel=1e-9)
     grid = itertools.product(np.linspace(0.0, 200.0, 41), np.linspace(0.0, 0.08, 17))

@@ -16,8 +16,8 @@ import pytest
 import optlink
 from optlink.clearance.controller import PID, Controller, Gains
 from optlink.clearance.inverse_model import POINTS, Inverse, leverage, predicted
-from optlink.clearance.output import usual
-from optlink.clearance.reference_signal import Command, even
+from optlink.clearance.output import default_output
+from optlink.clearance.reference_signal import ReferenceSignal, constant_speed
 from optlink.dynamics.inverse import reactions
 from optlink.errors import InputError
 from optlink.tasks import control_comparison, parallel_runs
@@ -34,7 +34,7 @@ def problem():
 @pytest.fixture(scope="module")
 def parts(problem):
     machine = problem.model.machine()
-    return machine, problem.model.gaps(machine), usual(machine)
+    return machine, problem.model.gaps(machine), default_output(machine)
 
 
 # --- PID ---------------------------------------------------------------------------------------------------------------
@@ -75,12 +75,12 @@ def test_controller_refers_the_error_to_the_crank_and_knows_the_branch_of_an_ang
 
 
 def test_speed_command_is_the_derivative_of_the_angle_command():
-    command = Command(0.3, -40.0, np.array([0.01, 0.02 - 0.01j, -0.005 + 0.003j]))
+    command = ReferenceSignal(0.3, -40.0, np.array([0.01, 0.02 - 0.01j, -0.005 + 0.003j]))
     time, step = np.linspace(0.0, 0.3, 11), 1e-5
     angle = [command.at(time + shift)[0] for shift in (-step, step)]
     np.testing.assert_allclose((angle[1] - angle[0]) / (2.0 * step), command.at(time)[1], rtol=1e-8)
     np.testing.assert_allclose(command.at(time)[0], 0.3 - 40.0 * time + command.correction(time), rtol=1e-13)
-    assert even(1.0, 2.0).at(3.0) == (7.0, 2.0)
+    assert constant_speed(1.0, 2.0).at(3.0) == (7.0, 2.0)
 
 
 @pytest.mark.slow
@@ -90,7 +90,7 @@ def test_servo_turns_the_crank_as_the_inverse_model_wants(problem):
     machine = run.machine
     inverse = Inverse(machine, run.gaps, run.output, 0.0, SPEED)
     order = int(0.5 * 300.0 / 20.0)
-    wanted = Command(0.0, SPEED, inverse.solve(5e-3, order))
+    wanted = ReferenceSignal(0.0, SPEED, inverse.solve(5e-3, order))
     time = run["time_s"][-180:]
     np.testing.assert_allclose(np.radians(run["crank_angle_deg"][-180:]), wanted.at(time)[0], atol=1e-6)
     told = run["command.correction_rad"][-180:]
@@ -139,7 +139,7 @@ def test_inverse_solution_is_the_best_of_its_harmonics(parts):
     inverse = Inverse(machine, gaps, output, 0.0, SPEED)
 
     def cost(harmonics, regularisation=3e-3):
-        turned = Command(0.0, SPEED, harmonics).correction(np.arange(POINTS) * 2.0 * np.pi / (POINTS * SPEED))
+        turned = ReferenceSignal(0.0, SPEED, harmonics).correction(np.arange(POINTS) * 2.0 * np.pi / (POINTS * SPEED))
         missing = inverse.close(inverse.angles + turned)[0] - inverse.wanted
         return float(np.mean(missing**2 + (regularisation * turned) ** 2))
 
@@ -195,8 +195,8 @@ def test_compare_puts_all_kinds_in_one_table(problem):
     assert list(found.trials) == ["none", "inverse", "pid", "inverse+pid"]
     assert found.finished
     assert found.gain("none") == 0.0
-    np.testing.assert_array_equal(found.starts, control_comparison.starts_of(2, 3))
-    assert not np.array_equal(found.starts, control_comparison.starts_of(2, 4))
+    np.testing.assert_array_equal(found.starts, control_comparison.random_crank_angles(2, 3))
+    assert not np.array_equal(found.starts, control_comparison.random_crank_angles(2, 4))
     for trials in found.trials.values():
         assert trials.rms.shape == (2,)
         assert trials.mean == pytest.approx(np.mean(trials.rms))
@@ -214,7 +214,13 @@ def test_tuning_never_ends_worse_than_it_says(problem):
     assert bool(found.best) == (np.min(found.costs) < found.before)
     assert found.costs.shape == (4,)
     again = optlink.simulate_clearance(
-        found.problem, 2, 200, control="inverse", start=float(control_comparison.starts_of(1, 0)[0]), tolerance=1e-8, twin=False
+        found.problem,
+        2,
+        200,
+        control="inverse",
+        start=float(control_comparison.random_crank_angles(1, 0)[0]),
+        tolerance=1e-8,
+        twin=False,
     )
     assert again.figures["rms_m"] == pytest.approx(found.cost, rel=1e-12)
     with pytest.raises(InputError, match="no such parameter"):
@@ -260,8 +266,8 @@ def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
         optlink.compare(rocker(), checkpoint=stop, **options)
     assert (kept[-1]["complete"], kept[-1]["of"]) == (4, 6)
     performed = []
-    perform = parallel_runs.perform
-    monkeypatch.setattr(parallel_runs, "perform", lambda job: performed.append((job.control, job.start)) or perform(job))
+    perform = parallel_runs.run_job
+    monkeypatch.setattr(parallel_runs, "run_job", lambda job: performed.append((job.control, job.start)) or perform(job))
     on = optlink.compare(rocker(), resume=kept[-1], **options)
     assert len(performed) == 4  # the first start of each kind, for the pictures, and the two that were missing
     for kind, trials in whole.trials.items():
@@ -282,8 +288,8 @@ def test_tuning_resumes_and_stops_runs_that_cannot_win():
     np.testing.assert_array_equal(on.costs, whole.costs)
     assert dict(on.best) == dict(whole.best)
     job = parallel_runs.job_of(rocker(), control="none", start=0.3, limit=1e-9, **SHORT)
-    assert parallel_runs.perform(job).hopeless
-    assert not parallel_runs.perform(replace(job, limit=1.0)).hopeless
+    assert parallel_runs.run_job(job).hopeless
+    assert not parallel_runs.run_job(replace(job, limit=1.0)).hopeless
 
 
 @pytest.mark.slow

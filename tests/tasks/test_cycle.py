@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 import optlink
 from optlink.problem.cycle_terms import Limit
-from optlink.tasks.cycle import MachineDesign, solve, validate
+from optlink.tasks.cycle import CycleResult, solve, validate
 from optlink.validation.cycle import Cycle, validate_cycle
 from tests.tasks.test_fit import drag_link, torque
 
@@ -21,7 +21,7 @@ SCALED = 500.0 / 545.454545454545
 
 
 @cache
-def shaper() -> MachineDesign:
+def shaper() -> CycleResult:
     return solve(optlink.load("shaper-design"), "both", starts=3)
 
 

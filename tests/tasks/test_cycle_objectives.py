@@ -11,9 +11,9 @@ from scipy.optimize import minimize
 
 import optlink
 from optlink.errors import InputError, Status
-from optlink.optimization.cycle_signals import Trace
+from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
-from optlink.solvers.cycle_search import Begin, searched
+from optlink.solvers.cycle_search import StartGroup, search_all
 from optlink.tasks.cycle import solve
 from optlink.tasks.results.cycle import task_of
 from optlink.validation.cycle import BALANCE, Cycle, validate_cycle
@@ -249,9 +249,9 @@ def test_positions_beside_a_peak_hold_nothing(name):
     """A search that took those for a proof ended there; along the free direction the measured peak is lower."""
     task = task_of(optlink.load("press-toggle", {"objective": term("guide force", of="F")}))
     values = {key: 1e-3 * value for key, value in BESIDE.items()}
-    trace = Trace(task)
-    begin = Begin(trace.structure(values), (values,))
-    found = searched(trace, [begin], (name,), lambda: None).found[name]
+    trace = TracedCycle(task)
+    begin = StartGroup(trace.structure(values), (values,))
+    found = search_all(trace, [begin], (name,), lambda: None).found[name]
     assert found.status is Status.OPTIMAL
     lower = Cycle(task, found.design)
     assert found.objective == pytest.approx(lower.objective(), rel=1e-7)

@@ -13,7 +13,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.problem.file import dump
 from optlink.report.html.page import verdict
-from optlink.report.report_model import Subject
+from optlink.report.report_model import ReportModel
 from optlink.report.views import cycle_tables, function_tables
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.path import solve, validate
@@ -27,7 +27,7 @@ TURNED = np.column_stack([[0.0, 60.0, 110.0, 90.0, 20.0], [0.0, 25.0, 70.0, 130.
 
 
 @pytest.fixture(scope="module")
-def star() -> optlink.tasks.results.path.Generation:
+def star() -> optlink.tasks.results.path.PathResult:
     """A zigzag that no four-bar draws, with the crank pivot where it is by default."""
     section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
     raw = document(section, STAR + 150.0, {"transmission_angle": ["40 deg", "140 deg"]})
@@ -55,7 +55,7 @@ def test_a_poor_path_is_called_poor(star) -> None:
     named = [each.remedy.removeprefix("widen ") for each in fit.reasons if each.remedy.startswith("widen")]
     assert set(named) <= set(limited)
     assert bool(named) == bool([key for key in limited if not key.startswith("requirement.points")])
-    assert verdict(Subject(star.problem, star, None)).startswith("Valid, poor fit: rms error is")
+    assert verdict(ReportModel(star.problem, star, None)).startswith("Valid, poor fit: rms error is")
 
 
 def test_points_that_the_curve_does_not_meet_in_order_are_named(star) -> None:
@@ -163,7 +163,7 @@ def test_a_linkage_of_the_best_transmission_is_graded(swing: float, ratio: float
     assert ("good" if min(angles) >= 45.0 else "fair" if min(angles) >= 40.0 else "poor") == grade
     remedies = {each["remedy"] for each in told["reasons"]}
     assert remedies >= ({"widen limits.swing_angle", "widen limits.time_ratio"} if grade == "poor" else set())
-    shown = verdict(Subject(result.problem, result, None))
+    shown = verdict(ReportModel(result.problem, result, None))
     assert shown.startswith("Valid, poor transmission" if grade == "poor" else "Valid: every check passed")
 
 
@@ -212,7 +212,7 @@ def test_an_objective_without_a_target_stands_beside_that_of_the_initial_design(
     change = torque(crank, rod) / torque(0.05, 0.13) - 1.0
     assert f"initial design {torque(0.05, 0.13):.5g} N*m ({change:+.1%})" in shown
     assert ("which does not meet the limits" in shown) != feasible
-    assert f"({change:+.1%})" in verdict(Subject(result.problem, result, None))
+    assert f"({change:+.1%})" in verdict(ReportModel(result.problem, result, None))
 
 
 def test_a_machine_with_the_best_transmission_angle_is_graded() -> None:

@@ -78,7 +78,7 @@ def known() -> list[float]:
     return [float(value) for value in json.loads(KNOWN.read_text(encoding="utf-8"))]
 
 
-def measured(result: optlink.Result, task: Function) -> tuple[float, float]:
+def measured(result: optlink.FunctionResult, task: Function) -> tuple[float, float]:
     """Largest error and missed limit of an answer, by the oracle's formulas."""
     sizes = [math.log(result.design[name] / result.design["frame"]) for name in ("crank", "coupler", "rocker")]
     x = np.array([*sizes, result.design["phi0"], result.design["psi0"]])

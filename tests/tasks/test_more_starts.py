@@ -13,7 +13,7 @@ import pytest
 import optlink
 from optlink.optimization.nlp import build
 from optlink.solvers import multistart
-from optlink.tasks.function_search import Search, Start, starts_of
+from optlink.tasks.function_search import FunctionSearch, SearchStart, start_sequence
 from tests.tasks.test_function_problems import case, measured
 
 
@@ -25,7 +25,7 @@ def short(**changes: object) -> optlink.ProblemFile:
 @pytest.mark.parametrize("file", [optlink.load("crank-rocker"), short()], ids=["law", "function"])
 def test_starts_of_a_smaller_number_are_the_first_ones_of_a_larger_one(file: optlink.ProblemFile) -> None:
     nlp = build(file.spec)
-    one, other = (starts_of(file.spec, nlp, 5, None) for _ in "ab")
+    one, other = (start_sequence(file.spec, nlp, 5, None) for _ in "ab")
     few = [*one.first, *itertools.islice(one.rest(), 40)]
     many = [*other.first, *itertools.islice(other.rest(), 200)]
     for a, b in zip(few, many, strict=False):
@@ -36,7 +36,7 @@ def test_starts_of_a_smaller_number_are_the_first_ones_of_a_larger_one(file: opt
 
 def test_convex_first_steps_and_the_given_start_are_searched_whatever_the_number() -> None:
     file = short(**{"mechanism.crank": {"start": "77 mm", "bounds": ["1 mm", "5000 mm"]}})
-    points = starts_of(file.spec, build(file.spec), 0, None)
+    points = start_sequence(file.spec, build(file.spec), 0, None)
     assert any(start.x[0] == pytest.approx(0.77) for start in points.first)
     assert optlink.solve(file, starts=1).starts == len(points.first) > 1
 
@@ -45,8 +45,8 @@ def test_a_valid_answer_is_not_lost_to_a_better_one_that_fails_validation() -> N
     """A start that leads to a lower objective beyond a limit of the validator comes last: the valid one before it stays."""
     file = short()
     nlp = build(file.spec)
-    points = starts_of(file.spec, nlp, 0, None)
-    one = Search(file.spec, nlp, "ipopt")
+    points = start_sequence(file.spec, nlp, 0, None)
+    one = FunctionSearch(file.spec, nlp, "ipopt")
     one.advance(points.first[0])
     kept = one.result
     judge = one.judge
@@ -61,7 +61,7 @@ def test_a_valid_answer_is_not_lost_to_a_better_one_that_fails_validation() -> N
         )
 
     one.judge, one.optima = flattering, []  # type: ignore[method-assign,assignment]
-    one.advance(Start(points.first[0].x, drawn=True, close=True))
+    one.advance(SearchStart(points.first[0].x, drawn=True, close=True))
     assert one.starts == 2
     assert one.result is kept
 

@@ -240,10 +240,10 @@ def test_every_example_of_the_reference_page_is_solved(example):
 
 
 def test_the_reference_page_knows_every_key_of_a_task():
-    from optlink.problem.path import GenerationLimits, Task
+    from optlink.problem.path import PathLimits, PathRequirement
 
     assert len(EXAMPLES) >= 6
-    for section in (Task, GenerationLimits):
+    for section in (PathRequirement, PathLimits):
         for name, field in section.model_fields.items():
             key = field.alias or name
             assert f"`{key}`" in PAGE or re.search(rf"\b{key} = ", PAGE), f"{key} of {section.__name__} is not documented"

@@ -11,7 +11,7 @@ import pytest
 
 import optlink
 from optlink.tasks.path import solve
-from optlink.tasks.results.path import Design
+from optlink.tasks.results.path import PathDesign
 from tests.random_linkages import (
     RandomTask,
     faults_of,
@@ -85,7 +85,7 @@ def test_many_random_laws(slides: bool) -> None:
 
 
 @pytest.fixture(scope="module")
-def answer() -> tuple[Design, RandomTask]:
+def answer() -> tuple[PathDesign, RandomTask]:
     """A faultless design of a path with a transmission limit, and its task."""
     trip = round_trip(1000, 9, "given")
     low, high = map(math.degrees, transmission_range(trip.linkage, 0.0, 2.0 * math.pi))
@@ -102,12 +102,12 @@ def answer() -> tuple[Design, RandomTask]:
     return design, task
 
 
-def changed(**values: float) -> Callable[[Design], Design]:
+def changed(**values: float) -> Callable[[PathDesign], PathDesign]:
     """The design with other sizes, told as if nothing had changed."""
     return lambda design: dataclasses.replace(design, values={**design.values, **values})
 
 
-PLANTED: dict[str, tuple[Callable[[Design], Design], str]] = {
+PLANTED: dict[str, tuple[Callable[[PathDesign], PathDesign], str]] = {
     "an error figure too good": (lambda d: dataclasses.replace(d, objective=d.objective + 1e-6), "objective"),
     "points out of order": (lambda d: dataclasses.replace(d, crank_angles=d.crank_angles[[0, 2, 1, *range(3, 9)]]), "order"),
     "another start": (lambda d: dataclasses.replace(d, crank_angles=d.crank_angles + 0.01), "not the crank angles given"),
@@ -118,7 +118,7 @@ PLANTED: dict[str, tuple[Callable[[Design], Design], str]] = {
 
 
 @pytest.mark.parametrize("name", PLANTED)
-def test_the_judge_sees(answer: tuple[Design, RandomTask], name: str) -> None:
+def test_the_judge_sees(answer: tuple[PathDesign, RandomTask], name: str) -> None:
     design, task = answer
     plant, words = PLANTED[name]
     assert any(words in fault for fault in faults_of(plant(design), task)), faults_of(plant(design), task)
@@ -133,7 +133,7 @@ def test_the_judge_sees(answer: tuple[Design, RandomTask], name: str) -> None:
         ({"pivots": {"x": ["399 mm", "400 mm"]}}, "pivots"),
     ],
 )
-def test_the_judge_sees_a_missed_limit(answer: tuple[Design, RandomTask], limits: dict[str, object], words: str) -> None:
+def test_the_judge_sees_a_missed_limit(answer: tuple[PathDesign, RandomTask], limits: dict[str, object], words: str) -> None:
     design, task = answer
     pivots = {"pivots": {"x": ["-400 mm", "400 mm"], "y": ["-400 mm", "400 mm"], **limits.pop("pivots", {})}}
     tighter = dataclasses.replace(task, raw={**task.raw, "limits": {**limits, **pivots}})

@@ -11,15 +11,15 @@ import pytest
 
 from optlink.errors import Status
 from optlink.problem.file import read
-from optlink.problem.path import GenerationProblem
-from optlink.solvers.path_exchange import Peak, peaks
+from optlink.problem.path import PathProblem
+from optlink.solvers.path_exchange import RowPeak, peaks
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate
-from optlink.synthesis.growth import contained, grown
+from optlink.synthesis.growth import contained_four_bar, grow_from_four_bar
 from optlink.tasks import path
-from optlink.tasks.path import PART_STARTS, solve, variants_of
-from optlink.tasks.path_search import Polisher, compound
-from optlink.tasks.results.path import Design
+from optlink.tasks.path import PART_STARTS, assembly_variants, solve
+from optlink.tasks.path_search import Polisher, has_several_dyads
+from optlink.tasks.results.path import PathDesign
 from optlink.validation.check import Check
 from tests.random_six_bars import faults_of_six_bar, random_six_bar
 
@@ -29,7 +29,7 @@ def test_peaks_are_found_between_positions_of_the_grid() -> None:
     found = peaks(lambda at: np.array([np.sin(7.0 * at), -1.0 - at * (1.0 - at)]), grid)
     assert [(peak.row, round(peak.at, 6)) for peak in found] == [(0, 0.224399), (0, 1.0)]
     assert found[0].height == pytest.approx(1.0, abs=1e-12)
-    assert isinstance(found[0], Peak)
+    assert isinstance(found[0], RowPeak)
 
 
 @pytest.mark.slow
@@ -37,16 +37,16 @@ def test_peaks_are_found_between_positions_of_the_grid() -> None:
 def test_a_six_bar_contains_the_curve_of_its_four_bar(watt: bool) -> None:
     """Starts that grow from a four-bar repeat its curve exactly and keep all limits: a coincident joint, and a pantograph."""
     task = random_six_bar(10 + (not watt), 12)
-    part = contained(task.file)
+    part = contained_four_bar(task.file)
     assert part is not None
     assert (part.arms is not None) is watt
     four_bars = solve(part.file, starts=60).designs
     made = 0
-    for file, four_bar in itertools.product(variants_of(task.file), four_bars):
-        assert isinstance(file.model, GenerationProblem)
+    for file, four_bar in itertools.product(assembly_variants(task.file), four_bars):
+        assert isinstance(file.model, PathProblem)
         batch = Batch(file.model)
         own = replace(part, file=four_bar.problem)
-        x, t = grown(own, batch, four_bar.values, four_bar.crank_angles, 5, np.random.default_rng(0))
+        x, t = grow_from_four_bar(own, batch, four_bar.values, four_bar.crank_angles, 5, np.random.default_rng(0))
         r = batch.residuals(x, t)[0]
         made += len(x)
         whole = np.sum(r * r, axis=(1, 2)) * file.model.size**2
@@ -61,7 +61,7 @@ def judge(seed: int) -> tuple[float, float]:
     assert result.valid
     for design in result.designs:
         assert faults_of_six_bar(design, task) == []
-    part = contained(task.file)
+    part = contained_four_bar(task.file)
     assert part is not None
     four_bar = solve(task.four_bar, starts=PART_STARTS)
     return result.objective, four_bar.objective
@@ -78,8 +78,8 @@ def planted(monkeypatch: pytest.MonkeyPatch, worse: float) -> None:
     """Let every local search of a six-bar stall at its start, or end at an optimum that is said to be worse than its start."""
     polish = Polisher.polish
 
-    def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> Design:
-        if not compound(self.files[candidate.variant].model):  # type: ignore[arg-type]
+    def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> PathDesign:
+        if not has_several_dyads(self.files[candidate.variant].model):  # type: ignore[arg-type]
             return polish(self, candidate, near=near)
         start = self.unpolished(candidate)
         if worse > 1.0:
@@ -98,7 +98,7 @@ def test_a_six_bar_is_no_worse_than_its_four_bar_whatever_its_local_searches_do(
 ) -> None:
     planted(monkeypatch, worse)
     task = random_six_bar(seed, 12)
-    part = contained(task.file)
+    part = contained_four_bar(task.file)
     assert part is not None
     four_bar = solve(part.file, starts=60)
     assert four_bar.valid

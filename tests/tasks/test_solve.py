@@ -13,7 +13,7 @@ from optlink.linkage.fourbar import LENGTHS, crank_rocker_conditions, transmissi
 from optlink.optimization.nlp import build
 from optlink.solvers import multistart
 from optlink.solvers.infeasibility import Explanation, explain
-from optlink.solvers.solution import examine
+from optlink.solvers.solution import verified_solution
 
 BACKENDS = ("slsqp", "ipopt")
 TABLE = {
@@ -241,7 +241,7 @@ def test_explain_gives_a_design_when_there_is_one(crank_rocker):
     nlp = build(crank_rocker.spec)
     x = explain(nlp)
     assert not isinstance(x, Explanation)
-    assert multistart.given(nlp, x, "").violation < 1e-6
+    assert multistart.solution_at(nlp, x, "").violation < 1e-6
 
 
 def test_unusable_start_is_repaired(crank_rocker):
@@ -360,16 +360,16 @@ def test_a_point_that_is_no_optimum_is_not_called_one(crank_rocker):
     nlp = build(crank_rocker.spec)
     for offset, status in (((0.02, 0.02), Status.STALLED), ((-0.02, -0.02), Status.INFEASIBLE)):
         x = nlp.x_of({"coupler": 0.41286542 + offset[0], "rocker": 0.23224617 + offset[1]})
-        assert examine(nlp, Attempt(x, 1, "Optimization terminated successfully"), nlp.p).status is status
+        assert verified_solution(nlp, Attempt(x, 1, "Optimization terminated successfully"), nlp.p).status is status
     broken = nlp.x_of({"coupler": 0.1, "rocker": 0.1})
-    assert examine(nlp, Attempt(broken, 1, "success"), nlp.p).status is Status.NON_FINITE
+    assert verified_solution(nlp, Attempt(broken, 1, "success"), nlp.p).status is Status.NON_FINITE
 
 
 def test_kkt_of_the_solution_is_that_of_the_programme(crank_rocker, solved):
     """Stationarity from finite differences of the objective and the active row alone."""
     nlp = build(crank_rocker.spec)
     x = nlp.x_of(solved.design)
-    p = multistart.scaled(nlp, nlp.x_start)
+    p = multistart.scaled_parameters(nlp, nlp.x_start)
     names = [row.label for row in nlp.rows]
     active = names.index("largest transmission angle")
     step = 1e-6

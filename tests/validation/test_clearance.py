@@ -21,7 +21,7 @@ import pytest
 
 import optlink
 from optlink.tasks.clearance import simulate_clearance
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 RPM = math.pi / 30.0
@@ -56,7 +56,7 @@ COLUMNS = {
 
 
 @cache
-def simulate(rpm: int, friction: float, revolutions: int, points: int = STEPS, tolerance: float = 1e-11) -> LooseSimulation:
+def simulate(rpm: int, friction: float, revolutions: int, points: int = STEPS, tolerance: float = 1e-11) -> ClearanceSimulation:
     problem = optlink.load("slider-crank-clearance", {"joints.C.friction": friction})
     return simulate_clearance(problem, revolutions, points, rpm * RPM, tolerance=tolerance, twin=False)
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from optlink.linkage.fourbar import LENGTHS
-from optlink.problem.path import GenerationProblem
-from optlink.validation.path import deviations, validate_generation
+from optlink.problem.path import PathProblem
+from optlink.validation.path import deviations, validate_path
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, model
 
@@ -55,14 +55,14 @@ def quantities(design: Mapping[str, float]) -> dict[str, float]:
     return found | {"P.along": 1e-3 * design["along"], "P.across": 1e-3 * design["across"]}
 
 
-def planted(limits: Mapping[str, object] = LOOSE, **more: Any) -> GenerationProblem:
+def planted(limits: Mapping[str, object] = LOOSE, **more: Any) -> PathProblem:
     return model(document(four_bar_section("left"), more.pop("points", PLANTED), limits, **more))
 
 
 def failed(
-    problem: GenerationProblem, design: Mapping[str, float], angles: Array, objective: float | None = None, **more: float
+    problem: PathProblem, design: Mapping[str, float], angles: Array, objective: float | None = None, **more: float
 ) -> set[str]:
-    proof = validate_generation(problem, quantities(design) | more, angles, objective)
+    proof = validate_path(problem, quantities(design) | more, angles, objective)
     kinds = {next(kind for word, kind in CHECKS.items() if word in check.name) for check in proof.checks if not check.passed}
     assert proof.valid == (not kinds)
     return kinds
@@ -70,7 +70,7 @@ def failed(
 
 def test_what_is_right_passes() -> None:
     problem = planted(closed=True)
-    proof = validate_generation(problem, quantities(DESIGN), PHI, 0.0)
+    proof = validate_path(problem, quantities(DESIGN), PHI, 0.0)
     assert proof.valid
     assert proof.objective < 1e-20
     assert all(check.limit for check in proof.checks)
@@ -190,7 +190,7 @@ def test_a_kite_passes_its_change_point_on_no_side() -> None:
     section = four_bar_section("right")
     problem = model(document(section, spots, {"crank": "span"}))
     assert not oracle.judge_path(kite, spots, phi).branch_ok
-    proof = validate_generation(problem, quantities(kite), phi, 0.0)
+    proof = validate_path(problem, quantities(kite), phi, 0.0)
     assert not proof.valid
 
 
@@ -218,7 +218,7 @@ def test_a_change_point_on_the_way_is_seen(bars: tuple[float, ...], mode: str) -
     problem = model(document(four_bar_section(mode), spots, {"crank": "span"}))
     report = oracle.judge_path(design, spots, phi)
     assert not report.branch_ok
-    assert not validate_generation(problem, quantities(design), phi, 0.0).valid
+    assert not validate_path(problem, quantities(design), phi, 0.0).valid
 
 
 @pytest.mark.parametrize("more", [0.0, 0.02, 0.05])
@@ -229,7 +229,7 @@ def test_a_narrow_gap_between_positions_is_seen(more: float) -> None:
     spots = oracle.planted_path(design, phi)
     problem = model(document(four_bar_section("right"), spots, {"crank": "span"}))
     assert not oracle.judge_path(design, spots, phi).circuit_ok
-    assert not validate_generation(problem, quantities(design), phi, 0.0).valid
+    assert not validate_path(problem, quantities(design), phi, 0.0).valid
 
 
 def test_two_points_at_the_same_crank_angle() -> None:
@@ -341,7 +341,7 @@ def test_validator_and_oracle_agree_on_random_linkages(seed: int) -> None:
         spots = oracle.random_points(rng, count)
         crank = str(rng.choice(["full rotation", "double-crank", "span"]))
         problem = model(document(four_bar_section("left" if mode > 0 else "right"), spots, {"crank": crank}))
-        proof = validate_generation(problem, quantities(design), phi)
+        proof = validate_path(problem, quantities(design), phi)
         report = oracle.judge_path(design, spots, phi)
         if abs(report.margin) < 1e-3 or abs(report.turn_margin) < 1e-3:
             continue

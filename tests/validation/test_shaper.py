@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.dynamics.columns import Record
+from optlink.dynamics.columns import MotionColumns
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 
@@ -356,7 +356,7 @@ def test_what_jumps_with_the_cutting_force(case, end, cycles):
     anything of the motion. Tolerance: 1e-9 of the largest jump, 14.7 kN.
     """
     found, (speed, _) = cycles[case], SPEEDS[case]
-    before, after = (Record(found.machine.moving(found.jumps[end : end + 1], speed, side=side)) for side in (-1, 1))
+    before, after = (MotionColumns(found.machine.moving(found.jumps[end : end + 1], speed, side=side)) for side in (-1, 1))
     sign = (-1.0, 1.0)[end]
     assert [before["cutting.fx_N"][0], after["cutting.fx_N"][0]] == pytest.approx([CUT, 0.0] if end == 0 else [0.0, CUT])
     asked = cutting_alone(found.jumps[end])

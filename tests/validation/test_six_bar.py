@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.dynamics.inertia import Wrench
-from optlink.dynamics.inverse import reactions, required
+from optlink.dynamics.inverse import reactions, required_wrench
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 
@@ -339,7 +339,7 @@ def without_moment(problem: optlink.ProblemFile, whole: Analysis, at: float) -> 
     bodies = {name: problem.raw["bodies"][name] for name in ("crank", "link2", "link3")}
     machine = analyze(problem.override({"bodies": bodies, "loads": {}})).machine  # the slider idles along, without mass
     moving = machine.moving(np.radians(whole["crank_angle_deg"]), SPEED)
-    needed = required(moving)
+    needed = required_wrench(moving)
     x, y = whole["C.link5.fx_N"], whole["C.link5.fy_N"]  # on link 5; what the joints must give link 3 in addition
     lever = at * (whole["C.x_m"] - 1.5), at * whole["C.y_m"]
     needed["link3"] = needed["link3"] + Wrench((x, y), lever[0] * y - lever[1] * x)

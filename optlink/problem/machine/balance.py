@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from optlink.dynamics.counterweights import KINDS, Counterweight, FreeSpring, Kind, Measure
+from optlink.dynamics.counterweights import KINDS, BalanceMeasure, Counterweight, FreeSpring, Kind
 from optlink.dynamics.machine import Machine
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.base_model import RESERVED, Name, Section
@@ -38,7 +38,7 @@ _MEASURE = re.compile(
 )
 
 
-def read_measure(text: object) -> Measure:
+def read_measure(text: object) -> BalanceMeasure:
     """Read a measure, for example "rms shaking force" or "largest reaction at D from 90 to 180 deg"; default: rms.
 
     Raises
@@ -64,15 +64,15 @@ def read_measure(text: object) -> Measure:
             raise Unusable(
                 "a range of crank angles rises, by less than a turn", "Write for example: from 300 to 420 deg", "", text
             )
-    return Measure(kind, "largest" if found["of"] == "largest" else "rms", found["joint"] or "", found["on"] or "", arc)
+    return BalanceMeasure(kind, "largest" if found["of"] == "largest" else "rms", found["joint"] or "", found["on"] or "", arc)
 
 
-def check_measure(measure: Measure, machine: Machine) -> None:
+def check_measure(measure: BalanceMeasure, machine: Machine) -> None:
     """Check that the machine has the elements of a measure and that the measure is linear in the masses.
 
     Parameters
     ----------
-    measure : Measure
+    measure : BalanceMeasure
     machine : Machine
 
     Raises
@@ -96,7 +96,7 @@ def check_measure(measure: Measure, machine: Machine) -> None:
         raise Unusable("with friction it is not linear in the masses, so no optimum could be proven", remedy, "", str(measure))
 
 
-def _read_goal(raw: object) -> tuple[tuple[Measure, float], ...]:
+def _read_goal(raw: object) -> tuple[tuple[BalanceMeasure, float], ...]:
     if isinstance(raw, tuple):
         return raw
     if isinstance(raw, str):
@@ -116,10 +116,10 @@ def _read_goal(raw: object) -> tuple[tuple[Measure, float], ...]:
 
 
 @dataclass(frozen=True)
-class Ceiling:
+class MeasureLimit:
     """Upper bound of a measure: `value` [SI], or `share` of its value in the original machine; `text` as written."""
 
-    measure: Measure
+    measure: BalanceMeasure
     value: float | None
     share: float | None
     text: str
@@ -129,7 +129,7 @@ class Ceiling:
         return self.share * before if self.share is not None else float(self.value or 0.0)
 
 
-def read_ceiling(name: str, raw: object) -> Ceiling:
+def read_measure_limit(name: str, raw: object) -> MeasureLimit:
     """Read the limit of a measure: "50 N", "5 N*m", or "80 %" of its value in the original machine.
 
     Parameters
@@ -153,11 +153,11 @@ def read_ceiling(name: str, raw: object) -> Ceiling:
             share = math.nan
         if not 0.0 <= share < 1e6:
             raise Unusable("not a share", 'Write for example "80 %"', name, raw)
-        return Ceiling(measure, None, share, text)
+        return MeasureLimit(measure, None, share, text)
     value, _ = read_scalar(raw, "force" if measure.unit == "N" else "torque", name)
     if value < 0.0:
         raise Unusable("an amount is not negative, so nothing can meet this limit", "Give zero or more", name, raw)
-    return Ceiling(measure, value, None, text)
+    return MeasureLimit(measure, value, None, text)
 
 
 def _read_place(raw: object) -> Any:
@@ -382,8 +382,8 @@ class BalanceSection(Section):
 
     @field_validator("limits", mode="after")
     @classmethod
-    def _ceilings(cls, limits: dict[str, Any]) -> dict[str, Ceiling]:
-        return {name: raw if isinstance(raw, Ceiling) else read_ceiling(name, raw) for name, raw in limits.items()}
+    def _ceilings(cls, limits: dict[str, Any]) -> dict[str, MeasureLimit]:
+        return {name: raw if isinstance(raw, MeasureLimit) else read_measure_limit(name, raw) for name, raw in limits.items()}
 
     @field_validator("counterweights", "springs", mode="before")
     @classmethod
@@ -393,9 +393,9 @@ class BalanceSection(Section):
         return tuple(raw)
 
     @property
-    def goal(self) -> tuple[tuple[Measure, float], ...]:
+    def goal(self) -> tuple[tuple[BalanceMeasure, float], ...]:
         """Measures to minimise, with their weights."""
-        found: tuple[tuple[Measure, float], ...] = self.minimise
+        found: tuple[tuple[BalanceMeasure, float], ...] = self.minimise
         return found
 
     def build(self, machine: Machine) -> tuple[tuple[Counterweight, ...], tuple[FreeSpring, ...]]:

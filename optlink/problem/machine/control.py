@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from optlink.clearance.joint import Gap
-from optlink.clearance.output import outputs, usual
+from optlink.clearance.output import default_output, outputs
 from optlink.dynamics.machine import Machine
 from optlink.problem.base_model import Section
 from optlink.problem.quantity import Duration, FixedAngle, Frequency, Number, Quantity, Unusable, nearest, read_fixed
@@ -100,7 +100,7 @@ class ControlSection(Section):
         for point in self.known or ():
             if point not in points:
                 raise Unusable("the joint has no clearance", nearest(point, points), "known", point)
-        output, given = known[self.output] if self.output is not None else usual(machine), self.regularisation
+        output, given = known[self.output] if self.output is not None else default_output(machine), self.regularisation
         if given is not None:
             wanted, example = ("a length", '"5 mm"') if output.guide else ("an angle", '"5 deg"')
             if (given.kind == "length") != bool(output.guide):

@@ -99,7 +99,7 @@ class JointSection(Section):
     """Tangential and viscous, while there is contact."""
 
     @property
-    def loose(self) -> bool:
+    def has_clearance(self) -> bool:
         """Whether the joint has clearance."""
         both = self.bearing_radius is not None and self.journal_radius is not None
         return self.clearance is not None or both
@@ -199,6 +199,6 @@ class JointSection(Section):
             with the first such key.
         """
         said = sorted(key for key in self.model_fields_set - {"on"} if getattr(self, key) is not None)
-        if said and not self.loose:
+        if said and not self.has_clearance:
             message = f"the joint has no clearance, so {said[0]} says nothing"
             raise Unusable(message, f"Add {EXAMPLE}, or take the key out", said[0])

@@ -25,7 +25,7 @@ from optlink.problem.quantity import (
 )
 
 
-class Samples(Protocol):
+class SlideSamples(Protocol):
     """Properties of a machine's motion that a load depends on."""
 
     def slow(self, load: Load) -> Direction:
@@ -97,7 +97,7 @@ class LoadSection(Section):
         names = ("phi", "omega", "s", "v") if info.field_name == "force" else ("phi", "omega", "theta", "w")
         return read_size(raw, str(info.field_name), names, (info.context or {}).get("folder", Path()))
 
-    def build(self, name: str, mechanism: Mechanism, motion: Samples) -> Load:
+    def build(self, name: str, mechanism: Mechanism, motion: SlideSamples) -> Load:
         """Return the load of a machine.
 
         Parameters
@@ -105,7 +105,7 @@ class LoadSection(Section):
         name : str
             Name of the load.
         mechanism : Mechanism
-        motion : Samples
+        motion : SlideSamples
             Samples of the motion over a revolution.
 
         Raises
@@ -220,7 +220,7 @@ class LoadSection(Section):
             if self.against == self.on:
                 raise Unusable("a load does not act against itself", "Name another body, or frame", "against", self.against)
 
-    def _stroke(self, load: Force | Torque, motion: Samples) -> dict[str, Any]:
+    def _stroke(self, load: Force | Torque, motion: SlideSamples) -> dict[str, Any]:
         """Return the stroke in which the load acts, and whether it follows the sense of crank rotation."""
         if load.opposing or self.stroke != "both":
             motion.check_moves(load)

@@ -14,7 +14,7 @@ from optlink.clearance.joint import Gap
 from optlink.dynamics.loads import Force, Load
 from optlink.dynamics.machine import Machine, Moving
 from optlink.dynamics.strokes import slow_stroke_of
-from optlink.linkage.continuation import follow
+from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import LEAST_DIFFERENCE, Direction
 from optlink.linkage.vector2d import Value, cross, dot
@@ -26,7 +26,7 @@ from optlink.problem.machine.joints import JointSection
 from optlink.problem.machine.loads import LoadSection
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
 from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
-from optlink.problem.tolerances import Deviation, Tolerances, deviations, loosened
+from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
 
 Array = NDArray[np.float64]
 STROKES = 720  # positions of a revolution at which the motion of a load is sampled
@@ -130,7 +130,7 @@ class Problem(Section):
             whose key is the name of the dimension.
         """
         quantities = self.mechanism.quantities
-        mechanism, pivots = loosened(self.mechanism, self.linkage)
+        mechanism, pivots = with_deviating_pivots(self.mechanism, self.linkage)
         largest = {name: quantity.bounds[1] for name, quantity in quantities.items()}
         return deviations(self.tolerances, mechanism, quantities, largest | pivots)
 
@@ -170,7 +170,7 @@ class Problem(Section):
                 inertias[name] = body.inertia_of(name, mechanism, sizes)
         if self.mechanism.follows and all(np.ndim(size) == 0 for size in sizes.values()):
             self.mechanism.check_mode(sizes)
-            mechanism = follow(mechanism, sizes, self.drive.start.value)
+            mechanism = continue_through_singularities(mechanism, sizes, self.drive.start.value)
         motion = Revolution(Machine(mechanism, sizes), slow or {})
         loads = []
         for name, section_ in self.loads.items():
@@ -208,9 +208,9 @@ class Problem(Section):
         return np.array([motion.slow_senses(load) for load in machine.loads if self.loads[load.name].by_pace])
 
     @property
-    def loose(self) -> bool:
+    def has_clearance(self) -> bool:
         """Whether some joint has clearance."""
-        return any(joint.loose for joint in self.joints.values())
+        return any(joint.has_clearance for joint in self.joints.values())
 
     def gaps(self, machine: Machine) -> tuple[Gap, ...]:
         """Return the joints with clearance.
@@ -222,7 +222,7 @@ class Problem(Section):
         """
         found = []
         for name, joint in self.joints.items():
-            if joint.loose:
+            if joint.has_clearance:
                 with _below(f"joints.{name}"):
                     found.append(joint.gap(name, machine.mechanism))
         if found:

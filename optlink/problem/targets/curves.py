@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from optlink.problem.quantity import LONGEST, SHORTEST, Unusable
 from optlink.problem.targets.expression import Expression, LawError, parse
-from optlink.problem.targets.point_table import Rows, check_apart
-from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, Wanted, asked_count, cut, metres, pairs
+from optlink.problem.targets.point_table import PointRows, check_apart
+from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, TargetPoints, metres, pairs, read_count, shortened
 from optlink.units import show
 
 Array = NDArray[np.float64]
@@ -21,19 +21,19 @@ FINE = 100_000  # chords that approximate a curve; for a full circle the length 
 
 
 @dataclass(frozen=True)
-class Piece:
+class CurvePiece:
     """A piece of a curve: `at` returns its points (n, 2) [m] at u (n,) from 0 to 1; `chords` chords approximate it."""
 
     at: Callable[[Array], Array]
     chords: int
 
 
-def evenly(pieces: Sequence[Piece], count: int) -> tuple[Array, bool, float]:
+def resample(pieces: Sequence[CurvePiece], count: int) -> tuple[Array, bool, float]:
     """Sample a curve evenly by arc length.
 
     Parameters
     ----------
-    pieces : sequence of Piece
+    pieces : sequence of CurvePiece
         Consecutive pieces of the curve.
     count : int
         Number of points.
@@ -67,7 +67,7 @@ def evenly(pieces: Sequence[Piece], count: int) -> tuple[Array, bool, float]:
     return np.concatenate([pieces[p].at(at[None]) for p, at in zip(piece, u, strict=True)]), loop, float(here[-1])
 
 
-def sampled(points: Array, unit: str, loop: bool, note: str) -> Wanted:
+def sampled_targets(points: Array, unit: str, loop: bool, note: str) -> TargetPoints:
     """Return points sampled from a curve as targets.
 
     Parameters
@@ -85,11 +85,11 @@ def sampled(points: Array, unit: str, loop: bool, note: str) -> Wanted:
     Unusable
         when neighbouring points coincide.
     """
-    check_apart(Rows({"x": points[:, 0], "y": points[:, 1]}, unit, key="points"))
-    return Wanted(pairs(points), unit=unit, note=f"{note}; closed, the first is not repeated" if loop else note, loop=loop)
+    check_apart(PointRows({"x": points[:, 0], "y": points[:, 1]}, unit, key="points"))
+    return TargetPoints(pairs(points), unit=unit, note=f"{note}; closed, the first is not repeated" if loop else note, loop=loop)
 
 
-def expressed(raw: Mapping[str, Any]) -> Wanted:
+def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
     """Return points of a curve whose coordinates are expressions in t."""
     for key, example in (("x", '"20*cos(t)"'), ("y", '"10*sin(t)"'), ("t", '[0, "2*pi"]'), ("unit", '"mm"')):
         if key not in raw:
@@ -98,7 +98,7 @@ def expressed(raw: Mapping[str, Any]) -> Wanted:
                 f'Add {key} = {example}; listed points are written [["20 mm", "25 mm"], ...]',
                 key,
             )
-    unit, size, count = raw["unit"], metres(raw), asked_count(raw)
+    unit, size, count = raw["unit"], metres(raw), read_count(raw)
     spacing = raw.get("spacing", "t")
     if spacing not in ("t", "arc length"):
         raise Unusable("unknown spacing of the points", 'Write "t" or "arc length"', "spacing", spacing)
@@ -116,18 +116,18 @@ def expressed(raw: Mapping[str, Any]) -> Wanted:
             worry = f"exceeds {LONGEST / 1e3:g} km"
         if worry:
             raise Unusable(
-                f"{key} {worry} between t = {begin:.6g} and t = {end:.6g}", "Choose another range of t", key, cut(raw[key])
+                f"{key} {worry} between t = {begin:.6g} and t = {end:.6g}", "Choose another range of t", key, shortened(raw[key])
             )
 
     def at(u: Array) -> Array:
         known = {"t": begin + (end - begin) * u}
         return np.stack([np.broadcast_to(np.asarray(law(known), dtype=float), u.shape) for law in (x, y)], axis=1) * size
 
-    points, loop, length = evenly([Piece(at, FINE)], count)
+    points, loop, length = resample([CurvePiece(at, FINE)], count)
     if spacing == "t":
         points = at(np.linspace(0.0, 1.0, count, endpoint=not loop))
     note = f"a curve {show(length, 'length', unit)} long, sampled at {count} points evenly by {spacing}"
-    return sampled(points, unit, loop, note)
+    return sampled_targets(points, unit, loop, note)
 
 
 def _expression(raw: object, names: Iterable[str], key: str) -> Expression:
@@ -136,7 +136,7 @@ def _expression(raw: object, names: Iterable[str], key: str) -> Expression:
     try:
         return parse(raw, names)
     except LawError as error:
-        raise Unusable(error.message, error.remedy, key, cut(raw)) from None
+        raise Unusable(error.message, error.remedy, key, shortened(raw)) from None
 
 
 def _bound(raw: object, key: str) -> float:
@@ -149,7 +149,7 @@ def _bound(raw: object, key: str) -> float:
         try:
             value = parse(raw, ())({})
         except LawError as error:
-            raise Unusable(error.message, remedy, key, cut(raw)) from None
+            raise Unusable(error.message, remedy, key, shortened(raw)) from None
     if not abs(value) <= HEAVIEST:  # NaN too
-        raise Unusable("the bound of t is not finite, or too large", remedy, key, cut(raw))
+        raise Unusable("the bound of t is not finite, or too large", remedy, key, shortened(raw))
     return float(value)

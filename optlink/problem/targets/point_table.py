@@ -15,7 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, nearest, read_scalar
-from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, MAX_POINTS, Wanted, csv_text, cut, diagonal, pairs
+from optlink.problem.targets.target_points import (
+    COINCIDENT,
+    HEAVIEST,
+    MAX_POINTS,
+    TargetPoints,
+    csv_text,
+    diagonal,
+    pairs,
+    shortened,
+)
 from optlink.units import factor, show
 
 Array = NDArray[np.float64]
@@ -26,7 +35,7 @@ _TURNED = 1e4  # rad; a larger angle has lost its last digits and is an input er
 
 
 @dataclass(frozen=True)
-class Rows:
+class PointRows:
     """Columns (n,) [SI] by name: x and y, and of crank, angle, weight and tolerance those that are defined.
 
     `unit` of x. `file` and the row `numbers` in it, for a CSV file. `key` named in errors; None: that of each listed row.
@@ -81,7 +90,7 @@ _COLUMNS = {"x": "coordinate", "y": "coordinate", "crank": "angle", "angle": "an
 _LEFT_OUT = {"weight": 1.0, "tolerance": math.inf}  # defaults of a row
 
 
-def listed(raw: Sequence[object]) -> Rows:
+def read_listed(raw: Sequence[object]) -> PointRows:
     """Read rows listed in the problem file, each a list of two or a table."""
     if len(raw) > MAX_ROWS:
         raise Unusable(f"there are {len(raw):,} points, more than {MAX_ROWS:,}", "Thin them out", "")
@@ -123,7 +132,7 @@ def listed(raw: Sequence[object]) -> Rows:
                 f"Give {name} of all points or of none",
                 f"[{lacks}].{name}",
             )
-    return Rows({name: np.array(columns[name]) for name in stated}, unit)
+    return PointRows({name: np.array(columns[name]) for name in stated}, unit)
 
 
 def _number(raw: object, key: str) -> float:
@@ -142,7 +151,7 @@ _TITLES = {
 }
 
 
-def tabled(raw: Mapping[str, Any], folder: Path) -> Rows:
+def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
     """Read rows of a CSV file; unlike `law.read_columns` it allows missing columns and empty cells.
 
     Parameters
@@ -194,7 +203,7 @@ def tabled(raw: Mapping[str, Any], folder: Path) -> Rows:
                         if left_out is not None
                         else "Correct or remove the row; decimals have a point",
                         "csv",
-                        cut(cell) or "nothing",
+                        shortened(cell) or "nothing",
                     )
                 values.append(value)
             if len(cells) > width and "".join(cells[width:]).strip():
@@ -202,7 +211,7 @@ def tabled(raw: Mapping[str, Any], folder: Path) -> Rows:
                     f"row {number} of {name} has {len(cells)} cells, and there are {width} columns",
                     "Correct the row; decimals have a point",
                     "csv",
-                    cut(cells[width]),
+                    shortened(cells[width]),
                 )
     except csv.Error as error:
         raise Unusable(f"{name} is not a CSV text file: {error}", "Save it as CSV, UTF-8", "csv", name) from None
@@ -213,7 +222,7 @@ def tabled(raw: Mapping[str, Any], folder: Path) -> Rows:
         unit = _TITLES[title][1]
         columns[column] = np.array(values) * (factor(unit, _COLUMNS[column]) if unit else 1.0)
     unit = next(_TITLES[title][1] for column, title, *_ in read if column == "x")
-    return Rows(columns, unit, name, numbers, "csv")
+    return PointRows(columns, unit, name, numbers, "csv")
 
 
 def _titles(cells: Iterable[str], name: str) -> list[str]:
@@ -224,7 +233,7 @@ def _titles(cells: Iterable[str], name: str) -> list[str]:
     for title in titles:
         if title not in _TITLES:
             shown = [known for known in _TITLES if not known.endswith(("_cm", "_in"))]
-            raise Unusable(f'{name} has an unknown column "{cut(title)}"', nearest(title, shown), "csv", cut(title))
+            raise Unusable(f'{name} has an unknown column "{shortened(title)}"', nearest(title, shown), "csv", shortened(title))
     columns = [_TITLES[title][0] for title in titles]
     for column in ("x", "y"):
         if column not in columns:
@@ -237,12 +246,12 @@ def _titles(cells: Iterable[str], name: str) -> list[str]:
     return titles
 
 
-def reduced(rows: Rows, asked: int | None) -> Wanted:
+def check_and_reduce(rows: PointRows, asked: int | None) -> TargetPoints:
     """Check the rows, and reduce them to the requested number or to `MAX_POINTS`.
 
     Parameters
     ----------
-    rows : Rows
+    rows : PointRows
     asked : int or None
         Requested number of points; None: as many as there are, up to `MAX_POINTS`.
 
@@ -261,8 +270,8 @@ def reduced(rows: Rows, asked: int | None) -> Wanted:
         loop = bool(np.hypot(*(points[-1] - points[0])) <= COINCIDENT * size)
         at, here = np.linspace(0.0, length, most, endpoint=not loop), np.concatenate([[0.0], np.cumsum(chords)])
         even = np.stack([np.interp(at, here, points[:, 0]), np.interp(at, here, points[:, 1])], axis=1)
-        check_apart(Rows({"x": even[:, 0], "y": even[:, 1]}, rows.unit, key="points" if asked else rows.key or ""))
-        return Wanted(pairs(even), unit=rows.unit, note=_reduced(rows, most, "arc length"), loop=loop)
+        check_apart(PointRows({"x": even[:, 0], "y": even[:, 1]}, rows.unit, key="points" if asked else rows.key or ""))
+        return TargetPoints(pairs(even), unit=rows.unit, note=_reduced(rows, most, "arc length"), loop=loop)
     check_apart(rows)
     note = ""
     columns = dict(rows.columns)
@@ -277,15 +286,15 @@ def reduced(rows: Rows, asked: int | None) -> Wanted:
         tuple(columns[name].tolist()) if name in columns else None for name in ("crank", "angle", "weight", "tolerance")
     )
     kept = pairs(np.stack([columns["x"], columns["y"]], axis=1))
-    return Wanted(kept, crank, angles, weights, tolerances, rows.unit, note)
+    return TargetPoints(kept, crank, angles, weights, tolerances, rows.unit, note)
 
 
-def _reduced(rows: Rows, count: int, by: str) -> str:
+def _reduced(rows: PointRows, count: int, by: str) -> str:
     of = f" of {rows.file}" if rows.file else ""
     return f"{len(rows.points):,} points{of} were reduced to {count}, evenly by {by}"
 
 
-def _check_ranges(rows: Rows) -> None:
+def _check_ranges(rows: PointRows) -> None:
     columns = rows.columns
     for name in ("x", "y"):
         remedy = f"Give one within {LONGEST / 1e3:g} km, and check its unit"
@@ -317,14 +326,14 @@ def _check_ranges(rows: Rows) -> None:
     rows.refuse(turned, "crank", "the crank angle of {} is more than one revolution from the first", remedy)
 
 
-def _check_size(rows: Rows) -> None:
+def _check_size(rows: PointRows) -> None:
     size = diagonal(rows.points)
     if len(rows.points) > 1 and size < SHORTEST:
         what = "all points lie in one place" if size == 0.0 else f"the whole path is smaller than {SHORTEST:g} m"
         raise Unusable(what, "Give points that differ, and check their unit", rows.key or "")
 
 
-def check_apart(rows: Rows) -> None:
+def check_apart(rows: PointRows) -> None:
     """Refuse a point that coincides with the previous one, unless their crank angles (a dwell) or angles (a rotation) differ."""
     points, columns = rows.points, rows.columns
     if "crank" not in columns:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from optlink.problem.quantity import Unusable, nearest
-from optlink.problem.targets.curves import expressed
-from optlink.problem.targets.point_table import listed, reduced, tabled
-from optlink.problem.targets.svg_path import drawn
-from optlink.problem.targets.target_points import DEFAULT_POINTS, MAX_POINTS, Wanted, asked_count, closed
+from optlink.problem.targets.curves import expression_curve
+from optlink.problem.targets.point_table import check_and_reduce, read_csv_rows, read_listed
+from optlink.problem.targets.svg_path import svg_points
+from optlink.problem.targets.target_points import DEFAULT_POINTS, MAX_POINTS, TargetPoints, closed, read_count
 
 _FORMS = (
     'Write [["20 mm", "25 mm"], ...], { csv = "curve.csv" }, { svg = "drawing.svg" } '
@@ -23,7 +23,7 @@ _KEYS = {
 }
 
 
-def read_points(raw: object, folder: Path) -> Wanted:
+def read_points(raw: object, folder: Path) -> TargetPoints:
     """Read points or poses from a problem file: a list, a CSV file, a shape of an SVG file, or expressions in t.
 
     Up to `MAX_POINTS` listed points are kept unchanged; more are reduced evenly by arc length or, if further columns are defined,
@@ -42,10 +42,10 @@ def read_points(raw: object, folder: Path) -> Wanted:
     Unusable
         with the key below the present one.
     """
-    if isinstance(raw, Wanted):
+    if isinstance(raw, TargetPoints):
         return raw
     if isinstance(raw, list | tuple):
-        return reduced(listed(raw), None)
+        return check_and_reduce(read_listed(raw), None)
     if not isinstance(raw, dict):
         raise Unusable("points are a list or a table", _FORMS, "", raw)
     forms = [form for form, keys in (("csv", ("csv",)), ("svg", ("svg",)), ("x", ("x", "y"))) if any(key in raw for key in keys)]
@@ -61,9 +61,9 @@ def read_points(raw: object, folder: Path) -> Wanted:
         if key not in _KEYS[forms[0]]:
             raise Unusable("unknown key", nearest(str(key), _KEYS[forms[0]]), str(key))
     if forms == ["csv"]:
-        count = asked_count(raw) if "points" in raw else None
-        return reduced(tabled(raw, folder), count)
-    return drawn(raw, folder) if forms == ["svg"] else expressed(raw)
+        count = read_count(raw) if "points" in raw else None
+        return check_and_reduce(read_csv_rows(raw, folder), count)
+    return svg_points(raw, folder) if forms == ["svg"] else expression_curve(raw)
 
 
-__all__ = ["DEFAULT_POINTS", "MAX_POINTS", "Wanted", "closed", "read_points"]
+__all__ = ["DEFAULT_POINTS", "MAX_POINTS", "TargetPoints", "closed", "read_points"]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.problem.quantity import Unusable
-from optlink.problem.targets.curves import FINE, Piece, evenly, sampled
-from optlink.problem.targets.target_points import Wanted, asked_count, contents, cut, metres
+from optlink.problem.targets.curves import FINE, CurvePiece, resample, sampled_targets
+from optlink.problem.targets.target_points import TargetPoints, metres, read_count, read_file, shortened
 from optlink.units import show
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ class _Element:
         return self.attributes.get("id", "")
 
     def __str__(self) -> str:
-        return f'<{self.tag} id="{cut(self.id)}">' if self.id else f"<{self.tag}>"
+        return f'<{self.tag} id="{shortened(self.id)}">' if self.id else f"<{self.tag}>"
 
     def chain(self) -> list[_Element]:
         """Return the elements from the root to this one."""
@@ -126,7 +126,9 @@ def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
     if seen["doctype"] and re.search(rb"&(?!#|amp;|lt;|gt;|quot;|apos;)", data.replace(b"\0", b"")):
         raise Unusable(f"{name} uses entities", "Save it without (Inkscape: Plain SVG)", "svg", name)
     if roots[0].tag != "svg":
-        raise Unusable(f"{name} is not an SVG file: it begins with <{cut(roots[0].tag)}>", "Save the drawing as SVG", "svg", name)
+        raise Unusable(
+            f"{name} is not an SVG file: it begins with <{shortened(roots[0].tag)}>", "Save the drawing as SVG", "svg", name
+        )
     return roots[0], shapes, "".join(sheets)
 
 
@@ -151,7 +153,7 @@ def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _E
         raise Unusable(f"{name} has {len(numbered)} paths, so the wanted one must be named", remedy, "path")
     number = asked if isinstance(asked, int) else int(asked) if re.fullmatch("[0-9]{1,7}", asked) else 0
     if not 1 <= number <= len(numbered):
-        raise Unusable(f"{name} has no such path", remedy, "path", cut(asked))
+        raise Unusable(f"{name} has no such path", remedy, "path", shortened(asked))
     return numbered[number - 1]
 
 
@@ -182,7 +184,7 @@ def _transform(element: _Element, name: str) -> Array:
         match = _FUNCTION.match(text, end)
         step = _step(match.group(1), match.group(2)) if match else None
         if match is None or step is None:
-            raise Unusable(f"the transform of {element} of {name} cannot be read", _FLATTEN, "path", cut(text[end:]))
+            raise Unusable(f"the transform of {element} of {name} cannot be read", _FLATTEN, "path", shortened(text[end:]))
         matrix, end = matrix @ step, match.end()
     return matrix
 
@@ -239,13 +241,13 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
     if forgive and (stretched or not clear):
         return None
     if not clear:
-        raise Unusable(f"the viewBox of {name} cannot be read", add, "svg", cut(box))
+        raise Unusable(f"the viewBox of {name} cannot be read", add, "svg", shortened(box))
     if stretched:
-        raise Unusable(f"{name} is stretched: its width and height do not go with its viewBox", add, "svg", cut(box))
+        raise Unusable(f"{name} is stretched: its width and height do not go with its viewBox", add, "svg", shortened(box))
     return max(scales) if "slice" in kept else min(scales)
 
 
-def drawn(raw: Mapping[str, Any], folder: Path) -> Wanted:
+def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
     """Return points of a shape of an SVG file.
 
     Parameters
@@ -260,9 +262,9 @@ def drawn(raw: Mapping[str, Any], folder: Path) -> Wanted:
     Unusable
         when the file or the shape cannot be read.
     """
-    count = asked_count(raw)
+    count = read_count(raw)
     stated = metres(raw) * 1e3 if "unit" in raw else None
-    name, data = contents(raw, "svg", folder)
+    name, data = read_file(raw, "svg", folder)
     root, shapes, sheets = _elements(data, name)
     shape = _chosen(shapes, raw, name)
     own = _scale(root, name, stated is not None)
@@ -272,8 +274,8 @@ def drawn(raw: Mapping[str, Any], folder: Path) -> Wanted:
         with np.errstate(all="ignore"):
             curves = _curves(shape, name)
             fine = min(max(FINE // max(len(curves), 1), 16), 2048)
-            pieces = [Piece(_onto(curve, matrix), 1 if straight else fine) for curve, straight in curves]
-            points, loop, length = evenly(pieces, count)
+            pieces = [CurvePiece(_onto(curve, matrix), 1 if straight else fine) for curve, straight in curves]
+            points, loop, length = resample(pieces, count)
     except Unusable as error:
         key = error.key or "path"
         raise Unusable(f"{shape} of {name}: {error.message}", error.remedy, key, error.value) from None
@@ -282,7 +284,7 @@ def drawn(raw: Mapping[str, Any], folder: Path) -> Wanted:
     if stated and own and not math.isclose(stated, own, rel_tol=1e-6):
         said = f"as stated, though the file says {own:.6g} mm"
     note = f"{shape} of {name}, {show(length, 'length', unit)} long, sampled at {count} points evenly by arc length"
-    return sampled(points, unit, loop, f"{note}; one user unit is {scale:.6g} mm, {said}")
+    return sampled_targets(points, unit, loop, f"{note}; one user unit is {scale:.6g} mm, {said}")
 
 
 _Curve = Callable[[Array], Drawn]  # x + iy in user units at u from 0 to 1
@@ -305,7 +307,7 @@ def _curves(shape: _Element, name: str) -> list[tuple[_Curve, bool]]:
     def size(key: str) -> float:
         text = shape.attributes.get(key, "0").strip()
         if not re.fullmatch(rf"{_N}(?:px)?", text):
-            raise Unusable(f"its {key} is no plain number", _FLATTEN, "", cut(text))
+            raise Unusable(f"its {key} is no plain number", _FLATTEN, "", shortened(text))
         return float(text.removesuffix("px"))
 
     if shape.tag in ("circle", "ellipse"):
@@ -331,11 +333,11 @@ def _path(text: str) -> list[tuple[_Curve, bool]]:
     if not text.strip():
         raise Unusable("there is no path data", broken)
     if end < len(text):
-        raise Unusable(f"its data cannot be read from character {end + 1} on", broken, "", cut(text[end:]))
+        raise Unusable(f"its data cannot be read from character {end + 1} on", broken, "", shortened(text[end:]))
     try:
         segments = list(parse_path(text))
     except (ValueError, ArithmeticError) as error:
-        raise Unusable(f"its data cannot be read: {cut(error)}", broken) from None
+        raise Unusable(f"its data cannot be read: {shortened(error)}", broken) from None
     if len(segments) > MAX_SEGMENTS:
         raise Unusable(f"it has more than {MAX_SEGMENTS:,} segments", "Simplify it (Inkscape: Path > Simplify)")
     curves: list[tuple[_Curve, bool]] = []

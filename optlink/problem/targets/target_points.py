@@ -24,7 +24,7 @@ HEAVIEST = 1e9  # largest plain number, such as a weight
 
 
 @dataclass(frozen=True)
-class Wanted:
+class TargetPoints:
     """Target points [m] of a path, in order; with `angles`, poses of a body.
 
     `crank`, `angles` [rad]: the crank angle and the angle of the body at each point, None if not prescribed. `weights` of the
@@ -48,7 +48,7 @@ class Wanted:
         return diagonal(np.asarray(self.points))
 
 
-def closed(wanted: Wanted) -> bool:
+def closed(wanted: TargetPoints) -> bool:
     """Return whether the points form a closed curve: sampled from one, or listed with the last on the first."""
     if wanted.loop:
         return True
@@ -56,7 +56,7 @@ def closed(wanted: Wanted) -> bool:
     return len(wanted.points) > 2 and math.dist(first, last) <= COINCIDENT * wanted.size
 
 
-def asked_count(raw: Mapping[str, Any]) -> int:
+def read_count(raw: Mapping[str, Any]) -> int:
     """Read the number of points at which a curve is sampled."""
     count = raw.get("points", DEFAULT_POINTS)
     if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= MAX_POINTS:
@@ -79,14 +79,14 @@ def diagonal(points: Array) -> float:
     return float(np.hypot(*np.ptp(points, axis=0)))
 
 
-def cut(value: object) -> str:
+def shortened(value: object) -> str:
     """Return a shortened printable piece of an input value, for messages."""
     text = str(value)
     shown = "".join(sign if sign.isprintable() else " " for sign in text[:60])
     return shown if len(text) <= 60 else f"{shown}..."
 
 
-def contents(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes]:
+def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes]:
     """Return the display name and the bytes of a file; devices and pipes are refused.
 
     Parameters
@@ -109,14 +109,14 @@ def contents(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes
     try:
         if not path.is_file():
             reason = "it is a folder" if path.is_dir() else "it is no plain file" if path.exists() else "no such file"
-            raise Unusable(f"cannot read the file: {reason}", remedy, key, cut(name))
+            raise Unusable(f"cannot read the file: {reason}", remedy, key, shortened(name))
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except OSError as error:
-        raise Unusable(f"cannot read the file: {error.strerror}", remedy, key, cut(name)) from None
+        raise Unusable(f"cannot read the file: {error.strerror}", remedy, key, shortened(name)) from None
     if len(data) > MAX_BYTES:
-        raise Unusable(f"{cut(name)} is larger than {MAX_BYTES / 1e6:g} MB", "Thin it out", key, cut(name))
-    return cut(name), data
+        raise Unusable(f"{shortened(name)} is larger than {MAX_BYTES / 1e6:g} MB", "Thin it out", key, shortened(name))
+    return shortened(name), data
 
 
 def csv_text(raw: Mapping[str, Any], folder: Path) -> tuple[str, str]:
@@ -134,7 +134,7 @@ def csv_text(raw: Mapping[str, Any], folder: Path) -> tuple[str, str]:
     Unusable
         when the file cannot be read or is not UTF-8.
     """
-    name, data = contents(raw, "csv", folder)
+    name, data = read_file(raw, "csv", folder)
     try:
         return name, data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

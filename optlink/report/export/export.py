@@ -21,7 +21,7 @@ from optlink.problem.quantity import nearest
 from optlink.report.export.dxf import travelled, write_dxf
 from optlink.report.export.svg import svg
 from optlink.report.files import folder, whole, write_csv, write_json
-from optlink.report.report_model import Subject
+from optlink.report.report_model import ReportModel
 from optlink.report.scene import scene
 from optlink.tasks.analyze import MAX_POINTS, analyze
 from optlink.tasks.results.analysis import Analysis
@@ -74,12 +74,12 @@ def target(path: Path, endings: tuple[str, ...], example: str) -> Path:
     return path
 
 
-def export(subject: Subject, path: Path, options: Options | None = None) -> None:
+def export(subject: ReportModel, path: Path, options: Options | None = None) -> None:
     """Write a design in the format of the file extension.
 
     Parameters
     ----------
-    subject : Subject
+    subject : ReportModel
     path : Path
         Extension .dxf, .svg, .csv or .json.
     options : Options or None, optional
@@ -105,12 +105,12 @@ def export(subject: Subject, path: Path, options: Options | None = None) -> None
     FORMATS[path.suffix.lower()](subject, subject.cycle, path, options)
 
 
-def place_of(subject: Subject, cycle: Analysis, at: float | None) -> float:
+def place_of(subject: ReportModel, cycle: Analysis, at: float | None) -> float:
     """Return a crank angle [rad] at which the mechanism can be assembled.
 
     Parameters
     ----------
-    subject : Subject
+    subject : ReportModel
     cycle : Analysis
     at : float [rad] or None
         Requested angle; None for the start of the motion.
@@ -133,12 +133,12 @@ def place_of(subject: Subject, cycle: Analysis, at: float | None) -> float:
     return at
 
 
-def _dxf(subject: Subject, cycle: Analysis, path: Path, options: Options) -> None:
+def _dxf(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     at = place_of(subject, cycle, options.at)
     write_dxf(cycle, path, at, subject.problem.model.title, options.hole, options.width)
 
 
-def _svg(subject: Subject, cycle: Analysis, path: Path, options: Options) -> None:
+def _svg(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     at = place_of(subject, cycle, options.at)
     whole_motion, here = scene(cycle), scene(cycle, at=at)
     text = svg(here, f"{subject.problem.model.title}: crank angle {math.degrees(at):.6g} deg", over=whole_motion)
@@ -146,7 +146,7 @@ def _svg(subject: Subject, cycle: Analysis, path: Path, options: Options) -> Non
         temporary.write_text(text, encoding="utf-8")
 
 
-def _csv(subject: Subject, cycle: Analysis, path: Path, options: Options) -> None:
+def _csv(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     """Write the motion as a table, without force columns if there are no masses and loads."""
     if not 1 <= options.points <= MAX_POINTS:
         remedy = f"Give a number from 1 to {MAX_POINTS:,}"
@@ -156,16 +156,16 @@ def _csv(subject: Subject, cycle: Analysis, path: Path, options: Options) -> Non
     write_csv(path, columns)
 
 
-def _json(subject: Subject, cycle: Analysis, path: Path, options: Options) -> None:
+def _json(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     write_json(path, geometry(subject, cycle, place_of(subject, cycle, options.at)))
 
 
-def geometry(subject: Subject, cycle: Analysis, at: float) -> dict[str, Any]:
+def geometry(subject: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
     """Return the linkage as a JSON document [SI]: points of the bodies in their own axes, and all positions at a crank angle.
 
     Parameters
     ----------
-    subject : Subject
+    subject : ReportModel
     cycle : Analysis
     at : float [rad]
         Crank angle.
@@ -209,6 +209,6 @@ def _plain(vector: Vector) -> list[float]:
     return [float(part) for part in vector]
 
 
-Writer = Callable[[Subject, Analysis, Path, Options], None]
+Writer = Callable[[ReportModel, Analysis, Path, Options], None]
 FORMATS: dict[str, Writer] = {".dxf": _dxf, ".svg": _svg, ".csv": _csv, ".json": _json}
 """What can be written, by the ending of the file."""

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.columns import Record, slider_names
+from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.io import finite
 from optlink.report.html.chart_plotly import Chart, Panel, Trace, axis, filled, level, line, sheet, short, stacked
 from optlink.report.html.moving_linkage import Readout
-from optlink.report.report_model import Subject
+from optlink.report.report_model import ReportModel
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, Scale, scale
 from optlink.report.views.analysis_curves import NOTHING, Course
 from optlink.report.views.analysis_pictures import outputs
@@ -24,31 +24,31 @@ from optlink.report.views.path_tables import exact
 from optlink.report.views.path_view import Track, best
 from optlink.report.views.study_tables import step
 from optlink.studies.sensitivity import Sensitivities
-from optlink.tasks.function import Result
+from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.results.cycle import MachineDesign
-from optlink.tasks.results.path import Generation
+from optlink.tasks.results.cycle import CycleResult
+from optlink.tasks.results.path import PathResult
 
 Array = NDArray[np.float64]
 BARS = 16  # largest number of bars of the tornado chart
 PARTS = {"inertia": BODIES[0], "gravity": BODIES[1], "load": BODIES[2]}
 
 
-def charts(subject: Subject) -> list[Chart]:
+def charts(subject: ReportModel) -> list[Chart]:
     """Return the applicable charts of a report model."""
     outcome, found = subject.outcome, []
     course = None if subject.cycle is None else Course(subject.cycle)
-    if isinstance(outcome, Result) and course is not None:
+    if isinstance(outcome, FunctionResult) and course is not None:
         found += _law(outcome)
-    if isinstance(outcome, Generation):
+    if isinstance(outcome, PathResult):
         found += _generated(outcome)
     if course is not None:
-        given = Course(outcome.given) if isinstance(outcome, MachineDesign) and outcome.given is not None else None
-        if not isinstance(outcome, Result | Generation) or subject.forces:
+        given = Course(outcome.given) if isinstance(outcome, CycleResult) and outcome.given is not None else None
+        if not isinstance(outcome, FunctionResult | PathResult) or subject.forces:
             found += _motion(course, given)
-        if isinstance(outcome, Result):
+        if isinstance(outcome, FunctionResult):
             found += _transmission(course, outcome)
-        elif not (isinstance(outcome, Generation) and not _pointed(outcome)):
+        elif not (isinstance(outcome, PathResult) and not _pointed(outcome)):
             found += _transmission(course)
         if subject.forces:
             found += [*_torque(course, given), *_reactions(course), *_shaking(course, given)]
@@ -58,7 +58,7 @@ def charts(subject: Subject) -> list[Chart]:
 # --- function synthesis of a four-bar ----------------------------------------------------------------------------------------
 
 
-def _law(result: Result) -> list[Chart]:
+def _law(result: FunctionResult) -> list[Chart]:
     """Plot prescribed and generated rocker angle over the span, and the error."""
     task, design = result.problem.spec, result.design
     if not math.isfinite(design["phi0"]):
@@ -81,7 +81,7 @@ def _law(result: Result) -> list[Chart]:
     return [Chart("Motion law over the span", stacked(panels))]
 
 
-def _transmission(course: Course, result: Result | None = None) -> list[Chart]:
+def _transmission(course: Course, result: FunctionResult | None = None) -> list[Chart]:
     """Plot the transmission angles of all two-link groups over the motion, with their limits."""
     names = [name for name in course.columns if name.endswith(".transmission_rad")]
     if not names:
@@ -107,11 +107,11 @@ def _over_cycle(panels: Sequence[Panel], course: Course) -> dict[str, Any]:
 # --- path, motion and function synthesis -------------------------------------------------------------------------------------
 
 
-def _pointed(result: Generation) -> bool:
+def _pointed(result: PathResult) -> bool:
     return result.best is not None and result.best.task.pointed
 
 
-def _generated(result: Generation) -> list[Chart]:
+def _generated(result: PathResult) -> list[Chart]:
     track = best(result)
     if track is None:
         return []
@@ -297,7 +297,7 @@ def readouts(cycle: Analysis, angles: Array, *, forces: bool) -> list[Readout]:
         Include the driving torque.
     """
     machine = cycle.machine
-    record = Record(machine.moving(np.radians(angles), cycle.speed))
+    record = MotionColumns(machine.moving(np.radians(angles), cycle.speed))
     sliders = [f"{name}.s_m" for name in slider_names(machine).values()]
     asked = [(name, f"slide of {name.removesuffix('.s_m')}", "m") for name in sliders]
     if not asked:

@@ -17,24 +17,24 @@ from optlink.report.html.charts import charts, readouts, tornado
 from optlink.report.html.moving_linkage import Moving, crank_stops
 from optlink.report.html.shell import LARGEST, Section, Sheet, cards, fitted, write
 from optlink.report.html.sources import closing
-from optlink.report.report_model import Outcome, Subject
+from optlink.report.report_model import Outcome, ReportModel
 from optlink.report.scene import scene
 from optlink.report.views import analysis_tables, cycle_tables, function_tables, path_tables, study_tables
 from optlink.studies.sensitivity import Sensitivities, of_solution
-from optlink.tasks.function import Result
+from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.results.cycle import MachineDesign
-from optlink.tasks.results.path import Generation
+from optlink.tasks.results.cycle import CycleResult
+from optlink.tasks.results.path import PathResult
 
 __all__ = ["LARGEST", "page", "sensitivities_of", "told", "verdict", "write_page"]
 
 
-def write_page(subject: Subject, path: Path) -> None:
+def write_page(subject: ReportModel, path: Path) -> None:
     """Write the HTML report of a report model.
 
     Parameters
     ----------
-    subject : Subject
+    subject : ReportModel
     path : Path
 
     Raises
@@ -45,13 +45,13 @@ def write_page(subject: Subject, path: Path) -> None:
     write(page(subject), path)
 
 
-def page(subject: Subject) -> str:
+def page(subject: ReportModel) -> str:
     """Return the HTML report of a report model."""
     answers = subject.answers or sensitivities_of(subject)
     return fitted(lambda steps: _sheet(subject, answers, steps))
 
 
-def _sheet(subject: Subject, answers: Sensitivities | None, steps: int) -> Sheet:
+def _sheet(subject: ReportModel, answers: Sensitivities | None, steps: int) -> Sheet:
     moving = moved(subject, steps)
     return Sheet(
         title=subject.problem.model.title,
@@ -64,12 +64,12 @@ def _sheet(subject: Subject, answers: Sensitivities | None, steps: int) -> Sheet
     )
 
 
-def moved(subject: Subject, steps: int) -> Moving | None:
+def moved(subject: ReportModel, steps: int) -> Moving | None:
     """Return the animated machine of a report model; None if there is none.
 
     Parameters
     ----------
-    subject : Subject
+    subject : ReportModel
     steps : int
         Number of positions per revolution.
     """
@@ -82,7 +82,7 @@ def moved(subject: Subject, steps: int) -> Moving | None:
 # --- layout ------------------------------------------------------------------------------------------------------------------
 
 
-def _sections(subject: Subject, moving: Moving | None, answers: Sensitivities | None) -> Iterator[Section]:
+def _sections(subject: ReportModel, moving: Moving | None, answers: Sensitivities | None) -> Iterator[Section]:
     if answers is not None and subject.answers is not None:  # the requested study comes first
         yield _matters(answers)
     if moving is not None:
@@ -111,15 +111,15 @@ def _known(part: Table | Text) -> bool:
     return str(part.title) == "Optimum" if isinstance(part, Table) else "bold" in str(part.style)
 
 
-def sensitivities_of(subject: Subject) -> Sensitivities | None:
+def sensitivities_of(subject: ReportModel) -> Sensitivities | None:
     """Return the sensitivities of an optimum to its parameters.
 
     None if there was no optimisation, no optimum, an exact solution, or no parameter with an effect.
     """
     outcome = subject.outcome
-    if isinstance(outcome, Result | MachineDesign):
+    if isinstance(outcome, FunctionResult | CycleResult):
         file, solution = outcome.problem, outcome.solution
-    elif isinstance(outcome, Generation) and outcome.best is not None and not path_tables.exact(outcome.best):
+    elif isinstance(outcome, PathResult) and outcome.best is not None and not path_tables.exact(outcome.best):
         file, solution = outcome.best.problem, outcome.best.solution
     else:
         return None
@@ -129,23 +129,23 @@ def sensitivities_of(subject: Subject) -> Sensitivities | None:
     return found if found.moving else None
 
 
-def verdict(subject: Subject) -> str:
+def verdict(subject: ReportModel) -> str:
     """Return the verdict: whether the design is valid, and which checks failed."""
     if isinstance(subject.outcome, Analysis):
         return f"{subject.outcome.status[0].upper()}{subject.outcome.status[1:]}"
     if subject.valid:
-        outcome = subject.outcome.best if isinstance(subject.outcome, Generation) else subject.outcome
+        outcome = subject.outcome.best if isinstance(subject.outcome, PathResult) else subject.outcome
         fit = getattr(outcome, "fit", None)
-        beside = f"; {outcome.comparison}" if isinstance(outcome, MachineDesign) and outcome.comparison else ""
+        beside = f"; {outcome.comparison}" if isinstance(outcome, CycleResult) and outcome.comparison else ""
         return (f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed") + beside
     failed = _failed(subject)
     return f"Not valid: {failed}" if failed else f"Not valid: {subject.outcome.status.value}"
 
 
-def _failed(subject: Subject) -> str:
+def _failed(subject: ReportModel) -> str:
     """Return the names of the failed checks."""
     outcome = subject.outcome
-    if isinstance(outcome, Generation):
+    if isinstance(outcome, PathResult):
         proof = None if outcome.best is None else outcome.best.validation
     else:
         proof = None if isinstance(outcome, Analysis) else outcome.validation
@@ -153,19 +153,19 @@ def _failed(subject: Subject) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def told(subject: Subject) -> RenderableType:
+def told(subject: ReportModel) -> RenderableType:
     """Return the terminal tables of the result."""
     outcome = subject.outcome
-    if isinstance(outcome, Result):
+    if isinstance(outcome, FunctionResult):
         return function_tables.result(outcome)
-    if isinstance(outcome, Generation):
+    if isinstance(outcome, PathResult):
         return path_tables.generation(outcome)
-    if isinstance(outcome, MachineDesign):
+    if isinstance(outcome, CycleResult):
         return cycle_tables.machine_design(outcome)
     return analysis_tables.analysis(outcome)
 
 
-def _status(subject: Subject) -> Iterator[str]:
+def _status(subject: ReportModel) -> Iterator[str]:
     """Yield the lines below the title, and the notes of a stored result."""
     first = next(part for part in tables.flat(told(subject)) if isinstance(part, Text))
     for text in first.split("\n")[1:]:
@@ -174,7 +174,7 @@ def _status(subject: Subject) -> Iterator[str]:
         yield f"<p>Note: {escape(note)}</p>"
 
 
-def _result(subject: Subject) -> Iterator[Table | Text]:
+def _result(subject: ReportModel) -> Iterator[Table | Text]:
     """Return the tables of the result, with the stored active constraints before the validation."""
     parts = list(tables.flat(told(subject)))[1:]
     if subject.limits and not _priced(subject.outcome):
@@ -186,24 +186,24 @@ def _result(subject: Subject) -> Iterator[Table | Text]:
 
 def _priced(outcome: Outcome) -> bool:
     """Return whether the result has its own shadow prices."""
-    found = outcome.best if isinstance(outcome, Generation) else outcome
+    found = outcome.best if isinstance(outcome, PathResult) else outcome
     return getattr(found, "solution", None) is not None
 
 
-def _recorded(subject: Subject) -> RenderableType:
+def _recorded(subject: ReportModel) -> RenderableType:
     """Tabulate the stored active constraints with their shadow prices in display units."""
     outcome, limits = subject.outcome, subject.limits
-    if isinstance(outcome, Generation) and outcome.best is not None:
+    if isinstance(outcome, PathResult) and outcome.best is not None:
         best = outcome.best
         shown = path_tables.people_objective(best)
         size = shown / best.objective if best.objective > 0.0 else 1.0
         scaled = [replace(limit, multiplier=limit.multiplier * size) for limit in limits]
         return function_tables.active(scaled, shown, path_tables.people_objective_unit(best))
-    unit = outcome.unit if isinstance(outcome, Result | MachineDesign) else ""
+    unit = outcome.unit if isinstance(outcome, FunctionResult | CycleResult) else ""
     return function_tables.active(limits, subject.objective, unit)
 
 
-def _by(subject: Subject) -> str:
+def _by(subject: ReportModel) -> str:
     outcome = subject.outcome
     if isinstance(outcome, Analysis):
         return "nothing was searched: the machine is analysed as it is given"

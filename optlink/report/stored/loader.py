@@ -10,7 +10,7 @@ from pathlib import Path
 from optlink.errors import Fault, InputError
 from optlink.problem.file import shipped
 from optlink.report.registry import page_of
-from optlink.report.report_model import Subject
+from optlink.report.report_model import ReportModel
 from optlink.report.stored.problem_lookup import problem_of
 from optlink.report.stored.reader import read
 from optlink.report.stored.stored_result import KNOWN, read_subject
@@ -37,7 +37,7 @@ def is_result(text: str) -> bool:
     return text.endswith(".json") or (os.path.isdir(text) and text not in shipped())
 
 
-def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -> Subject | Studied:
+def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -> ReportModel | Studied:
     """Load a result file.
 
     Parameters

@@ -8,7 +8,7 @@ from pathlib import Path
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile, load, parse_assignment, shipped
 from optlink.report.stored.reader import Record
-from optlink.tasks.path import variants_of
+from optlink.tasks.path import assembly_variants
 
 
 def problem_of(record: Record, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
@@ -34,7 +34,7 @@ def problem_of(record: Record, problem: str | None = None, changes: Sequence[str
     hashes = []
     for place in places:
         file = load(place, overrides)
-        for variant in (file, *variants_of(file)):
+        for variant in (file, *assembly_variants(file)):
             if variant.hash == wanted:
                 return variant
         hashes.append(file.hash)

@@ -13,7 +13,7 @@ from optlink.linkage.stroke import TURN
 from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution
-from optlink.tasks.results.path import Design
+from optlink.tasks.results.path import PathDesign
 
 Array = NDArray[np.float64]
 SAME = 1e-5  # tolerance in scaled units; a larger step leads to a different optimum
@@ -51,10 +51,10 @@ def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution 
     """
     from optlink.optimization.cycle_nlp import CycleNLP
     from optlink.studies.cycle_parameters import CLOSE
-    from optlink.studies.cycle_task import restarted
+    from optlink.studies.cycle_task import with_starting_values
     from optlink.tasks.cycle import solve as solve_cycle
 
-    found = solve_cycle(restarted(file, values), CLOSE, starts=1).solution
+    found = solve_cycle(with_starting_values(file, values), CLOSE, starts=1).solution
     if found is None or found.status is not Status.OPTIMAL:
         return None
     assert isinstance(found.nlp, CycleNLP)
@@ -63,18 +63,18 @@ def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution 
     return found if float(np.max(np.abs(away))) <= SAME else None
 
 
-def generated_optimum(design: Design) -> Design:
+def generated_optimum(design: PathDesign) -> PathDesign:
     """Return a path, motion or function synthesis design with its solution, which is None if it is not an optimum."""
-    from optlink.optimization.path_nlp import angle_name, build_generation
+    from optlink.optimization.path_nlp import angle_name, build_path_nlp
     from optlink.solvers import multistart
-    from optlink.solvers.path_exchange import search_everywhere
+    from optlink.solvers.path_exchange import solve_semi_infinite
 
     angles = design.crank_angles
-    nlp = build_generation(design.task, 1 if angles[-1] >= angles[0] else -1)
+    nlp = build_path_nlp(design.task, 1 if angles[-1] >= angles[0] else -1)
     own = {angle_name(k): float(angle) for k, angle in enumerate(angles)}
     x = nlp.x_of({**design.values, **own})
-    start = multistart.given(nlp, x, "read from a result file")
-    return replace(design, solution=_same(search_everywhere(design.task, start, multistart.BACKENDS[-1], near=True), x))
+    start = multistart.solution_at(nlp, x, "read from a result file")
+    return replace(design, solution=_same(solve_semi_infinite(design.task, start, multistart.BACKENDS[-1], near=True), x))
 
 
 def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
@@ -82,7 +82,7 @@ def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
     from optlink.solvers import multistart
 
     x = nlp.x_of(values)
-    found = multistart.given(nlp, x, "read from a result file")
+    found = multistart.solution_at(nlp, x, "read from a result file")
     if found.status is not Status.OPTIMAL:
         found = multistart.solve_from(nlp, x, multistart.BACKENDS[-1])
     return _same(found, x)

@@ -16,7 +16,7 @@ import numpy as np
 
 from optlink.errors import Fault, InputError, Status
 from optlink.problem.file import ProblemFile
-from optlink.report.report_model import Outcome, Subject, subject_of
+from optlink.report.report_model import Outcome, ReportModel, report_model_of
 from optlink.report.stored.problem_lookup import problem_of
 from optlink.report.stored.reader import AGAIN, Record, read
 from optlink.report.stored.resolved_result import generated_optimum, law_optimum, machine_optimum
@@ -24,30 +24,30 @@ from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.infeasibility import Relaxation
 from optlink.solvers.solution import LimitState
 from optlink.studies.sensitivity import SCHEMA as SENSITIVITY
-from optlink.studies.sensitivity import Resolved
+from optlink.studies.sensitivity import DifferenceCheck
 from optlink.tasks.analyze import analyze
 from optlink.tasks.cycle import validate as validate_cycle
 from optlink.tasks.function import SCHEMA as RESULT
-from optlink.tasks.function import Result, read_design, validate
-from optlink.tasks.path import variants_of
+from optlink.tasks.function import FunctionResult, read_design, validate
+from optlink.tasks.path import assembly_variants
 from optlink.tasks.results.analysis import SCHEMA as ANALYSIS
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.common import Relaxed
 from optlink.tasks.results.cycle import SCHEMA as MACHINE
-from optlink.tasks.results.cycle import MachineDesign
+from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import SCHEMA as GENERATION
-from optlink.tasks.results.path import Design, Generation
+from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.units import UnitProblem, factor
 from optlink.validation import Check
 from optlink.validation.check import Validation
-from optlink.validation.path import validate_generation
+from optlink.validation.path import validate_path
 from optlink.version import VERSION
 
 KNOWN = {RESULT: "solve", GENERATION: "solve", MACHINE: "solve", ANALYSIS: "analyze", SENSITIVITY: "study sensitivity"}
 """Schemas that can be shown, and the command that writes them."""
 
 
-def read_subject(path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> Subject:
+def read_subject(path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> ReportModel:
     """Return the report model of a result file.
 
     Parameters
@@ -82,21 +82,21 @@ def read_subject(path: Path, problem: str | None = None, changes: Sequence[str] 
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         told = f"the key {error} is missing" if isinstance(error, KeyError) else f"a value is none that belongs there ({error})"
         raise InputError(Fault(f"the result is damaged: {told}", AGAIN, str(path))) from None
-    return subject_of(file, outcome, limits, tuple(notes))
+    return report_model_of(file, outcome, limits, tuple(notes))
 
 
 def _solved(outcome: Outcome) -> Outcome:
     """Return an outcome with the solution of its optimum restored."""
-    if isinstance(outcome, Result) and outcome.status is Status.OPTIMAL:
+    if isinstance(outcome, FunctionResult) and outcome.status is Status.OPTIMAL:
         return replace(outcome, solution=law_optimum(outcome.problem, outcome.design))
-    if isinstance(outcome, MachineDesign) and outcome.status is Status.OPTIMAL:
+    if isinstance(outcome, CycleResult) and outcome.status is Status.OPTIMAL:
         return replace(outcome, solution=machine_optimum(outcome.problem, outcome.values))
-    if isinstance(outcome, Generation) and outcome.designs and outcome.designs[0].status is Status.OPTIMAL:
+    if isinstance(outcome, PathResult) and outcome.designs and outcome.designs[0].status is Status.OPTIMAL:
         return replace(outcome, designs=(generated_optimum(outcome.designs[0]), *outcome.designs[1:]))
     return outcome
 
 
-def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Subject:
+def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> ReportModel:
     """Return the optimum of a sensitivity study with recomputed derivatives and stored checks."""
     units = record.record("design_units")
     values = {name: value * _size(file, units, name) for name, value in record.figures("design").items()}
@@ -106,17 +106,17 @@ def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Sub
     if file.task == "cycle":
         known = {name: values[name] for name in file.model.free}
         outcome = _solved(replace(validate_cycle(file, known), status=Status.OPTIMAL))
-        problem, solution = file, outcome.solution if isinstance(outcome, MachineDesign) else None
+        problem, solution = file, outcome.solution if isinstance(outcome, CycleResult) else None
     elif file.task == "path":
         from optlink.tasks.path import validate as validate_path
 
         outcome = _solved(_optimum(validate_path(file, values)))
-        best = outcome.best if isinstance(outcome, Generation) else None
+        best = outcome.best if isinstance(outcome, PathResult) else None
         problem, solution = (file, None) if best is None else (best.problem, best.solution)
     else:
         given = replace(validate(file, {name: values[name] for name in file.model.free}), status=Status.OPTIMAL)
         outcome = _solved(given)
-        problem, solution = file, outcome.solution if isinstance(outcome, Result) else None
+        problem, solution = file, outcome.solution if isinstance(outcome, FunctionResult) else None
     if solution is None:
         raise record.fault("design", "this is not the optimum of its problem")
     from optlink.studies.sensitivity import of_solution
@@ -124,7 +124,7 @@ def _sensitive(record: Record, file: ProblemFile, notes: tuple[str, ...]) -> Sub
     told = {row.text("key"): row for row in record.records("parameters")}
     found = of_solution(problem, solution)
     rows = tuple(replace(row, check=_checked(told[key])) if (key := row.parameter.key) in told else row for row in found.rows)
-    return replace(subject_of(file, outcome, (), notes), answers=replace(found, rows=rows))
+    return replace(report_model_of(file, outcome, (), notes), answers=replace(found, rows=rows))
 
 
 def _size(file: ProblemFile, units: Record, name: str) -> float:
@@ -138,17 +138,17 @@ def _size(file: ProblemFile, units: Record, name: str) -> float:
         raise units.fault(name, error.message, unit) from None
 
 
-def _optimum(found: Generation) -> Generation:
+def _optimum(found: PathResult) -> PathResult:
     """Return validated designs with the status of optima."""
     return replace(found, designs=tuple(replace(design, status=Status.OPTIMAL) for design in found.designs))
 
 
-def _checked(record: Record) -> Resolved | None:
+def _checked(record: Record) -> DifferenceCheck | None:
     """Return the derivatives that were found by solving again, if they were stored."""
     if not record.has("searched_again"):
         return None
     found = record.record("searched_again")
-    return Resolved(found.number("step"), found.number("objective"), found.figures("design"), found.number("gap"))
+    return DifferenceCheck(found.number("step"), found.number("objective"), found.figures("design"), found.number("gap"))
 
 
 def _outcome(schema: str, document: Mapping[str, Any], path: Path, file: ProblemFile) -> Outcome:
@@ -162,12 +162,12 @@ def _outcome(schema: str, document: Mapping[str, Any], path: Path, file: Problem
     known = {check.name for check in made.validation.checks}
     recorded = [check for check in _checks(document) if check.name not in known]
     proof = replace(made.validation, checks=(*made.validation.checks, *recorded))
-    kind = Relaxation if isinstance(made, MachineDesign) else Relaxed
+    kind = Relaxation if isinstance(made, CycleResult) else Relaxed
     about: dict[str, Any] = {key: document[key] for key in ("backend", "seed", "starts")}
     about |= {"status": status, "validation": proof, "seconds": {}}
     about["conflict"] = tuple(kind(**_relaxed(item)) for item in document.get("conflict", ()))
     about["together"] = tuple(kind(**_relaxed(item)) for item in document.get("relax_together", ()))
-    if isinstance(made, MachineDesign):
+    if isinstance(made, CycleResult):
         about["notes"] = tuple(document.get("notes", ()))
     return replace(made, **about)
 
@@ -185,13 +185,13 @@ def _analysis(document: Mapping[str, Any], file: ProblemFile) -> Analysis:
     return analyze(file, max(1, len(columns) - 1), speed=float(document["speed_rad_s"]), design=design)
 
 
-def _generation(document: Mapping[str, Any], file: ProblemFile) -> Generation:
+def _generation(document: Mapping[str, Any], file: ProblemFile) -> PathResult:
     """Return the best design of a search, or its nearest miss, at the stored crank angles."""
     found = [_generated(item, file) for item in document["designs"]]
     miss = document.get("nearest_miss")
     nearest = _generated(miss, file) if isinstance(miss, dict) else None
     valid = tuple(design for design in found if design.valid)
-    return Generation(
+    return PathResult(
         problem=file,
         designs=valid,
         nearest=nearest or next(iter(found), None),
@@ -204,8 +204,8 @@ def _generation(document: Mapping[str, Any], file: ProblemFile) -> Generation:
     )
 
 
-def _generated(item: Mapping[str, Any], file: ProblemFile) -> Design:
-    modes = {json.dumps(each.raw["mechanism"].get("assembly", "left"), sort_keys=True): each for each in variants_of(file)}
+def _generated(item: Mapping[str, Any], file: ProblemFile) -> PathDesign:
+    modes = {json.dumps(each.raw["mechanism"].get("assembly", "left"), sort_keys=True): each for each in assembly_variants(file)}
     variant = modes[json.dumps(item["assembly"], sort_keys=True)]
     task = variant.model
     quantities = task.quantities
@@ -215,11 +215,11 @@ def _generated(item: Mapping[str, Any], file: ProblemFile) -> Design:
         known = name if name in quantities else key  # dimensionless quantities have no unit suffix
         values[known] = float(value) * (factor(unit, quantities[known].kind) if known == name and unit else 1.0)
     angles = np.radians(np.asarray(item["points"]["crank_deg"], dtype=float))
-    proof = validate_generation(task, values, angles)  # type: ignore[arg-type]
+    proof = validate_path(task, values, angles)  # type: ignore[arg-type]
     known_checks = {check.name for check in proof.checks}
     recorded = tuple(check for check in _checks(item) if check.name not in known_checks)
     checked = Validation((*proof.checks, *recorded), proof.objective)
-    return Design(variant, values, angles, proof.objective, Status(item["status"]), checked)
+    return PathDesign(variant, values, angles, proof.objective, Status(item["status"]), checked)
 
 
 def _checks(document: Mapping[str, Any]) -> list[Check]:
@@ -248,8 +248,8 @@ def _limit(item: Mapping[str, Any]) -> LimitState:
 
 def _optimal(outcome: Outcome) -> bool:
     """Return whether the outcome is an optimum, so that its limits have shadow prices."""
-    found = outcome.best if isinstance(outcome, Generation) else outcome
-    return isinstance(found, Result | MachineDesign | Design) and found.status is Status.OPTIMAL
+    found = outcome.best if isinstance(outcome, PathResult) else outcome
+    return isinstance(found, FunctionResult | CycleResult | PathDesign) and found.status is Status.OPTIMAL
 
 
 def _number(value: object) -> float:

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.html import tables
 from optlink.report.html.charts import readouts
@@ -123,7 +123,7 @@ def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float
     """
     found = {}
     for name, quantity in file.model.quantities.items():
-        unit = KINDS[quantity.kind].people
+        unit = KINDS[quantity.kind].display
         column = f"{name}_{unit}" if unit else name
         if column in columns:
             found[name] = columns[column] * (factor(unit, quantity.kind) if unit else 1.0)
@@ -141,7 +141,7 @@ def cycle_of(file: ProblemFile, design: Mapping[str, float]) -> Analysis | None:
     """
     sizes = {**sizes_of(file.model.mechanism.quantities), **design}
     try:
-        return analyze(settled(file, {name: sizes[name] for name in file.model.mechanism.quantities}))
+        return analyze(fixed_design(file, {name: sizes[name] for name in file.model.mechanism.quantities}))
     except InputError:
         return None
 

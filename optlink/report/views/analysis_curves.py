@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from optlink.dynamics.columns import Record
+from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.work import Work
 from optlink.linkage.stroke import TURN, Travel
 from optlink.report.labels import Label
@@ -51,9 +51,9 @@ class Course:
         self.angles: Array = everywhere[order]
         self.degrees = np.degrees(self.angles)
         machine, speed = result.machine, result.speed
-        records = [Record(machine.moving(grid, speed))]
+        records = [MotionColumns(machine.moving(grid, speed))]
         if jumps.size:
-            records += [Record(machine.moving(jumps, speed, side=side)) for side in (-1, 1)]
+            records += [MotionColumns(machine.moving(jumps, speed, side=side)) for side in (-1, 1)]
         self.columns = {name: np.concatenate([record[name] for record in records])[order] for name in records[0].columns}
         for name in self.columns:
             if name.endswith(".angle_rad"):

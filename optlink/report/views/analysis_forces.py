@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.inverse import shaking as shaken
 from optlink.linkage import extrema
-from optlink.report.labels import Label, settle
+from optlink.report.labels import Label, place_labels
 from optlink.report.style import (
     BODIES,
     COUPLER,
@@ -73,7 +73,7 @@ def torque(course: Course) -> Figure | None:
     axes.set_ylabel(f"torque on {result.machine.mechanism.crank.body} [{unit.unit}]" + ("" if held else ", cut off"))
     axes.set_title(f"{heading(title, 7.0, 10.5)}\n{_speed(result.speed)}", fontsize=10.5)
     made.legend(frameon=False, fontsize=8.5, loc="outside lower center", ncols=5)
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 
@@ -139,7 +139,7 @@ def reactions(course: Course) -> Figure | None:
     bottom.set_title("all joint reactions, with their largest amounts", fontsize=9.5)
     bottom.legend(frameon=False, fontsize=8.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
     made.suptitle(heading(f"{course.result.problem.model.title}: joint reactions", 10.5), fontsize=11)
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 
@@ -269,7 +269,7 @@ def guides(course: Course) -> Figure | None:
             analysis_curves.zero(axes)
             analysis_curves.crank_axis(axes, course, named=place == len(rows))
     made.suptitle(heading(f"{course.result.problem.model.title}: guide forces", width), fontsize=11)
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 
@@ -310,7 +310,7 @@ def work(course: Course) -> Figure | None:
         made.legend(frameon=False, fontsize=8.5, loc="outside lower center", ncols=3)
     for one in axes:
         analysis_curves.crank_axis(one, course, named=one is axes[-1])
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 
@@ -342,7 +342,7 @@ def shaking(course: Course) -> Figure | None:
     right.set_ylabel(f"moment [{unit.unit}]" + ("" if held else ", cut off"))
     right.set_title(f"shaking moment about the crank pivot {course.result.machine.mechanism.crank.start}", fontsize=9.5)
     made.suptitle(heading(f"{course.result.problem.model.title}: shaking force and moment", 10.2), fontsize=11)
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 

@@ -20,7 +20,7 @@ from optlink.linkage.stroke import TURN, Travel
 from optlink.report.animation import film, there_and_back
 from optlink.report.drawing import Sketch, arrow
 from optlink.report.files import write_csv, write_json
-from optlink.report.labels import Label, settle
+from optlink.report.labels import Label, place_labels
 from optlink.report.style import BODIES, CRANK, FOUND, WANTED, Scale, degrees, figure, heading, save, save_film, scale, styled
 from optlink.report.views import analysis_curves, analysis_forces
 from optlink.report.views.analysis_curves import Course
@@ -195,7 +195,7 @@ def mechanism(course: Course) -> Figure:
     made.legend(
         handles, words, loc="outside lower center", ncols=min(len(handles), int(1.1 * width)), frameon=False, fontsize=8.5
     )
-    settle(made, labels)
+    place_labels(made, labels)
     if drawn_arrows:
         top = max(float(np.linalg.norm(here[chosen].velocity(point)[0])) for point in drawn_arrows)
         _scale_arrow(panels[len(named)], top, longest)
@@ -264,7 +264,7 @@ def motion(course: Course) -> Figure:
             axes.set_ylabel(f"{word} [{unit.unit}]" + ("" if held else "\n(cut off)"))
         column[0].set_title(_travelled(course, out, width / len(shown) - 0.8), fontsize=9.5)
     made.suptitle(heading(f"{course.result.problem.model.title}: motion", width), fontsize=11)
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 

@@ -10,12 +10,12 @@ from rich.table import Table
 from rich.text import Text
 
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.strokes import Acting, acting_loads, travels_by_use, use_of, working_stroke
+from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
 from optlink.linkage.stroke import Travel
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import DyadsSection
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, fixed, grid, number
-from optlink.tasks.results.analysis import Analysis, named_travels, reactions_told
+from optlink.tasks.results.analysis import Analysis, named_travels, reaction_conventions
 from optlink.tasks.simulate import Simulation
 
 COLUMN = tuple[str, str]
@@ -68,7 +68,7 @@ def machine(file: ProblemFile) -> list[RenderableType]:
 
         parts += asked(model.balance)
     told = grid("\nReactions: force of which body on which", [("", "left"), ("", "left")])
-    for joint, words in reactions_told(built).items():
+    for joint, words in reaction_conventions(built).items():
         told.add_row(joint, words)
     parts.append(told)
     return parts
@@ -155,7 +155,7 @@ def _travels(outcome: Analysis) -> RenderableType:
     return table if strokes is None else Group(table, Text(), strokes)
 
 
-def machine_strokes(machine: Machine, speed: float, acting: tuple[Acting, ...] | None = None) -> Table | None:
+def machine_strokes(machine: Machine, speed: float, acting: tuple[StrokeLoad, ...] | None = None) -> Table | None:
     """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none.
 
     Parameters
@@ -163,13 +163,13 @@ def machine_strokes(machine: Machine, speed: float, acting: tuple[Acting, ...] |
     machine : Machine
     speed : float [rad/s]
         Crank speed; only its sign matters.
-    acting : tuple of Acting or None, optional
+    acting : tuple of StrokeLoad or None, optional
         Loads that act in one stroke only; default: those of the machine.
     """
     return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed) if acting is None else acting)
 
 
-def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Acting, ...]) -> Table | None:
+def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[StrokeLoad, ...]) -> Table | None:
     """Tabulate the forward and return strokes of outputs with their crank ranges; None if no output has two dead centres.
 
     Parameters
@@ -178,7 +178,7 @@ def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Acting
         Strokes or swings by name of the output.
     speed : float [rad/s]
         Crank speed; only its sign matters.
-    acting : tuple of Acting
+    acting : tuple of StrokeLoad
         Loads that act in one stroke only.
     """
     columns: list[COLUMN] = [("", "left"), ("stroke", "left"), ("crank range deg", "right"), ("turns deg", "right")]
@@ -208,7 +208,7 @@ WORTH = {
     "frame.shaking_fy_N": "N",
     "frame.shaking_moment_Nm": "N m",
 }
-"""Endings of the columns whose extremes are worth a line, and their units for people."""
+"""Endings of the columns whose extremes are worth a line, and their display units."""
 
 LONGEST = 24
 """Letters up to which the name of an output stays on one line."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.counterweights import Measure, amounts, quantities
+from optlink.dynamics.counterweights import BalanceMeasure, quantities, quantities_of
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.machine import Machine
 from optlink.problem.file import ProblemFile
@@ -21,9 +21,19 @@ from optlink.report.stored.stored_study import Studied, figures_of, split, still
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, scale
 from optlink.report.views import balance_tables
 from optlink.report.views.function_tables import number
-from optlink.tasks.balance import written
-from optlink.tasks.machine import machine_of, motion_range, sampled
-from optlink.tasks.results.balance import SCHEMA, Added, Balance, Fitted, Held, Relaxed, Row, Trade, TradePoint
+from optlink.tasks.balance import balanced_problem
+from optlink.tasks.machine import machine_of, motion_range, table_angles
+from optlink.tasks.results.balance import (
+    SCHEMA,
+    ActiveLimit,
+    AddedCounterweight,
+    Balance,
+    FittedSpring,
+    MeasureChange,
+    RelaxedLimit,
+    TradeOff,
+    TradePoint,
+)
 
 __all__ = ["SCHEMA", "studied"]
 
@@ -62,11 +72,11 @@ def read(record: Record, file: ProblemFile) -> Balance:
     machine, speed = machine_of(file), record.number("speed_rad_s")
     start = file.model.drive.start.value
     ranges, low, high = motion_range(file, machine, start)
-    angles = sampled(start, low, high, speed, ranges.full, section.positions, None)
+    angles = table_angles(start, low, high, speed, ranges.full, section.positions, None)
     angles = angles[:-1] if ranges.full else angles
     about = record.numbers("moment_about_m", 2)
     added, springs = _parts(record, section, machine)
-    balanced = written(file, machine, added, springs) if record.records("measures") else None
+    balanced = balanced_problem(file, machine, added, springs) if record.records("measures") else None
     heavier = None if balanced is None else machine_of(balanced)
     return Balance(
         problem=file,
@@ -99,7 +109,7 @@ def read(record: Record, file: ProblemFile) -> Balance:
     )
 
 
-def _goal(record: Record, section: BalanceSection) -> tuple[tuple[Measure, float], ...]:
+def _goal(record: Record, section: BalanceSection) -> tuple[tuple[BalanceMeasure, float], ...]:
     """Return the minimised measures with weights: those of the problem, or the single measure of `--minimise`."""
     goal = section.goal
     told = record.text("measure")
@@ -108,14 +118,16 @@ def _goal(record: Record, section: BalanceSection) -> tuple[tuple[Measure, float
     return ((_measure(record, "measure"), 1.0),)
 
 
-def _measure(record: Record, key: str) -> Measure:
+def _measure(record: Record, key: str) -> BalanceMeasure:
     try:
         return read_measure(record.text(key))
     except Unusable as error:
         raise record.fault(key, error.message, record.text(key)) from None
 
 
-def _parts(record: Record, section: BalanceSection, machine: Machine) -> tuple[tuple[Added, ...], tuple[Fitted, ...]]:
+def _parts(
+    record: Record, section: BalanceSection, machine: Machine
+) -> tuple[tuple[AddedCounterweight, ...], tuple[FittedSpring, ...]]:
     """Read the optimal counterweights and springs."""
     weights, free = section.build(machine)
     added, springs = [], []
@@ -125,25 +137,27 @@ def _parts(record: Record, section: BalanceSection, machine: Machine) -> tuple[t
             raise one.fault("body", "the problem has no such counterweight", one.text("body"))
         along, across = (one.number(f"first_moment_{way}_kg_m") for way in ("along", "across"))
         moment = one.number("moment_of_inertia_about_start_kg_m2")
-        added.append(Added(asked, Parameters(one.number("mass_kg"), along, across, moment)))
+        added.append(AddedCounterweight(asked, Parameters(one.number("mass_kg"), along, across, moment)))
     for one in record.records("springs"):
         spring = next((spring for spring in free if spring.name == one.text("name")), None)
         if spring is None:
             raise one.fault("name", "the problem has no such spring", one.text("name"))
-        springs.append(Fitted(spring, one.number("stiffness_N_m"), one.number("free_length_m")))
+        springs.append(FittedSpring(spring, one.number("stiffness_N_m"), one.number("free_length_m")))
     return tuple(added), tuple(springs)
 
 
-def _rows(record: Record, machine: Machine, heavier: Machine, angles: Array, speed: float, about: Array) -> tuple[Row, ...]:
+def _rows(
+    record: Record, machine: Machine, heavier: Machine, angles: Array, speed: float, about: Array
+) -> tuple[MeasureChange, ...]:
     """Recompute all measures before and after balancing by inverse dynamics; raise if the record differs."""
     asked = quantities(machine)
     place = (float(about[0]), float(about[1]))
-    both = [amounts(one.moving(angles, speed), asked, place) for one in (machine, heavier)]
+    both = [quantities_of(one.moving(angles, speed), asked, place) for one in (machine, heavier)]
     rows = []
     for quantity, old, new in zip(asked, *both, strict=True):
         for how in ("rms", "largest"):
-            measure = Measure(quantity.kind, how, quantity.joint, quantity.on)
-            rows.append(Row(measure, measure.value(old), measure.value(new)))
+            measure = BalanceMeasure(quantity.kind, how, quantity.joint, quantity.on)
+            rows.append(MeasureChange(measure, measure.value(old), measure.value(new)))
     told = {one.text("name"): one for one in record.records("measures")}
     for row in rows:
         one = told.get(str(row.measure))
@@ -157,20 +171,20 @@ def _rows(record: Record, machine: Machine, heavier: Machine, angles: Array, spe
     return tuple(rows)
 
 
-def _held(record: Record) -> Held:
+def _held(record: Record) -> ActiveLimit:
     texts = {name: record.text(name) for name in ("name", "sense", "unit")}
     numbers = {name: record.number(name) for name in ("bound", "value", "price", "step", "buys")}
-    return Held(**texts, **numbers, active=record.flag("active"))  # type: ignore[arg-type]
+    return ActiveLimit(**texts, **numbers, active=record.flag("active"))  # type: ignore[arg-type]
 
 
-def _relaxed(record: Record) -> Relaxed:
+def _relaxed(record: Record) -> RelaxedLimit:
     alone = record.maybe("alone")
     texts = {name: record.text(name) for name in ("name", "sense", "unit")}
     bound, together = record.number("bound"), record.number("together")
-    return Relaxed(**texts, bound=bound, alone=math.inf if math.isnan(alone) else alone, together=together)
+    return RelaxedLimit(**texts, bound=bound, alone=math.inf if math.isnan(alone) else alone, together=together)
 
 
-def _trade(record: Record) -> Trade:
+def _trade(record: Record) -> TradeOff:
     before = record.numbers("before", 2)
     knee = record.whole("knee") if record.has("knee") else None
     points = tuple(_trade_point(one) for one in record.records("points"))
@@ -181,7 +195,7 @@ def _trade(record: Record) -> Trade:
     if not all(value > 0.0 for value in (*pair, seconds[0])):
         key = "before" if seconds[0] > 0.0 else "first_point_s"
         raise record.fault(key, "this is not above zero")
-    return Trade(_measure(record, "first"), _measure(record, "second"), pair, points, knee, *seconds)
+    return TradeOff(_measure(record, "first"), _measure(record, "second"), pair, points, knee, *seconds)
 
 
 def _trade_point(record: Record) -> TradePoint:
@@ -281,7 +295,7 @@ def _most(columns: Mapping[str, Array]) -> float:
     return max(float(np.max(np.abs(columns[f"before.shaking_force_{way}_N"]))) for way in "xy")
 
 
-def _curve(found: Balance, trade: Trade) -> Chart:
+def _curve(found: Balance, trade: TradeOff) -> Chart:
     """Plot the trade-off between two measures; its points carry their counterweights."""
     one, other = trade.first, trade.second
     units = [scale(max(*(point.made[k] for point in trade.points), trade.before[k]), (one, other)[k].unit) for k in (0, 1)]
@@ -302,7 +316,7 @@ def _curve(found: Balance, trade: Trade) -> Chart:
     return Chart(f"{one} against {other}", {"data": [*curves, mark(picks)], "layout": layout}, False, picks)
 
 
-def _picks(trade: Trade, x: Array, y: Array) -> Picks:
+def _picks(trade: TradeOff, x: Array, y: Array) -> Picks:
     bodies = sorted({body for point in trade.points for body in point.masses})
     names = [
         words

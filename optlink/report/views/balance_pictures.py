@@ -14,16 +14,16 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from optlink.dynamics.counterweights import Measure, quantities
+from optlink.dynamics.counterweights import BalanceMeasure, quantities
 from optlink.linkage.motion import sweep
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict, write_csv, write_design, write_json
-from optlink.report.labels import Label, settle
+from optlink.report.labels import Label, place_labels
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, ROCKER, WANTED, Scale, figure, heading, save, scale, styled
 from optlink.report.views.balance_tables import percent
-from optlink.tasks.results.balance import Added, Balance
+from optlink.tasks.results.balance import AddedCounterweight, Balance
 
 Array = NDArray[np.float64]
 GIVEN = "#8a8a8a"
@@ -44,7 +44,7 @@ def write_all(result: Balance, folder: Path) -> list[Path]:
     write_csv(written[1], result.columns)
     if result.balanced is not None:
         sizes = sizes_of(result.balanced.model.quantities)
-        machine = settled(result.balanced, sizes) if result.balanced.model.free else result.balanced
+        machine = fixed_design(result.balanced, sizes) if result.balanced.model.free else result.balanced
         written += write_design(folder, machine, verdict(result.status, result.valid, result.status))
     if result.trade is not None:
         trade, points = result.trade, result.trade.points
@@ -70,7 +70,7 @@ def _title(result: Balance, what: str, width: float) -> str:
 # --- curves ----------------------------------------------------------------------------------------------------------------
 
 
-def _amounts(result: Balance, measure: Measure, when: str) -> Array:
+def _amounts(result: Balance, measure: BalanceMeasure, when: str) -> Array:
     """Return the magnitude of a force or the value of a torque at the positions [SI]."""
     stem = f"{when}.{measure.quantity.replace(' at ', '_').replace(' ', '_')}"
     unit = measure.unit.replace(" ", "")
@@ -79,10 +79,10 @@ def _amounts(result: Balance, measure: Measure, when: str) -> Array:
     return result.columns[f"{stem}_{unit}"]
 
 
-def _shown(result: Balance) -> list[Measure]:
+def _shown(result: Balance) -> list[BalanceMeasure]:
     """Return the measures to plot: shaking force and moment, driving torque, and the minimised or limited reactions."""
     asked = [measure for measure, _ in result.goal] + _limited(result)
-    found = [Measure(kind) for kind in COMMON]  # type: ignore[arg-type]
+    found = [BalanceMeasure(kind) for kind in COMMON]  # type: ignore[arg-type]
     for measure in asked:
         bare = next(q for q in quantities(result.machine) if _same(q, measure, result))
         if bare not in found:
@@ -90,12 +90,12 @@ def _shown(result: Balance) -> list[Measure]:
     return found
 
 
-def _limited(result: Balance) -> list[Measure]:
+def _limited(result: Balance) -> list[BalanceMeasure]:
     section = result.problem.model.balance
     return [] if section is None else [ceiling.measure for ceiling in section.limits.values()]
 
 
-def _same(bare: Measure, measure: Measure, result: Balance) -> bool:
+def _same(bare: BalanceMeasure, measure: BalanceMeasure, result: Balance) -> bool:
     from optlink.dynamics.inverse import reported_on
 
     if bare.kind != measure.kind or bare.joint != measure.joint:
@@ -150,11 +150,11 @@ def before_after(result: Balance) -> Figure | None:
     return made
 
 
-def _colour(measure: Measure) -> str:
+def _colour(measure: BalanceMeasure) -> str:
     return {"shaking force": FOUND, "shaking moment": BODIES[3], "driving torque": CRANK}.get(measure.kind, ROCKER)
 
 
-def _values(measure: Measure, old: Array, new: Array, unit: Scale) -> dict[str, str]:
+def _values(measure: BalanceMeasure, old: Array, new: Array, unit: Scale) -> dict[str, str]:
     rms = [float(np.sqrt(np.mean(values * values))) for values in (old, new)]
     change = percent(rms[1] / rms[0] - 1.0) if rms[0] > 0.0 else ""
     shown = [unit.text(value) if value > 1e-12 * rms[0] else "0" for value in rms]
@@ -202,7 +202,7 @@ def hodograph(result: Balance) -> Figure | None:
     axes.set(xlabel=f"shaking force in x [{unit.unit}]", ylabel=f"shaking force in y [{unit.unit}]")
     made.legend(frameon=False, fontsize=9, loc="outside lower center", ncols=2)
     axes.set_title(_title(result, "shaking force, crank angle marked", 6.4), fontsize=10.5)
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 
@@ -247,20 +247,20 @@ def mechanism(result: Balance) -> Figure | None:
     for axes, at in zip(panels, places, strict=True):
         here = sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed)
         labels += [_told(axes, sketch, one, sketch.placed(here, one.body, _centre(one, sketch))[0, 0]) for one in result.added]
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 
-def _centre(one: Added, sketch: Sketch) -> Array:
+def _centre(one: AddedCounterweight, sketch: Sketch) -> Array:
     return np.array([one.place]) * sketch.scale.factor
 
 
-def _size(one: Added, sketch: Sketch) -> float:
+def _size(one: AddedCounterweight, sketch: Sketch) -> float:
     """Return the radius to draw, in the display unit."""
     return (one.radius if one.radius is not None else one.gyration) * sketch.scale.factor
 
 
-def _disc(axes: Axes, sketch: Sketch, one: Added, centre: Array) -> None:
+def _disc(axes: Axes, sketch: Sketch, one: AddedCounterweight, centre: Array) -> None:
     """Draw a counterweight."""
     colour, disc = sketch.colours[one.body], one.radius is not None
     face, place = (*to_rgb(colour), 0.30 if disc else 0.10), (float(centre[0]), float(centre[1]))
@@ -269,7 +269,7 @@ def _disc(axes: Axes, sketch: Sketch, one: Added, centre: Array) -> None:
     axes.add_patch(shape)
 
 
-def _told(axes: Axes, sketch: Sketch, one: Added, centre: Array) -> Label:
+def _told(axes: Axes, sketch: Sketch, one: AddedCounterweight, centre: Array) -> Label:
     """Label a counterweight with its mass and size."""
     shown = 2.0 * one.radius if one.radius is not None else one.gyration
     text = f"{one.body}: {one.mass:.4g} kg\n{'∅' if one.radius is not None else 'gyration'} {scale(shown, 'm').text(shown)}"
@@ -330,11 +330,11 @@ def trade(result: Balance) -> Figure | None:
         grid[1].legend(frameon=False, fontsize=8.5, loc="best", ncols=3)
     grid[-1].set_xlabel(f"{first} [{units[0].unit}]")
     made.suptitle(_title(result, "what one costs in the other", 7.2), fontsize=11)
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 
-def _short(measure: Measure) -> str:
+def _short(measure: BalanceMeasure) -> str:
     return measure.quantity.split(" ")[-1] if measure.kind != "reaction" else measure.joint
 
 

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from optlink.problem.machine.balance import BalanceSection
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, grid, number
-from optlink.tasks.results.balance import Balance, Trade
+from optlink.tasks.results.balance import Balance, TradeOff
 
 COLUMN = tuple[str, str]
 SHOWN = 15  # largest number of listed points of a trade-off
@@ -147,7 +147,7 @@ def _conflict(outcome: Balance) -> Table:
     return table
 
 
-def _trade(trade: Trade) -> Table:
+def _trade(trade: TradeOff) -> Table:
     one, other = trade.first, trade.second
     columns: list[COLUMN] = [("", "left"), (f"{one} {one.unit}", "right"), ("", "right"), (f"{other} {other.unit}", "right")]
     columns += [("", "right"), ("price", "right"), ("gap", "right")]

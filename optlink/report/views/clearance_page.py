@@ -17,7 +17,7 @@ from optlink.clearance.statistics import Prediction
 from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.html.chart_plotly import Chart, Panel, Trace, axis, line, sheet, short, stacked, thinned
 from optlink.report.html.moving_linkage import Moving, Readout, Stops, decimals_of, even
@@ -33,7 +33,7 @@ from optlink.tasks.analyze import analyze
 from optlink.tasks.control_comparison import SCHEMA as COMPARISON
 from optlink.tasks.control_comparison import Comparison, Trials
 from optlink.tasks.machine import machine_of
-from optlink.tasks.results.clearance import SCHEMA, LooseSimulation
+from optlink.tasks.results.clearance import SCHEMA, ClearanceSimulation
 
 __all__ = ["COMPARISON", "SCHEMA", "compared", "studied"]
 
@@ -45,7 +45,7 @@ CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
 # --- reading -----------------------------------------------------------------------------------------------------------------
 
 
-def read(record: Record, file: ProblemFile) -> LooseSimulation:
+def read(record: Record, file: ProblemFile) -> ClearanceSimulation:
     """Read a stored simulation with clearance.
 
     Parameters
@@ -69,7 +69,7 @@ def read(record: Record, file: ProblemFile) -> LooseSimulation:
     except ValueError as error:
         raise record.fault("status", f"{error}") from None
     predicted = record.record("prediction") if record.has("prediction") else None
-    found = LooseSimulation(
+    found = ClearanceSimulation(
         problem=file,
         machine=machine,
         gaps=gaps,
@@ -113,7 +113,7 @@ def _prediction(record: Record) -> Prediction:
     return Prediction(parted, record.whole("watched"), math.nan)
 
 
-def _whole(record: Record, found: LooseSimulation) -> None:
+def _whole(record: Record, found: ClearanceSimulation) -> None:
     """Check that the record contains everything that the report needs."""
     unit = found.output.unit
     for name in ("revolutions", "settled_revolutions"):
@@ -307,7 +307,7 @@ def _section(turns: Turns) -> list[Chart]:
     return [Chart("Deviation at the ends of the revolutions", figure, cranked=False)]
 
 
-def _moving(found: LooseSimulation) -> Callable[[int], Moving | None]:
+def _moving(found: ClearanceSimulation) -> Callable[[int], Moving | None]:
     """Return a function that animates the machine without clearance over the last revolutions."""
     file = found.problem
 
@@ -315,7 +315,7 @@ def _moving(found: LooseSimulation) -> Callable[[int], Moving | None]:
         if not found.revolutions:
             return None
         try:
-            cycle = analyze(settled(file, sizes_of(file.model.mechanism.quantities)))
+            cycle = analyze(fixed_design(file, sizes_of(file.model.mechanism.quantities)))
         except InputError:
             return None
         turns = Turns(found)
@@ -362,7 +362,7 @@ def compared(record: Record, file: ProblemFile) -> Studied:
     if not trials:
         raise record.fault("trials", "there are none")
     unit = record.text("unit")
-    if unit not in clearance_tables.TO_PEOPLE:
+    if unit not in clearance_tables.TO_DISPLAY:
         raise record.fault("unit", "no output has that", unit)
     found = Comparison(file, trials, starts, record.whole("seed"), record.whole("revolutions"), {}, unit)
     lines, tables = split(clearance_tables.comparison(found))
@@ -385,7 +385,7 @@ def _trials(record: Record, count: int) -> Trials:
 
 def _bars(found: Comparison) -> Chart:
     """Plot the RMS deviation of each kind of control with its scatter, and the largest deviation."""
-    factor, unit = clearance_tables.TO_PEOPLE[found.unit]
+    factor, unit = clearance_tables.TO_DISPLAY[found.unit]
     names = [escape(name) for name in found.trials]
     rms = np.array([one.mean for one in found.trials.values()]) * factor
     scatter = np.array([one.scatter for one in found.trials.values()]) * factor

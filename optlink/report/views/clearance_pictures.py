@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
-from optlink.dynamics.columns import Record
+from optlink.dynamics.columns import MotionColumns
 from optlink.report.files import write_csv, write_json
 from optlink.report.style import (
     BODIES,
@@ -48,19 +48,19 @@ from optlink.report.views.revolutions import (
     zero,
 )
 from optlink.tasks.control_comparison import Comparison
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
 MARKED = 60  # number of revolutions up to which each has a marker
 ZOOM = 4.0  # ratio to the ideal torque beyond which a second panel enlarges the latter
 
 
-def write_all(result: LooseSimulation, folder: Path) -> list[Path]:
+def write_all(result: ClearanceSimulation, folder: Path) -> list[Path]:
     """Write result.json, play.csv (rows of the last revolutions), the applicable figures and the animation; return the paths.
 
     Parameters
     ----------
-    result : LooseSimulation
+    result : ClearanceSimulation
     folder : Path
         Existing folder to write to.
     """
@@ -103,7 +103,7 @@ def write_comparison(found: Comparison, folder: Path) -> list[Path]:
 
 
 @styled
-def displacement(result: LooseSimulation) -> Figure | None:
+def displacement(result: ClearanceSimulation) -> Figure | None:
     """Draw the output with and without clearance and its deviation over the last revolutions, over time and crank angle."""
     turns = Turns(result)
     if not turns:
@@ -145,7 +145,7 @@ def displacement(result: LooseSimulation) -> Figure | None:
 
 
 @styled
-def error(result: LooseSimulation) -> Figure | None:
+def error(result: ClearanceSimulation) -> Figure | None:
     """Draw the RMS and peak deviation of every revolution and the RMS over all revolutions after the running-in."""
     turns = Turns(result)
     if not turns or not result.turns:
@@ -189,12 +189,12 @@ def _ideal_torque(turns: Turns) -> tuple[Array, Array] | None:
     if turns.free:
         return None
     angles = np.linspace(0.0, FULL, 721)
-    torque = Record(turns.result.machine.moving(np.radians(angles), turns.result.speed))[TORQUE]
+    torque = MotionColumns(turns.result.machine.moving(np.radians(angles), turns.result.speed))[TORQUE]
     return angles, np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
 
 
 @styled
-def torque(result: LooseSimulation) -> Figure | None:
+def torque(result: ClearanceSimulation) -> Figure | None:
     """Draw the driving torque of the last revolution with and without clearance; a small ideal torque is enlarged below."""
     turns = Turns(result)
     if not turns:
@@ -262,7 +262,7 @@ def _works(turns: Turns) -> tuple[dict[str, Array], dict[str, Array]]:
 
 
 @styled
-def energy(result: LooseSimulation) -> Figure | None:
+def energy(result: ClearanceSimulation) -> Figure | None:
     """Draw the work of drive and loads, the energy gained, the losses at each joint, and the imbalance of the energy account."""
     turns = Turns(result)
     largest = result.figures["largest_energy_J"]
@@ -318,7 +318,7 @@ def energy(result: LooseSimulation) -> Figure | None:
     return made
 
 
-PICTURES: dict[str, Callable[[LooseSimulation], Figure | None]] = {
+PICTURES: dict[str, Callable[[ClearanceSimulation], Figure | None]] = {
     "mechanism": magnified_joints.mechanism,
     "displacement": displacement,
     "error": error,

@@ -11,12 +11,12 @@ from rich.text import Text
 
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, fixed, grid, number
 from optlink.tasks.control_comparison import Comparison, Tuning
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
-TO_PEOPLE = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg")}
+TO_DISPLAY = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg")}
 
 
-def simulation(outcome: LooseSimulation) -> RenderableType:
+def simulation(outcome: ClearanceSimulation) -> RenderableType:
     """Summarise a simulation with clearance: deviation, contacts, drive, energy account and predictability."""
     title = Text(outcome.problem.model.title, style=HEAD)
     title.append(f"\n{outcome.ending.value}", style=GOOD if outcome.finished else BAD)
@@ -36,25 +36,25 @@ def simulation(outcome: LooseSimulation) -> RenderableType:
     return Group(title, Text(), _error(outcome), Text(), _contacts(outcome), Text(), _account(outcome), Text(), _tail(outcome))
 
 
-def _error(outcome: LooseSimulation) -> Table:
+def _error(outcome: ClearanceSimulation) -> Table:
     found, unit = outcome.figures, outcome.output.unit
-    factor, people = TO_PEOPLE[unit]
+    factor, displayed = TO_DISPLAY[unit]
     first, last = outcome.revolutions - int(found["settled_revolutions"]) + 1, outcome.revolutions
     span = f"revolutions {first} ... {last}" if last > first else f"revolution {last}"
     table = grid(
         f"Deviation of {outcome.output.name} from the machine without clearance, {span}",
         [("", "left"), ("", "right"), ("", "left")],
     )
-    table.add_row("root mean square", fixed(found[f"rms_{unit}"] * factor, 6), people)
-    table.add_row("mean square", number(found[f"mean_square_{unit}2"] * factor * factor), f"{people}^2")
-    table.add_row("largest", fixed(found[f"peak_{unit}"] * factor, 6), people)
+    table.add_row("root mean square", fixed(found[f"rms_{unit}"] * factor, 6), displayed)
+    table.add_row("mean square", number(found[f"mean_square_{unit}2"] * factor * factor), f"{displayed}^2")
+    table.add_row("largest", fixed(found[f"peak_{unit}"] * factor, 6), displayed)
     rms = outcome.turns[f"rms_{unit}"][-int(found["settled_revolutions"]) :]
     if len(rms) > 1:
-        table.add_row("scatter between revolutions", f"{float(np.std(rms)) * factor:.2g}", people)
+        table.add_row("scatter between revolutions", f"{float(np.std(rms)) * factor:.2g}", displayed)
     return table
 
 
-def _contacts(outcome: LooseSimulation) -> Table:
+def _contacts(outcome: ClearanceSimulation) -> Table:
     columns = [("joint", "left"), ("journal", "left"), ("bearing", "left"), ("gap mm", "right"), ("contacts", "right")]
     columns += [("share", "right"), ("force N", "right"), ("depth um", "right")]
     table = grid("Contacts: share of the time, largest force and penetration", columns, header=True)
@@ -73,7 +73,7 @@ def _contacts(outcome: LooseSimulation) -> Table:
     return table
 
 
-def _account(outcome: LooseSimulation) -> Table:
+def _account(outcome: ClearanceSimulation) -> Table:
     found = outcome.figures
     table = grid("Drive and energy account", [("", "left"), ("", "right"), ("", "left")])
     table.add_row("torque, root mean square", number(found["torque_rms_Nm"]), "N m")
@@ -93,7 +93,7 @@ def _account(outcome: LooseSimulation) -> Table:
     return table
 
 
-def _tail(outcome: LooseSimulation) -> Text:
+def _tail(outcome: ClearanceSimulation) -> Text:
     words = f"Tolerance {outcome.tolerance:g}"
     if outcome.sample_time is not None:
         words += f", controller sampled every {outcome.sample_time * 1e3:.6g} ms"
@@ -102,12 +102,12 @@ def _tail(outcome: LooseSimulation) -> Text:
 
 def comparison(outcome: Comparison) -> RenderableType:
     """Tabulate all kinds of control of a comparison."""
-    factor, people = TO_PEOPLE[outcome.unit]
+    factor, displayed = TO_DISPLAY[outcome.unit]
     title = Text(outcome.problem.model.title, style=HEAD)
     count = len(outcome.starts)
     starts = "one crank angle at the start" if count == 1 else f"{count} crank angles at the start"
     title.append(f"\n{outcome.revolutions} revolutions from each of {starts} (seed {outcome.seed})")
-    columns = [("control", "left"), (f"rms {people}", "right"), ("scatter", "right"), ("peak", "right"), ("gain", "right")]
+    columns = [("control", "left"), (f"rms {displayed}", "right"), ("scatter", "right"), ("peak", "right"), ("gain", "right")]
     columns += [("crank deg", "right"), ("torque Nm", "right")]
     table = grid("Deviation of the output, and what the control costs: rms of correction and torque", columns, header=True)
     for kind, trials in outcome.trials.items():
@@ -120,7 +120,7 @@ def comparison(outcome: Comparison) -> RenderableType:
 
 def tuning(outcome: Tuning) -> RenderableType:
     """Summarise a search for controller parameters and its best set."""
-    factor, people = TO_PEOPLE[outcome.unit]
+    factor, displayed = TO_DISPLAY[outcome.unit]
     title = Text(outcome.problem.model.title, style=HEAD)
     starts = "one crank angle" if outcome.starts == 1 else f"{outcome.starts} crank angles"
     title.append(
@@ -130,7 +130,7 @@ def tuning(outcome: Tuning) -> RenderableType:
     title.append(
         f"\n{len(outcome.costs)} parameter sets tried" + (f", {stopped} of them stopped early as worse" if stopped else "")
     )
-    table = grid("Mean root mean square of the deviation", [("", "left"), (people, "right")], header=True)
+    table = grid("Mean root mean square of the deviation", [("", "left"), (displayed, "right")], header=True)
     table.add_row("parameters of the problem", fixed(outcome.before * factor, 4))
     if outcome.best:
         table.add_row("best parameters", fixed(outcome.cost * factor, 4))

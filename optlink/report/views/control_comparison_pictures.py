@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, WANTED, figure, heading, scale, styled
 from optlink.report.views.revolutions import FULL, TITLE, Turns, crank_axis, fold, legend, zero
 from optlink.tasks.control_comparison import Comparison
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def _standstills(turns: Turns) -> list[float]:
 
 
 @styled
-def compensation(results: Mapping[str, LooseSimulation]) -> Figure | None:
+def compensation(results: Mapping[str, ClearanceSimulation]) -> Figure | None:
     """Draw the deviation over the crank angle under several kinds of control, and the corrections of the crank command."""
     every = {name: Turns(result) for name, result in results.items()}
     every = {name: turns for name, turns in every.items() if turns and turns.last}

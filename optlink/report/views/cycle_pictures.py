@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from optlink.dynamics.columns import Record
+from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import TURN
 from optlink.linkage.vector2d import Value
@@ -24,7 +24,7 @@ from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, hea
 from optlink.report.views.analysis_curves import zero
 from optlink.report.views.path_captions import failed
 from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.results.cycle import MachineDesign
+from optlink.tasks.results.cycle import CycleResult
 from optlink.validation.cycle import Cycle
 
 Array = NDArray[np.float64]
@@ -42,12 +42,12 @@ UNITS = {
 }
 
 
-def write_all(result: MachineDesign, folder: Path) -> list[Path]:
+def write_all(result: CycleResult, folder: Path) -> list[Path]:
     """Write result.json, the optimal machine as design.toml, its cycle as cycle.csv, and the figures; return the paths.
 
     Parameters
     ----------
-    result : MachineDesign
+    result : CycleResult
     folder : Path
         Existing folder to write to.
     """
@@ -81,8 +81,8 @@ def _line(cycle: Cycle, term: Term) -> Line:
     jumps = np.remainder(cycle.work.jumps, TURN)
     even = np.linspace(0.0, TURN, STEPS + 1)
     angles = np.concatenate([even, jumps, jumps])
-    values = read(Record(machine.moving(np.concatenate([even, jumps]), cycle.speed)))
-    before = read(Record(machine.moving(jumps, cycle.speed, side=-1))) if jumps.size else np.zeros(0)
+    values = read(MotionColumns(machine.moving(np.concatenate([even, jumps]), cycle.speed)))
+    before = read(MotionColumns(machine.moving(jumps, cycle.speed, side=-1))) if jumps.size else np.zeros(0)
     rank = np.concatenate([np.ones(len(even)), np.full(len(jumps), 2.0), np.zeros(len(jumps))])
     rank = rank if cycle.speed > 0.0 else -rank
     order = np.lexsort((rank, angles))
@@ -91,7 +91,7 @@ def _line(cycle: Cycle, term: Term) -> Line:
     return Line(np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan), cycle.figure(term), tuple(np.degrees(jumps)))
 
 
-def _shown(result: MachineDesign) -> Iterable[tuple[Term, float | None, float | None]]:
+def _shown(result: CycleResult) -> Iterable[tuple[Term, float | None, float | None]]:
     """Yield every cyclic term once, with its limits [SI]."""
     found: dict[tuple[object, ...], tuple[Term, float | None, float | None]] = {}
     asked = [(goal, None, None) for goal in result.task.goals]
@@ -105,7 +105,7 @@ def _shown(result: MachineDesign) -> Iterable[tuple[Term, float | None, float | 
 
 
 @styled
-def courses(result: MachineDesign) -> Figure | None:
+def courses(result: CycleResult) -> Figure | None:
     """Draw the minimised and limited quantities over the revolution: initial machine grey, optimal in colour, limits red."""
     shown = list(_shown(result))
     given, found = Cycle(result.task, {}), Cycle(result.task, result.values)
@@ -122,7 +122,7 @@ def courses(result: MachineDesign) -> Figure | None:
     return drawn
 
 
-def _panel(axes: Axes, result: MachineDesign, term: Term, cycles: list[Cycle], limits: tuple[float | None, float | None]) -> None:
+def _panel(axes: Axes, result: CycleResult, term: Term, cycles: list[Cycle], limits: tuple[float | None, float | None]) -> None:
     lines = [_line(cycle, term) for cycle in cycles]
     size = max(float(np.nanmax(np.abs(line.values))) for line in lines)
     shown = scale(size, UNITS.get(result.task.kind(term), ""))
@@ -165,7 +165,7 @@ def _named(term: Term) -> str:
 
 
 @styled
-def mechanisms(result: MachineDesign) -> Figure | None:
+def mechanisms(result: CycleResult) -> Figure | None:
     """Draw the initial machine grey and the optimal one in colour, with joint paths, at the crank angle of the largest torque."""
     given, found = result.given, result.found
     if found is None:
@@ -191,7 +191,7 @@ def mechanisms(result: MachineDesign) -> Figure | None:
     return drawn
 
 
-def _telling(result: MachineDesign, found: Analysis) -> float:
+def _telling(result: CycleResult, found: Analysis) -> float:
     """Return the crank angle [rad] at which the absolute driving torque of the optimal machine is largest."""
     extreme = found.extremes.get("input.torque_Nm")
     if extreme is None or not math.isfinite(extreme.largest):

@@ -13,10 +13,10 @@ from optlink.problem.cycle import CycleProblem
 from optlink.report.views.analysis_tables import machine_strokes
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, active, checks, fixed, graded, grid, number
 from optlink.solvers.infeasibility import Relaxation
-from optlink.tasks.results.cycle import MachineDesign, people_unit
+from optlink.tasks.results.cycle import CycleResult, display_unit
 
 
-def machine_design(outcome: MachineDesign) -> RenderableType:
+def machine_design(outcome: CycleResult) -> RenderableType:
     """Summarise a cycle optimisation: design, cycle quantities, active constraints, validation, optima."""
     parts: list[RenderableType] = [_headline(outcome), Text(), _sizes(outcome), Text(), _figures(outcome)]
     strokes = machine_strokes(outcome.built, outcome.task.drive.speed.value) if outcome.built is not None else None
@@ -47,7 +47,7 @@ def asked(task: CycleProblem) -> Table:
     return table
 
 
-def _headline(outcome: MachineDesign) -> Text:
+def _headline(outcome: CycleResult) -> Text:
     title = Text(outcome.task.title, style=HEAD)
     word = "valid" if outcome.valid else "no feasible design" if outcome.status is Status.INFEASIBLE else "not valid"
     title.append(f"\n{outcome.status.value}, ").append(word, style=GOOD if outcome.valid else BAD)
@@ -57,12 +57,12 @@ def _headline(outcome: MachineDesign) -> Text:
     return title.append(f"\n{outcome.status.text}", style=QUIET)
 
 
-def _sizes(outcome: MachineDesign) -> Table:
+def _sizes(outcome: CycleResult) -> Table:
     note = "Design" if outcome.status is not Status.INFEASIBLE else "Nearest design found (it does not meet the limits)"
     columns = [("", "left"), ("found", "right"), ("", "left"), ("given", "right"), ("", "left")]
     table = grid(note, columns, header=True)
     for name, value in outcome.values.items():
-        size, unit = people_unit(outcome.task, name)
+        size, unit = display_unit(outcome.task, name)
         quantity = outcome.task.quantities[name]
         low, high = (bound * size for bound in quantity.bounds)
         remark = Text(f"{low:g} ... {high:g}", style=QUIET)
@@ -70,7 +70,7 @@ def _sizes(outcome: MachineDesign) -> Table:
     return table
 
 
-def _figures(outcome: MachineDesign) -> Table:
+def _figures(outcome: CycleResult) -> Table:
     columns = [("", "left"), ("given", "right"), ("found", "right"), ("", "left"), ("change", "right"), ("asked", "left")]
     table = grid("What it does, measured over the cycle", columns, header=True)
     for told in outcome.figures:
@@ -84,7 +84,7 @@ def _figures(outcome: MachineDesign) -> Table:
     return table
 
 
-def _conflict(outcome: MachineDesign) -> Table:
+def _conflict(outcome: CycleResult) -> Table:
     columns = [("limit", "left"), ("limit value", "left"), ("feasible if relaxed alone", "left")]
     table = grid("These limits cannot hold together", columns, header=True)
     for item in outcome.conflict:
@@ -107,29 +107,29 @@ def _given(item: Relaxation) -> str:
     return f"{item.sense} {about}{item.relaxed:.6g} {item.unit} ({item.amount:.4g} {item.unit})".replace(" )", ")")
 
 
-def _optima(outcome: MachineDesign) -> Table:
+def _optima(outcome: CycleResult) -> Table:
     free = list(outcome.values)[:4]
     reached = sum(optimum.count for optimum in outcome.optima)
     title = f"Distinct optima: {len(outcome.optima)}, reached by {reached} searches"
     table = grid(title, [("objective", "right"), *((name, "right") for name in free), ("searches", "right")], header=True)
     for optimum in outcome.optima[:8]:
-        values = [fixed(optimum.design[name] * people_unit(outcome.task, name)[0], 2) for name in free]
+        values = [fixed(optimum.design[name] * display_unit(outcome.task, name)[0], 2) for name in free]
         table.add_row(number(optimum.objective, 7), *values, str(optimum.count))
     return table
 
 
-def _backends(outcome: MachineDesign) -> Table:
+def _backends(outcome: CycleResult) -> Table:
     table = grid("Back ends", [("", "left"), *((name, "right") for name in outcome.backends), ("", "left")], header=True)
     found = outcome.backends.values()
     table.add_row("status", *(solution.status.value for solution in found), "")
     table.add_row("objective", *(number(solution.objective, 9) for solution in found), outcome.unit)
     for name in outcome.values:
-        size, unit = people_unit(outcome.task, name)
+        size, unit = display_unit(outcome.task, name)
         table.add_row(name, *(fixed(solution.design[name] * size, 5) for solution in found), unit)
     table.add_row("KKT residual", *(f"{solution.kkt:.1e}" for solution in found), "")
     return table
 
 
-def _times(outcome: MachineDesign) -> Text:
+def _times(outcome: CycleResult) -> Text:
     words = ", ".join(f"{name} {1e3 * seconds:.0f} ms" for name, seconds in outcome.seconds.items() if seconds > 0.0)
     return Text(f"{outcome.backend}, {outcome.starts} starts; {words}", style=QUIET)

@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.output_derivatives import Judge
+from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.report.style import LIMIT, WANTED, heading, styled
 from optlink.report.style import figure as new_figure
-from optlink.tasks.function import Result
+from optlink.tasks.function import FunctionResult
 
 Array = NDArray[np.float64]
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def unit_of(result: Result) -> str:
+def unit_of(result: FunctionResult) -> str:
     """Return the unit of the objective with typographic exponents."""
     return result.unit.replace("^2", "²")
 
 
 @styled
-def objective_map(result: Result) -> Figure | None:
+def objective_map(result: FunctionResult) -> Figure | None:
     """Draw contours of the objective over two design variables, the feasible region, the iterates and the optimum."""
     problem, solution = result.problem.spec, result.solution
     if solution is None or len(problem.free) != 2:
@@ -38,7 +38,7 @@ def objective_map(result: Result) -> Figure | None:
     fixed = {name: quantity.value for name, quantity in problem.quantities.items()}
     flat: dict[str, Any] = {**fixed, x_name: x, y_name: y}
     with np.errstate(all="ignore"):
-        objective = Judge(problem).objective({**fixed, x_name: x[..., None], y_name: y[..., None]})
+        objective = ErrorResiduals(problem).objective({**fixed, x_name: x[..., None], y_name: y[..., None]})
         inside = np.ones_like(x, dtype=bool)
         size = fixed["frame"]
         edges: list[tuple[str, Array]] = []
@@ -85,7 +85,7 @@ def objective_map(result: Result) -> Figure | None:
     return figure
 
 
-def _iterations(axes: Axes, result: Result, scale_x: float, scale_y: float) -> None:
+def _iterations(axes: Axes, result: FunctionResult, scale_x: float, scale_y: float) -> None:
     colors = {"slsqp": "#e67e22", "ipopt": "#8e44ad"}
     found = result.backends or ({result.backend: result.solution} if result.solution else {})
     sizes = [result.problem.spec.quantities["frame"].value if n in LENGTHS else 1.0 for n in result.problem.spec.free]

@@ -15,11 +15,11 @@ from PIL import Image
 
 from optlink.linkage.fourbar import dead_centre, lengths_of, reachable
 from optlink.linkage.motion import Motion, sweep
-from optlink.optimization.output_derivatives import Judge
+from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.report.animation import film, there_and_back
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict, write_design, write_json
-from optlink.report.labels import settle
+from optlink.report.labels import place_labels
 from optlink.report.report_model import machine_found
 from optlink.report.style import (
     COUPLER,
@@ -40,7 +40,7 @@ from optlink.report.style import (
 from optlink.report.style import figure as new_figure
 from optlink.report.views.function_landscape import objective_map, unit_of
 from optlink.report.views.path_captions import failed
-from optlink.tasks.function import Result
+from optlink.tasks.function import FunctionResult
 
 Array = NDArray[np.float64]
 __all__ = [
@@ -62,12 +62,12 @@ __all__ = [
 ]
 
 
-def write_all(result: Result, folder: Path) -> list[Path]:
+def write_all(result: FunctionResult, folder: Path) -> list[Path]:
     """Write result.json, the linkage as design.toml, the applicable figures and the animation; return the paths.
 
     Parameters
     ----------
-    result : Result
+    result : FunctionResult
     folder : Path
         Existing folder to write to.
     """
@@ -88,11 +88,11 @@ def write_all(result: Result, folder: Path) -> list[Path]:
     return written
 
 
-def _moved(result: Result, angles: Array) -> Motion:
+def _moved(result: FunctionResult, angles: Array) -> Motion:
     return sweep(result.problem.spec.linkage, result.problem.spec.sizes(result.design), angles)
 
 
-def _range(result: Result) -> Array:
+def _range(result: FunctionResult) -> Array:
     """Return crank angles [rad] of a revolution, or of the reachable range that contains the starting angle."""
     start = result.design["phi0"]
     for low, high in reachable(*lengths_of(result.sizes)):
@@ -114,7 +114,7 @@ def _transmission(motion: Motion) -> Array:
 # --- mechanism -------------------------------------------------------------------------------------------------------
 
 
-def positions(result: Result) -> dict[str, float]:
+def positions(result: FunctionResult) -> dict[str, float]:
     """Return the characteristic crank angles [rad] by name: start and end of the span, dead centres, transmission extremes."""
     problem, sizes = result.problem.spec, result.sizes
     found: dict[str, float] = {"start": result.design["phi0"], "end of the span": result.design["phi0"] + problem.span}
@@ -136,7 +136,7 @@ def positions(result: Result) -> dict[str, float]:
 
 
 @styled
-def mechanism(result: Result) -> Figure | None:
+def mechanism(result: FunctionResult) -> Figure | None:
     """Draw the mechanism at its characteristic positions side by side, on one scale."""
     angles = _range(result)
     if angles.size == 0:
@@ -160,7 +160,7 @@ def mechanism(result: Result) -> Figure | None:
     lengths = "   ".join(f"{name} {value * sketch.scale.factor:.3f}" for name, value in result.sizes.items())
     title = heading(result.problem.spec.title, 3.9 * columns)
     figure.suptitle(f"{title}\n{heading(f'{lengths} {sketch.scale.unit}', 3.9 * columns)}", fontsize=11)
-    settle(figure, letters)
+    place_labels(figure, letters)
     return figure
 
 
@@ -168,7 +168,7 @@ def mechanism(result: Result) -> Figure | None:
 
 
 @styled
-def law(result: Result) -> Figure | None:
+def law(result: FunctionResult) -> Figure | None:
     """Draw the prescribed and the generated function over the span, with the precision points, and the error below."""
     problem, design = result.problem.spec, result.design
     offsets = problem.span * np.linspace(0.0, 1.0, 361)
@@ -195,7 +195,7 @@ def law(result: Result) -> Figure | None:
     low, high, beside = float(np.nanmin(error)), float(np.nanmax(error)), float(error[worst])
     robust = problem.requirement.robust
     if robust is not None:
-        built = np.degrees(Judge(problem).band(design, offsets))
+        built = np.degrees(ErrorResiduals(problem).band(design, offsets))
         bottom.fill_between(crank, *built, color=LIMIT, alpha=0.15, linewidth=0, label=f"built, {robust.band}")
         low, high, beside = float(np.nanmin(built)), float(np.nanmax(built)), float(built[int(error[worst] > 0.0), worst])
     bottom.plot(crank, error, color=LIMIT, linewidth=1.5, label="as drawn")
@@ -221,13 +221,13 @@ def law(result: Result) -> Figure | None:
     return figure
 
 
-def _rocker(result: Result, offsets: Array) -> Array:
+def _rocker(result: FunctionResult, offsets: Array) -> Array:
     psi: Array = np.degrees(np.asarray(_moved(result, result.design["phi0"] + offsets).body_angle("rocker").value))
     return psi
 
 
 @styled
-def transmission(result: Result) -> Figure | None:
+def transmission(result: FunctionResult) -> Figure | None:
     """Draw the transmission angle over the whole motion with its limits."""
     problem, angles = result.problem.spec, _range(result)
     if angles.size == 0:
@@ -272,7 +272,7 @@ def transmission(result: Result) -> Figure | None:
     return figure
 
 
-def transmission_limits(result: Result) -> list[tuple[float, bool]]:
+def transmission_limits(result: FunctionResult) -> list[tuple[float, bool]]:
     """Return the limits of the transmission angle [deg], each with whether it is the lower one."""
     limits = result.problem.spec.limits
     if limits.transmission_angle is not None:
@@ -289,14 +289,14 @@ def transmission_limits(result: Result) -> list[tuple[float, bool]]:
 
 
 @styled
-def frames(result: Result, count: int = 90) -> list[Image.Image]:
+def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
     """Draw the frames of the animation: one revolution, or back and forth over the reachable range.
 
     Beside the mechanism, the rocker angle is drawn.
 
     Parameters
     ----------
-    result : Result
+    result : FunctionResult
     count : int, optional
         Number of frames.
     """
@@ -325,7 +325,7 @@ def frames(result: Result, count: int = 90) -> list[Image.Image]:
     return film(sketch, _moved(result, steps), curve, marks, result.problem.spec.title, more=required)
 
 
-PICTURES: dict[str, Callable[[Result], Figure | None]] = {
+PICTURES: dict[str, Callable[[FunctionResult], Figure | None]] = {
     "mechanism": mechanism,
     "law": law,
     "transmission": transmission,

@@ -18,11 +18,11 @@ from optlink.problem.cycle import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import MARK, START, ZERO, GenerationProblem
+from optlink.problem.path import MARK, START, ZERO, PathProblem
 from optlink.problem.quantity import Interval, Quantity
 from optlink.solvers.solution import LimitState
-from optlink.tasks.function import Result, people
-from optlink.tasks.machine import turning
+from optlink.tasks.function import FunctionResult, display_value
+from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.common import Relaxed
 from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
@@ -89,7 +89,7 @@ def fixed(value: float, digits: int = 3) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "-"  # + 0.0: no negative zero
 
 
-def result(outcome: Result) -> RenderableType:
+def result(outcome: FunctionResult) -> RenderableType:
     """Summarise a function synthesis result: design, objective, active constraints, validation, optima, back ends."""
     parts: list[RenderableType] = [_headline(outcome), Text(), _design(outcome)]
     parts += _strokes(outcome)
@@ -108,16 +108,16 @@ def result(outcome: Result) -> RenderableType:
     return Group(*parts)
 
 
-def _strokes(outcome: Result) -> list[RenderableType]:
+def _strokes(outcome: FunctionResult) -> list[RenderableType]:
     """Tabulate the forward and return strokes of the rocker if the crank turns fully."""
     from optlink.report.views.analysis_tables import machine_strokes
 
-    machine = turning(outcome.problem, outcome.design)
+    machine = turning_machine(outcome.problem, outcome.design)
     table = None if machine is None else machine_strokes(machine, outcome.problem.spec.span)
     return [] if table is None else [Text(), table]
 
 
-def _headline(outcome: Result) -> Text:
+def _headline(outcome: FunctionResult) -> Text:
     title = Text(outcome.problem.spec.title, style=HEAD)
     word = "valid" if outcome.valid else "not valid"
     if outcome.conflict:
@@ -152,18 +152,18 @@ def graded(title: Text, fit: Fit | None, tail: str = "") -> None:
         title.append(f"\n{fit.text.partition(':')[0].capitalize()}, likely reason: {each.reason}. Remedy: {each.remedy}.")
 
 
-def _design(outcome: Result) -> Table:
+def _design(outcome: FunctionResult) -> Table:
     problem = outcome.problem.spec
     note = "Design" if not outcome.conflict else "Nearest design found (it does not meet the limits)"
     table = grid(note, [("", "left"), ("", "right"), ("", "left"), ("", "left")])
     for name, value in outcome.design.items():
-        shown, unit = people(name, value)
+        shown, unit = display_value(name, value)
         quantity = problem.quantities.get(name)
         if quantity is None:
             where = str(problem.requirement.start) if name == "phi0" else "the rocker's own angle there"
             remark = where if name == "psi0" else f"at the {where}"
         else:
-            low, high = (people(name, bound)[0] for bound in quantity.bounds)
+            low, high = (display_value(name, bound)[0] for bound in quantity.bounds)
             remark = f"free, {low:g} ... {high:g}" if quantity.free else "given"
         bold = quantity is not None and quantity.free
         table.add_row(name, Text(fixed(shown), style=HEAD if bold else ""), unit, Text(remark, style=QUIET))
@@ -171,7 +171,7 @@ def _design(outcome: Result) -> Table:
     return table
 
 
-def _objective(outcome: Result) -> Table:
+def _objective(outcome: FunctionResult) -> Table:
     table = grid("Objective", [("", "left"), ("", "right"), ("", "left"), ("", "left")])
     rms, largest = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
     robust = outcome.problem.spec.requirement.robust
@@ -266,7 +266,7 @@ def _given(item: Relaxed) -> str:
     return f"{item.sense} {item.relaxed:.6g} {item.unit} ({item.amount:.4g} {item.unit})"
 
 
-def _optima(outcome: Result) -> RenderableType:
+def _optima(outcome: FunctionResult) -> RenderableType:
     """Show the statistics of a multistart search and its distinct optima."""
     free = outcome.problem.spec.free
     modes = len({optimum.assembly for optimum in outcome.optima}) > 1
@@ -279,19 +279,19 @@ def _optima(outcome: Result) -> RenderableType:
     columns = [("objective", "right"), *((name, "right") for name in free), *([("assembly", "left")] if modes else [])]
     table = grid(f"Distinct optima{range_}", [*columns, ("starts", "right")], header=True)
     for optimum in outcome.optima[:12]:
-        values = [fixed(people(name, optimum.design[name])[0]) for name in free]
+        values = [fixed(display_value(name, optimum.design[name])[0]) for name in free]
         mode = [optimum.assembly] if modes else []
         table.add_row(number(optimum.objective, 6 if modes else 8), *values, *mode, str(optimum.count))
     return Group(*parts, table)
 
 
-def _backends(outcome: Result) -> Table:
+def _backends(outcome: FunctionResult) -> Table:
     free = outcome.problem.spec.free
     columns = [("back end", "left"), ("status", "left"), ("objective", "right")]
     columns += [(name, "right") for name in free]
     table = grid("Back ends", [*columns, ("steps", "right"), ("KKT", "right")], header=True)
     for name, solution in outcome.backends.items():
-        values = [fixed(people(key, solution.design[key])[0], 6 if len(free) < 3 else 3) for key in free]
+        values = [fixed(display_value(key, solution.design[key])[0], 6 if len(free) < 3 else 3) for key in free]
         table.add_row(
             name,
             solution.status.value,
@@ -303,7 +303,7 @@ def _backends(outcome: Result) -> Table:
     return table
 
 
-def _times(outcome: Result) -> Text:
+def _times(outcome: FunctionResult) -> Text:
     words = ", ".join(f"{name} {1e3 * seconds:.1f} ms" for name, seconds in outcome.seconds.items() if seconds > 0.0)
     head = f"{outcome.backend}, {outcome.solution.iterations} iterations; " if outcome.solution else ""
     return Text(head + words, style=QUIET)
@@ -318,15 +318,15 @@ def problem(file: ProblemFile) -> RenderableType:
     parts.append(Text(f"Source: {model.source or '-'}", style=QUIET))
     if isinstance(model.mechanism, FourBarSection):
         parts.append(_section("mechanism", model.mechanism))
-    if isinstance(model, DesignProblem | GenerationProblem):
+    if isinstance(model, DesignProblem | PathProblem):
         over = {"transmission_over": model.transmission_over}
-        task = holding(model) if isinstance(model, GenerationProblem) else None
+        task = holding(model) if isinstance(model, PathProblem) else None
         parts += [_section("requirement", model.requirement, task), _section("limits", model.limits, over)]
     if isinstance(model, CycleProblem):
         from optlink.report.views.cycle_tables import asked
 
         parts.append(asked(model))
-    if not isinstance(model, DesignProblem | GenerationProblem) or model.bodies or model.loads:
+    if not isinstance(model, DesignProblem | PathProblem) or model.bodies or model.loads:
         from optlink.report.views.analysis_tables import machine
 
         parts += machine(file)
@@ -341,7 +341,7 @@ def problem(file: ProblemFile) -> RenderableType:
     return Group(*parts)
 
 
-def holding(model: GenerationProblem) -> dict[str, str]:
+def holding(model: PathProblem) -> dict[str, str]:
     """Return the effective values of optional keys of a path or motion synthesis problem."""
     found = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
     if model.requirement.kind == "motion":

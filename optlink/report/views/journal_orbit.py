@@ -34,7 +34,7 @@ from optlink.report.views.revolutions import (
     turn_axis,
     zero,
 )
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
 DEEP = 0.22  # largest magnified penetration, as a share of the clearance
@@ -107,7 +107,7 @@ def _own(turns: Turns, k: int, since: float) -> list[Impact]:
 
 
 @styled
-def orbit(result: LooseSimulation) -> Figure | None:
+def orbit(result: ClearanceSimulation) -> Figure | None:
     """Draw the orbit of every journal centre over the last revolutions with contacts and impacts; penetrations are magnified."""
     turns = Turns(result)
     if not turns:
@@ -173,7 +173,7 @@ def _masked(x: Array, y: Array, segments: NDArray[np.bool_]) -> tuple[Array, Arr
 
 
 @styled
-def force(result: LooseSimulation) -> Figure | None:
+def force(result: ClearanceSimulation) -> Figure | None:
     """Draw the normal force, friction and penetration of every joint over the crank angle; contact phases are shaded."""
     turns = Turns(result)
     if not turns:
@@ -245,7 +245,7 @@ def force(result: LooseSimulation) -> Figure | None:
 
 
 @styled
-def impacts(result: LooseSimulation) -> Figure | None:
+def impacts(result: ClearanceSimulation) -> Figure | None:
     """Draw the approach speed and the largest penetration of every contact over the revolutions."""
     turns = Turns(result)
     if not turns or not result.impacts:

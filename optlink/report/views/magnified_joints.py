@@ -21,10 +21,10 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
 from optlink.report.animation import WIDE, film
 from optlink.report.drawing import Sketch
-from optlink.report.labels import Label, settle
+from optlink.report.labels import Label, place_labels
 from optlink.report.style import GROUND, QUIET, WANTED, degrees, figure, heading, styled
 from optlink.report.views.revolutions import FONT, FULL, TITLE, Turns, rough, round_below
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
 FRAMES = 80
@@ -292,7 +292,7 @@ def _exaggerated(sketch: Loosened) -> str:
 
 
 @styled
-def mechanism(result: LooseSimulation) -> Figure | None:
+def mechanism(result: ClearanceSimulation) -> Figure | None:
     """Draw the mechanism at the largest contact force of the last revolution, with close-ups of its joints with clearance."""
     turns = Turns(result)
     if not turns:
@@ -323,17 +323,17 @@ def mechanism(result: LooseSimulation) -> Figure | None:
     handles, words = sketch.legend()
     made.legend(handles, words, loc="outside lower center", ncols=min(len(handles), int(width)), frameon=False, fontsize=FONT)
     made.draw_without_rendering()
-    settle(made, sketch.letters(stage, sketch.steps))
+    place_labels(made, sketch.letters(stage, sketch.steps))
     return made
 
 
 @styled
-def frames(result: LooseSimulation, count: int = FRAMES) -> list[Image.Image]:
+def frames(result: ClearanceSimulation, count: int = FRAMES) -> list[Image.Image]:
     """Draw the frames of the last revolution with magnified deviations and close-ups of the joints with clearance.
 
     Parameters
     ----------
-    result : LooseSimulation
+    result : ClearanceSimulation
     count : int, optional
         Largest number of frames.
     """

@@ -16,8 +16,8 @@ from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
 from optlink.report.views import pareto_tables
 from optlink.report.views.function_tables import number
 from optlink.studies.grid import MAX_POINTS, Axis, Grid
-from optlink.studies.pareto.epsilon_constraint import SCHEMA, Pareto, Point
-from optlink.studies.pareto.objectives import Aim
+from optlink.studies.pareto.epsilon_constraint import SCHEMA, Pareto, ParetoPoint
+from optlink.studies.pareto.objectives import ParetoObjective
 
 __all__ = ["SCHEMA", "studied"]
 
@@ -78,20 +78,20 @@ def read(record: Record, file: ProblemFile) -> Pareto:
     )
 
 
-def _aim(record: Record) -> Aim:
+def _aim(record: Record) -> ParetoObjective:
     if record.text("sense") not in SENSES:
         raise record.fault("sense", "this is neither minimise nor maximise", record.text("sense"))
-    aim = Aim(record.text("name"), record.text("name"), record.text("unit"), SENSES[record.text("sense")])
+    aim = ParetoObjective(record.text("name"), record.text("name"), record.text("unit"), SENSES[record.text("sense")])
     if aim.column != record.text("column"):
         raise record.fault("column", f"this is not the column of {aim.name} [{aim.unit}]", record.text("column"))
     return aim
 
 
-def _point(record: Record, columns: list[str]) -> Point:
+def _point(record: Record, columns: list[str]) -> ParetoPoint:
     values, design = record.record("objectives"), record.record("design")
     told = tuple(values.number(name) for name in columns)
     mark_ = record.text("mark") if record.has("mark") else ""
-    return Point(told, {name: design.number(name) for name in design.document}, "; ".join(record.texts("active")), mark_)
+    return ParetoPoint(told, {name: design.number(name) for name in design.document}, "; ".join(record.texts("active")), mark_)
 
 
 def _axis(record: Record) -> Axis:
@@ -144,7 +144,7 @@ def _chosen(found: Pareto) -> int | None:
     return found.ends[0] if found.knee is None else found.knee[0]
 
 
-def _named(aim: Aim) -> str:
+def _named(aim: ParetoObjective) -> str:
     unit = f" [{aim.unit.replace('*', ' ')}]" if aim.unit else ""
     return f"{aim.name}{unit}{'' if aim.sense > 0 else ' (more is better)'}"
 

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from optlink.report.files import whole, write_json
-from optlink.report.labels import Label, settle
+from optlink.report.labels import Label, place_labels
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED, figure, heading, save, styled
 from optlink.report.views.pareto_tables import against
 from optlink.studies.pareto.epsilon_constraint import Pareto
@@ -53,7 +53,7 @@ def picture(result: Pareto) -> Figure:
     labels = [label for panel, pair in zip(panels, pairs, strict=True) for label in _panel(result, panel, *pair)]
     words = ", ".join(aim.name for aim in result.aims)
     made.suptitle(heading(f"{result.problem.model.title}: {words}", 0.95 * width), fontsize=11)
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from optlink.report.labels import Label, settle
+from optlink.report.labels import Label, place_labels
 from optlink.report.style import figure, heading, styled
 from optlink.report.views.path_captions import assembly, objective, transmission, wrapped
 from optlink.report.views.path_initial_pose import BESIDE, standing, trim
 from optlink.report.views.path_tables import kin
 from optlink.report.views.path_view import Track
 from optlink.report.views.revolutions import beside
-from optlink.tasks.results.path import Generation
+from optlink.tasks.results.path import PathResult
 
 PANELS = 9  # largest number of designs
 APART = 4.0  # designs up to this multiple of the smallest size share one scale
 
 
 @styled
-def designs(result: Generation) -> Figure | None:
+def designs(result: PathResult) -> Figure | None:
     """Draw the distinct designs side by side on one scale and name their cognates."""
     if len(result.designs) < 2:
         return None
@@ -54,5 +54,5 @@ def designs(result: Generation) -> Figure | None:
     many = f"{count} distinct designs, best first" + (f"; the first {PANELS}" if count > PANELS else "")
     made.suptitle(heading(f"{tracks[0].task.title}: {many}", panel * columns - 0.4, 10.5), fontsize=10.5)
     trim(made, rows)
-    settle(made, labels)
+    place_labels(made, labels)
     return made

@@ -12,8 +12,8 @@ from optlink.problem.path import MARK
 from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
 from optlink.report.views.path_tables import exact, measure, words
 from optlink.report.views.path_view import Track
-from optlink.tasks.results.common import Single
-from optlink.tasks.results.path import Design
+from optlink.tasks.results.common import SingleDesignResult
+from optlink.tasks.results.path import PathDesign
 
 SIZES = 14  # largest number of dimensions below a title
 DIGITS = 5  # significant digits of a dimension
@@ -75,7 +75,7 @@ def _digits(value: float, count: int) -> str:
     return shown.replace("-", "−") if "e" not in shown else shown
 
 
-def failed(design: Design | Single) -> str:
+def failed(design: PathDesign | SingleDesignResult) -> str:
     """Return the reason why a design is not valid."""
     names = [check.name for check in design.validation.checks if not check.passed]
     more = f" and {len(names) - 2} more checks" if len(names) > 3 else ""
@@ -97,13 +97,13 @@ def objective(track: Track) -> str:
     return f"{named} {design.objective:.4g}"
 
 
-def assembly(design: Design) -> list[str]:
+def assembly(design: PathDesign) -> list[str]:
     """Return the assembly modes, one text for each joint."""
     first, *others = words(design).split(", ")
     return [f"assembly {first}", *others]
 
 
-def transmission(design: Design) -> str:
+def transmission(design: PathDesign) -> str:
     """Format the worst transmission angle; empty if there is none."""
     least = design.least_transmission
     return f"least transmission angle {math.degrees(least):.1f}°" if math.isfinite(least) else ""

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.linkage.dyad_types import RRR
-from optlink.problem.path import TURN, GenerationProblem
+from optlink.problem.path import TURN, PathProblem
 from optlink.report.animation import film, there_and_back
-from optlink.report.labels import settle
+from optlink.report.labels import place_labels
 from optlink.report.style import BODIES, LIMIT, WANTED, degrees, figure, scale, styled
 from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, figures, headed, title_of, wrapped
 from optlink.report.views.path_initial_pose import BESIDE, HIGH, standing, trim
 from optlink.report.views.path_view import Track, best
-from optlink.tasks.results.path import Generation
+from optlink.tasks.results.path import PathResult
 from optlink.validation.path import deviations, transmission_angles
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ def output(track: Track) -> Output:
         found = np.degrees(transmission_angles(track.motion, task.linkage))
         return Output(np.degrees(track.motion.crank_angle), found, None, "transmission angle [deg]", joints)
     fine = track.design.problem.override({"requirement.points": FINEST}).model
-    assert isinstance(fine, GenerationProblem)
+    assert isinstance(fine, PathProblem)
     angles = fine.crank_angles(values, None)
     travel = deviations(fine, values, angles).generated[:, 0]
     wanted = fine.prescribed_outputs(values)
@@ -56,7 +56,7 @@ def output(track: Track) -> Output:
 
 
 @styled
-def mechanism(result: Generation) -> Figure | None:
+def mechanism(result: PathResult) -> Figure | None:
     """Draw the mechanism of a function or transmission synthesis at its first position."""
     track = best(result)
     if track is None or track.task.pointed:
@@ -71,12 +71,12 @@ def mechanism(result: Generation) -> Figure | None:
     crank = f"crank at {degrees(float(track.design.crank_angles[track.first]))}"
     axes.set_title(wrapped([crank, *assembly(track.design)], width - 0.6, ", ", SMALL), fontsize=SMALL)
     trim(made)
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 
 @styled
-def curve(result: Generation) -> Figure | None:
+def curve(result: PathResult) -> Figure | None:
     """Draw the prescribed and generated output of a function with their difference, or the transmission angles."""
     track = best(result)
     if track is None or track.task.pointed:

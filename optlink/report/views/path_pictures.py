@@ -23,7 +23,7 @@ from optlink.problem.path import TURN
 from optlink.report.animation import film, there_and_back
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict, write_csv, write_design, write_json
-from optlink.report.labels import settle
+from optlink.report.labels import place_labels
 from optlink.report.report_model import machine_found
 from optlink.report.style import CRANK, WANTED, degrees, figure, heading, save, save_film, styled
 from optlink.report.views.path_alternatives import designs
@@ -33,19 +33,19 @@ from optlink.report.views.path_initial_pose import BESIDE, HIGH, standing, trim
 from optlink.report.views.path_outputs import curve, mechanism, output_film
 from optlink.report.views.path_residuals import errors
 from optlink.report.views.path_view import Track, best
-from optlink.tasks.results.path import Design, Generation
+from optlink.tasks.results.path import PathDesign, PathResult
 
 Array = NDArray[np.float64]
 FRAMES = 90
 LIT = "#ffc20a"
 
 
-def write_all(result: Generation, folder: Path) -> list[Path]:
+def write_all(result: PathResult, folder: Path) -> list[Path]:
     """Write result.json and, for the best design or nearest miss, points.csv, design.toml, the figures and the animation.
 
     Parameters
     ----------
-    result : Generation
+    result : PathResult
     folder : Path
         Existing folder to write to.
 
@@ -76,7 +76,7 @@ def write_all(result: Generation, folder: Path) -> list[Path]:
     return written
 
 
-def columns(design: Design) -> dict[str, Array]:
+def columns(design: PathDesign) -> dict[str, Array]:
     """Return prescribed and generated values at every position, by column name with SI unit."""
     task, data, measured = design.task, design.task.data, design.measured
     found: dict[str, Array] = {"point": np.arange(1.0, len(data.columns) + 1.0)}
@@ -102,7 +102,7 @@ def columns(design: Design) -> dict[str, Array]:
 
 
 @styled
-def path(result: Generation) -> Figure | None:
+def path(result: PathResult) -> Figure | None:
     """Draw the mechanism at its first point with its coupler curve, and beside it a close-up of the curve."""
     track = best(result)
     if track is None or not track.task.pointed:
@@ -126,7 +126,7 @@ def path(result: Generation) -> Figure | None:
     ncols = len(names) if long < width else -(-len(names) // 2)
     made.legend(handles, names, loc="outside lower center", ncols=ncols, frameon=False, fontsize=8.5)
     trim(made)
-    settle(made, labels)
+    place_labels(made, labels)
     return made
 
 
@@ -174,14 +174,14 @@ class Passing(Sketch):
 
 
 @styled
-def frames(result: Generation, count: int = FRAMES) -> list[Image.Image]:
+def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
     """Draw the frames of the best design moving along its curve, or its output.
 
     The crank turns once, or back and forth between the first and the last point.
 
     Parameters
     ----------
-    result : Generation
+    result : PathResult
     count : int, optional
         Number of frames.
     """
@@ -204,7 +204,7 @@ def frames(result: Generation, count: int = FRAMES) -> list[Image.Image]:
     return film(sketch, motion, sketch.lay, marks, title, more=points)
 
 
-PICTURES: dict[str, Callable[[Generation], Figure | None]] = {
+PICTURES: dict[str, Callable[[PathResult], Figure | None]] = {
     "path": path,
     "errors": errors,
     "mechanism": mechanism,

@@ -15,7 +15,7 @@ from optlink.report.views.path_captions import entitle, figures, fitting, length
 from optlink.report.views.path_closeup import ALLOWED, NUMBERED
 from optlink.report.views.path_tables import exact_angles
 from optlink.report.views.path_view import Track, best
-from optlink.tasks.results.path import LEVEL, Generation
+from optlink.tasks.results.path import LEVEL, PathResult
 
 Array = NDArray[np.float64]
 BARS = 40  # number of points up to which each has a bar
@@ -24,7 +24,7 @@ NOTHING = 1e-3  # components below this share of the largest deviation are not s
 
 
 @styled
-def errors(result: Generation) -> Figure | None:
+def errors(result: PathResult) -> Figure | None:
     """Draw the deviation at every point: distance, components, and for poses the angle."""
     track = best(result)
     if track is None or not track.task.pointed:

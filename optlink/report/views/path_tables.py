@@ -11,10 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from optlink.linkage.cognates import Cognate, CouplerLinkage
-from optlink.problem.path import TURN, GenerationProblem
+from optlink.problem.path import TURN, PathProblem
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, active, checks, conflict, fixed, graded, grid, number
-from optlink.tasks.machine import turning
-from optlink.tasks.results.path import LEVEL, OUTPUT, Design, Generation, people_unit
+from optlink.tasks.machine import turning_machine
+from optlink.tasks.results.path import LEVEL, OUTPUT, PathDesign, PathResult, display_unit
 from optlink.validation import Check
 
 ALIKE = 1e-3  # relative tolerance for equal four-bars
@@ -23,7 +23,7 @@ GAP = 2  # gap between columns of a table [characters]
 SHOWN = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
-def generation(outcome: Generation) -> RenderableType:
+def generation(outcome: PathResult) -> RenderableType:
     """Summarise a synthesis result: best design, deviations, active constraints, validation, alternatives, cognates."""
     title = Text(outcome.problem.model.title, style=HEAD)
     best = outcome.best
@@ -50,7 +50,7 @@ def generation(outcome: Generation) -> RenderableType:
     parts: list[RenderableType] = [title, Text(), _sizes(best, chosen), Text(), _objective(best)]
     from optlink.report.views.analysis_tables import machine_strokes
 
-    machine = turning(best.problem, best.values)
+    machine = turning_machine(best.problem, best.values)
     strokes = None if machine is None else machine_strokes(machine, float(best.crank_angles[-1] - best.crank_angles[0]))
     parts += [] if strokes is None else [Text(), strokes]
     if outcome.conflict:
@@ -67,11 +67,11 @@ def generation(outcome: Generation) -> RenderableType:
     return Group(*parts, Text(), _times(outcome))
 
 
-def _sizes(design: Design, chosen: bool) -> Table:
+def _sizes(design: PathDesign, chosen: bool) -> Table:
     task = design.task
     table = grid("Design", [("", "left"), ("", "right"), ("", "left"), ("", "left")])
     for name, quantity in task.quantities.items():
-        factor, unit = people_unit(task, name)
+        factor, unit = display_unit(task, name)
         low, high = (bound * factor for bound in quantity.bounds)
         remark = f"free, {low:g} ... {high:g}" if quantity.free else "given"
         value = design.values[name] * factor
@@ -81,12 +81,12 @@ def _sizes(design: Design, chosen: bool) -> Table:
     return table
 
 
-def words(design: Design) -> str:
+def words(design: PathDesign) -> str:
     """Format the assembly modes."""
     return ", ".join(f"{joint} {mode}".strip() for joint, mode in modes(design).items())
 
 
-def modes(design: Design) -> dict[str, str]:
+def modes(design: PathDesign) -> dict[str, str]:
     """Return the assembly modes by joint; a four-bar has one mode with an empty name."""
     stated = design.assembly
     return {str(joint): str(mode) for joint, mode in stated.items()} if isinstance(stated, dict) else {"": str(stated)}
@@ -98,7 +98,7 @@ def significant(value: float) -> str:
     return fixed(value, digits)
 
 
-def _objective(design: Design) -> Table:
+def _objective(design: PathDesign) -> Table:
     measured, task = design.measured, design.task
     table = grid("Objective", [("", "left"), ("", "right"), ("", "left"), ("", "left")])
     factor, unit = OUTPUT[task.unit]
@@ -116,7 +116,7 @@ def _objective(design: Design) -> Table:
     return table
 
 
-def measure(task: GenerationProblem) -> str:
+def measure(task: PathProblem) -> str:
     """Return the name of the measure of the deviations, with a note if it is weighted."""
     return task.measure + (", weighted" if task.wanted.weights is not None else "")
 
@@ -126,19 +126,19 @@ def _figure(value: float, digits: int) -> str:
     return number(value, digits) if value == 0.0 or abs(value) >= 1e-5 else f"{value:.{digits - 1}e}"
 
 
-def people_objective_unit(design: Design) -> str:
+def people_objective_unit(design: PathDesign) -> str:
     """Return the display unit of the objective."""
     unit = OUTPUT[design.task.unit][1]
     return f"{unit}^2" if design.task.measure == "sum of squares" and unit else unit
 
 
-def people_objective(design: Design) -> float:
+def people_objective(design: PathDesign) -> float:
     """Return the objective in its display unit."""
     factor = OUTPUT[design.task.unit][0]
     return design.objective * (factor**2 if design.task.measure == "sum of squares" else factor)
 
 
-def _active(design: Design) -> RenderableType:
+def _active(design: PathDesign) -> RenderableType:
     """Tabulate the active constraints with their shadow prices in the display unit of the objective."""
     factor = people_objective(design) / design.objective if design.objective > 0.0 else 1.0
     held = [replace(limit, multiplier=limit.multiplier * factor) for limit in design.limits]
@@ -157,7 +157,7 @@ def _checks(asked: Sequence[Check]) -> Table:
     return table
 
 
-def _points(design: Design) -> Table:
+def _points(design: PathDesign) -> Table:
     measured, wanted = design.measured, design.task.data.columns
     columns = [
         ("", "right"),
@@ -202,7 +202,7 @@ def unbroken(table: Table) -> Table:
 class _Alternatives:
     """Table of the distinct designs, as many side by side as the terminal is wide enough for."""
 
-    def __init__(self, outcome: Generation) -> None:
+    def __init__(self, outcome: PathResult) -> None:
         self.designs = outcome.designs
         self.kin = kin(outcome.designs)
 
@@ -228,7 +228,7 @@ class _Alternatives:
     def _names(self) -> list[tuple[str, str]]:
         """Return the names of the rows with their units."""
         best, task = self.designs[0], self.designs[0].task
-        free = [(name, people_unit(task, name)[1]) for name in task.quantities if task.quantities[name].free]
+        free = [(name, display_unit(task, name)[1]) for name in task.quantities if task.quantities[name].free]
         joints = list(dict.fromkeys(f"assembly {joint}".rstrip() for design in self.designs for joint in modes(design)))
         first = [(measure(task), people_objective_unit(best)), ("least transmission angle", "deg"), ("same curve as", "")]
         return [*first, *free, *((joint, "") for joint in joints)]
@@ -243,11 +243,11 @@ class _Alternatives:
             found["same curve as"] = f"cognate of {self.kin[k] + 1}"
         for name, quantity in design.task.quantities.items():
             if quantity.free:
-                found[name] = significant(design.values[name] * people_unit(design.task, name)[0])
+                found[name] = significant(design.values[name] * display_unit(design.task, name)[0])
         return found | {f"assembly {joint}".rstrip(): mode for joint, mode in modes(design).items()}
 
 
-def _cognates(outcome: Generation) -> Table:
+def _cognates(outcome: PathResult) -> Table:
     columns = [
         ("crank", "right"),
         ("coupler", "right"),
@@ -269,7 +269,7 @@ def _cognates(outcome: Generation) -> Table:
     return table
 
 
-def _times(outcome: Generation) -> Text:
+def _times(outcome: PathResult) -> Text:
     times = ", ".join(f"{name} {1e3 * seconds:.0f} ms" for name, seconds in outcome.seconds.items() if seconds > 0.0)
     if not outcome.starts:
         return Text(times, style=QUIET)
@@ -281,23 +281,23 @@ def _times(outcome: Generation) -> Text:
 # --- comparison of designs ---------------------------------------------------------------------------------------------------
 
 
-def exact_places(design: Design) -> bool:
+def exact_places(design: PathDesign) -> bool:
     """Return whether every point, or every output of a function, is met to rounding."""
     return bool((design.measured.distances <= LEVEL * design.task.whole).all())
 
 
-def exact_angles(design: Design) -> bool:
+def exact_angles(design: PathDesign) -> bool:
     """Return whether all pose angles are met to rounding; true if there are none."""
     turned = design.measured.turned
     return turned is None or bool((abs(turned) <= LEVEL).all())
 
 
-def exact(design: Design) -> bool:
+def exact(design: PathDesign) -> bool:
     """Return whether all prescribed values are met to rounding; false for transmission synthesis, which prescribes none."""
     return bool(design.task.unit) and exact_places(design) and exact_angles(design)
 
 
-def kin(designs: Sequence[Design]) -> dict[int, int]:
+def kin(designs: Sequence[PathDesign]) -> dict[int, int]:
     """Return, by index of a design, the earlier design whose cognate it is: another four-bar with the same coupler curve."""
     found: dict[int, int] = {}
     for j, design in enumerate(designs):
@@ -308,7 +308,7 @@ def kin(designs: Sequence[Design]) -> dict[int, int]:
     return found
 
 
-def _is(cognate: Cognate, design: Design) -> bool:
+def _is(cognate: Cognate, design: PathDesign) -> bool:
     """Return whether a design is this cognate, driven at either of its fixed pivots."""
     own = design.coupler_linkage
     return own is not None and any(_alike(own, each.linkage) for each in (cognate, cognate.driven_from_rocker))

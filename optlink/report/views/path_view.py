@@ -14,7 +14,7 @@ from optlink.report.drawing import Sketch
 from optlink.report.shapes import finite, spread
 from optlink.report.views.path_tables import exact_places
 from optlink.report.views.revolutions import round_below
-from optlink.tasks.results.path import Design, Generation
+from optlink.tasks.results.path import PathDesign, PathResult
 
 Array = NDArray[np.float64]
 FINE = 721  # positions per revolution
@@ -28,7 +28,7 @@ class Track:
     to the last, or a revolution if the points are closed. `at` contains the positions at the points.
     """
 
-    def __init__(self, design: Design) -> None:
+    def __init__(self, design: PathDesign) -> None:
         self.design, self.task = design, design.task
         angles = design.crank_angles
         self.begin, self.end = float(angles[0]), float(angles[-1])
@@ -128,7 +128,7 @@ class Track:
         return max(1.0, round_below(limit))
 
 
-def best(result: Generation) -> Track | None:
+def best(result: PathResult) -> Track | None:
     """Return the best design or the nearest miss; None if there is nothing to draw."""
     if result.best is None:
         return None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from optlink.report.style import FOUND, GROUND, QUIET, Scale, figure, heading, scale, styled
 from optlink.report.views.revolutions import TITLE, Turns, beside, hold, legend, named, square, turn_axis
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
 PERIODS = 8  # largest period considered [revolutions]
@@ -56,7 +56,7 @@ def _verdict(turns: Turns) -> str:
 
 
 @styled
-def section(result: LooseSimulation) -> Figure | None:
+def section(result: ClearanceSimulation) -> Figure | None:
     """Draw the Poincaré section: output deviation and journal positions at the ends of the revolutions."""
     turns = Turns(result)
     if not turns or not result.section:

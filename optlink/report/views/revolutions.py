@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap
 from optlink.report.style import FOUND, QUIET, SHADE, Scale, heading, scale
-from optlink.tasks.results.clearance import LooseSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,7 +36,7 @@ class Turns:
     of rows.
     """
 
-    def __init__(self, result: LooseSimulation) -> None:
+    def __init__(self, result: ClearanceSimulation) -> None:
         self.result = result
         self.time: Array = np.asarray(result.columns.get("time_s", np.zeros(0)))
         self.way = 1.0 if result.speed > 0.0 else -1.0
@@ -172,7 +172,7 @@ class Turns:
         Parameters
         ----------
         what : str
-            Subject of the figure.
+            ReportModel of the figure.
         width : float [inch]
         *more : str
             Addition to the second line, then further lines.

@@ -14,7 +14,7 @@ from optlink.dynamics.columns import slider_names
 from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.report.html.chart_plotly import Chart, Panel, Trace, line, stacked, thinned
 from optlink.report.html.moving_linkage import Moving, Readout, Stops, decimals_of, even
 from optlink.report.html.shell import Section
@@ -247,7 +247,7 @@ def _moving(file: ProblemFile, columns: Columns, body: str, sizes: Mapping[str, 
 
     def made(steps: int) -> Moving | None:
         try:
-            cycle = analyze(settled(file, sizes))
+            cycle = analyze(fixed_design(file, sizes))
         except InputError:
             return None
         rows = even(len(columns["time_s"]), steps + 1)

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, fixed, grid, number, points
 from optlink.studies.motion_sensitivity import OutputSensitivity
-from optlink.studies.sensitivity import End, Sensitivities, Sensitivity
+from optlink.studies.sensitivity import Sensitivities, Sensitivity, ValidityEnd
 from optlink.studies.sweep import TEXT, Sweep
 
 AGREES = 1e-5  # relative tolerance between exact derivatives and those from solving again
@@ -99,7 +99,7 @@ def _events(result: Sensitivities) -> Table:
     return table
 
 
-def _end(end: End) -> str:
+def _end(end: ValidityEnd) -> str:
     return number(end.value, 5) if math.isfinite(end.value) else "any"
 
 

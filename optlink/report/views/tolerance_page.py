@@ -22,7 +22,7 @@ from optlink.report.views.function_tables import BAD, GOOD, HEAD, grid, number
 from optlink.report.views.function_tables import QUIET as DIM
 from optlink.report.views.tolerance_tables import judged, made, percent, proven
 from optlink.studies.tolerance.analysis import SCHEMA
-from optlink.tasks.function import people
+from optlink.tasks.function import display_value
 
 __all__ = ["SCHEMA", "studied"]
 
@@ -62,7 +62,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """Monte Carlo results: `arrays` over the crank angles [SI], yield statistics, and the histogram if it was stored."""
+    """Monte MonteCarlo results: `arrays` over the crank angles [SI], yield statistics, and the histogram if it was stored."""
 
     samples: int
     seed: int
@@ -311,8 +311,8 @@ def _redesigned(file: ProblemFile, found: Toleranced, record: Record) -> Table:
     for name in file.model.free:
         if name not in now or name not in before:
             raise record.fault(f"design_SI.{name}", "this is missing")
-        old, unit = people(name, before[name])
-        table.add_row(name, number(old, 7), Text(number(people(name, now[name])[0], 7), style=HEAD), unit)
+        old, unit = display_value(name, before[name])
+        table.add_row(name, number(old, 7), Text(number(display_value(name, now[name])[0], 7), style=HEAD), unit)
     values = [number(math.degrees(record.number(key)), 5) for key in ("largest_of_the_nominal_design_rad", "largest_rad")]
     table.add_row(judged(record.text("counted")), *values, "deg")
     if record.has("monte_carlo_of_the_nominal_design") and found.sampled is not None and math.isfinite(found.sampled.share):

@@ -13,8 +13,8 @@ from optlink.report.files import write_csv, write_json
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, SHADE, WANTED, figure, heading, save, styled
 from optlink.report.views.tolerance_tables import percent
 from optlink.studies.tolerance.analysis import Tolerance
-from optlink.studies.tolerance.monte_carlo import Carlo
-from optlink.studies.tolerance.nominal import people
+from optlink.studies.tolerance.monte_carlo import MonteCarlo
+from optlink.studies.tolerance.nominal import display_unit
 
 COLOURS = (CRANK, *BODIES)
 NEAR = 2.5  # the limit is drawn up to this multiple of the drawn range
@@ -69,7 +69,7 @@ def contributions(result: Tolerance) -> Figure:
 @styled
 def band(result: Tolerance) -> Figure:
     """Draw the error or the change of the output over the crank angle: worst case, three sigma, sample extremes, limit."""
-    scale, unit = people(result.nominal)
+    scale, unit = display_unit(result.nominal)
     drawn = figure(8.0, 4.6)
     axes = drawn.add_subplot()
     degrees, worst, base = np.degrees(result.nominal.crank_angles), result.worst, result.nominal.base
@@ -118,16 +118,16 @@ def _limits(axes: Any, limit: float, unit: str) -> None:
 
 
 @styled
-def histogram(result: Tolerance, carlo: Carlo) -> Figure:
+def histogram(result: Tolerance, carlo: MonteCarlo) -> Figure:
     """Draw the histogram of the largest error or change of each sample, and the limit.
 
     Parameters
     ----------
     result : Tolerance
-    carlo : Carlo
+    carlo : MonteCarlo
         Samples to draw.
     """
-    scale, unit = people(result.nominal)
+    scale, unit = display_unit(result.nominal)
     drawn = figure(8.0, 4.0)
     axes = drawn.add_subplot()
     seen = np.flatnonzero(carlo.counts)

@@ -13,11 +13,11 @@ from optlink.problem.tolerances import CONTACT, Deviation
 from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, fixed, grid, number
 from optlink.studies.tolerance.allocation import Allocation
 from optlink.studies.tolerance.analysis import Tolerance
-from optlink.studies.tolerance.monte_carlo import Carlo
-from optlink.studies.tolerance.nominal import people
-from optlink.studies.tolerance.robust_design import YIELD, Robust
+from optlink.studies.tolerance.monte_carlo import MonteCarlo
+from optlink.studies.tolerance.nominal import display_unit
+from optlink.studies.tolerance.robust_design import YIELD, RobustDesign
 from optlink.studies.tolerance.sampling import CONFIDENCE
-from optlink.tasks.function import people as inhabited
+from optlink.tasks.function import display_value as inhabited
 
 SURE = f"{100.0 * CONFIDENCE:g} % sure"
 
@@ -74,7 +74,7 @@ def proven(counted: str) -> str:
     return "its limits are proven; none with more yield was found" if counted == YIELD else "proven"
 
 
-def _redesigned(result: Tolerance, found: Robust) -> Table:
+def _redesigned(result: Tolerance, found: RobustDesign) -> Table:
     columns = [("", "left"), ("best as drawn", "right"), ("robust", "right"), ("", "left")]
     table = grid(made(found.counted), columns, header=True)
     for name, value in found.free.items():
@@ -98,7 +98,7 @@ def _redesigned(result: Tolerance, found: Robust) -> Table:
 
 
 def _blame(result: Tolerance) -> Table:
-    scale, unit = people(result.nominal)
+    scale, unit = display_unit(result.nominal)
     at = result.where
     each = " or ".join(sorted({"deg" if d.kind == "angle" else "mm" for d in result.deviations}, reverse=True))
     angle = math.degrees(result.nominal.crank_angles[at])
@@ -124,7 +124,7 @@ def _blame(result: Tolerance) -> Table:
 
 
 def _scatter(result: Tolerance) -> Table:
-    scale, unit = people(result.nominal)
+    scale, unit = display_unit(result.nominal)
     degrees = np.degrees(result.nominal.crank_angles)
     table = grid(f"Change of the output to first order [{unit}]", [("", "left"), ("", "right"), ("", "left")])
     both = np.maximum(-result.worst[0], result.worst[1])
@@ -136,8 +136,8 @@ def _scatter(result: Tolerance) -> Table:
     return table
 
 
-def _sampled(result: Tolerance, carlo: Carlo) -> Table:
-    scale, unit = people(result.nominal)
+def _sampled(result: Tolerance, carlo: MonteCarlo) -> Table:
+    scale, unit = display_unit(result.nominal)
     what = "largest error" if np.any(result.nominal.base) else "largest change"
     title = f"{carlo.samples:,} linkages with deviations drawn (Sobol, seed {carlo.seed}), moved exactly"
     table = grid(title, [("", "left"), ("", "right"), ("", "left")])
@@ -161,7 +161,7 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.3f} %" if math.isfinite(share) else "-"
 
 
-def _between(carlo: Carlo) -> str:
+def _between(carlo: MonteCarlo) -> str:
     low, high = carlo.interval
     return f"{100.0 * low:.3f} ... {percent(high)} ({SURE})"
 

@@ -19,7 +19,7 @@ from multiprocessing.context import SpawnProcess
 from typing import Any
 
 from optlink.errors import Fault, InputError, SolverError
-from optlink.studies.execution.worker import ONE_THREAD, Answer, Task, perform
+from optlink.studies.execution.worker import ONE_THREAD, ChunkOutcome, ChunkTask, run_chunk
 
 PATIENCE = 10  # s, time limit for the scheduler and for a first worker
 AHEAD = 3  # chunks queued per worker
@@ -28,7 +28,7 @@ QUIET = {"distributed.admin.tick.interval": "1s", "distributed.worker.profile.en
 """Settings of a cluster of this machine. By default Dask observes itself 20 to 100 times a second, which slows the chunks."""
 
 
-def installed() -> tuple[Any, Any]:
+def import_dask() -> tuple[Any, Any]:
     """Return the packages dask and distributed.
 
     Raises
@@ -46,13 +46,13 @@ def installed() -> tuple[Any, Any]:
 
 
 def on_cluster(
-    task: Task, todo: Iterable[int], workers: int, scheduler: str | None, patience: float = PATIENCE
-) -> Iterator[tuple[int, Answer]]:
+    task: ChunkTask, todo: Iterable[int], workers: int, scheduler: str | None, patience: float = PATIENCE
+) -> Iterator[tuple[int, ChunkOutcome]]:
     """Run chunks as `optlink.studies.execution.runner.run`; repeat a chunk on another worker if its worker dies.
 
     Parameters
     ----------
-    task : Task
+    task : ChunkTask
     todo : iterable of int
         Numbers of chunks.
     workers : int
@@ -69,7 +69,7 @@ def on_cluster(
     SolverError
         If the scheduler stops answering, or a chunk ends several workers.
     """
-    dask, distributed = installed()
+    dask, distributed = import_dask()
     with contextlib.ExitStack() as stack:
         stack.enter_context(distributed.utils.silence_logging_cmgr("CRITICAL"))
         where: Any = scheduler
@@ -205,11 +205,11 @@ def _client(distributed: Any, where: Any, scheduler: str | None, patience: float
     return client
 
 
-def _gathered(distributed: Any, client: Any, task: Task, todo: Iterator[int]) -> Iterator[tuple[int, Answer]]:
+def _gathered(distributed: Any, client: Any, task: ChunkTask, todo: Iterator[int]) -> Iterator[tuple[int, ChunkOutcome]]:
     numbers: dict[Any, int] = {}
 
     def ask(index: int) -> Any:
-        future = client.submit(perform, task, index, pure=False, retries=2)
+        future = client.submit(run_chunk, task, index, pure=False, retries=2)
         numbers[future.key] = index
         return future
 
@@ -218,9 +218,9 @@ def _gathered(distributed: Any, client: Any, task: Task, todo: Iterator[int]) ->
     for future in ready:
         index = numbers.pop(future.key)
         try:
-            answer: Answer = future.result()
+            answer: ChunkOutcome = future.result()
         except (distributed.scheduler.KilledWorker, BrokenProcessPool):
             raise SolverError(f"chunk {index} of the study ended several workers; have they enough memory?") from None
         for following in itertools.islice(todo, 1):
             ready.add(ask(following))
-        yield index, Answer(*answer).checked(index)
+        yield index, ChunkOutcome(*answer).checked(index)

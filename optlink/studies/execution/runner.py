@@ -1,6 +1,6 @@
 """Run the chunks of a study in local processes or on a Dask cluster, with identical results.
 
-A task (`optlink.studies.execution.worker.Task`) maps the number of a chunk to its result, which depends on nothing else.
+A task (`optlink.studies.execution.worker.ChunkTask`) maps the number of a chunk to its result, which depends on nothing else.
 Results arrive in any order.
 """
 
@@ -18,7 +18,7 @@ from typing import Any
 
 from optlink.errors import Fault, InputError, SolverError
 from optlink.problem.quantity import nearest
-from optlink.studies.execution.worker import ONE_THREAD, Answer, Task, answered, packed, perform
+from optlink.studies.execution.worker import ONE_THREAD, ChunkOutcome, ChunkTask, outcome_from_line, run_chunk, task_to_line
 
 ENGINES = ("local", "dask")
 ATTEMPTS = 3  # attempts per chunk if its process dies
@@ -52,19 +52,19 @@ def check(engine: str, workers: int | None, scheduler: str | None) -> None:
     if scheduler is not None and engine != "dask":
         raise InputError(Fault("only the engine dask has a scheduler", "Add --engine dask", key="--scheduler", value=scheduler))
     if engine == "dask":
-        from optlink.studies.execution.cluster import installed
+        from optlink.studies.execution.cluster import import_dask
 
-        installed()
+        import_dask()
 
 
 def run(
-    task: Task, todo: Iterable[int], engine: str = "local", workers: int | None = None, scheduler: str | None = None
-) -> Iterator[tuple[int, Answer]]:
+    task: ChunkTask, todo: Iterable[int], engine: str = "local", workers: int | None = None, scheduler: str | None = None
+) -> Iterator[tuple[int, ChunkOutcome]]:
     """Run chunks, and yield each result with its number on completion.
 
     Parameters
     ----------
-    task : Task
+    task : ChunkTask
     todo : iterable of int
         Numbers of chunks.
     engine : "local" or "dask"
@@ -88,17 +88,17 @@ def run(
     return _local(task, list(todo), workers or cores())
 
 
-def _local(task: Task, todo: list[int], workers: int) -> Iterator[tuple[int, Answer]]:
+def _local(task: ChunkTask, todo: list[int], workers: int) -> Iterator[tuple[int, ChunkOutcome]]:
     count = min(workers, len(todo))
     if count <= 1:
         for index in todo:
-            yield index, perform(task, index).checked(index)
+            yield index, run_chunk(task, index).checked(index)
         return
     jobs: queue.SimpleQueue[int] = queue.SimpleQueue()
     for index in todo:
         jobs.put(index)
-    answers: queue.Queue[tuple[int, Answer | BaseException]] = queue.Queue(2 * count)
-    hands = [_Hand(packed(task), jobs, answers) for _ in range(count)]
+    answers: queue.Queue[tuple[int, ChunkOutcome | BaseException]] = queue.Queue(2 * count)
+    hands = [_Hand(task_to_line(task), jobs, answers) for _ in range(count)]
     try:
         for hand in hands:
             hand.start()
@@ -131,7 +131,7 @@ class _Hand(threading.Thread):
             except queue.Empty:
                 break
             try:
-                answer: Answer | BaseException = self._asked(index)
+                answer: ChunkOutcome | BaseException = self._asked(index)
             except Exception as error:  # noqa: BLE001 - raised where the study is run
                 answer = error
             while not self.stopped.is_set():
@@ -140,7 +140,7 @@ class _Hand(threading.Thread):
                     break
         self._end()
 
-    def _asked(self, index: int) -> Answer:
+    def _asked(self, index: int) -> ChunkOutcome:
         for _ in range(ATTEMPTS):
             if self.stopped.is_set():
                 break
@@ -152,7 +152,7 @@ class _Hand(threading.Thread):
                 process.stdin.flush()
                 line = process.stdout.readline()
                 if line.endswith("\n"):
-                    return answered(line)
+                    return outcome_from_line(line)
             except BrokenPipeError:
                 pass
             self._end()  # the process died: only this chunk is repeated

@@ -19,7 +19,7 @@ from typing import Any, Self
 from optlink.errors import Fault, InputError
 from optlink.io import LOCK, folder, locked, whole, write_json
 from optlink.studies.execution.runner import run
-from optlink.studies.execution.worker import Task
+from optlink.studies.execution.worker import ChunkTask
 
 ABOUT, TABLE, CHUNKS = "study.json", "sweep.csv", "chunks"
 SPREAD = 1000  # chunks per folder
@@ -216,13 +216,13 @@ class Store:
         self._mine.append(path)
 
     def fill(
-        self, task: Task, engine: str, workers: int | None, scheduler: str | None, progress: Progress | None
+        self, task: ChunkTask, engine: str, workers: int | None, scheduler: str | None, progress: Progress | None
     ) -> tuple[int, float]:
         """Run the missing chunks; see `optlink.studies.execution.runner.run`.
 
         Parameters
         ----------
-        task : Task
+        task : ChunkTask
         engine : "local" or "dask"
         workers : int or None
         scheduler : str or None

@@ -17,7 +17,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 """Environment of a process beside others: linear algebra without threads of its own."""
 
 
-class Task(Protocol):
+class ChunkTask(Protocol):
     """Maps the number of a chunk to its result, JSON compatible; depends on its own state only."""
 
     def __call__(self, index: int) -> Any:
@@ -37,7 +37,7 @@ class Task(Protocol):
 _ALONE = threading.Lock()
 
 
-class Answer(NamedTuple):
+class ChunkOutcome(NamedTuple):
     """Outcome of a chunk: its value and processor time [s], or input errors, or the text of a breakdown."""
 
     value: Any = None
@@ -45,7 +45,7 @@ class Answer(NamedTuple):
     faults: tuple[Fault, ...] = ()
     broken: str = ""
 
-    def checked(self, index: int) -> Answer:
+    def checked(self, index: int) -> ChunkOutcome:
         """Return this answer if it is a result.
 
         Raises
@@ -60,44 +60,44 @@ class Answer(NamedTuple):
         return self
 
 
-def perform(task: Task, index: int) -> Answer:
+def run_chunk(task: ChunkTask, index: int) -> ChunkOutcome:
     """Run a chunk and catch all errors; one at a time per process, as a task caches what it builds.
 
     Parameters
     ----------
-    task : Task
+    task : ChunkTask
     index : int
         Number of the chunk.
     """
     with _ALONE:
         begin = time.process_time()
         try:
-            return Answer(task(index), time.process_time() - begin)
+            return ChunkOutcome(task(index), time.process_time() - begin)
         except InputError as error:
-            return Answer(faults=error.faults)
+            return ChunkOutcome(faults=error.faults)
         except OptlinkError as error:
-            return Answer(broken=str(error))
+            return ChunkOutcome(broken=str(error))
         except Exception:  # noqa: BLE001 - told where the study is run
-            return Answer(broken=traceback.format_exc())
+            return ChunkOutcome(broken=traceback.format_exc())
 
 
-def packed(task: Task) -> str:
+def task_to_line(task: ChunkTask) -> str:
     """Return a task as a line of JSON."""
     kind = type(task)
     return json.dumps({"room": kind.__module__, "name": kind.__qualname__, "state": task.state()}) + "\n"
 
 
-def unpacked(line: str) -> Task:
+def task_from_line(line: str) -> ChunkTask:
     """Return the task of such a line."""
     document = json.loads(line)
     kind = getattr(importlib.import_module(document["room"]), document["name"])
     return kind.revived(document["state"])  # type: ignore[no-any-return]
 
 
-def answered(line: str) -> Answer:
+def outcome_from_line(line: str) -> ChunkOutcome:
     """Return the answer of a line written by a process."""
     document = json.loads(line)
-    return Answer(**{**document, "faults": tuple(Fault(**fault) for fault in document["faults"])})
+    return ChunkOutcome(**{**document, "faults": tuple(Fault(**fault) for fault in document["faults"])})
 
 
 def main() -> None:
@@ -105,9 +105,9 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     try:
-        task = unpacked(sys.stdin.readline())
+        task = task_from_line(sys.stdin.readline())
         for line in sys.stdin:
-            answer = perform(task, int(line))
+            answer = run_chunk(task, int(line))
             faults = [vars(fault) for fault in answer.faults]
             answers.write(json.dumps({**answer._asdict(), "faults": faults}, default=str) + "\n")
             answers.flush()

@@ -28,15 +28,23 @@ from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Quantity
-from optlink.studies.cycle_task import Designing
+from optlink.studies.cycle_task import CycleTask
 from optlink.studies.execution.runner import check
 from optlink.studies.execution.store import Progress, Store
 from optlink.studies.grid import Grid
-from optlink.studies.pareto.epsilon_ranges import NoEnd, Walks
-from optlink.studies.pareto.objectives import OPTION, Aim, asked, cycle_figures, law_figure, read_aims, tightest
-from optlink.studies.reoptimise_task import CHUNK, SLOW_CHUNK, Reoptimising, buildable, check_backend
-from optlink.studies.sweep import Folder
-from optlink.studies.sweep_task import Sweeping
+from optlink.studies.pareto.epsilon_ranges import EpsilonRanges, NoExtreme
+from optlink.studies.pareto.objectives import (
+    OPTION,
+    ParetoObjective,
+    cycle_figures,
+    law_figure,
+    limit_in_file,
+    read_objectives,
+    tightest_bound,
+)
+from optlink.studies.reoptimise_task import CHUNK, SLOW_CHUNK, ReoptimiseTask, check_backend, one_programme_suffices
+from optlink.studies.sweep import TemporaryFolder
+from optlink.studies.sweep_task import SweepTask
 from optlink.tasks.function import solve
 from optlink.units import KINDS, factor
 from optlink.version import VERSION
@@ -50,7 +58,7 @@ MOST = 100_000  # largest number of points of a grid
 
 
 @dataclass(frozen=True)
-class Point:
+class ParetoPoint:
     """A design of the front: objectives in the order and units of the aims, design variables by column, its active limits."""
 
     values: tuple[float, ...]
@@ -69,9 +77,9 @@ class Pareto(Summary):
     """
 
     problem: ProblemFile
-    aims: tuple[Aim, ...]
+    aims: tuple[ParetoObjective, ...]
     minimised: int
-    points: tuple[Point, ...]
+    points: tuple[ParetoPoint, ...]
     ends: tuple[int, ...]
     knee: tuple[int, float] | None
     given: tuple[float, ...] | None
@@ -178,27 +186,27 @@ def pareto(
     Raises
     ------
     InputError
-        As `read_aims`; if an end cannot be found, or the folder holds another study.
+        As `read_objectives`; if an end cannot be found, or the folder holds another study.
     """
     begin = time.perf_counter()
-    aims = read_aims(problem, objectives)
+    aims = read_objectives(problem, objectives)
     first = min(range(len(aims)), key=lambda k: (bool(aims[k].key), bool(aims[k].span), k))
     if aims[first].span:
         message, remedy = "all objectives have ranges", "One of them is minimised: leave its range out"
         raise InputError(Fault(message, remedy, problem.file, OPTION, objectives))
     count = _points(points, len(aims) - 1)
     check_backend(backend)
-    walks = Walks(problem, aims, first, count, backend)
+    walks = EpsilonRanges(problem, aims, first, count, backend)
     _most(walks.shape)
     check(engine, workers, scheduler)
-    keep = Folder() if out is None else None
+    keep = TemporaryFolder() if out is None else None
     place = keep.path if keep is not None else Path(str(out))
     with Store(place, _about(problem, aims, count, backend), resume=resume) as store:
         ahead = walks.searches
         once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(walks.shape)))
         try:
             base, grid, anchors = walks.found(once)
-        except NoEnd:
+        except NoExtreme:
             store.withdraw()
             raise
         once.progress = None
@@ -261,18 +269,18 @@ def _most(shape: Sequence[int]) -> None:
         raise InputError(Fault(f"{size} points are more than a front takes, {MOST:,}", "Give fewer", key="--points"))
 
 
-def _task(base: ProblemFile, grid: Grid, backend: str, anchors: Sequence[Mapping[str, float]]) -> Sweeping:
-    stated = Sweeping.stated(base)
+def _task(base: ProblemFile, grid: Grid, backend: str, anchors: Sequence[Mapping[str, float]]) -> SweepTask:
+    stated = SweepTask.stated(base)
     if base.task == "cycle":
         known = tuple(tuple(sizes.items()) for sizes in anchors)
-        return Designing(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend, anchors=known)
-    task = Reoptimising(**stated, grid=grid, chunk=CHUNK, backend=backend)
-    if buildable(task.template, tuple(axis.key for axis in grid.axes)):
+        return CycleTask(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend, anchors=known)
+    task = ReoptimiseTask(**stated, grid=grid, chunk=CHUNK, backend=backend)
+    if one_programme_suffices(task.template, tuple(axis.key for axis in grid.axes)):
         return task
-    return Reoptimising(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
+    return ReoptimiseTask(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
 
 
-def _about(problem: ProblemFile, aims: tuple[Aim, ...], count: int, backend: str) -> dict[str, Any]:
+def _about(problem: ProblemFile, aims: tuple[ParetoObjective, ...], count: int, backend: str) -> dict[str, Any]:
     """Return the definition of a front; the ranges of its limits follow from it."""
     return {
         "schema": "optlink/study/1",
@@ -307,41 +315,43 @@ class _Once:
 # --- from rows to the front ----------------------------------------------------------------------------------------------
 
 
-def _point(base: ProblemFile, task: Sweeping, aims: tuple[Aim, ...], row: Mapping[str, str]) -> Point | None:
+def _point(base: ProblemFile, task: SweepTask, aims: tuple[ParetoObjective, ...], row: Mapping[str, str]) -> ParetoPoint | None:
     """Return a row with its objectives evaluated: by inverse dynamics for a machine, from the limits of the linkage for a law."""
-    assert isinstance(task, Designing | Reoptimising)
-    columns = {name: f"{name}_{KINDS[quantity.kind].people}" for name, quantity in task.free.items()}
+    assert isinstance(task, CycleTask | ReoptimiseTask)
+    columns = {name: f"{name}_{KINDS[quantity.kind].display}" for name, quantity in task.free.items()}
     design = {column: float(row[column]) for column in columns.values()}
     values = {name: design[columns[name]] * _people(quantity) for name, quantity in task.free.items()}
-    if isinstance(task, Designing):
+    if isinstance(task, CycleTask):
         measured = cycle_figures(base, aims, values)
     else:
         full = {**sizes_of(task.template.spec.quantities), **values}
         error = float(next(value for name, value in row.items() if name.startswith("objective")))
         measured = tuple(law_figure(task.template.spec, aim, full) if aim.key else error for aim in aims)
-    return Point(measured, design, row["active"], "") if np.all(np.isfinite(measured)) else None
+    return ParetoPoint(measured, design, row["active"], "") if np.all(np.isfinite(measured)) else None
 
 
 def _people(quantity: Quantity) -> float:
-    return factor(KINDS[quantity.kind].people, quantity.kind)
+    return factor(KINDS[quantity.kind].display, quantity.kind)
 
 
-def _marked(point: Point, number: int, aims: Sequence[Aim], corner: Sequence[int], bend: tuple[int, float] | None) -> Point:
+def _marked(
+    point: ParetoPoint, number: int, aims: Sequence[ParetoObjective], corner: Sequence[int], bend: tuple[int, float] | None
+) -> ParetoPoint:
     marks = [aim.best for aim, end in zip(aims, corner, strict=True) if end == number]
     if bend is not None and bend[0] == number:
         marks.append("knee")
-    return Point(point.values, point.design, point.active, ", ".join(marks))
+    return ParetoPoint(point.values, point.design, point.active, ", ".join(marks))
 
 
 def _given(
-    problem: ProblemFile, base: ProblemFile, aims: tuple[Aim, ...], backend: str, once: _Once
+    problem: ProblemFile, base: ProblemFile, aims: tuple[ParetoObjective, ...], backend: str, once: _Once
 ) -> tuple[str, tuple[float, ...] | None]:
     """Return the reference of the front: the given machine, or for a law the optimum for the limits of the file."""
     if problem.task == "cycle":
         found = cycle_figures(problem, aims, {})
         return "given machine", found if np.all(np.isfinite(found)) else None
     words, held = "as the file asks", [aim for aim in aims if aim.key]
-    if any(asked(problem, aim.key) is None for aim in held):
+    if any(limit_in_file(problem, aim.key) is None for aim in held):
         return words, None
 
     def searched() -> dict[str, Any]:
@@ -351,5 +361,5 @@ def _given(
     best = once(words, searched)
     if not best:
         return words, None
-    stated = base.override({aim.key: tightest(base, aim) for aim in held})
+    stated = base.override({aim.key: tightest_bound(base, aim) for aim in held})
     return words, tuple(law_figure(stated.spec, aim, best["design"]) if aim.key else best["error"] for aim in aims)

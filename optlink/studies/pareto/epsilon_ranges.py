@@ -13,11 +13,20 @@ import numpy as np
 
 from optlink.errors import Fault, InputError, Status
 from optlink.problem.file import ProblemFile
-from optlink.studies.cycle_task import restarted
+from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.grid import Axis, Grid
-from optlink.studies.pareto.objectives import OPTION, Aim, bare, cycle_figures, law_figure, spanned, tightest, walked
-from optlink.studies.reoptimise_task import buildable
-from optlink.studies.toml_keys import Raw, text
+from optlink.studies.pareto.objectives import (
+    OPTION,
+    ParetoObjective,
+    cycle_figures,
+    epsilon_problem,
+    law_figure,
+    range_values,
+    tightest_bound,
+    without_varied_limits,
+)
+from optlink.studies.reoptimise_task import one_programme_suffices
+from optlink.studies.toml_keys import Raw, exact_text
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.function import solve
 
@@ -28,19 +37,19 @@ NEAR = 1e-4  # relative relaxation of an objective at its own end, where the oth
 NONE = 1e-6  # relative; an objective that varies less has no trade-off
 
 
-class NoEnd(InputError):
+class NoExtreme(InputError):
     """An end of the front that cannot be found."""
 
 
 @dataclass(frozen=True)
-class Walks:
+class EpsilonRanges:
     """Ranges of the epsilon constraints of a front.
 
     `first`: index of the minimised objective; `count`: values of every limit without a requested range.
     """
 
     problem: ProblemFile
-    aims: tuple[Aim, ...]
+    aims: tuple[ParetoObjective, ...]
     first: int
     count: int
     backend: str
@@ -53,7 +62,7 @@ class Walks:
     @cached_property
     def bare(self) -> ProblemFile:
         """Problem of a law without the limits of the constrained objectives."""
-        return bare(self.problem, [self.aims[k] for k in self.held])
+        return without_varied_limits(self.problem, [self.aims[k] for k in self.held])
 
     @cached_property
     def fixed(self) -> dict[int, Axis]:
@@ -71,7 +80,7 @@ class Walks:
                 with self._blamed(aim):
                     found[k] = _stated(aim, self.count, partial(self._with, k))
         for k in self.held:
-            if k not in found and self.problem.task != "cycle" and not buildable(self.bare, (self.aims[k].key,)):
+            if k not in found and self.problem.task != "cycle" and not one_programme_suffices(self.bare, (self.aims[k].key,)):
                 raise self._no_end(self.aims[k], "a function has many optima, its ends are not searched")
         return found
 
@@ -114,17 +123,17 @@ class Walks:
         grid = Grid(tuple(axes[k] for k in self.held))
         if self.problem.task != "cycle":
             return self.bare, grid, ()
-        base = walked(self.problem, self.aims, {self.first: 1.0}, {k: axes[k].raw(0) for k in self.held})
-        return restarted(base, anchors[0]) if anchors else base, grid, anchors
+        base = epsilon_problem(self.problem, self.aims, {self.first: 1.0}, {k: axes[k].raw(0) for k in self.held})
+        return with_starting_values(base, anchors[0]) if anchors else base, grid, anchors
 
     def _with(self, number: int, value: Raw) -> ProblemFile:
         """Return the problem with a value of the limit that constrains an objective."""
         if self.problem.task == "cycle":
-            return walked(self.problem, self.aims, {self.first: 1.0}, {number: value})
+            return epsilon_problem(self.problem, self.aims, {self.first: 1.0}, {number: value})
         return self.bare.override({self.aims[number].key: value})
 
     @contextlib.contextmanager
-    def _blamed(self, aim: Aim) -> Iterator[None]:
+    def _blamed(self, aim: ParetoObjective) -> Iterator[None]:
         """Attribute errors to the objective."""
         said = f"{aim.said}={aim.span}" if aim.span else aim.said
         try:
@@ -133,9 +142,11 @@ class Walks:
             fault = error.faults[0]
             raise InputError(Fault(fault.message, fault.remedy, self.problem.file, OPTION, said)) from None
 
-    def _no_end(self, aim: Aim, why: str) -> NoEnd:
+    def _no_end(self, aim: ParetoObjective, why: str) -> NoExtreme:
         remedy = f'Say where to walk: "{aim.said}=LOW..HIGH{" " + aim.unit if aim.unit else ""}"'
-        return NoEnd(Fault(f"the end with the {aim.best} cannot be found: {why}", remedy, self.problem.file, OPTION, aim.said))
+        return NoExtreme(
+            Fault(f"the end with the {aim.best} cannot be found: {why}", remedy, self.problem.file, OPTION, aim.said)
+        )
 
     # --- a four-bar for a law: from the optimum of the error alone to the tightest feasible limit ------------------------------
 
@@ -144,7 +155,7 @@ class Walks:
         aims, fixed, unbound = self.aims, self.fixed, self.open
         free = self.bare.override({aims[k].key: axis.raw(0) for k, axis in fixed.items()})  # with the loosest limits only
 
-        def optimum(task: ProblemFile, blamed: Aim | None = None) -> dict[str, Any]:
+        def optimum(task: ProblemFile, blamed: ParetoObjective | None = None) -> dict[str, Any]:
             found = solve(task, self.backend)
             if blamed is not None and not found.valid:
                 raise self._no_end(blamed, found.status.text)
@@ -153,7 +164,7 @@ class Walks:
         minimised = aims[self.first]
         best = once(minimised.best, lambda: optimum(free, minimised))
         tight = {k: once(aims[k].best, partial(self._tight, free, aims[k]))["limit"] for k in unbound}
-        corners = {k: text(aims[k].loose(tight[k], NEAR * abs(tight[k])), aims[k].unit) for k in unbound}
+        corners = {k: exact_text(aims[k].loose(tight[k], NEAR * abs(tight[k])), aims[k].unit) for k in unbound}
         corners |= {k: axis.raw(len(axis.values) - 1) for k, axis in fixed.items()}
         others = {}
         if len(self.held) > 1:
@@ -162,15 +173,15 @@ class Walks:
                 others[k] = once(f"{minimised.best}, {aims[k].best}", partial(optimum, task))
         found = {}
         for k in unbound:
-            limited, sense = free.override({aims[k].key: tightest(free, aims[k])}).spec, aims[k].sense
+            limited, sense = free.override({aims[k].key: tightest_bound(free, aims[k])}).spec, aims[k].sense
             designs = [best["design"], *(other["design"] for j, other in others.items() if j != k and other["design"])]
             worst = sense * max(sense * law_figure(limited, aims[k], design) for design in designs)
             found[k] = _axis(aims[k], tight[k], worst, self.count)
         return found
 
-    def _tight(self, free: ProblemFile, aim: Aim) -> dict[str, float]:
+    def _tight(self, free: ProblemFile, aim: ParetoObjective) -> dict[str, float]:
         """Return the tightest feasible value of a limit: the least relaxation of an infeasible one."""
-        tight = free.override({aim.key: tightest(free, aim)})
+        tight = free.override({aim.key: tightest_bound(free, aim)})
         found = solve(tight, self.backend)
         if found.solution is not None and found.solution.usable:  # feasible at the tightest bound that can be stated
             return {"limit": law_figure(tight.spec, aim, found.design)}
@@ -189,7 +200,7 @@ class Walks:
         asked_for = [k for k in range(len(aims)) if k not in bounds]
 
         def searched(k: int, task: ProblemFile, near: Mapping[str, float] | None) -> dict[str, Any]:
-            found = solve_cycle(restarted(task, near), self.backend, starts=1) if near is not None else None
+            found = solve_cycle(with_starting_values(task, near), self.backend, starts=1) if near is not None else None
             if found is None or found.status is not Status.OPTIMAL:
                 found = solve_cycle(task, self.backend)
             measured = cycle_figures(problem, aims, found.values)
@@ -197,11 +208,13 @@ class Walks:
                 raise self._no_end(aims[k], found.status.text)
             return {"sizes": dict(found.values), "figures": list(measured)}  # validated or not: it only defines the range
 
-        alone = {first: once(aims[first].best, partial(searched, first, walked(problem, aims, {first: 1.0}, bounds), None))}
+        alone = {
+            first: once(aims[first].best, partial(searched, first, epsilon_problem(problem, aims, {first: 1.0}, bounds), None))
+        }
         begin = alone[first]["sizes"]
         for k in asked_for:
             if k != first:  # from a machine that satisfies all limits
-                alone[k] = once(aims[k].best, partial(searched, k, walked(problem, aims, {k: 1.0}, bounds), begin))
+                alone[k] = once(aims[k].best, partial(searched, k, epsilon_problem(problem, aims, {k: 1.0}, bounds), begin))
         best = {k: alone[k]["figures"][k] for k in asked_for}
         width = {k: max(abs(end["figures"][k] - best[k]) for end in alone.values()) or abs(best[k]) for k in asked_for}
         corner = {}
@@ -210,8 +223,8 @@ class Walks:
             if not aims[k].key:  # a sum cannot be constrained
                 corner[k] = alone[k]
                 continue
-            limit = text(aims[k].loose(best[k], NEAR * width[k]), aims[k].unit)
-            task = walked(problem, aims, rest, {**bounds, k: limit})
+            limit = exact_text(aims[k].loose(best[k], NEAR * width[k]), aims[k].unit)
+            task = epsilon_problem(problem, aims, rest, {**bounds, k: limit})
             corner[k] = once(f"{aims[k].best}, then the others", partial(searched, k, task, alone[k]["sizes"]))
         found = {}
         for k in asked_for:
@@ -222,7 +235,7 @@ class Walks:
         return found, tuple(corner[k]["sizes"] for k in sorted(corner, key=lambda k: k != first))
 
 
-def _axis(aim: Aim, tight: float, loose: float, count: int) -> Axis:
+def _axis(aim: ParetoObjective, tight: float, loose: float, count: int) -> Axis:
     """Return the values of a limit from the loose end of the front to the tight one, both rounded inwards."""
     width = abs(loose - tight)
     if not width > NONE * max(abs(tight), abs(loose)):
@@ -233,9 +246,9 @@ def _axis(aim: Aim, tight: float, loose: float, count: int) -> Axis:
     return Axis(aim.key, aim.unit, tuple(float(f"{value:.12g}") for value in np.linspace(loose, tight, count)))
 
 
-def _stated(aim: Aim, count: int, made: Callable[[Raw], ProblemFile]) -> Axis:
+def _stated(aim: ParetoObjective, count: int, made: Callable[[Raw], ProblemFile]) -> Axis:
     """Return the requested range from its loose end; `made` gives the problem with a value of the limit."""
-    axis = spanned(aim, count)
+    axis = range_values(aim, count)
     for at in (0, len(axis.values) - 1):
         made(axis.raw(at))
     return replace(axis, values=tuple(sorted(axis.values, reverse=aim.sense > 0)))

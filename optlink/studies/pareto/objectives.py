@@ -21,10 +21,10 @@ from optlink.problem.cycle import CycleProblem
 from optlink.problem.cycle_terms import Limit, Measure, Term, What
 from optlink.problem.file import SIDES, ProblemFile, read
 from optlink.problem.function import DesignProblem
-from optlink.problem.path import GenerationProblem
+from optlink.problem.path import PathProblem
 from optlink.problem.quantity import Interval, StrokeRatio, nearest
 from optlink.studies.grid import Axis, column, read_axis
-from optlink.studies.toml_keys import Raw, raw_at, text
+from optlink.studies.toml_keys import Raw, exact_text, value_at
 from optlink.units import KINDS, UnitProblem, factor
 from optlink.validation.cycle import Cycle
 
@@ -54,7 +54,7 @@ _TERM = re.compile(
 
 
 @dataclass(frozen=True)
-class Aim:
+class ParetoObjective:
     """One objective of a Pareto front: its text, `said`, and its `name`.
 
     `sense`: 1 to minimise, -1 to maximise; `key`: the limit that constrains it in the problem file, with its side, empty for an
@@ -101,7 +101,7 @@ class Aim:
         return value + self.sense * by
 
 
-def read_aims(problem: ProblemFile, objectives: str) -> tuple[Aim, ...]:
+def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObjective, ...]:
     """Read two or three objectives, separated by commas; `NAME=LOW..HIGH UNIT` restricts an objective to a range.
 
     Parameters
@@ -139,7 +139,7 @@ def read_aims(problem: ProblemFile, objectives: str) -> tuple[Aim, ...]:
 def _no_front(problem: ProblemFile) -> InputError:
     """Return the error that a problem has no Pareto front, with an alternative."""
     whose = "Fronts are those of machines with an [objective] over their cycle, and of four-bars for a law"
-    if isinstance(problem.model, GenerationProblem):
+    if isinstance(problem.model, PathProblem):
         instead = f"what a limit costs here: optlink study sweep {problem.name} --vary KEY=LOW..HIGH:N"
         wanted = GENERATED[problem.model.requirement.kind]
         return InputError(Fault(f"{wanted} wanted here", f"{whose}; {instead}", problem.file))
@@ -149,11 +149,11 @@ def _no_front(problem: ProblemFile) -> InputError:
     return InputError(Fault("nothing is to be designed here", f"{whose}; add an [objective] and free sizes", problem.file))
 
 
-def _ranged(problem: ProblemFile, reader: Any, part: str, number: int) -> Aim:
+def _ranged(problem: ProblemFile, reader: Any, part: str, number: int) -> ParetoObjective:
     name, equals, span = (piece.strip() for piece in part.partition("="))
     if equals and not span:
         raise InputError(Fault("the range is empty", "Write NAME=LOW..HIGH UNIT", problem.file, OPTION, part))
-    aim: Aim = reader(problem, name, number)
+    aim: ParetoObjective = reader(problem, name, number)
     if span and not aim.key:
         raise InputError(
             Fault(f"{name} has no range: it is what is minimised", "Leave the range out", problem.file, OPTION, part)
@@ -164,12 +164,12 @@ def _ranged(problem: ProblemFile, reader: Any, part: str, number: int) -> Aim:
     return aim
 
 
-def spanned(aim: Aim, count: int) -> Axis:
+def range_values(aim: ParetoObjective, count: int) -> Axis:
     """Return the values of the requested range of an objective.
 
     Parameters
     ----------
-    aim : Aim
+    aim : ParetoObjective
         With a `span`.
     count : int
         Number of values, unless the range states it.
@@ -182,12 +182,12 @@ def spanned(aim: Aim, count: int) -> Axis:
     return read_axis(f"{aim.key}={aim.span}" if ":" in aim.span or "step" in aim.span else f"{aim.key}={aim.span}:{count}")
 
 
-def _check_bounds(problem: ProblemFile, aim: Aim) -> None:
+def _check_bounds(problem: ProblemFile, aim: ParetoObjective) -> None:
     """Check that the bounds of a dimension leave room beside every value of the requested range."""
     name = aim.key.removeprefix("mechanism.").rpartition(".")[0]
     quantity = problem.spec.quantities[name]
     try:
-        values = [value * factor(axis.unit, quantity.kind) for axis in [spanned(aim, 2)] for value in axis.values]
+        values = [value * factor(axis.unit, quantity.kind) for axis in [range_values(aim, 2)] for value in axis.values]
     except (InputError, UnitProblem):  # no valid range: reported when it is used
         return
     low, high = quantity.bounds
@@ -202,10 +202,10 @@ def _check_bounds(problem: ProblemFile, aim: Aim) -> None:
 # --- four-bars for a law -----------------------------------------------------------------------------------------------
 
 
-def _of_law(problem: ProblemFile, name: str, number: int) -> Aim:
+def _of_law(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
     task = problem.spec
     if name == ERROR:
-        return Aim(name, ERROR, MEASURES[task.requirement.measure].unit, 1)
+        return ParetoObjective(name, ERROR, MEASURES[task.requirement.measure].unit, 1)
     limits = [f"limits.{key}.{side}" for key in MOVABLE for side in SIDES]
     sizes = [f"mechanism.{key}" for key in task.mechanism.quantities]
     above, _, side = name.rpartition(".")
@@ -215,7 +215,7 @@ def _of_law(problem: ProblemFile, name: str, number: int) -> Aim:
         words = key.replace("_", " ")
         if key in SEVERAL:
             words = f"{'largest' if side == 'max' else 'smallest'} {words}"
-        return Aim(name, words, unit, 1 if side == "max" else -1, f"limits.{key}.{side}")
+        return ParetoObjective(name, words, unit, 1 if side == "max" else -1, f"limits.{key}.{side}")
     if side not in SIDES:
         key, side = name.removeprefix("mechanism."), "max"
     if key not in task.mechanism.quantities:
@@ -226,11 +226,11 @@ def _of_law(problem: ProblemFile, name: str, number: int) -> Aim:
     if not quantity.free:
         remedy = f"""Free it: --set mechanism.{key}='{{ bounds = ["...", "..."] }}'"""
         raise InputError(Fault(f"{key} is fixed at {quantity}, it cannot move", remedy, problem.file, OPTION, name))
-    unit = KINDS[quantity.kind].people
-    return Aim(name, key, unit, 1 if side == "max" else -1, f"mechanism.{key}.{side}")
+    unit = KINDS[quantity.kind].display
+    return ParetoObjective(name, key, unit, 1 if side == "max" else -1, f"mechanism.{key}.{side}")
 
 
-def asked(problem: ProblemFile, key: str) -> Raw | None:
+def limit_in_file(problem: ProblemFile, key: str) -> Raw | None:
     """Return the value in the file at one side of a limit, or None.
 
     Parameters
@@ -240,7 +240,7 @@ def asked(problem: ProblemFile, key: str) -> Raw | None:
         Key of the limit, including its side.
     """
     above, _, side = key.rpartition(".")
-    whole = raw_at(problem, above)
+    whole = value_at(problem, above)
     if isinstance(whole, Mapping):
         whole = whole.get("bounds", whole) if key.startswith("mechanism.") else whole
     if isinstance(whole, list):
@@ -248,14 +248,14 @@ def asked(problem: ProblemFile, key: str) -> Raw | None:
     return whole.get(side, whole.get("exactly")) if isinstance(whole, Mapping) else whole  # type: ignore[no-any-return]
 
 
-def tightest(problem: ProblemFile, aim: Aim) -> Raw:
+def tightest_bound(problem: ProblemFile, aim: ParetoObjective) -> Raw:
     """Return the tightest bound that can be stated, whether or not a linkage satisfies it.
 
     Parameters
     ----------
     problem : ProblemFile
         With a law.
-    aim : Aim
+    aim : ParetoObjective
         With a `key`.
     """
     above = aim.key.rpartition(".")[0]
@@ -264,14 +264,14 @@ def tightest(problem: ProblemFile, aim: Aim) -> Raw:
     if aim.key.startswith("mechanism."):
         quantity = problem.spec.quantities[name]
         low, high = (bound / factor(aim.unit, quantity.kind) for bound in quantity.bounds)
-        return text(low + 1e-6 * (high - low) if aim.sense > 0 else high - 1e-6 * (high - low), aim.unit)
+        return exact_text(low + 1e-6 * (high - low) if aim.sense > 0 else high - 1e-6 * (high - low), aim.unit)
     held: Interval | None = getattr(problem.spec.limits, name)
     if held is not None:
         other = held.low if aim.sense > 0 else held.high
     if other is not None:
         assert held is not None
         own = other / factor(aim.unit, held.kind) if held.kind else other
-        return text(aim.loose(own, ROOM * abs(own)), aim.unit)  # equal sides would prescribe one value at all positions
+        return exact_text(aim.loose(own, ROOM * abs(own)), aim.unit)  # equal sides would prescribe one value at all positions
     small, large = {"deg": (1.0, 179.0), "mm": (1e-3, 1e8)}.get(aim.unit, (1e-3, 1e3))
     if isinstance(held, StrokeRatio):
         small, large = (1.0 if held.stroke in (None, "slow") else small), (1.0 if held.stroke == "quick" else large)
@@ -279,17 +279,17 @@ def tightest(problem: ProblemFile, aim: Aim) -> Raw:
         small = 1.0
     if name == "transmission_cosine":
         small, large = -0.999, 0.999
-    return text(small if aim.sense > 0 else large, aim.unit)
+    return exact_text(small if aim.sense > 0 else large, aim.unit)
 
 
-def law_figure(task: DesignProblem, aim: Aim, design: Mapping[str, float]) -> float:
+def law_figure(task: DesignProblem, aim: ParetoObjective, design: Mapping[str, float]) -> float:
     """Return the value that a limit constrains, in the unit of the objective.
 
     Parameters
     ----------
     task : DesignProblem
         States that side of the limit.
-    aim : Aim
+    aim : ParetoObjective
         With a `key`.
     design : mapping of str to float [SI]
     """
@@ -301,7 +301,7 @@ def law_figure(task: DesignProblem, aim: Aim, design: Mapping[str, float]) -> fl
     keys = {above} | ({"limits.alignment"} if name.startswith("transmission") else set())  # which may be tighter
     rows = [row for row in limit_rows(task, values, task.reach(values), values["frame"]) if row.limit in keys]
     held = [row for row in rows if math.isfinite(row.high if (side == "max") != row.scale.cosine else row.low)]
-    figures = [row.scale.people(float(row.value)) for row in held]
+    figures = [row.scale.to_display(float(row.value)) for row in held]
     return max(figures) if side == "max" else min(figures)
 
 
@@ -313,11 +313,11 @@ def _model(problem: ProblemFile) -> CycleProblem:
     return problem.model
 
 
-def _of_machine(problem: ProblemFile, name: str, number: int) -> Aim:
+def _of_machine(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
     task = _model(problem)
     if name == OWN:
         if not task.single:
-            return Aim(name, "sum of the objective", "", 1)
+            return ParetoObjective(name, "sum of the objective", "", 1)
         own = {key: value for key, value in problem.raw["objective"].items() if key != "sense"}
         return _termed(problem, own, -1 if task.goals[0].sense == "maximise" else 1, number, name)
     limited = task.limits.named.get(name.removeprefix("limits."))
@@ -345,7 +345,7 @@ def _of_machine(problem: ProblemFile, name: str, number: int) -> Aim:
     return _termed(problem, raw, sense, number, name)
 
 
-def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, name: str) -> Aim:
+def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, name: str) -> ParetoObjective:
     """Return the objective of a term, after validation by the model."""
     stated = {**raw, "sense": "maximise" if sense < 0 else "minimise"}
     document = {key: value for key, value in problem.raw.items() if key != "expected"}
@@ -356,12 +356,14 @@ def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, 
         raise InputError(Fault(fault.message, fault.remedy, problem.file, OPTION, name)) from None
     goal = _model(found).goals[0]
     kind = _model(found).kind(goal)
-    unit = KINDS[kind].people if kind else ""
+    unit = KINDS[kind].display if kind else ""
     side = "min" if sense < 0 else "max"
-    return Aim(name, goal.words, unit, sense, f"limits.front_{number}.{side}", tuple(raw.items()))
+    return ParetoObjective(name, goal.words, unit, sense, f"limits.front_{number}.{side}", tuple(raw.items()))
 
 
-def walked(problem: ProblemFile, aims: Sequence[Aim], goals: Mapping[int, float], bounds: Mapping[int, Raw]) -> ProblemFile:
+def epsilon_problem(
+    problem: ProblemFile, aims: Sequence[ParetoObjective], goals: Mapping[int, float], bounds: Mapping[int, Raw]
+) -> ProblemFile:
     """Return the problem of a machine with other objectives and bounds.
 
     A limit of the file on the same side of the term of an objective is removed; all others remain.
@@ -369,7 +371,7 @@ def walked(problem: ProblemFile, aims: Sequence[Aim], goals: Mapping[int, float]
     Parameters
     ----------
     problem : ProblemFile
-    aims : sequence of Aim
+    aims : sequence of ParetoObjective
     goals : mapping of int to float
         Minimised objectives: index, and the reference value in the unit of the objective.
     bounds : mapping of int to value with unit
@@ -392,11 +394,11 @@ def walked(problem: ProblemFile, aims: Sequence[Aim], goals: Mapping[int, float]
     return read(raw, problem.name, problem.file, problem.folder)
 
 
-def _goals(problem: ProblemFile, aim: Aim, one: float) -> list[dict[str, Any]]:
+def _goals(problem: ProblemFile, aim: ParetoObjective, one: float) -> list[dict[str, Any]]:
     """Return the terms of an objective, with the reference value `one` [its unit]."""
     if aim.key:
         sense = "maximise" if aim.sense < 0 else "minimise"
-        return [{**dict(aim.term), "sense": sense, "scale": text(one, aim.unit)}]
+        return [{**dict(aim.term), "sense": sense, "scale": exact_text(one, aim.unit)}]
     return [{**term, "weight": term.get("weight", 1.0) / one} for term in problem.raw["objective"]["terms"]]
 
 
@@ -406,14 +408,14 @@ def _same(one: Term, other: Term) -> bool:
     return ways[0] == ways[1] and all(getattr(one, key) == getattr(other, key) for key in keys)
 
 
-def _gives_way(limit: Limit, aim: Aim) -> bool:
+def _gives_way(limit: Limit, aim: ParetoObjective) -> bool:
     """Return whether a limit constrains the term of an objective on the side that is varied."""
     if not aim.key:
         return False
     return _same(limit, aim.made) and (limit.exactly is not None or getattr(limit, aim.side) is not None)
 
 
-def _rest(problem: ProblemFile, name: str, aims: Sequence[Aim]) -> dict[str, Any] | None:
+def _rest(problem: ProblemFile, name: str, aims: Sequence[ParetoObjective]) -> dict[str, Any] | None:
     """Return the other side of a limit that is removed, or None."""
     limit, raw = _model(problem).limits.named[name], dict(problem.raw["limits"][name])
     raw.pop("exactly", None)
@@ -423,13 +425,13 @@ def _rest(problem: ProblemFile, name: str, aims: Sequence[Aim]) -> dict[str, Any
     return raw if any(side in raw for side in SIDES) else None
 
 
-def cycle_figures(problem: ProblemFile, aims: Sequence[Aim], values: Mapping[str, float]) -> tuple[float, ...]:
+def cycle_figures(problem: ProblemFile, aims: Sequence[ParetoObjective], values: Mapping[str, float]) -> tuple[float, ...]:
     """Return the values of all objectives of a machine by ordinary inverse dynamics; NaN if the crank cannot turn fully.
 
     Parameters
     ----------
     problem : ProblemFile
-    aims : sequence of Aim
+    aims : sequence of ParetoObjective
     values : mapping of str to float [SI]
         Dimensions; those not named have their value in the file.
 
@@ -449,7 +451,7 @@ def cycle_figures(problem: ProblemFile, aims: Sequence[Aim], values: Mapping[str
     return tuple(found)
 
 
-def bare(problem: ProblemFile, aims: Sequence[Aim]) -> ProblemFile:
+def without_varied_limits(problem: ProblemFile, aims: Sequence[ParetoObjective]) -> ProblemFile:
     """Return the problem of a law without the limits that its objectives vary.
 
     Bounds of a dimension remain; its search starts from their middle.
@@ -457,12 +459,12 @@ def bare(problem: ProblemFile, aims: Sequence[Aim]) -> ProblemFile:
     Parameters
     ----------
     problem : ProblemFile
-    aims : sequence of Aim
+    aims : sequence of ParetoObjective
         Objectives with a `key`.
     """
     for aim in aims:
         above, _, side = aim.key.rpartition(".")
-        whole = raw_at(problem, above)
+        whole = value_at(problem, above)
         if above.startswith("mechanism."):
             problem = problem.override({above: {"bounds": whole["bounds"]}})
         elif whole is not None:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, SolverError
-from optlink.studies.tolerance.monte_carlo import Carlo, monte_carlo, sampled_document
+from optlink.studies.tolerance.monte_carlo import MonteCarlo, monte_carlo, sampled_document
 
 if TYPE_CHECKING:
     from optlink.studies.tolerance.analysis import Tolerance
@@ -47,7 +47,7 @@ class Allocation:
     cost: float
     before: float
     gap: float
-    carlo: Carlo
+    carlo: MonteCarlo
     free: tuple[str, ...]
 
     @property

@@ -20,14 +20,14 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
 from optlink.studies.motion_sensitivity import output_sensitivity
-from optlink.studies.tolerance.monte_carlo import Carlo, Progress, monte_carlo, sampled_document
-from optlink.studies.tolerance.nominal import ERROR, Nominal, drawing, people
+from optlink.studies.tolerance.monte_carlo import MonteCarlo, Progress, monte_carlo, sampled_document
+from optlink.studies.tolerance.nominal import ERROR, Nominal, display_unit, nominal_design
 from optlink.studies.tolerance.options import read_deviations
 from optlink.units import UnitProblem, parse
 
 if TYPE_CHECKING:
     from optlink.studies.tolerance.allocation import Allocation
-    from optlink.studies.tolerance.robust_design import Robust
+    from optlink.studies.tolerance.robust_design import RobustDesign
 
 Array = NDArray[np.float64]
 SCHEMA = "optlink/tolerance/1"
@@ -44,10 +44,10 @@ class Tolerance(Summary):
     deviations: tuple[Deviation, ...]
     by: Array
     limit: float | None
-    carlo: Carlo | None = None
+    carlo: MonteCarlo | None = None
     allocation: Allocation | None = None
-    robust: Robust | None = None  # the robust design, if requested
-    unrobust: Carlo | None = None  # samples of the nominal optimum beside a robust design
+    robust: RobustDesign | None = None  # the robust design, if requested
+    unrobust: MonteCarlo | None = None  # samples of the nominal optimum beside a robust design
 
     @property
     def beaten(self) -> bool:
@@ -97,7 +97,7 @@ class Tolerance(Summary):
     @property
     def columns(self) -> dict[str, Array]:
         """Table over crank angles, by name with unit."""
-        scale, ending = people(self.nominal)
+        scale, ending = display_unit(self.nominal)
         worst, found = self.worst, {"crank_deg": np.degrees(self.nominal.crank_angles)}
         named = {"value": self.nominal.value, "judged": self.nominal.base, "worst_low": worst[0], "worst_high": worst[1]}
         named |= {"rss": self.rss, "sigma": self.sigma, "shift": self.shift}
@@ -186,7 +186,7 @@ def tolerance(
     limit : str, optional
         For example "0.5 deg": largest absolute error, or change of another output, over all crank angles.
     samples : int
-        Samples of the Monte Carlo analysis; 0: none.
+        Samples of the Monte MonteCarlo analysis; 0: none.
     seed : int
         Seed of the samples.
     shape : str
@@ -224,21 +224,21 @@ def tolerance(
         elif allowed is None:
             raise InputError(Fault(f"a {robust} needs a limit", 'Add for example --limit "0.5 deg"', key="--robust"))
         elif robust == MARGIN:
-            again = redesign.safest(problem, tolerances, allowed, shape=shape)
+            again = redesign.most_reliable(problem, tolerances, allowed, shape=shape)
         else:
-            from optlink.studies.tolerance.maximum_yield import most_yield
+            from optlink.studies.tolerance.maximum_yield import maximise_yield
 
-            again = most_yield(problem, tolerances, allowed, samples, seed, shape=shape)
+            again = maximise_yield(problem, tolerances, allowed, samples, seed, shape=shape)
         file, design = again.result.problem, again.free  # with a definite assembly mode
-    nominal = drawing(file, output, crank_angles, design)
+    nominal = nominal_design(file, output, crank_angles, design)
     deviations = read_deviations(problem, nominal, tolerances, shape)
     for name in costs or {}:
         if name not in [d.name for d in deviations]:
             raise InputError(Fault("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}"))
-    found = replace(analysed(problem, nominal, deviations, _limit(limit, angular=nominal.angular)), robust=again)
+    found = replace(linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular)), robust=again)
     if samples and again is not None:
-        best = drawing(file, output, crank_angles, {name: again.nominal[name] for name in again.free})
-        found = replace(found, unrobust=monte_carlo(analysed(problem, best, deviations, found.limit), samples, seed))
+        best = nominal_design(file, output, crank_angles, {name: again.nominal[name] for name in again.free})
+        found = replace(found, unrobust=monte_carlo(linear_analysis(problem, best, deviations, found.limit), samples, seed))
     if samples:
         found = replace(found, carlo=monte_carlo(found, samples, seed, progress))
     if wanted is not None:
@@ -248,7 +248,7 @@ def tolerance(
     return found
 
 
-def analysed(problem: ProblemFile, nominal: Nominal, deviations: Sequence[Deviation], limit: float | None) -> Tolerance:
+def linear_analysis(problem: ProblemFile, nominal: Nominal, deviations: Sequence[Deviation], limit: float | None) -> Tolerance:
     """Return the linear analysis with exact derivatives at the nominal design.
 
     Parameters

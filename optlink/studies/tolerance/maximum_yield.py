@@ -21,12 +21,12 @@ from optlink.errors import InputError
 from optlink.optimization.nlp import NLP, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import NORMAL, Deviation
-from optlink.studies.tolerance.analysis import analysed
+from optlink.studies.tolerance.analysis import linear_analysis
 from optlink.studies.tolerance.monte_carlo import largest_errors, monte_carlo
-from optlink.studies.tolerance.nominal import drawing
+from optlink.studies.tolerance.nominal import nominal_design
 from optlink.studies.tolerance.options import read_deviations
-from optlink.studies.tolerance.robust_design import Redesign, Robust
-from optlink.studies.tolerance.sampling import drawn
+from optlink.studies.tolerance.robust_design import RobustDesign, RobustSearch
+from optlink.studies.tolerance.sampling import sample_deviations
 from optlink.tasks.function import validate
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ FLAT = 1e-3  # least slope, relative to that of the steepest direction
 LOST = 10.0  # rad, error of a linkage that cannot be assembled
 
 
-def most_yield(
+def maximise_yield(
     problem: ProblemFile,
     tolerances: Sequence[str],
     limit: float,
@@ -47,7 +47,7 @@ def most_yield(
     *,
     shape: str = NORMAL,
     backend: str = "ipopt",
-) -> Robust:
+) -> RobustDesign:
     """Return the design with the largest yield, searched from the nominal optimum and a robust design and compared with both.
 
     Parameters
@@ -72,22 +72,22 @@ def most_yield(
     InputError
         If there is no motion law, no validated design, or a tolerance is invalid.
     """
-    redesign = Redesign(problem, tolerances, shape, backend)
+    redesign = RobustSearch(problem, tolerances, shape, backend)
     file = redesign.problem.override({"requirement.robust": None})
     nlp = build(file.override({"requirement.measure": "sum of squares"}).spec)
     first = redesign.least(SIGMAS)
     starts = [{name: redesign.nominal[name] for name in file.model.free}, first.free]
-    deviations = read_deviations(problem, drawing(file, None, None, starts[0]), tolerances, shape)
+    deviations = read_deviations(problem, nominal_design(file, None, None, starts[0]), tolerances, shape)
 
     def share(design: Mapping[str, float]) -> float:
-        nominal = drawing(file, None, None, design)
-        return monte_carlo(analysed(file, nominal, deviations, limit), samples, seed).share
+        nominal = nominal_design(file, None, None, design)
+        return monte_carlo(linear_analysis(file, nominal, deviations, limit), samples, seed).share
 
     found = [_Search(file, nlp, deviations, limit, seed + 1, start).end() for start in starts]
     able = [design for design in found if validate(file, design).valid]
     best = max([*starts, *able], key=share)
     result = validate(file, best)
-    return Robust(result, redesign.nominal, 0.0, validate(file, redesign.nominal).objective, by_yield=True)
+    return RobustDesign(result, redesign.nominal, 0.0, validate(file, redesign.nominal).objective, by_yield=True)
 
 
 class _Search:
@@ -134,12 +134,12 @@ class _Search:
         return self.nlp.design(self.x + self.steps @ z)
 
     def _drawn(self, samples: int) -> list[Array]:
-        return list(drawn(self.deviations, samples, self.seed))
+        return list(sample_deviations(self.deviations, samples, self.seed))
 
     def _sizes(self, x: Array, batches: Sequence[Array]) -> Array:
         """Return the largest error of every sample [rad]."""
         try:
-            nominal = drawing(self.file, None, None, self.nlp.design(x))
+            nominal = nominal_design(self.file, None, None, self.nlp.design(x))
         except InputError:  # it cannot be assembled as drawn
             return np.full(sum(map(len, batches)), LOST)
         found = np.concatenate([largest_errors(nominal, self.deviations, batch) for batch in batches])

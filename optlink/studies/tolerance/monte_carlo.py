@@ -1,4 +1,4 @@
-"""Monte Carlo analysis of tolerances with exact kinematics: scatter, extremes and yield."""
+"""Monte MonteCarlo analysis of tolerances with exact kinematics: scatter, extremes and yield."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from optlink.problem.tolerances import Deviation
 from optlink.studies.tolerance.nominal import Nominal
-from optlink.studies.tolerance.sampling import drawn, wilson
+from optlink.studies.tolerance.sampling import sample_deviations, wilson
 
 if TYPE_CHECKING:
     from optlink.studies.tolerance.analysis import Tolerance
@@ -25,8 +25,8 @@ Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
-class Carlo:
-    """Result of the Monte Carlo analysis.
+class MonteCarlo:
+    """Result of the Monte MonteCarlo analysis.
 
     `mean`, `sigma` and the standard error of sigma (angles,) [SI] of the change of the output; `least`, `most` of it; `counts` of
     samples by the largest absolute judged value over all crank angles, between `edges` [SI]; `stuck`: samples that cannot be
@@ -69,7 +69,7 @@ class Carlo:
         return float(self.edges[place + 1]) if reached[-1] and place < len(self.counts) - 1 else math.inf
 
 
-def sampled_document(carlo: Carlo) -> dict[str, Any]:
+def sampled_document(carlo: MonteCarlo) -> dict[str, Any]:
     """Return the samples as part of a JSON document."""
     asked = carlo.good >= 0
     return {
@@ -90,14 +90,14 @@ def sampled_document(carlo: Carlo) -> dict[str, Any]:
     }
 
 
-def _histogram(carlo: Carlo) -> dict[str, Any]:
+def _histogram(carlo: MonteCarlo) -> dict[str, Any]:
     """Return the non-empty range of bins: their edges [SI], one more than bins, and their counts."""
     held = np.flatnonzero(carlo.counts)
     first, last = (int(held[0]), int(held[-1]) + 1) if len(held) else (0, 0)
     return {"edges": carlo.edges[first : last + 1], "counts": carlo.counts[first:last]}
 
 
-def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | None = None) -> Carlo:
+def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | None = None) -> MonteCarlo:
     """Assemble and move random linkages exactly, and return their statistics; memory does not grow with their number.
 
     Parameters
@@ -117,7 +117,7 @@ def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | 
     sums = np.zeros((4, angles))
     least, most = np.full(angles, math.inf), np.full(angles, -math.inf)
     stuck = good = linear = done = 0
-    for batch in drawn(study.deviations, samples, seed):
+    for batch in sample_deviations(study.deviations, samples, seed):
         for part, change in _moved(nominal, study.deviations, batch):
             whole = np.isfinite(change).all(axis=1)
             if not whole.all():
@@ -140,7 +140,7 @@ def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | 
         if progress is not None:
             progress(done / samples)
     mean, sigma, error = _moments(sums, samples - stuck)
-    return Carlo(
+    return MonteCarlo(
         samples=samples,
         seed=seed,
         stuck=stuck,

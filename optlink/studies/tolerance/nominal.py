@@ -17,9 +17,9 @@ from optlink.linkage.vector2d import Value, cross, dot, unit
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import sizes_of
-from optlink.problem.path import GenerationProblem
+from optlink.problem.path import PathProblem
 from optlink.problem.quantity import nearest
-from optlink.problem.tolerances import loosened
+from optlink.problem.tolerances import with_deviating_pivots
 from optlink.solvers import interrupts
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
 
@@ -78,12 +78,12 @@ class Nominal:
         return np.array(whole, dtype=float)
 
 
-def people(nominal: Nominal) -> tuple[float, str]:
+def display_unit(nominal: Nominal) -> tuple[float, str]:
     """Return the display units per SI unit of an output, and the display unit."""
     return (math.degrees(1.0), "deg") if nominal.angular else (1e3, "mm")
 
 
-def drawing(
+def nominal_design(
     problem: ProblemFile, output: str | None, crank_angles: Array | None = None, design: Mapping[str, float] | None = None
 ) -> Nominal:
     """Return the nominal linkage, optimised first if it has design variables, and its judged output.
@@ -104,7 +104,7 @@ def drawing(
         For an unknown output, no valid design, or a linkage that cannot be assembled at a crank angle.
     """
     file, values, angles = _design(problem, design)
-    mechanism, pivots = loosened(file.model.mechanism, file.model.linkage)
+    mechanism, pivots = with_deviating_pivots(file.model.mechanism, file.model.linkage)
     sizes = {name: values[name] for name in file.model.mechanism.quantities} | pivots
     law = isinstance(file.model, DesignProblem)
     known = [*([ERROR] if law else []), *output_names(mechanism)]
@@ -142,7 +142,7 @@ def _placed(
 def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[ProblemFile, dict[str, float], Array | None]:
     """Return the problem with definite assembly modes, all quantities of the design [SI], and its crank angles, if any."""
     model = problem.model
-    if isinstance(model, GenerationProblem):
+    if isinstance(model, PathProblem):
         from optlink.tasks.path import solve as solve_path
         from optlink.tasks.path import validate as validate_path
 

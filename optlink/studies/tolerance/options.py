@@ -9,13 +9,13 @@ from pathlib import Path
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Unusable
-from optlink.problem.tolerances import CLEARANCE, EXAMPLE, NORMAL, Deviation, Stated, deviations, read_stated
+from optlink.problem.tolerances import CLEARANCE, EXAMPLE, NORMAL, Deviation, ToleranceEntry, deviations, read_tolerance
 from optlink.studies.tolerance.nominal import Nominal
 
 OPTION = "--tolerance"
 
 
-def stated(problem: ProblemFile, texts: Sequence[str], shape: str = NORMAL) -> dict[str, Stated]:
+def read_tolerances(problem: ProblemFile, texts: Sequence[str], shape: str = NORMAL) -> dict[str, ToleranceEntry]:
     """Return tolerances by name from texts NAME=TOLERANCE; without texts, those of the file.
 
     Files of measured deviations are read from the working folder.
@@ -32,7 +32,7 @@ def stated(problem: ProblemFile, texts: Sequence[str], shape: str = NORMAL) -> d
     InputError
         If there are no tolerances, or one is invalid.
     """
-    found: dict[str, Stated] = {} if texts else dict(problem.model.tolerances)
+    found: dict[str, ToleranceEntry] = {} if texts else dict(problem.model.tolerances)
     if not texts and not found:
         raise InputError(Fault("no tolerance is given", f"{EXAMPLE}, or give the file [tolerances]", problem.file, OPTION))
     for assignment in texts:
@@ -43,7 +43,7 @@ def stated(problem: ProblemFile, texts: Sequence[str], shape: str = NORMAL) -> d
         if name in found:
             raise InputError(Fault("a tolerance is given twice", "Give each once", problem.file, OPTION, name))
         try:
-            found[name] = read_stated(text, Path())
+            found[name] = read_tolerance(text, Path())
         except Unusable as error:
             raise InputError(Fault(error.message, error.remedy, key=f"{OPTION} {name}", value=error.value)) from None
     said = {name: said.shape or (None if said.measured or name.endswith(CLEARANCE) else shape) for name, said in found.items()}
@@ -66,7 +66,7 @@ def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str]
     InputError
         If there are no tolerances, or one is invalid.
     """
-    said = stated(problem, texts, shape)
+    said = read_tolerances(problem, texts, shape)
     try:
         return deviations(said, nominal.mechanism, problem.model.mechanism.quantities, nominal.sizes, shape)
     except Unusable as error:

@@ -16,8 +16,8 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.robust import MOST, WORST
 from optlink.problem.tolerances import NORMAL
-from optlink.studies.tolerance.options import stated
-from optlink.tasks.function import Result, solve, validate
+from optlink.studies.tolerance.options import read_tolerances
+from optlink.tasks.function import FunctionResult, solve, validate
 
 YIELD = "yield"
 STEPS, CLOSE = 12, 1e-5  # of the search for the largest number of standard deviations, and its relative accuracy
@@ -25,13 +25,13 @@ LEVEL = 1e-12  # rad per standard deviation; least slope of the secants
 
 
 @dataclass(frozen=True)
-class Robust:
+class RobustDesign:
     """A robust design, `result`, and the nominal optimum, `nominal` [SI]; `before` [rad]: objective of the latter.
 
     `sigmas`: number of standard deviations, None: the worst case; `by_yield`: the yield was maximised instead.
     """
 
-    result: Result
+    result: FunctionResult
     nominal: Mapping[str, float]
     sigmas: float | None
     before: float
@@ -80,7 +80,7 @@ class Robust:
 
 def robust(
     problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None = 3.0, *, shape: str = NORMAL, backend: str = "ipopt"
-) -> Robust:
+) -> RobustDesign:
     """Minimise the largest error over the span, including its scatter.
 
     Parameters
@@ -103,12 +103,12 @@ def robust(
     if sigmas is not None and not 0.0 <= sigmas <= MOST:
         remedy = f"Give 0 to {MOST:g} standard deviations, or worst, margin or yield"
         raise InputError(Fault("out of range", remedy, key="--robust", value=sigmas))
-    return Redesign(problem, tolerances, shape, backend).least(sigmas)
+    return RobustSearch(problem, tolerances, shape, backend).least(sigmas)
 
 
-def safest(
+def most_reliable(
     problem: ProblemFile, tolerances: Sequence[str], limit: float, *, shape: str = NORMAL, backend: str = "ipopt"
-) -> Robust:
+) -> RobustDesign:
     """Return the design that keeps a limit of its error with the largest number of standard deviations.
 
     Its number of standard deviations is that for which the minimised value equals the limit.
@@ -130,7 +130,7 @@ def safest(
     InputError
         As `robust`, or if no nominal design keeps the limit.
     """
-    redesign = Redesign(problem, tolerances, shape, backend)
+    redesign = RobustSearch(problem, tolerances, shape, backend)
     before = redesign.least(0.0)
     if before.value > limit:
         least = f"{math.degrees(before.value):.4g} deg"
@@ -159,12 +159,12 @@ def check_law(problem: ProblemFile) -> None:
         raise InputError(Fault(message, "Judge designs of it without --robust", problem.file, "--robust"))
 
 
-class Redesign:
+class RobustSearch:
     """Search of robust designs of one problem from its nominal optimum, `nominal` [SI]; `problem`: with its tolerances."""
 
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str, backend: str) -> None:
         check_law(problem)
-        said = {name: each.raw for name, each in stated(problem, tolerances, shape).items()}
+        said = {name: each.raw for name, each in read_tolerances(problem, tolerances, shape).items()}
         first = solve(problem.override({"requirement.robust": None}), backend)
         if not first.valid:
             raise InputError(Fault("no design was proven, so there is none to begin with", "See `optlink solve`", problem.file))
@@ -175,7 +175,7 @@ class Redesign:
             faults = [_told(fault, tolerances) for fault in error.faults]
             raise InputError(faults) from None
 
-    def least(self, sigmas: float | None, start: Mapping[str, float] | None = None) -> Robust:
+    def least(self, sigmas: float | None, start: Mapping[str, float] | None = None) -> RobustDesign:
         """Minimise the largest error including its scatter.
 
         Parameters
@@ -187,7 +187,7 @@ class Redesign:
         """
         problem = self.problem.override({"requirement.robust": WORST if sigmas is None else f"{sigmas!r} sigma"})
         found = solve(problem, self.backend, begin=self.nominal if start is None else start)
-        return Robust(found, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)
+        return RobustDesign(found, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)
 
 
 def _told(fault: Fault, tolerances: Sequence[str]) -> Fault:

@@ -17,7 +17,7 @@ TINY = 2.0**-31  # half of the last bit of scipy's Sobol points: avoids 0, where
 CONFIDENCE = 0.95
 
 
-def drawn(deviations: Sequence[Deviation], samples: int, seed: int) -> Iterator[Array]:
+def sample_deviations(deviations: Sequence[Deviation], samples: int, seed: int) -> Iterator[Array]:
     """Yield deviations [SI] in batches (samples, deviations) of scrambled Sobol points; memory does not grow with their number.
 
     Parameters

@@ -15,7 +15,7 @@ from optlink.dynamics.columns import slider_names
 from optlink.dynamics.flywheel import Flywheel
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.strokes import Acting, acting_loads, travels_by_use, use_of, working_stroke
+from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
 from optlink.io import Summary, finite, head
 from optlink.linkage.stroke import TURN, Ranges, Travel, travels, within_cycle
 from optlink.problem.file import ProblemFile
@@ -122,7 +122,7 @@ class Analysis(Summary):
         return {name: value for name, value in found.items() if math.isfinite(value)}
 
     @cached_property
-    def acting(self) -> tuple[Acting, ...]:
+    def acting(self) -> tuple[StrokeLoad, ...]:
         """Loads that act in one stroke only; empty if the crank cannot turn fully."""
         return acting_loads(self.machine, self.speed) if self.full else ()
 
@@ -151,7 +151,7 @@ class Analysis(Summary):
             "speed_rad_s": self.speed,
             "full_rotation": self.full,
             "reachable_deg": [[deg(low), deg(high)] for low, high in self.ranges.ranges],
-            "reactions": reactions_told(self.machine),
+            "reactions": reaction_conventions(self.machine),
             "strokes": {name: self._travel(travel, "m") for name, travel in self.strokes.items()},
             "swings": {name: self._travel(travel, "rad") for name, travel in self.swings.items()},
             "extremes": {
@@ -182,7 +182,7 @@ class Analysis(Summary):
         return finite(document)  # type: ignore[no-any-return]
 
 
-def stroke_records(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> dict[str, Any]:
+def stroke_records(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...]) -> dict[str, Any]:
     """Return the working, slow, forward and backward stroke of an output as JSON, with crank ranges in the direction of rotation.
 
     Parameters
@@ -190,7 +190,7 @@ def stroke_records(travel: Travel, speed: float, acting: tuple[Acting, ...]) -> 
     travel : Travel
     speed : float [rad/s]
         Crank speed; only its sign matters.
-    acting : tuple of Acting
+    acting : tuple of StrokeLoad
         Loads that act in one stroke only.
     """
     working, loads = working_stroke(travel, speed, acting)
@@ -219,7 +219,7 @@ def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel
     return travels_by_use(machine, swings, {names[guide]: travel for guide, travel in strokes.items()})
 
 
-def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] | None = None) -> dict[str, Any]:
+def stroke_document(machine: Machine, speed: float, acting: tuple[StrokeLoad, ...] | None = None) -> dict[str, Any]:
     """Return the strokes of every output of a machine whose crank turns fully, as JSON.
 
     Parameters
@@ -227,7 +227,7 @@ def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] |
     machine : Machine
     speed : float [rad/s]
         Crank speed; only its sign matters.
-    acting : tuple of Acting, optional
+    acting : tuple of StrokeLoad, optional
         Loads that act in one stroke only. Default: the loads of the machine.
     """
     acting = acting_loads(machine, speed) if acting is None else acting
@@ -238,7 +238,7 @@ def stroke_document(machine: Machine, speed: float, acting: tuple[Acting, ...] |
     }
 
 
-def reactions_told(machine: Machine) -> dict[str, str]:
+def reaction_conventions(machine: Machine) -> dict[str, str]:
     """Return for every joint which body acts on which, as defined for the columns."""
     found = {}
     for point, (by, on) in acting_on(machine).items():

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.counterweights import Counterweight, FreeSpring, Measure, amounts, quantities
+from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, FreeSpring, quantities, quantities_of
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.machine import Machine
 from optlink.io import Summary, finite, head
@@ -27,7 +27,7 @@ ACTIVE = 1e-6
 
 
 @dataclass(frozen=True)
-class Added:
+class AddedCounterweight:
     """A counterweight of the result: its inertia parameters in the axes of its body [SI]."""
 
     asked: Counterweight
@@ -78,7 +78,7 @@ class Added:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedSpring:
     """A spring of the result: stiffness [N/m], free length [m]."""
 
     asked: FreeSpring
@@ -87,10 +87,10 @@ class Fitted:
 
 
 @dataclass(frozen=True)
-class Row:
+class MeasureChange:
     """A measure before and after balancing [SI]."""
 
-    measure: Measure
+    measure: BalanceMeasure
     before: float
     after: float
 
@@ -101,7 +101,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Held:
+class ActiveLimit:
     """A limit at the optimum; `buys`: first-order share of the objective saved by relaxing it by one `step`."""
 
     name: str
@@ -116,7 +116,7 @@ class Held:
 
 
 @dataclass(frozen=True)
-class Relaxed:
+class RelaxedLimit:
     """A limit that conflicts with others [display unit]: value required if relaxed alone (infinite: never) or together."""
 
     name: str
@@ -141,14 +141,14 @@ class TradePoint:
 
 
 @dataclass(frozen=True)
-class Trade:
+class TradeOff:
     """The trade-off between two measures.
 
     `knee`: index of the point farthest from the chord of the ends; None if the curve is practically straight.
     """
 
-    first: Measure
-    second: Measure
+    first: BalanceMeasure
+    second: BalanceMeasure
     before: tuple[float, float]
     points: tuple[TradePoint, ...]
     knee: int | None
@@ -178,7 +178,7 @@ class Balance(Summary):
     """
 
     problem: ProblemFile
-    goal: tuple[tuple[Measure, float], ...]
+    goal: tuple[tuple[BalanceMeasure, float], ...]
     status: str
     machine: Machine
     angles: Array
@@ -189,15 +189,15 @@ class Balance(Summary):
     lower: float = math.nan
     gap: float = math.nan
     slack: float = 0.0
-    added: tuple[Added, ...] = ()
-    springs: tuple[Fitted, ...] = ()
+    added: tuple[AddedCounterweight, ...] = ()
+    springs: tuple[FittedSpring, ...] = ()
     balanced: ProblemFile | None = None
     heavier: Machine | None = None
-    rows: tuple[Row, ...] = ()
+    rows: tuple[MeasureChange, ...] = ()
     disagreement: float = math.inf
-    limits: tuple[Held, ...] = ()
-    conflict: tuple[Relaxed, ...] = ()
-    trade: Trade | None = None
+    limits: tuple[ActiveLimit, ...] = ()
+    conflict: tuple[RelaxedLimit, ...] = ()
+    trade: TradeOff | None = None
     notes: tuple[str, ...] = ()
     solver: str = ""
     iterations: int = 0
@@ -239,7 +239,9 @@ class Balance(Summary):
         machines = {"before": self.machine} | ({"after": self.heavier} if self.heavier is not None else {})
         for when, machine in machines.items():
             asked = quantities(machine)
-            for quantity, values in zip(asked, amounts(machine.moving(self.angles, self.speed), asked, self.about), strict=True):
+            for quantity, values in zip(
+                asked, quantities_of(machine.moving(self.angles, self.speed), asked, self.about), strict=True
+            ):
                 unit = quantity.unit.replace(" ", "")
                 for axis, part in zip(("",) if values.shape[1] == 1 else ("_x", "_y"), values.T, strict=True):
                     found[f"{when}.{quantity.quantity.replace(' at ', '_').replace(' ', '_')}{axis}_{unit}"] = part

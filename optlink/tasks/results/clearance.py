@@ -28,7 +28,7 @@ SETTLED = 5
 
 
 @dataclass(frozen=True, repr=False)
-class LooseSimulation(Summary):
+class ClearanceSimulation(Summary):
     """Simulation of a machine with joint clearance.
 
     `columns` by name over the rows of the retained revolutions, `meanings` describe them; `turns`: figures of each

@@ -14,7 +14,7 @@ from optlink.problem.quantity import Quantity
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
 from optlink.validation.check import Check, Validation
 
-People = Callable[[Mapping[str, float]], dict[str, float]]
+DisplayValues = Callable[[Mapping[str, float]], dict[str, float]]
 """A design [SI] as a document tells it: in the units that the keys end in."""
 OPTIMALITY_CHECK = "optimality (KKT residual)"  # name of a check
 
@@ -67,7 +67,7 @@ def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, 
     )
 
 
-class Sought(Protocol):
+class DesignResult(Protocol):
     """Interface of a search result."""
 
     @property
@@ -111,7 +111,7 @@ class Sought(Protocol):
         ...
 
 
-class Single(Sought, Protocol):
+class SingleDesignResult(DesignResult, Protocol):
     """Interface of a result with one design."""
 
     @property
@@ -175,14 +175,14 @@ def _stationary(solution: Solution) -> Check:
     return Check(OPTIMALITY_CHECK, passed, solution.kkt, limit, "")
 
 
-def heading(schema: str, outcome: Sought) -> dict[str, Any]:
+def heading(schema: str, outcome: DesignResult) -> dict[str, Any]:
     """Return the head of the JSON document of a search result.
 
     Parameters
     ----------
     schema : str
         Name and version of the schema.
-    outcome : Sought
+    outcome : DesignResult
     """
     return head(schema, outcome.problem, outcome.status.value, outcome.seed) | {
         "message": outcome.status.text,
@@ -194,13 +194,13 @@ def heading(schema: str, outcome: Sought) -> dict[str, Any]:
     }
 
 
-def proof(outcome: Single, people: People) -> dict[str, Any]:
+def proof(outcome: SingleDesignResult, displayed: DisplayValues) -> dict[str, Any]:
     """Return the part of the JSON document on limits, validation, solvers, optima and conflicts.
 
     Parameters
     ----------
-    outcome : Single
-    people : function of a design [SI]
+    outcome : SingleDesignResult
+    displayed : function of a design [SI]
         Converts a design to display units with the units in its keys.
     """
     solution = outcome.solution
@@ -212,24 +212,24 @@ def proof(outcome: Single, people: People) -> dict[str, Any]:
     if solution:
         document |= {"kkt": solution.kkt, "violation": solution.violation, "curvature": solution.curvature}
     if outcome.backends:
-        document["backends"] = {name: _searched(found, people) for name, found in outcome.backends.items()}
+        document["backends"] = {name: _searched(found, displayed) for name, found in outcome.backends.items()}
     if outcome.optima:
-        document["optima"] = [_listed(optimum, people) for optimum in outcome.optima]
+        document["optima"] = [_listed(optimum, displayed) for optimum in outcome.optima]
     if outcome.conflict:
         document["conflict"] = [vars(item) | {} for item in outcome.conflict]
         document["relax_together"] = [vars(item) | {} for item in outcome.together]
     return document
 
 
-def _listed(optimum: Optimum, people: People) -> dict[str, Any]:
-    document = {"design": people(optimum.design), "objective": optimum.objective, "count": optimum.count}
+def _listed(optimum: Optimum, displayed: DisplayValues) -> dict[str, Any]:
+    document = {"design": displayed(optimum.design), "objective": optimum.objective, "count": optimum.count}
     return document | ({"assembly": optimum.assembly} if optimum.assembly else {})
 
 
-def _searched(solution: Solution, people: People) -> dict[str, Any]:
+def _searched(solution: Solution, displayed: DisplayValues) -> dict[str, Any]:
     return {
         "status": solution.status.value,
-        "design": people(solution.design),
+        "design": displayed(solution.design),
         "objective": solution.objective,
         "iterations": solution.iterations,
         "kkt": solution.kkt,

@@ -14,7 +14,7 @@ from optlink.io import Summary, finite
 from optlink.problem.cycle import CycleProblem
 from optlink.problem.cycle_terms import Term
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
 from optlink.solvers.solution import Solution
@@ -33,7 +33,7 @@ SCHEMA = "optlink/machine-design/1"
 
 
 @dataclass(frozen=True)
-class Told:
+class CycleFigure:
     """A figure in its display unit, of the initial design and of the result."""
 
     name: str
@@ -45,7 +45,7 @@ class Told:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MachineDesign(Summary):
+class CycleResult(Summary):
     """A machine with its validation, or the reason why there is none.
 
     `values`: design variables [SI]; `objective`: minimised value [SI], negative for a maximised term.
@@ -91,12 +91,12 @@ class MachineDesign(Summary):
     @property
     def unit(self) -> str:
         """Display unit of the objective."""
-        return KINDS[self.task.unit_kind].people if self.task.unit_kind else ""
+        return KINDS[self.task.unit_kind].display if self.task.unit_kind else ""
 
     @cached_property
     def machine(self) -> ProblemFile:
         """The problem with all design variables fixed at the result, as used by `analyze` and `simulate`."""
-        return settled(self.problem, self._all(self.values))
+        return fixed_design(self.problem, self._all(self.values))
 
     @cached_property
     def given(self) -> Analysis | None:
@@ -113,7 +113,7 @@ class MachineDesign(Summary):
 
     def _analysed(self, values: Mapping[str, float]) -> Analysis | None:
         try:
-            made = analyze(settled(self.problem, values))
+            made = analyze(fixed_design(self.problem, values))
         except InputError:
             return None
         return made if made.full else None
@@ -121,7 +121,7 @@ class MachineDesign(Summary):
     @cached_property
     def built(self) -> Machine | None:
         """Machine of this design; None if its crank cannot turn fully."""
-        cycle = measured(self.task, self.values)
+        cycle = analysis_of(self.task, self.values)
         return cycle.machine if cycle is not None and cycle.full else None
 
     @cached_property
@@ -148,15 +148,15 @@ class MachineDesign(Summary):
         goal = self.task.goals[0]
         if not self.task.single or goal.quantity != "transmission angle":
             return None
-        cycle = measured(self.task, self.values)
+        cycle = analysis_of(self.task, self.values)
         angle = math.nan if cycle is None else cycle.figure(goal)
         limits = () if self.solution is None else self.solution.limits
         return transmission_fit(min(angle, math.pi - angle), self.task.mechanism.quantities, self._all(self.values), limits)
 
     @cached_property
-    def figures(self) -> tuple[Told, ...]:
+    def figures(self) -> tuple[CycleFigure, ...]:
         """Terms of the objective, then the limits, of the initial machine and of the result."""
-        given, found = (measured(self.task, values) for values in ({}, self.values))
+        given, found = (analysis_of(self.task, values) for values in ({}, self.values))
         told = []
         for k, goal in enumerate(self.task.goals):
             name = "objective" if self.task.single else f"objective {k + 1}"
@@ -165,12 +165,12 @@ class MachineDesign(Summary):
             told.append(self._told(item.name, item.term, given, found, str(item.interval), item.interval.unit))
         return tuple(told)
 
-    def _told(self, name: str, term: Term, given: Cycle | None, found: Cycle | None, limit: str, unit: str = "") -> Told:
+    def _told(self, name: str, term: Term, given: Cycle | None, found: Cycle | None, limit: str, unit: str = "") -> CycleFigure:
         kind = self.task.kind(term)
-        unit = unit or (KINDS[kind].people if kind else "")
+        unit = unit or (KINDS[kind].display if kind else "")
         size = 1.0 / factor(unit, kind) if kind else 1.0
         values = [math.nan if cycle is None else cycle.figure(term) * size for cycle in (given, found)]
-        return Told(name, term.words, values[0], values[1], limit, unit)
+        return CycleFigure(name, term.words, values[0], values[1], limit, unit)
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks."""
@@ -180,7 +180,7 @@ class MachineDesign(Summary):
         """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
         task = self.task
         document = heading(SCHEMA, self) | {
-            "design": people(task, self._all(self.values)),
+            "design": display_values(task, self._all(self.values)),
             "free": list(task.free),
             "objective": {"value": self.objective, "unit": KINDS[task.unit_kind].si if task.unit_kind else ""},
             "initial": {"objective": self.initial.objective, "feasible": self.initial.valid},
@@ -188,7 +188,7 @@ class MachineDesign(Summary):
             "figures": [vars(told) | {} for told in self.figures],
             "strokes": {} if self.built is None else stroke_document(self.built, task.drive.speed.value),
         }
-        return finite(document | proof(self, lambda values: people(task, values)))  # type: ignore[no-any-return]
+        return finite(document | proof(self, lambda values: display_values(task, values)))  # type: ignore[no-any-return]
 
 
 def task_of(problem: ProblemFile) -> CycleProblem:
@@ -197,7 +197,7 @@ def task_of(problem: ProblemFile) -> CycleProblem:
     return problem.model
 
 
-def measured(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None:
+def analysis_of(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None:
     """Return a design in motion, or None if it cannot be built.
 
     Parameters
@@ -212,7 +212,7 @@ def measured(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None:
         return None
 
 
-def people_unit(task: CycleProblem, name: str) -> tuple[float, str]:
+def display_unit(task: CycleProblem, name: str) -> tuple[float, str]:
     """Return the factor from SI and the display unit of a quantity.
 
     Parameters
@@ -222,10 +222,10 @@ def people_unit(task: CycleProblem, name: str) -> tuple[float, str]:
         Name of a quantity.
     """
     kind = task.quantities[name].kind
-    return 1.0 / factor(KINDS[kind].people, kind), KINDS[kind].people
+    return 1.0 / factor(KINDS[kind].display, kind), KINDS[kind].display
 
 
-def people(task: CycleProblem, values: Mapping[str, float]) -> dict[str, float]:
+def display_values(task: CycleProblem, values: Mapping[str, float]) -> dict[str, float]:
     """Return quantities in their display units, each unit appended to the key.
 
     Parameters
@@ -233,4 +233,4 @@ def people(task: CycleProblem, values: Mapping[str, float]) -> dict[str, float]:
     task : CycleProblem
     values : mapping of str to float [SI]
     """
-    return {f"{name}_{people_unit(task, name)[1]}": value * people_unit(task, name)[0] for name, value in values.items()}
+    return {f"{name}_{display_unit(task, name)[1]}": value * display_unit(task, name)[0] for name, value in values.items()}

@@ -26,11 +26,11 @@ from optlink.linkage.fourbar import LENGTHS, grashof
 from optlink.linkage.motion import sweep
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import STEP, GenerationProblem
+from optlink.problem.path import STEP, PathProblem
 from optlink.problem.quantity import Quantity
 from optlink.solvers.solution import LimitState
 from optlink.units import show
-from optlink.validation.path import Deviations
+from optlink.validation.path import MeasuredDeviations
 
 Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
@@ -46,7 +46,7 @@ MOST = 2  # largest number of active limits given as reasons
 
 
 @dataclass(frozen=True)
-class Reason:
+class PoorFitReason:
     """A measured reason for a poor fit, and its remedy."""
 
     reason: str
@@ -64,7 +64,7 @@ class Fit:
     size: float
     unit: str
     of: str
-    reasons: tuple[Reason, ...] = ()
+    reasons: tuple[PoorFitReason, ...] = ()
 
     @property
     def share(self) -> float:
@@ -144,21 +144,21 @@ def _rms(values: Array) -> float:
 
 
 def path_fit(
-    task: GenerationProblem,
+    task: PathProblem,
     values: Mapping[str, float],
     crank_angles: Array,
-    measured: Deviations,
+    measured: MeasuredDeviations,
     limits: Sequence[LimitState] = (),
 ) -> Fit | None:
     """Grade a path, motion or function design; return None for transmission (see `transmission_fit`) or a task of size zero.
 
     Parameters
     ----------
-    task : GenerationProblem
+    task : PathProblem
     values : mapping of str to float [m, rad]
         All quantities.
     crank_angles : array (points,) [rad]
-    measured : Deviations
+    measured : MeasuredDeviations
         Deviations of the design at these crank angles.
     limits : sequence of LimitState
         Limits of the optimum with their multipliers; empty for a given design.
@@ -220,26 +220,26 @@ def _diameter(places: NDArray[np.complex128]) -> float:
     return max(float(np.max(np.abs(places - place))) for place in places)
 
 
-def _wanted_angles(task: GenerationProblem) -> Array:
+def _wanted_angles(task: PathProblem) -> Array:
     return np.unwrap(np.arctan2(task.data.columns[:, 3], task.data.columns[:, 2]))
 
 
-def _rotation(task: GenerationProblem) -> float:
+def _rotation(task: PathProblem) -> float:
     return float(np.ptp(_wanted_angles(task)))
 
 
-def _motion_angles(task: GenerationProblem, crank_angles: Array) -> Array:
+def _motion_angles(task: PathProblem, crank_angles: Array) -> Array:
     """Return crank angles (positions,) [rad] over the whole motion of a design."""
     end = crank_angles[0] + TURN if task.limits.crank != "span" else crank_angles[-1]
     return np.linspace(float(crank_angles[0]), float(end), ALONG)
 
 
-def _four_bar(task: GenerationProblem, values: Mapping[str, float]) -> str:
+def _four_bar(task: PathProblem, values: Mapping[str, float]) -> str:
     """Return the Grashof type of a four-bar; an empty text for other mechanisms."""
     return grashof(*(values[n] for n in LENGTHS)).inversion.value if isinstance(task.mechanism, FourBarSection) else ""
 
 
-def _rotating(task: GenerationProblem, values: Mapping[str, float]) -> Iterator[Reason]:
+def _rotating(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:
     """Detect poses that rotate farther than the body over its whole motion."""
     if task.requirement.kind != "motion" or task.limits.crank == "span":
         return
@@ -251,10 +251,12 @@ def _rotating(task: GenerationProblem, values: Mapping[str, float]) -> Iterator[
         kind = _four_bar(task, values) or "linkage"
         reason = f"the poses turn through {_degrees(asked)}, the {task.body} of this {kind} through {_degrees(turned)} at most"
         other = 'allow double-cranks, whose coupler turns fully (limits.crank = "double-crank"), or ' * (kind == "crank-rocker")
-        yield Reason(reason, f'{other}drive it over a part of a turn (limits.crank = "span")')
+        yield PoorFitReason(reason, f'{other}drive it over a part of a turn (limits.crank = "span")')
 
 
-def _timed(task: GenerationProblem, values: Mapping[str, float], angles: Array, measured: Deviations) -> Iterator[Reason]:
+def _timed(
+    task: PathProblem, values: Mapping[str, float], angles: Array, measured: MeasuredDeviations
+) -> Iterator[PoorFitReason]:
     """Detect a curve that passes the points, but at crank angles other than those prescribed."""
     if task.requirement.kind != "path" or task.data.offsets is None:
         return
@@ -263,10 +265,10 @@ def _timed(task: GenerationProblem, values: Mapping[str, float], angles: Array, 
     near, error = _rms(gaps), _rms(measured.distances)
     if near < NEAR * error:
         reason = f"the curve passes the points at an rms distance of {_length(near)}, but at other crank angles"
-        yield Reason(reason, 'free the timing: requirement.timing = "free"')
+        yield PoorFitReason(reason, 'free the timing: requirement.timing = "free"')
 
 
-def _crowded(task: GenerationProblem, angles: Array) -> Iterator[Reason]:
+def _crowded(task: PathProblem, angles: Array) -> Iterator[PoorFitReason]:
     """Detect an order of points that the curve does not follow: several occur at nearly the same crank angle."""
     if task.data.offsets is not None or not task.pointed:
         return
@@ -274,10 +276,10 @@ def _crowded(task: GenerationProblem, angles: Array) -> Iterator[Reason]:
     if len(close):
         shown = ", ".join(f"{i + 1} and {i + 2}" for i in close[:3]) + (", ..." if len(close) > 3 else "")
         reason = f"the curve does not follow the order of the points: {shown} are met at the same crank angle"
-        yield Reason(reason, "check the order of requirement.points, or smooth them")
+        yield PoorFitReason(reason, "check the order of requirement.points, or smooth them")
 
 
-def _placed(task: GenerationProblem, values: Mapping[str, float], measured: Deviations) -> Iterator[Reason]:
+def _placed(task: PathProblem, values: Mapping[str, float], measured: MeasuredDeviations) -> Iterator[PoorFitReason]:
     """Detect a fixed frame where a rigid displacement of the linkage would reduce the error."""
     if not isinstance(task.mechanism, FourBarSection) or not task.pointed:
         return
@@ -296,10 +298,10 @@ def _placed(task: GenerationProblem, values: Mapping[str, float], measured: Devi
         fixed += [f"the frame's direction is fixed at {_degrees(values.get('direction', 0.0))}"] * turn
         gain = f"moved as a whole, this linkage has an rms error of {_length(moved)} instead of {_length(error)}"
         keys = ["mechanism.pivot"] * pivot + ["mechanism.direction"] * turn
-        yield Reason(f"{' and '.join(fixed)}; {gain}", f"free {' and '.join(keys)} by bounds")
+        yield PoorFitReason(f"{' and '.join(fixed)}; {gain}", f"free {' and '.join(keys)} by bounds")
 
 
-def active_reasons(limits: Sequence[LimitState]) -> Iterator[Reason]:
+def active_reasons(limits: Sequence[LimitState]) -> Iterator[PoorFitReason]:
     """Yield the active limits with the largest shadow prices relative to their size."""
 
     def weight(limit: LimitState) -> float:
@@ -315,10 +317,10 @@ def active_reasons(limits: Sequence[LimitState]) -> Iterator[Reason]:
         if limit.key not in seen:
             seen.add(limit.key)
             bound = f"{limit.sense} {limit.bound:.4g} {limit.unit}".rstrip()
-            yield Reason(f"{limit.name} is at its limit ({bound})", f"widen {limit.key}")
+            yield PoorFitReason(f"{limit.name} is at its limit ({bound})", f"widen {limit.key}")
 
 
-def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float]) -> Iterator[Reason]:
+def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float]) -> Iterator[PoorFitReason]:
     """Yield the fixed dimensions as a reason.
 
     Parameters
@@ -334,23 +336,23 @@ def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float
             f"{name} = {show(values.get(name, quantities[name].value), quantities[name].kind)}" for name in fixed[:4]
         )
         more = f" and {len(fixed) - 4} more" if len(fixed) > 4 else ""
-        yield Reason(f"fixed sizes: {shown}{more}", "free those that need not be fixed, by bounds")
+        yield PoorFitReason(f"fixed sizes: {shown}{more}", "free those that need not be fixed, by bounds")
 
 
-def _quantities(task: GenerationProblem) -> dict[str, Quantity]:
+def _quantities(task: PathProblem) -> dict[str, Quantity]:
     """Return the dimensions of a mechanism, including the default frame position of a four-bar."""
     nowhere = {f"A.{axis}": Quantity(0.0, "coordinate", "mm") for axis in "xy"} | {"direction": Quantity(0.0, "angle", "deg")}
     own = task.mechanism.quantities
     return own if not (task.pointed and isinstance(task.mechanism, FourBarSection)) else nowhere | own
 
 
-def _kind(task: GenerationProblem, values: Mapping[str, float]) -> Iterator[Reason]:
+def _kind(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:
     """Detect a restriction to four-bars of one kind."""
     kind, crank = _four_bar(task, values), task.limits.crank
     if kind and crank != "span":
         other = "full rotation" if crank == "double-crank" else "double-crank"
         reason = f'only four-bars of one kind were allowed: {kind} (limits.crank = "{crank}")'
-        yield Reason(reason, f'try limits.crank = "{other}" or "span", or a six-bar')
+        yield PoorFitReason(reason, f'try limits.crank = "{other}" or "span", or a six-bar')
 
 
 def _length(value: float) -> str:

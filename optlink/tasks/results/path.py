@@ -19,18 +19,18 @@ from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import settled
+from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, TURN, GenerationProblem
+from optlink.problem.path import START, TURN, PathProblem
 from optlink.solvers.evidence import Evidence
 from optlink.solvers.solution import LimitState, Solution
-from optlink.tasks.machine import turning
+from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.common import Relaxed, heading, proven
 from optlink.tasks.results.fit import Fit, path_fit, transmission_fit
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
-from optlink.validation.path import Deviations, deviations, transmission_angles
+from optlink.validation.path import MeasuredDeviations, deviations, transmission_angles
 
 SCHEMA = "optlink/generation/1"
 DISTINCT = 1e-2  # least relative difference of two distinct designs
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Design(Summary):
+class PathDesign(Summary):
     """One design with its validation.
 
     `problem` has definite assembly modes; `values` are all quantities [m, rad], `crank_angles` (points,) [rad] those of
@@ -56,9 +56,9 @@ class Design(Summary):
     solution: Solution | None = None
 
     @property
-    def task(self) -> GenerationProblem:
+    def task(self) -> PathProblem:
         """The model of the problem."""
-        assert isinstance(self.problem.model, GenerationProblem)
+        assert isinstance(self.problem.model, PathProblem)
         return self.problem.model
 
     @property
@@ -67,7 +67,7 @@ class Design(Summary):
         return proven(self.status, self.validation)
 
     @cached_property
-    def measured(self) -> Deviations:
+    def measured(self) -> MeasuredDeviations:
         """Generated points and their deviations from the targets."""
         return deviations(self.task, self.values, self.crank_angles)
 
@@ -93,7 +93,7 @@ class Design(Summary):
         """Largest error of an exact design [m, rad or 1]."""
         return LEVEL * self.task.whole
 
-    def alike(self, other: Design) -> bool:
+    def alike(self, other: PathDesign) -> bool:
         """Return whether two designs are practically the same."""
         if self.assembly != other.assembly:
             return False
@@ -152,7 +152,7 @@ class Design(Summary):
     @property
     def machine(self) -> ProblemFile:
         """The linkage as a problem with every size fixed, for `analyze`, `simulate` and pictures."""
-        return settled(self.problem, self.values)
+        return fixed_design(self.problem, self.values)
 
     @property
     def assembly(self) -> object:
@@ -179,7 +179,7 @@ class Design(Summary):
             "status": self.status.value,
             "assembly": self.assembly,
             "design": {
-                f"{name}_{people_unit(self.task, name)[1]}": v for name, v in people_design(self.task, self.values).items()
+                f"{name}_{display_unit(self.task, name)[1]}": v for name, v in display_values(self.task, self.values).items()
             },
             "objective": {"value": self.objective, **_figures(self)},
             "fit": None if self.fit is None else self.fit.to_dict(),
@@ -207,41 +207,41 @@ def _cognate(cognate: Cognate) -> dict[str, Any]:
     return {**lengths, **place, "side": linkage.side, **kind, "turns_as": cognate.turns_as}
 
 
-def people_unit(task: GenerationProblem, name: str) -> tuple[float, str]:
+def display_unit(task: PathProblem, name: str) -> tuple[float, str]:
     """Return the factor from SI and the display unit of a quantity.
 
     Parameters
     ----------
-    task : GenerationProblem
+    task : PathProblem
     name : str
         Name of a quantity.
     """
-    unit = KINDS[task.quantities[name].kind].people
+    unit = KINDS[task.quantities[name].kind].display
     return 1.0 / factor(unit, task.quantities[name].kind), unit
 
 
-def people_design(task: GenerationProblem, values: Mapping[str, float]) -> dict[str, float]:
+def display_values(task: PathProblem, values: Mapping[str, float]) -> dict[str, float]:
     """Return a design in display units.
 
     Parameters
     ----------
-    task : GenerationProblem
+    task : PathProblem
     values : mapping of str to float [m, rad]
         All quantities.
     """
-    return {name: values[name] * people_unit(task, name)[0] for name in task.quantities}
+    return {name: values[name] * display_unit(task, name)[0] for name in task.quantities}
 
 
 OUTPUT = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
 """Factor from SI and unit in which deviations are shown."""
 
 
-def objective_unit(task: GenerationProblem) -> str:
+def objective_unit(task: PathProblem) -> str:
     """Return the SI unit of the objective."""
     return f"{task.unit}^2" if task.measure == "sum of squares" and task.unit else task.unit
 
 
-def _figures(design: Design) -> dict[str, Any]:
+def _figures(design: PathDesign) -> dict[str, Any]:
     measured, task = design.measured, design.task
     factor_, unit = OUTPUT[task.unit]
     found = {
@@ -256,12 +256,12 @@ def _figures(design: Design) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Generation(Summary):
+class PathResult(Summary):
     """Result of a path or motion search: validated designs, best first; or the nearest miss and the reason of its failure."""
 
     problem: ProblemFile
-    designs: tuple[Design, ...]
-    nearest: Design | None
+    designs: tuple[PathDesign, ...]
+    nearest: PathDesign | None
     backend: str
     seed: int
     starts: int
@@ -283,7 +283,7 @@ class Generation(Summary):
         return bool(self.designs)
 
     @property
-    def best(self) -> Design | None:
+    def best(self) -> PathDesign | None:
         """The best validated design; the nearest miss if there is none; None if no linkage reaches the points at all."""
         return self.designs[0] if self.designs else self.nearest
 
@@ -332,7 +332,7 @@ class Generation(Summary):
         }
         if self.best is not None:
             document["design"] = self.best.to_dict()["design"]
-            machine, angles = turning(self.best.problem, self.best.values), self.best.crank_angles
+            machine, angles = turning_machine(self.best.problem, self.best.values), self.best.crank_angles
             document["strokes"] = {} if machine is None else stroke_document(machine, float(angles[-1] - angles[0]))
             document["assembly"] = self.best.assembly
             document["fit"] = None if self.best.fit is None else self.best.fit.to_dict()
