@@ -7,8 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from optlink.report.view import write_files
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -112,9 +115,9 @@ def files_of(kind: str) -> Callable[[Any, Path], object]:
 
             return path_files
         case "cycle":
-            from optlink.report.views.cycle_pictures import write_all as cycle_files
+            from optlink.report.views.cycle import VIEW as CYCLE
 
-            return cycle_files
+            return partial(write_files, CYCLE)
         case "balance":
             from optlink.report.views.balance_pictures import write_all as balance_files
 

@@ -1,10 +1,10 @@
-"""Building blocks of plotly charts: curves, axes, stacked panels."""
+"""Charts of the HTML page: `ChartSpec` as a plotly figure; building blocks for charts that are not described so yet."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -13,13 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.io import finite
+from optlink.report import chart_spec
+from optlink.report.chart_spec import CRANK_ANGLE, Band, Bars, ChartSpec, Curve, HeatMap, Mark
 from optlink.report.style import LIMIT, WANTED
 
 Array = NDArray[np.float64]
 Trace = dict[str, Any]
 DIGITS = 7  # significant digits of a number in a chart, far below the visible resolution
 FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
-CRANK_ANGLE = "crank angle φ [deg]"
+LONG = 4000  # number of points from which a curve is thinned
+DOTS = 4.0 / 3.0  # pixels per point
+SYMBOLS = {
+    "circle": "circle",
+    "open circle": "circle-open",
+    "square": "square",
+    "cross": "x",
+    "plus": "cross-thin-open",
+    "star": "star",
+    "diamond": "diamond",
+    "triangle": "triangle-up",
+    "dash": "line-ew-open",
+}
 
 
 @dataclass(frozen=True)
@@ -207,3 +221,222 @@ def thinned(x: Array, y: Array, most: int = 2000) -> tuple[Array, Array]:
         kept |= {first + int(np.nanargmin(portion)), first + int(np.nanargmax(portion))}
     rows = np.array(sorted(kept))
     return x[rows], y[rows]
+
+
+# --- charts described by data ------------------------------------------------------------------------------------------------
+
+
+def charts(specs: Iterable[ChartSpec]) -> list[Chart]:
+    """Return the charts of a page; those that are pictures only are left out."""
+    return [chart(spec) for spec in specs if spec.page]
+
+
+def chart(spec: ChartSpec) -> Chart:
+    """Return a chart of the page."""
+    figure = stacked(
+        [Panel(panel.y.name.replace("\n", " "), _traces(spec, panel), panel.height) for panel in spec.panels], spec.x.name
+    )
+    layout = figure["layout"]
+    if spec.equal or any(isinstance(trace, HeatMap) for panel in spec.panels for trace in panel.traces):
+        layout["height"] = 480
+    if spec.equal or spec.picks is not None or not _lined(spec):
+        layout["hovermode"] = "closest"
+    layout["xaxis"] |= _axis(spec.x, spec)
+    shapes, notes = _across(spec), []
+    for number, panel in enumerate(spec.panels, 1):
+        key = "" if number == 1 else str(number)
+        layout[f"yaxis{key}"] |= _axis(panel.y, None)
+        if spec.equal:
+            layout[f"yaxis{key}"] |= {"scaleanchor": "x", "constrain": "domain"}
+        if panel.note:
+            place = {"xref": "paper", "yref": f"y{key} domain", "x": 0.99, "y": 0.03, "xanchor": "right", "yanchor": "bottom"}
+            notes.append(place | {"text": escape(panel.note), "showarrow": False})
+    if spec.equal:
+        layout["xaxis"] |= {"constrain": "domain"}
+    if any(isinstance(trace, HeatMap) for panel in spec.panels for trace in panel.traces):
+        layout |= {"plot_bgcolor": "#eceef1"}
+        layout["legend"] |= {"bgcolor": "#d5d9de"}
+    if any(isinstance(trace, Bars) for panel in spec.panels for trace in panel.traces):
+        layout |= {"barmode": "overlay", "bargap": 0.0}
+    layout |= ({"shapes": shapes} if shapes else {}) | ({"annotations": notes} if notes else {})
+    picks = None
+    if spec.picks is not None:
+        own = spec.picks
+        picks = Picks(own.what, own.names, own.rows, short(own.x), short(own.y), own.first)
+        seen = mark(picks) | {"yaxis": "y"}
+        if any(isinstance(trace, HeatMap) for trace in spec.panels[0].traces):
+            seen["marker"]["line"]["color"] = "#ffffff"
+        figure["data"].append(seen)
+    return Chart(spec.title, figure, spec.cursor, picks, spec.remark)
+
+
+def _lined(spec: ChartSpec) -> bool:
+    return any(isinstance(t, Band) or (isinstance(t, Curve) and "lines" in t.mode) for panel in spec.panels for t in panel.traces)
+
+
+def _axis(one: chart_spec.Axis, spec: ChartSpec | None) -> dict[str, Any]:
+    """Return the settings of an axis; `spec` is the chart of an x axis."""
+    found: dict[str, Any] = {}
+    if one.scale == "log":
+        found |= {"type": "log", "dtick": 1} if one.limits is None else {"type": "log"}
+    if one.limits is not None:
+        ends = [math.log10(end) for end in one.limits] if one.scale == "log" else list(one.limits)
+        found |= {"range": ends[::-1] if one.reversed else ends}
+    elif one.reversed:
+        found |= {"autorange": "reversed"}
+    if one.ticks:
+        places = {
+            "tickmode": "array",
+            "tickvals": [place for place, _ in one.ticks],
+            "ticktext": [escape(t) for _, t in one.ticks],
+        }
+        found |= places
+    elif one.step and spec is not None and one.name != CRANK_ANGLE:
+        low, high = one.limits or spec.reach
+        found |= {"dtick": one.step} if high - low >= 4.0 * one.step else {}
+    return found
+
+
+def _across(spec: ChartSpec) -> list[dict[str, Any]]:
+    """Return the vertical lines and shaded ranges of a chart."""
+    whole = {"yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
+    lines = [
+        {"type": "line", "x0": one.at, "x1": one.at, "line": {"color": one.colour, "width": one.width, "dash": one.dash}}
+        for one in spec.lines
+    ]
+    spans = [
+        {"type": "rect", "x0": one.low, "x1": one.high, "fillcolor": one.colour, "opacity": one.opacity, "line": {"width": 0}}
+        for one in spec.spans
+    ]
+    return [shape | whole for shape in (*spans, *lines)]
+
+
+def _traces(spec: ChartSpec, panel: chart_spec.Panel) -> list[Trace]:
+    """Return the traces of a panel."""
+    found: list[Trace] = []
+    for trace in panel.traces:
+        if isinstance(trace, Curve):
+            found.append(_curve(trace))
+        elif isinstance(trace, Band):
+            found += _band(trace)
+        elif isinstance(trace, HeatMap):
+            found.append(_heat_map(spec, panel, trace))
+        else:
+            found.append(_bars(trace))
+    ends = np.array(spec.x.limits or spec.reach)
+    for one in panel.lines:
+        drawn = line(ends, np.full(2, one.at), one.name, one.colour, width=DOTS * one.width, dash=one.dash)
+        found.append(drawn | {"showlegend": bool(one.name)} | ({} if one.name else {"hoverinfo": "skip"}))
+    if panel is spec.panels[0]:
+        found += [
+            _entry(one.name, {"mode": "lines", "line": {"color": one.colour, "dash": one.dash}}) for one in spec.lines if one.name
+        ]
+        square = {"symbol": "square", "size": 11, "opacity": 0.8}
+        found += [
+            _entry(one.name, {"mode": "markers", "marker": square | {"color": one.colour}}) for one in spec.spans if one.name
+        ]
+    return found + _marks(spec, panel)
+
+
+def _entry(name: str, look: Trace) -> Trace:
+    """Return a legend entry without points."""
+    return {"type": "scatter", "name": escape(name), "x": [None], "y": [None], "hoverinfo": "skip"} | look
+
+
+def _curve(trace: Curve) -> Trace:
+    x, y = (trace.x, trace.y) if trace.picks or trace.text or len(trace.x) <= LONG else thinned(trace.x, trace.y)
+    drawn: Trace = {"type": "scatter", "mode": trace.mode, "name": escape(trace.name), "x": short(x), "y": short(y)}
+    drawn |= {"showlegend": trace.legend and bool(trace.name)} if not (trace.legend and trace.name) else {}
+    if "lines" in trace.mode:
+        drawn["line"] = {"color": trace.colour, "width": round(DOTS * trace.width, 2), "dash": trace.dash}
+    if "markers" in trace.mode:
+        drawn["marker"] = {"color": trace.colour, "size": round(DOTS * trace.size, 1), "symbol": SYMBOLS[trace.symbol]}
+        if trace.symbol in ("open circle", "plus", "dash"):
+            drawn["marker"]["line"] = {"width": 1.7, "color": trace.colour}
+    if trace.shade is not None:
+        bar = {"title": {"text": escape(trace.shade_name), "side": "right"}, "thickness": 16}
+        drawn["marker"] |= {"color": short(trace.shade), "colorscale": "Viridis", "colorbar": bar}
+    if trace.opacity != 1.0:
+        drawn["opacity"] = trace.opacity
+    if trace.text:
+        drawn["text"] = [escape(text) for text in trace.text]
+    if trace.picks:
+        drawn["customdata"] = list(trace.picks)
+    return drawn if trace.hover else drawn | {"hoverinfo": "skip"}
+
+
+def _band(trace: Band) -> list[Trace]:
+    """Return the two edges of a band, filled in between."""
+    edge: Trace = {"type": "scatter", "mode": "lines", "line": {"width": 0, "color": trace.colour}, "x": short(trace.x)}
+    edge |= {"name": escape(trace.name), "legendgroup": escape(trace.name)}
+    rgb = ",".join(str(int(trace.colour[k : k + 2], 16)) for k in (1, 3, 5))
+    upper = edge | {"y": short(trace.high), "fill": "tonexty", "fillcolor": f"rgba({rgb},{trace.opacity:g})"}
+    upper |= {"showlegend": trace.legend and bool(trace.name)}
+    if trace.values is not None:
+        upper |= {"customdata": short(trace.values), "hovertemplate": "%{customdata:.4g}"}
+    elif not trace.name:
+        upper |= {"hoverinfo": "skip"}
+    lower = edge | {"y": short(trace.low), "showlegend": False}
+    return [lower | ({"hoverinfo": "skip"} if trace.values is not None or not trace.name else {}), upper]
+
+
+def _heat_map(spec: ChartSpec, panel: chart_spec.Panel, trace: HeatMap) -> Trace:
+    told = f"{escape(spec.x.name)}: %{{x:.6g}}<br>{escape(panel.y.name)}: %{{y:.6g}}<br>%{{z:.6g}}<extra></extra>"
+    drawn: Trace = {"type": "heatmap", "name": escape(trace.name), "x": short(trace.x), "y": short(trace.y)}
+    drawn |= {"z": [short(row) for row in trace.z], "colorscale": "Viridis", "hovertemplate": told}
+    drawn["colorbar"] = {"title": {"text": escape(trace.name), "side": "right"}, "thickness": 16}
+    if trace.limits is not None:
+        drawn |= {"zmin": trace.limits[0], "zmax": trace.limits[1]}
+    return drawn | ({"customdata": [list(row) for row in trace.picks]} if trace.picks else {})
+
+
+def _bars(trace: Bars) -> Trace:
+    places, sizes = ("y", "x") if trace.horizontal else ("x", "y")
+    colour = trace.colours if isinstance(trace.colours, str) else list(trace.colours)
+    drawn: Trace = {"type": "bar", "name": escape(trace.name), places: short(trace.x), sizes: short(trace.y)}
+    drawn |= {"marker": {"color": colour}, "opacity": trace.opacity, "showlegend": trace.legend and bool(trace.name)}
+    drawn["width"] = short(np.broadcast_to(np.asarray(trace.width, dtype=float), np.shape(trace.x)))
+    drawn |= {"orientation": "h"} if trace.horizontal else {}
+    if trace.error is not None:
+        drawn[f"error_{sizes}"] = {"type": "data", "array": short(trace.error), "color": "#444444"}
+    if trace.text:
+        drawn |= {"text": [escape(text) for text in trace.text], "textposition": "none"}
+        drawn["hovertemplate"] = f"%{{text}}: %{{{sizes}:.4g}}<extra></extra>"
+    return drawn
+
+
+def _marks(spec: ChartSpec, panel: chart_spec.Panel) -> list[Trace]:
+    """Return the labelled points of a panel, one trace for all of one look."""
+    groups: dict[tuple[object, ...], list[Mark]] = {}
+    for one in panel.marks:
+        groups.setdefault((one.colour, one.symbol, one.size, one.written), []).append(one)
+    low, high = panel.y.limits or _heights(panel)
+    left, right = spec.x.limits or spec.reach
+    found = []
+    for own in groups.values():
+        first = own[0]
+        look: dict[str, Any] = {"color": first.colour, "size": round(DOTS * first.size, 1), "symbol": SYMBOLS[first.symbol]}
+        if any(one.angle for one in own):
+            look["angle"] = [-one.angle for one in own]
+        drawn: Trace = {
+            "type": "scatter",
+            "mode": "markers+text" if first.written else "markers",
+            "name": "",
+            "showlegend": False,
+        }
+        drawn |= {"marker": look, "x": [one.x for one in own], "y": [one.y for one in own]}
+        drawn |= {"text": [escape(one.text).replace("\n", "<br>") for one in own], "hovertemplate": "%{text}<extra></extra>"}
+        if first.written:
+            sides = [
+                f"{'bottom' if one.y > 0.5 * (low + high) else 'top'} {'right' if one.x < 0.5 * (left + right) else 'left'}"
+                for one in own
+            ]
+            drawn |= {"textposition": sides, "textfont": {"color": first.colour, "size": 11}}
+        found.append(drawn | ({} if first.text else {"hoverinfo": "skip", "hovertemplate": None}))
+    return found
+
+
+def _heights(panel: chart_spec.Panel) -> tuple[float, float]:
+    """Return the range of y of the curves of a panel."""
+    every = np.concatenate([trace.y for trace in panel.traces if isinstance(trace, Curve)] or [np.zeros(1)])
+    return (float(np.nanmin(every)), float(np.nanmax(every))) if np.any(np.isfinite(every)) else (0.0, 0.0)

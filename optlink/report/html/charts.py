@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.io import finite
+from optlink.report.html import chart_plotly
 from optlink.report.html.chart_plotly import Chart, Panel, Trace, axis, filled, level, line, sheet, short, stacked
 from optlink.report.html.moving_linkage import Readout
 from optlink.report.report_model import ReportModel
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, Scale, scale
+from optlink.report.views import cycle
 from optlink.report.views.analysis_curves import NOTHING, Course
 from optlink.report.views.analysis_pictures import outputs
 from optlink.report.views.function_pictures import transmission_limits
@@ -42,6 +44,8 @@ def charts(subject: ReportModel) -> list[Chart]:
         found += _law(outcome)
     if isinstance(outcome, PathResult):
         found += _generated(outcome)
+    if isinstance(outcome, CycleResult):
+        found += chart_plotly.charts(cycle.charts(outcome))
     if course is not None:
         given = Course(outcome.given) if isinstance(outcome, CycleResult) and outcome.given is not None else None
         if not isinstance(outcome, FunctionResult | PathResult) or subject.forces:

@@ -1,10 +1,9 @@
-"""Figures of a cycle optimisation: cycle quantities and mechanism, initial and optimal machine overlaid."""
+"""Pictures and files of a cycle optimisation: minimised and limited quantities over the revolution, both mechanisms."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +17,13 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import TURN
 from optlink.linkage.vector2d import Value
 from optlink.problem.cycle_terms import Term
+from optlink.problem.file import ProblemFile
+from optlink.report import chart_spec
+from optlink.report.chart_spec import Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.drawing import Sketch
-from optlink.report.files import verdict, write_csv, write_design, write_json
-from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, heading, save, scale, styled
-from optlink.report.views.analysis_curves import zero
+from optlink.report.files import verdict
+from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, heading, scale, styled
+from optlink.report.view import View
 from optlink.report.views.path_captions import failed
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import CycleResult
@@ -42,37 +44,12 @@ UNITS = {
 }
 
 
-def write_all(result: CycleResult, folder: Path) -> list[Path]:
-    """Write result.json, the optimal machine as design.toml, its cycle as cycle.csv, and the figures; return the paths.
-
-    Parameters
-    ----------
-    result : CycleResult
-    folder : Path
-        Existing folder to write to.
-    """
-    written = [folder / "result.json"]
-    write_json(written[0], result.to_dict())
-    if result.found is None:
-        return written
-    written += write_design(folder, result.machine, verdict(result.status.value, result.valid, failed(result)))
-    written.append(folder / "cycle.csv")
-    write_csv(written[-1], result.found.columns)
-    for name, draw in PICTURES.items():
-        drawn = draw(result)
-        if drawn is not None:
-            written.append(folder / f"{name}.png")
-            save(drawn, written[-1])
-    return written
-
-
 class Line(NamedTuple):
-    """A quantity over the revolution: crank angles [deg], values [SI] with NaN at jumps, its measure, jump angles [deg]."""
+    """A quantity over the revolution: crank angles [deg], values [SI] with NaN at jumps, its measure."""
 
     angles: Array
     values: Array
     figure: float
-    centres: tuple[float, ...]
 
 
 def _line(cycle: Cycle, term: Term) -> Line:
@@ -88,7 +65,7 @@ def _line(cycle: Cycle, term: Term) -> Line:
     order = np.lexsort((rank, angles))
     x, y = np.degrees(angles[order]), np.concatenate([values, before])[order]
     gaps = np.flatnonzero(np.diff(x) == 0.0) + 1
-    return Line(np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan), cycle.figure(term), tuple(np.degrees(jumps)))
+    return Line(np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan), cycle.figure(term))
 
 
 def _shown(result: CycleResult) -> Iterable[tuple[Term, float | None, float | None]]:
@@ -104,59 +81,45 @@ def _shown(result: CycleResult) -> Iterable[tuple[Term, float | None, float | No
     yield from found.values()
 
 
-@styled
-def courses(result: CycleResult) -> Figure | None:
-    """Draw the minimised and limited quantities over the revolution: initial machine grey, optimal in colour, limits red."""
+def charts(result: CycleResult) -> list[ChartSpec]:
+    """Return the minimised and limited quantities over the revolution: initial machine grey, optimal in colour, limits red."""
     shown = list(_shown(result))
     given, found = Cycle(result.task, {}), Cycle(result.task, result.values)
     if not shown or not found.full:
-        return None
-    drawn = figure(7.6, 1.2 + 2.3 * len(shown))
-    panels = drawn.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (term, low, high) in zip(panels, shown, strict=True):
-        _panel(axes, result, term, [given, found] if given.full else [found], (low, high))
-    panels[-1].set_xlabel("crank angle φ [deg]" + ("" if found.speed > 0.0 else ", turned clockwise: from right to left"))
-    panels[-1].set_xlim(0.0, 360.0)
-    panels[-1].set_xticks(range(0, 361, 60))
-    drawn.suptitle(heading(result.task.title, 7.6))
-    return drawn
+        return []
+    cycles = {"given": given, "found": found} if given.full else {"found": found}
+    panels = [_panel(result, term, cycles, (low, high)) for term, low, high in shown]
+    jumps = [
+        chart_spec.Line(math.degrees(at % TURN), colour=FOUND if name == "found" else GIVEN, width=0.8)
+        for name, cycle in cycles.items()
+        for at in cycle.work.jumps
+    ]
+    x = crank_angle(limits=(0.0, 360.0))
+    if found.speed < 0.0:
+        x = Axis(f"{x.name}, turned clockwise: from right to left", x.limits, step=x.step)
+    title = "Objectives and limits over the revolution"
+    return [ChartSpec("courses", title, panels, x, heading=result.task.title, lines=jumps)]
 
 
-def _panel(axes: Axes, result: CycleResult, term: Term, cycles: list[Cycle], limits: tuple[float | None, float | None]) -> None:
-    lines = [_line(cycle, term) for cycle in cycles]
-    size = max(float(np.nanmax(np.abs(line.values))) for line in lines)
-    shown = scale(size, UNITS.get(result.task.kind(term), ""))
-    names = ["given", "found"][-len(cycles) :]
-    for line, name in zip(lines, names, strict=True):
-        colour, width = (FOUND, 1.9) if name == "found" else (GIVEN, 1.4)
-        label = f"{name}: {term.how} {shown.text(line.figure)}"
-        axes.plot(
-            line.angles,
-            line.values * shown.factor,
-            color=colour,
-            linewidth=width,
-            label=label,
-            gid=name,
-            zorder=3 + (name == "found"),
-        )
-        for at in line.centres:
-            axes.axvline(at, color=colour, linewidth=0.8, linestyle="--", zorder=1.5)
-    _limits(axes, term, limits, shown)
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.28 * (high - low))
-    zero(axes)
-    axes.set_ylabel(f"{_named(term)}\n[{shown.unit}]")
-    axes.legend(loc="upper center", ncols=3, frameon=True, framealpha=0.92, edgecolor="none", fontsize=8.5)
+def _panel(result: CycleResult, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
+    lines = {name: _line(cycle, term) for name, cycle in cycles.items()}
+    shown = scale(max(float(np.nanmax(np.abs(line.values))) for line in lines.values()), UNITS.get(result.task.kind(term), ""))
+    looks = {"given": (GIVEN, 1.3), "found": (FOUND, 1.8)}
+    curves = [
+        Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *looks[name], gid=name)
+        for name, line in lines.items()
+    ]
+    low = min(float(np.nanmin(line.values)) for line in lines.values())
+    return Panel(Axis(f"{_named(term)} [{shown.unit}]"), curves, lines=list(_limits(term, limits, shown, low)))
 
 
-def _limits(axes: Axes, term: Term, limits: tuple[float | None, float | None], shown: Scale) -> None:
-    """Draw the limits as red lines; a peak is limited on both sides of zero."""
+def _limits(term: Term, limits: tuple[float | None, float | None], shown: Scale, low: float) -> Iterable[chart_spec.Line]:
+    """Yield the limits as red lines; a peak is limited on both sides of zero."""
     found = [limit for limit in limits if limit is not None]
-    below = axes.get_ylim()[0] / shown.factor
-    if term.how == "peak" and found and not term.nature.vector and below < -0.6 * found[0]:
+    if term.how == "peak" and found and not term.nature.vector and low < -0.6 * found[0]:
         found.append(-found[0])
     for k, limit in enumerate(found):
-        axes.axhline(limit * shown.factor, color=LIMIT, linewidth=1.1, linestyle="-.", label=None if k else "limit", zorder=2)
+        yield chart_spec.Line(limit * shown.factor, "" if k else "limit", LIMIT, dash="dashdot")
 
 
 def _named(term: Term) -> str:
@@ -219,4 +182,13 @@ def _ghost(axes: Axes, given: Analysis, shown: Scale, at: Array) -> None:
     axes.plot(pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5, mfc="white", mec=GROUND, alpha=0.6, zorder=1.4)
 
 
-PICTURES = {"courses": courses, "mechanisms": mechanisms}
+def _design(result: CycleResult) -> tuple[ProblemFile, str] | None:
+    return None if result.found is None else (result.machine, verdict(result.status.value, result.valid, failed(result)))
+
+
+VIEW = View(
+    charts=charts,
+    drawings={"mechanisms": mechanisms},
+    tables=lambda result: {} if result.found is None else {"cycle": result.found.columns},
+    design=_design,
+)

@@ -1,0 +1,283 @@
+"""Pictures of charts: `ChartSpec` drawn with matplotlib in the style of the project."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
+
+from optlink.report.chart_spec import Axis, Band, Bars, ChartSpec, Curve, HeatMap, Line, Mark, Panel, Trace, cells
+from optlink.report.labels import Label, place_labels
+from optlink.report.style import HALO, QUIET, figure, heading, styled
+
+DASHES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
+MARKERS = {
+    "circle": "o",
+    "open circle": "o",
+    "square": "s",
+    "cross": "x",
+    "plus": "+",
+    "star": "*",
+    "diamond": "D",
+    "triangle": "^",
+    "dash": "_",
+}
+EMPTY = "#e4e4e4"  # colour of the cells of a heat map without a value
+TITLE, FONT = 10.5, 8.5
+PANEL = 2.05  # height of a panel [inch]
+STEPS = 40  # number of bars up to which they are drawn as bars
+
+
+def pictures(charts: Iterable[ChartSpec]) -> dict[str, Figure]:
+    """Draw charts; those of one file share a figure.
+
+    Parameters
+    ----------
+    charts : iterable of ChartSpec
+
+    Returns
+    -------
+    dict of str to Figure
+        Figures by file name without ending, in the order of the charts.
+    """
+    files: dict[str, list[ChartSpec]] = {}
+    for chart in charts:
+        if chart.file:
+            files.setdefault(chart.file, []).append(chart)
+    return {name: draw(own) for name, own in files.items()}
+
+
+@styled
+def draw(charts: Sequence[ChartSpec]) -> Figure:
+    """Draw charts into one figure: rows of charts side by side.
+
+    Parameters
+    ----------
+    charts : sequence of ChartSpec
+        In the order of their rows.
+    """
+    rows = [list(own) for _, own in itertools.groupby(charts, lambda chart: chart.row)]
+    width = max(sum(chart.width for chart in row) for row in rows)
+    heights = [max(_height(chart) for chart in row) for row in rows]
+    first = charts[0]
+    words = [heading(first.heading or first.title, 0.95 * width, TITLE)]
+    words += [heading(first.remark, 0.95 * width, TITLE)] if first.remark and len(charts) == 1 else []
+    title = "\n".join(words)
+    made = figure(width, sum(heights) + 0.35 + 0.17 * title.count("\n"))
+    labels: list[Label] = []
+    if len(charts) == 1:
+        labels += _chart(made, first)
+    else:
+        whole = made.subfigures(len(rows), 1, height_ratios=heights, squeeze=False)[:, 0]
+        for part, row in zip(whole, rows, strict=True):
+            places = part.subfigures(1, len(row), width_ratios=[chart.width for chart in row], squeeze=False)[0]
+            for place, chart in zip(places, row, strict=True):
+                labels += _chart(place, chart)
+                told = [heading(text, chart.width - 0.7, 9.5) for text in (chart.title, chart.remark) if text]
+                place.suptitle("\n".join(told), fontsize=9.5)
+    made.suptitle(title, fontsize=TITLE)
+    if labels:
+        place_labels(made, labels)
+    return made
+
+
+def _height(chart: ChartSpec) -> float:
+    """Return the height of a chart in the figure [inch]."""
+    if chart.equal:
+        (left, right), (low, high) = chart.x.limits or chart.reach, chart.panels[0].y.limits or _rise(chart.panels[0])
+        ratio = (high - low) / (right - left) if right > left else 1.0
+        return (chart.width - 1.0) * min(max(ratio, 0.45), 1.1) + 1.1
+    return 0.75 + PANEL * sum(panel.height for panel in chart.panels)
+
+
+def _rise(panel: Panel) -> tuple[float, float]:
+    every = np.concatenate([trace.y for trace in panel.traces if isinstance(trace, Curve)] or [np.zeros(1)])
+    return float(np.nanmin(every)), float(np.nanmax(every))
+
+
+def _chart(place: Figure | SubFigure, chart: ChartSpec) -> list[Label]:
+    """Draw the panels of a chart and return the labels still to place."""
+    grid = place.subplots(
+        len(chart.panels), 1, sharex=True, squeeze=False, height_ratios=[panel.height for panel in chart.panels]
+    )[:, 0]
+    labels: list[Label] = []
+    for axes, panel in zip(grid, chart.panels, strict=True):
+        labels += _panel(axes, chart, panel)
+    _scaled(grid[-1], "x", chart.x, chart.x.limits or (chart.reach if _tight(chart) else None))
+    for axes in grid[:-1]:
+        axes.set_xlabel("")
+    place.align_ylabels()
+    return labels
+
+
+def _tight(chart: ChartSpec) -> bool:
+    """Return whether the x axis ends with the traces: for curves and bands, not for markers and bars."""
+    traces = [trace for panel in chart.panels for trace in panel.traces]
+    return not chart.equal and all(isinstance(t, Band) or (isinstance(t, Curve) and t.mode != "markers") for t in traces[:1])
+
+
+def _panel(axes: Axes, chart: ChartSpec, panel: Panel) -> list[Label]:
+    for trace in panel.traces:
+        _trace(axes, trace, chart, panel)
+    for line in panel.lines:
+        axes.axhline(line.at, zorder=2, **_look(line))
+    for line in chart.lines:
+        axes.axvline(line.at, zorder=1.5, **_look(line))
+    for span in chart.spans:
+        style: dict[str, Any] = {"color": span.colour, "alpha": span.opacity, "linewidth": 0.0, "zorder": 0.5}
+        axes.axvspan(span.low, span.high, label=span.name or None, gid=span.gid or None, **style)
+    flat = any(isinstance(trace, HeatMap) for trace in panel.traces)
+    if not flat and not chart.equal:
+        axes.margins(y=0.16 if panel.marks else 0.06)
+    _scaled(axes, "y", panel.y, panel.y.limits)
+    low, high = sorted(axes.get_ylim())
+    for mark in panel.marks:
+        _mark(axes, mark)
+    if chart.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+    if low < 0.0 < high and panel.y.scale == "linear" and not flat and not chart.equal:
+        axes.axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
+    if panel.y.limits is not None:
+        for trace in panel.traces:
+            if isinstance(trace, Bars) and not trace.horizontal:
+                _cut(axes, trace)
+    if panel.note:
+        axes.text(0.99, 0.03, panel.note, transform=axes.transAxes, ha="right", va="bottom", fontsize=FONT)
+    _legend(axes, chart.width)
+    return [Label(axes, (m.x, m.y), m.text, m.colour, m.font, 0.6 * m.size, m.prefer) for m in panel.marks if m.text]
+
+
+def _look(line: Line) -> dict[str, Any]:
+    style = {"color": line.colour, "linewidth": line.width, "linestyle": DASHES[line.dash]}
+    return {**style, "label": line.name or None, "gid": line.gid or None}
+
+
+def _trace(axes: Axes, trace: Trace, chart: ChartSpec, panel: Panel) -> None:
+    """Draw a trace."""
+    if isinstance(trace, Curve):
+        _curve(axes, trace)
+    elif isinstance(trace, Band):
+        named = {"label": trace.name if trace.legend and trace.name else None, "gid": trace.gid or None}
+        axes.fill_between(trace.x, trace.low, trace.high, color=trace.colour, alpha=trace.opacity, linewidth=0.0, **named)  # type: ignore[arg-type]
+    elif isinstance(trace, HeatMap):
+        low, high = trace.limits or (None, None)
+        edges = [cells(at, log=axis.scale == "log") for at, axis in ((trace.x, chart.x), (trace.y, panel.y))]
+        axes.set_facecolor(EMPTY)
+        axes.grid(visible=False)
+        shaded = axes.pcolormesh(*edges, np.ma.masked_invalid(trace.z), cmap="viridis", vmin=low, vmax=high, rasterized=True)
+        axes.figure.colorbar(shaded, ax=axes, label=trace.name)
+    else:
+        _bars(axes, trace)
+
+
+def _curve(axes: Axes, trace: Curve) -> None:
+    style: dict[str, Any] = {"color": trace.colour, "alpha": None if trace.opacity == 1.0 else trace.opacity, "zorder": 3}
+    style["label"] = trace.name if trace.legend and trace.name else None
+    if trace.shade is not None:
+        shaded = axes.scatter(trace.x, trace.y, c=trace.shade, cmap="viridis", s=trace.size**2, zorder=3, gid=trace.gid or None)
+        axes.figure.colorbar(shaded, ax=axes, label=trace.shade_name, pad=0.02)
+        style |= {"color": "none", "label": None}  # unseen, so that labels keep clear of the points
+    line = DASHES[trace.dash] if "lines" in trace.mode else "none"
+    marker = MARKERS[trace.symbol] if "markers" in trace.mode else ""
+    open_: dict[str, Any] = {"markerfacecolor": "none", "markeredgewidth": 1.2} if trace.symbol == "open circle" else {}
+    axes.plot(
+        trace.x,
+        trace.y,
+        linestyle=line,
+        linewidth=trace.width,
+        marker=marker,
+        markersize=trace.size,
+        gid=None if trace.shade is not None else trace.gid or None,
+        **style,
+        **open_,
+    )
+
+
+def _bars(axes: Axes, trace: Bars) -> None:
+    """Draw bars, or a stepped line if there are many."""
+    colour = trace.colours if isinstance(trace.colours, str) else list(trace.colours)
+    style: dict[str, Any] = {"alpha": trace.opacity, "label": trace.name if trace.legend and trace.name else None, "zorder": 2}
+    if len(trace.x) > STEPS and isinstance(colour, str) and not trace.horizontal and np.ndim(trace.width) == 0:
+        axes.plot(trace.x, trace.y, drawstyle="steps-mid", color=colour, linewidth=1.2, gid=trace.gid or None, **style)
+        return
+    if trace.horizontal:
+        made = axes.barh(trace.x, trace.y, height=trace.width, xerr=trace.error, color=colour, **style)
+        axes.grid(visible=False, axis="y")
+    else:
+        made = axes.bar(trace.x, trace.y, width=trace.width, yerr=trace.error, color=colour, **style)
+    for bar in made:
+        bar.set_gid(trace.gid or None)
+
+
+def _cut(axes: Axes, trace: Bars) -> None:
+    """Write the values of bars that exceed the axes."""
+    low, high = axes.get_ylim()
+    for at, value in zip(trace.x, trace.y, strict=True):
+        if not low <= value <= high and math.isfinite(value):
+            up = value > high
+            told = f"{'↑' if up else '↓'} {value:.4g}".replace("-", "−")
+            end = (float(at), high if up else low)
+            drawn = axes.annotate(told, end, (0, -3 if up else 3), textcoords="offset points", ha="center", fontsize=8.0)
+            drawn.set(va="top" if up else "bottom", path_effects=HALO, gid="cut off", zorder=5)
+
+
+def _mark(axes: Axes, mark: Mark) -> None:
+    drawn = axes.plot([mark.x], [mark.y], linestyle="none", color=mark.colour, markersize=mark.size, clip_on=False, zorder=5)[0]
+    look: Any = (3, 0, mark.angle) if mark.symbol == "triangle" else MARKERS[mark.symbol]
+    drawn.set_marker(look)
+    drawn.set_markerfacecolor("none" if mark.symbol == "open circle" else mark.colour)
+    drawn.set_gid(mark.gid or None)
+
+
+def _scaled(axes: Axes, way: str, axis: Axis, limits: tuple[float, float] | None) -> None:
+    """Set name, scale, limits, direction and ticks of an axis."""
+    own = axes.xaxis if way == "x" else axes.yaxis
+    own.set_label_text(axis.name if "\n" in axis.name else heading(axis.name, 5.0 if way == "x" else 2.4, 10.0))
+    if axis.scale == "log":
+        (axes.set_xscale if way == "x" else axes.set_yscale)("log")
+        low, high = limits or own.get_view_interval()
+        if high / max(low, 1e-300) < 1e4:
+            own.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        own.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e5 else f"{value:.0e}"))
+        own.set_minor_formatter(NullFormatter())
+    if limits is not None and limits[1] > limits[0]:
+        (axes.set_xlim if way == "x" else axes.set_ylim)(*limits)
+    if axis.reversed:
+        (axes.invert_xaxis if way == "x" else axes.invert_yaxis)()
+    low, high = sorted(axes.get_xlim() if way == "x" else axes.get_ylim())
+    if axis.step and high - low >= 4.0 * axis.step:
+        own.set_major_locator(MultipleLocator(axis.step))
+    if axis.ticks:
+        own.set_ticks([place for place, _ in axis.ticks], [text for _, text in axis.ticks])
+
+
+def _legend(axes: Axes, width: float) -> None:
+    """Place the legend above the axes, or beside them if it is long."""
+    entries = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    if not entries:
+        return
+    letters = max(max(len(line) for line in name.splitlines()) for name in entries) + 6
+    columns = max(1, min(len(entries), int((width - 0.8) / (0.067 * letters))))
+    style: dict[str, Any] = {"frameon": False, "fontsize": FONT, "borderaxespad": 0.1}
+    handles: list[Any] = [_proxy(handle) for handle in entries.values()]
+    if -(-len(entries) // columns) <= 3 and not any("\n" in name for name in entries):
+        axes.legend(handles, list(entries), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, **style)
+    else:
+        axes.legend(handles, list(entries), loc="center left", bbox_to_anchor=(1.0, 0.5), **style)
+
+
+def _proxy(handle: Any) -> Any:
+    """Return the legend handle: that of white markers is outlined."""
+    if isinstance(handle, Line2D) and handle.get_color() in ("white", "#ffffff"):
+        return Line2D(
+            [], [], linestyle="none", marker=handle.get_marker(), color="white", markeredgecolor="#111111", markersize=6.0
+        )
+    return handle if not hasattr(handle, "patches") else Patch(color=handle.patches[0].get_facecolor())

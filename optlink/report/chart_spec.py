@@ -1,0 +1,265 @@
+"""Charts described once: plain data that `chart_mpl` draws as a picture and `html.chart_plotly` as a chart of the page.
+
+A chart is a stack of panels over one x axis. A panel holds traces (`Curve`, `Bars`, `Band`, `HeatMap`), horizontal lines and
+labelled points. The renderers choose fonts, grids, legends, limits and ticks, so that a view states only what it shows::
+
+    def charts(result):
+        unit = scale(peak, "N m")
+        torque = Curve(angles, values * unit.factor, "torque", CRANK)
+        limit = Line(120.0, "limit", LIMIT)
+        panel = Panel(Axis(f"torque of the drive [{unit.unit}]"), [torque], lines=[limit])
+        return [ChartSpec("torque", "Driving torque", [panel], crank_angle(), heading=f"{title}: driving torque")]
+
+    chart_mpl.pictures(charts(result))                  # {"torque": Figure}
+    [chart_plotly.chart(one) for one in charts(result)] # charts of the page
+
+Charts with the same `file` share one picture: those with the same `row` stand side by side. A chart without `file` is on the page
+only; with `page=False` it is a picture only. Values are in display units. NaN makes a gap in a curve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Dash = Literal["solid", "dash", "dot", "dashdot"]
+Symbol = Literal["circle", "open circle", "square", "cross", "plus", "star", "diamond", "triangle", "dash"]
+CRANK_ANGLE = "crank angle φ [deg]"
+TIME = "time [s]"
+INK = "#111111"
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """An axis: name with unit, limits, tick distance (used where it leaves at least four ticks), ticks as (place, text)."""
+
+    name: str = ""
+    limits: tuple[float, float] | None = None
+    scale: Literal["linear", "log"] = "linear"
+    reversed: bool = False
+    step: float | None = None
+    ticks: Sequence[tuple[float, str]] = ()
+
+
+def crank_angle(*, clockwise: bool = False, limits: tuple[float, float] | None = None) -> Axis:
+    """Return the axis of the crank angle [deg], with time increasing to the right.
+
+    Parameters
+    ----------
+    clockwise : bool, optional
+        Whether the crank turns clockwise, so that its angle decreases to the right.
+    limits : (float, float) or None, optional [deg]
+    """
+    return Axis(CRANK_ANGLE, limits, reversed=clockwise, step=60.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A line, markers, or both, over points (n,); `width` and `size` of the markers in points.
+
+    `text` is told when pointing at a point, `picks` are the numbers of the selectable points (see `Picks`), `shade` colours the
+    markers by a value named `shade_name`. `gid` identifies the curve in a picture. Without `legend` it has no legend entry.
+    """
+
+    x: Array
+    y: Array
+    name: str = ""
+    colour: str = INK
+    width: float = 1.6
+    dash: Dash = "solid"
+    mode: Literal["lines", "markers", "lines+markers"] = "lines"
+    symbol: Symbol = "circle"
+    size: float = 4.5
+    opacity: float = 1.0
+    legend: bool = True
+    hover: bool = True
+    text: Sequence[str] = ()
+    picks: Sequence[int | None] = ()
+    shade: Array | None = None
+    shade_name: str = ""
+    gid: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Bars:
+    """Bars at places `x` with heights `y` from zero (lengths if `horizontal`); `colours` one for all or one each.
+
+    `width` is that of a bar in the unit of `x`, one for all or (n,); `error` (n,) is drawn as an error bar, `text` is told when
+    pointing at a bar.
+    """
+
+    x: Array
+    y: Array
+    name: str = ""
+    colours: str | Sequence[str] = INK
+    width: float | Array = 0.7
+    horizontal: bool = False
+    opacity: float = 1.0
+    error: Array | None = None
+    legend: bool = True
+    text: Sequence[str] = ()
+    gid: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """The area between two curves over points (n,); `values` (n,) are told instead of `high` when pointing at it."""
+
+    x: Array
+    low: Array
+    high: Array
+    name: str = ""
+    colour: str = INK
+    opacity: float = 0.15
+    legend: bool = True
+    values: Array | None = None
+    gid: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class HeatMap:
+    """Values (m, n) over a grid of places `x` (n,) and `y` (m,), with a colour bar; NaN is left grey.
+
+    `limits` are the ends of the colour scale, `picks` (m, n) the numbers of the selectable points.
+    """
+
+    x: Array
+    y: Array
+    z: Array
+    name: str
+    limits: tuple[float, float] | None = None
+    picks: Sequence[Sequence[int | None]] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A straight line across a panel at a y value, or across a chart at an x value; with a legend entry if it has a name."""
+
+    at: float
+    name: str = ""
+    colour: str = INK
+    width: float = 1.1
+    dash: Dash = "dash"
+    gid: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """A shaded range of x across a chart; with a legend entry if it has a name."""
+
+    low: float
+    high: float
+    name: str = ""
+    colour: str = "#f3e3c3"
+    opacity: float = 0.55
+    gid: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """A labelled point. The picture places the label clear of curves, preferably in the direction `prefer` (x, y).
+
+    The page shows the label when pointing at the mark, or beside it if `written`. `angle` [deg] turns a triangle to the left.
+    """
+
+    x: float
+    y: float
+    text: str = ""
+    colour: str = INK
+    symbol: Symbol = "circle"
+    size: float = 4.5
+    prefer: tuple[float, float] = (0.0, 0.0)
+    written: bool = False
+    angle: float = 0.0
+    font: float = 8.5
+    gid: str = ""
+
+
+Trace = Curve | Bars | Band | HeatMap
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Traces over the x axis of the chart; `height` is relative to the other panels, `note` a remark in its corner."""
+
+    y: Axis
+    traces: Sequence[Trace]
+    height: float = 1.0
+    lines: Sequence[Line] = ()
+    marks: Sequence[Mark] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Picks:
+    """Selectable points of a chart: quantities of each as text under common names, and their places in the first panel.
+
+    `what` names one point; `first` is the point shown at the beginning.
+    """
+
+    what: str
+    names: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    x: Array
+    y: Array
+    first: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class ChartSpec:
+    """A chart: stacked panels over one x axis, with vertical lines and shaded ranges across all of them.
+
+    `file` names the picture and `title` is the caption on the page and of its part of a picture. `heading` is the title of the
+    picture (default: `title`); the first chart of a picture supplies it. `remark` is a sentence below the title. `equal` draws x
+    and y on one scale. `cursor` lets the page mark the position of the slider, whose unit is that of the x axis. `width` [inch]
+    is that in the picture.
+    """
+
+    file: str
+    title: str
+    panels: Sequence[Panel]
+    x: Axis
+    heading: str = ""
+    remark: str = ""
+    lines: Sequence[Line] = ()
+    spans: Sequence[Span] = ()
+    equal: bool = False
+    picks: Picks | None = None
+    cursor: bool = True
+    page: bool = True
+    row: int = 0
+    width: float = 7.6
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Range of x of the traces."""
+        ends = [end for panel in self.panels for trace in panel.traces for end in _ends(trace)]
+        return (min(ends), max(ends)) if ends else (0.0, 1.0)
+
+
+def _ends(trace: Trace) -> list[float]:
+    places = trace.y if isinstance(trace, Bars) and trace.horizontal else trace.x
+    known = places[np.isfinite(places)]
+    return [float(np.min(known)), float(np.max(known))] if known.size else []
+
+
+def cells(places: Array, *, log: bool = False) -> Array:
+    """Return the cell borders (n + 1,) around rising places (n,) of a heat map.
+
+    Parameters
+    ----------
+    places : array (n,)
+    log : bool, optional
+        Whether the axis is logarithmic.
+    """
+    own = np.log(places) if log else np.asarray(places, dtype=float)
+    if len(own) == 1:
+        own = np.array([own[0] - 0.5, own[0] + 0.5])
+    else:
+        own = np.concatenate([[1.5 * own[0] - 0.5 * own[1]], 0.5 * (own[1:] + own[:-1]), [1.5 * own[-1] - 0.5 * own[-2]]])
+    return np.exp(own) if log else own

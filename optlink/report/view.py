@@ -1,0 +1,94 @@
+"""View of a kind of result: its charts, drawings, tables, design and animation, and the writer of its files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from optlink.report.files import write_csv, write_design, write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    from optlink.problem.file import ProblemFile
+    from optlink.report.chart_spec import ChartSpec
+
+
+def _none(result: Any) -> Any:
+    """Return nothing to write."""
+    return ()
+
+
+def _no_tables(result: Any) -> Mapping[str, Any]:
+    return {}
+
+
+def _no_design(result: Any) -> None:
+    return None
+
+
+@dataclass(frozen=True)
+class View:
+    """What the files of --out show of a kind of result; every function takes the result.
+
+    Parameters
+    ----------
+    charts : function
+        Returns the charts, which the page shows too.
+    drawings : mapping of str to function
+        Functions by file name that return a figure that is no chart, or None.
+    tables : function
+        Returns CSV tables by file name: columns of equal length by name.
+    design : function
+        Returns the resulting machine and a comment on it for design.toml, or None.
+    frames : function
+        Returns the frames of the animation motion.gif; none if there is nothing to move.
+    """
+
+    charts: Callable[[Any], Iterable[ChartSpec]] = _none
+    drawings: Mapping[str, Callable[[Any], Figure | None]] = field(default_factory=dict)
+    tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float]]]] = _no_tables
+    design: Callable[[Any], tuple[ProblemFile, str] | None] = _no_design
+    frames: Callable[[Any], list[Image.Image]] = _none
+
+
+def write_files(view: View, result: Any, folder: Path) -> list[Path]:
+    """Write result.json, the tables, the design, the pictures and the animation of a result; return the paths.
+
+    Parameters
+    ----------
+    view : View
+        View of the kind of the result.
+    result : any result
+    folder : Path
+        Existing folder to write to.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    from optlink.report.chart_mpl import pictures
+    from optlink.report.style import save, save_film
+
+    written = [folder / "result.json"]
+    write_json(written[0], result.to_dict())
+    for name, columns in view.tables(result).items():
+        written.append(folder / f"{name}.csv")
+        write_csv(written[-1], columns)
+    design = view.design(result)
+    if design is not None:
+        written += write_design(folder, *design)
+    drawings = {name: draw(result) for name, draw in view.drawings.items()}
+    for name, drawn in {**drawings, **pictures(view.charts(result))}.items():
+        if drawn is not None:
+            written.append(folder / f"{name}.png")
+            save(drawn, written[-1])
+    frames = view.frames(result)
+    if frames:
+        written.append(folder / "motion.gif")
+        save_film(frames, written[-1])
+    return written
