@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import casadi
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+PACKED = "expressions"  # attribute under which `packed` keeps them
 
 
 @contextlib.contextmanager
@@ -22,6 +24,23 @@ def symbols_in_numpy() -> Iterator[None]:
         yield
     finally:
         casadi.GlobalOptions.setNumpyMode(before)
+
+
+def packed(state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return attributes that pickle: casadi expressions, single or in tuples, as one text that keeps their common nodes."""
+    found = {name: v for name, v in state.items() if isinstance(v[0] if isinstance(v, tuple) and v else v, casadi.SX)}
+    serializer = casadi.StringSerializer()
+    serializer.pack([one for v in found.values() for one in (v if isinstance(v, tuple) else (v,))])
+    counts = {name: len(v) if isinstance(v, tuple) else None for name, v in found.items()}
+    return {name: v for name, v in state.items() if name not in found} | {PACKED: (counts, serializer.encode())}
+
+
+def unpacked(state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes that `packed` was given."""
+    counts, text = state[PACKED]
+    each = iter(casadi.StringDeserializer(text).unpack())
+    found = {name: next(each) if count is None else tuple(itertools.islice(each, count)) for name, count in counts.items()}
+    return {name: v for name, v in state.items() if name != PACKED} | found
 
 
 class BufferedFunction:

@@ -116,7 +116,7 @@ class TracedCycle:
         values: Mapping[str, float] | None = None,
         slow: Mapping[str, Direction] | None = None,
     ) -> None:
-        self.problem, self.mechanism = problem, problem.linkage
+        self.problem, self.mechanism, self.values = problem, problem.linkage, values
         self.speed = problem.drive.speed.value
         self.direction = -1.0 if self.speed < 0.0 else 1.0
         self.names = list(problem.quantities)
@@ -147,6 +147,9 @@ class TracedCycle:
         self.sensed = casadi.Function("sensed", [inputs], [casadi.vertcat(*senses)])
         self.at_event = casadi.Function("event", [inputs], [casadi.vertcat(*found, *ends)])
         self._inputs, self._found, self._margins = inputs, found, margins
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return TracedCycle, (self.problem, self.values, self.slow)
 
     # --- the machine in symbols ------------------------------------------------------------------------------------------
 

@@ -23,7 +23,7 @@ from optlink.optimization.output_derivatives import ErrorSlopes
 from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.robust import EXPECTED, residuals
-from optlink.symbolic import CompiledFunction, symbols_in_numpy
+from optlink.symbolic import CompiledFunction, packed, symbols_in_numpy, unpacked
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,18 @@ class NLP:
     factor: float = 1.0  # from f * p[0] to the measure of the residuals (for rms: their mean square)
     states: frozenset[str] = frozenset()  # variables and rows that are never relaxed, such as those defined by equations
     constants: tuple[Variable, ...] = ()  # the fixed quantities and tolerances in `p`, from its second component on
+    roaming_rows: tuple[int, int] = (0, 0)  # index of the first row of the roaming positions, number of rows per position
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes without compiled functions, which are compiled again when needed."""
+        state = {name: value for name, value in vars(self).items() if not isinstance(value, CompiledFunction)}
+        return packed(state | {"cache": {}, "rows": tuple(replace(row, value=None) for row in self.rows)})
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        found = unpacked(state)
+        rows = tuple(replace(row, value=found["g_expression"][k]) for k, row in enumerate(found["rows"]))
+        vars(self).update(found | {"rows": rows})
 
     @cached_property
     def low(self) -> Array:

@@ -29,7 +29,6 @@ Array = NDArray[np.float64]
 
 GRID = 36  # crank angles at which the assembly of a mechanism other than a four-bar is checked
 ROAMING = 24  # further ones, moved by the exchange method to where a limit is exceeded
-ROAMING_ROWS = "rows of the roaming positions"  # key in the NLP's cache: index of the first row, and number of rows per position
 BETWEEN = 3  # positions between two points if full crank rotation is not required
 EXACT = 1e-10  # share of the size of the curve: residual that counts as zero
 
@@ -178,7 +177,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
         exact=EXACT * share,
         factor=share if minimax else share**2,
         helpers=frozenset(helpers),
-        cache={ROAMING_ROWS: (first, len(at_angle[1]))},
+        roaming_rows=(first, len(at_angle[1])),
         constants=tuple(constants),
     )
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, extremes
 from optlink.optimization.nlp import NLP
-from optlink.optimization.path_nlp import ROAMING_ROWS, limit_excesses, required_motion
+from optlink.optimization.path_nlp import limit_excesses, required_motion
 from optlink.problem.path import PathProblem
 from optlink.solvers import multistart as local
 from optlink.solvers.newton import polish
@@ -95,7 +95,7 @@ def _followed(nlp: NLP, start: Solution, count: int, radius: float, backend: str
     key = f"following {rows}"
     nlp.roam(_places([*chosen, *tops], nlp.roaming))
     if key not in nlp.cache:
-        first, each = nlp.cache[ROAMING_ROWS]
+        first, each = nlp.roaming_rows
         heights = {k: nlp.g_expression[first + k * each + row] for k, row in enumerate(rows)}
         nlp.cache[key] = with_places(nlp, nlp.roaming, heights)
     moving: NLP = nlp.cache[key]

@@ -1,0 +1,107 @@
+"""Every result pickles, copies and crosses processes; the copy has the same figures and serves the same purposes."""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import pickle
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink import load
+from optlink.report.html.page import page
+from optlink.report.registry import files_of
+from optlink.report.report_model import report_model_of
+from optlink.studies.motion_sensitivity import output_sensitivity
+from optlink.studies.pareto.epsilon_constraint import pareto
+from optlink.studies.sensitivity import of_solution, sensitivities
+from optlink.studies.sweep import sweep
+from optlink.studies.tolerance.analysis import tolerance
+
+
+def _robust() -> Any:
+    return tolerance(load("crank-rocker-robust"), samples=64, robust=3.0)
+
+
+def _slopes() -> Any:
+    machine = optlink.analyze(load("shaper")).machine
+    return output_sensitivity(machine.mechanism, machine.sizes, [0.1, 0.2], "rocker")
+
+
+RESULTS: dict[str, Callable[[], Any]] = {
+    "law": lambda: optlink.solve(load("crank-rocker"), "both", track=True),
+    "law, checked": lambda: optlink.validate(load("crank-rocker"), {"coupler": 0.4, "rocker": 0.32, "phi0": 0.8}),
+    "points": lambda: optlink.solve(load("law-slider-crank")),
+    "cycle": lambda: optlink.solve(load("press-toggle"), starts=1),
+    "balance": lambda: optlink.balance(load("balance-four-bar"), trade="force,torque", points=3),
+    "analysis": lambda: optlink.analyze(load("shaper")),
+    "batch": lambda: optlink.analyze_batch(load("slider-crank"), {"rod.length": np.array([0.3, 0.4])}),
+    "simulation": lambda: optlink.simulate(load("slider-crank"), rows=50),
+    "clearance": lambda: optlink.simulate_clearance(load("slider-crank-clearance"), 1),
+    "comparison": lambda: optlink.compare(load("crank-rocker-clearance"), 1, 1),
+    "sensitivities": lambda: sensitivities(load("crank-rocker")),
+    "output sensitivity": _slopes,
+    "sweep": lambda: sweep(load("crank-rocker"), ["limits.transmission_angle.min=30..40 deg:2"], workers=1),
+    "pareto": lambda: pareto(load("crank-rocker"), "error, limits.transmission_angle.min=30..40 deg", points=2, workers=1),
+    "tolerance": _robust,
+}
+
+
+@pytest.fixture(scope="module", params=RESULTS)
+def result(request: pytest.FixtureRequest) -> Any:
+    return RESULTS[request.param]()
+
+
+def document(result: Any) -> Any:
+    return result.to_dict() if hasattr(result, "to_dict") else repr(result)
+
+
+def _ready() -> int:
+    return 1
+
+
+@pytest.fixture(scope="module")
+def pool() -> Any:
+    """A pool of processes that have not inherited anything."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as processes:
+        assert processes.submit(_ready).result() == 1
+        yield processes
+
+
+def test_a_result_pickles(result: Any) -> None:
+    assert document(pickle.loads(pickle.dumps(result))) == document(result)
+
+
+def test_a_result_copies(result: Any) -> None:
+    assert document(copy.deepcopy(result)) == document(result)
+    assert document(copy.copy(result)) == document(result)
+
+
+def test_a_result_crosses_processes(result: Any, pool: ProcessPoolExecutor) -> None:
+    assert pool.submit(document, result).result() == document(result)
+    assert document(pool.submit(copy.copy, result).result()) == document(result)
+
+
+@pytest.mark.parametrize("kind", ["law", "points", "cycle"])
+def test_a_copied_optimum_has_its_proof(kind: str) -> None:
+    """The programme in the copy is alive: limits, curvature and sensitivities are computed from it."""
+    result = RESULTS[kind]()
+    again = pickle.loads(pickle.dumps(result))
+    assert again.solution.limits == result.solution.limits
+    np.testing.assert_equal(again.solution.curvature, result.solution.curvature)
+    one, other = (of_solution(each.definite, each.solution).to_dict() for each in (result, again))
+    assert one == other
+
+
+@pytest.mark.parametrize("kind", ["function", "analysis"])
+def test_a_copy_is_reported(kind: str, tmp_path: Path) -> None:
+    result = pickle.loads(pickle.dumps(RESULTS["law" if kind == "function" else kind]()))
+    files_of(kind)(result, tmp_path)
+    assert any(tmp_path.iterdir())
+    assert "<svg" in page(report_model_of(result.problem, result, (), ()))
