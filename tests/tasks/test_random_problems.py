@@ -24,7 +24,7 @@ from tests.random_linkages import (
     transmission_range,
 )
 
-FEW, ENOUGH = 8, 150
+FEW, ENOUGH = 8, 60
 STARTS = 240  # of the batch: enough for answers, not for the best of them
 
 
@@ -78,7 +78,7 @@ def test_few_random_laws(slides: bool) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("slides", [False, True], ids=["four-bar", "slider-crank"])
 def test_many_random_laws(slides: bool) -> None:
-    assert sum(judged_law(seed, slides=slides) for seed in range(100, 116)) >= 6
+    assert sum(judged_law(seed, slides=slides) for seed in range(100, 108)) >= 3
 
 
 # --- the judge sees what is planted ------------------------------------------------------------------------------------------

@@ -13,8 +13,8 @@ from tests import synthesis_oracle as oracle
 from tests.random_linkages import RECOVERED, TIMINGS, VARIANTS, defects, four_bar_of, recover, round_trip
 
 COUNTS = (5, 9, 18, 60)
-FEW, MANY = 5, 80
-SHARE = {"from start": 0.995, "given": 0.995, "free, even": 0.99, "free, uneven": 0.99}  # of many linkages
+FEW, MANY = 5, 24
+MISSES = {"from start": 0, "given": 0, "free, even": 1, "free, uneven": 1}  # permitted, of many linkages
 
 
 @pytest.mark.parametrize("count", [*COUNTS[:-1], pytest.param(COUNTS[-1], marks=pytest.mark.slow)])
@@ -48,7 +48,7 @@ def test_many_curves_are_recovered(timing: str, count: int) -> None:
         assert not found.faults, (seed, found)
         if not found.recovered:
             missed[seed] = found.miss
-    assert MANY - len(missed) >= SHARE[timing] * MANY - 1.0, missed
+    assert len(missed) <= MISSES[timing], missed
 
 
 def test_a_variant_is_the_same_linkage_moved() -> None:
