@@ -23,7 +23,7 @@ from optlink.linkage.stroke import Ranges, failure, reachable
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.studies.grid import Axis
-from optlink.studies.sweep_task import SweepTask, number_text
+from optlink.studies.sweep_task import FiguresTask
 from optlink.tasks.analyze import analyze
 from optlink.tasks.batch import analyze_batch, batch_extremes, reaction_parts
 from optlink.tasks.machine import crank_speed, machine_of
@@ -47,7 +47,7 @@ class AnalysedPoint(NamedTuple):
 
 
 @dataclass(frozen=True)
-class AnalysisTask(SweepTask):
+class AnalysisTask(FiguresTask):
     """Analysis of given designs over the whole revolution.
 
     Parameters
@@ -87,11 +87,6 @@ class AnalysisTask(SweepTask):
                 raise InputError(Fault("no such column", nearest(name, (*columns, *single)), self.file, "--column", name))
         return tuple(found)
 
-    @property
-    def columns(self) -> list[str]:
-        """The axes, the figures, and the outcome."""
-        return [*(axis.column for axis in self.grid.axes), *self.figures, "status", "valid", "reason"]
-
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
         values = [self.grid.values(point) for point in self.span(index)]
@@ -101,15 +96,14 @@ class AnalysisTask(SweepTask):
             designs[name] = column * factor(axis.unit, known[name].kind)
         clear = self._batched(designs)
         rows = []
-        for i, own in enumerate(values):
+        for i, point in enumerate(self.span(index)):
             outcome = clear.get(i) or self._alone({name: float(sizes[i]) for name, sizes in designs.items()})
             cells = [outcome.figures.get(name, math.nan) for name in self.figures]
             missing = [name for name, cell in zip(self.figures, cells, strict=True) if not math.isfinite(cell)]
             status, reason = outcome.status, outcome.reason
             if status == ANALYSED and missing:
                 status, reason = "no value", f"{missing[0]} has no value for this design"
-            valid = str(status == ANALYSED).lower()
-            rows.append([*map(repr, own), *map(number_text, cells), status, valid, reason])  # repr: the axes' own digits
+            rows.append(self.row(point, cells, status, str(status == ANALYSED).lower(), reason))
         return rows
 
     def _batched(self, designs: Mapping[str, Array]) -> dict[int, AnalysedPoint]:

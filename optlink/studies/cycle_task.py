@@ -26,17 +26,16 @@ from optlink.problem.cycle import CycleProblem
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
-from optlink.problem.quantity import Quantity
 from optlink.solvers import multistart
 from optlink.solvers.semi_infinite import exchange, peaks
 from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import column
-from optlink.studies.reoptimise_task import SEARCHED, TAIL, active
-from optlink.studies.sweep_task import SweepTask, number_text
+from optlink.studies.reoptimise_task import SEARCHED, active
+from optlink.studies.sweep_task import OptimumTask
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.results.common import optimality
 from optlink.tasks.results.cycle import CycleResult, task_of
-from optlink.units import KINDS, factor
+from optlink.units import KINDS
 from optlink.validation.check import Validation
 from optlink.validation.cycle import validate_cycle
 
@@ -48,25 +47,16 @@ COMPILED = ("_values", "_all", "_residuals", "_hessian", "_levels")  # compiled 
 
 
 @dataclass(frozen=True)
-class CycleTask(SweepTask):
+class CycleTask(OptimumTask):
     """Optimum at every point; `anchors`: dimensions [SI] of machines from which the first search of a chunk starts."""
 
-    backend: str
     anchors: tuple[tuple[tuple[str, float], ...], ...] = ()
 
-    @cached_property
-    def free(self) -> dict[str, Quantity]:
-        """Design variables."""
-        model = self.problem.model
-        return {name: model.quantities[name] for name in model.free}
-
     @property
-    def columns(self) -> list[str]:
-        """The axes, the design variables in display units, the objective in SI, and the outcome."""
-        free = [f"{name}_{KINDS[quantity.kind].display}" for name, quantity in self.free.items()]
+    def objective_column(self) -> str:
+        """Name of the column of the objective."""
         kind = task_of(self.problem).unit_kind
-        objective = column("objective", KINDS[kind].si.replace("**", "^") if kind else "")
-        return [*(axis.column for axis in self.grid.axes), *free, objective, *TAIL]
+        return column("objective", KINDS[kind].si.replace("**", "^") if kind else "")
 
     @cached_property
     def programme(self) -> CycleProgramme | None:
@@ -121,13 +111,18 @@ class CycleTask(SweepTask):
         return again if again.valid else found
 
     def _row(self, point: int, found: CycleResult, how: str) -> list[str]:
-        usable = found.status in (Status.OPTIMAL, Status.STALLED)
-        displayed = [found.values[n] / factor(KINDS[q.kind].display, q.kind) for n, q in self.free.items()]
+        usable = found.solution is not None and found.status in (Status.OPTIMAL, Status.STALLED)
         missed = [item.name for item in found.conflict] or [check.name for check in found.validation.checks if not check.passed]
-        failed = "; ".join(dict.fromkeys(missed))
-        held = "" if found.solution is None or not usable else "; ".join(active(found.solution))
-        values = [number_text(value) if usable else "" for value in (*displayed, found.objective)]
-        return [*map(repr, self.grid.values(point)), *values, found.status.value, str(found.valid).lower(), failed, held, how]
+        return self.optimum(
+            point,
+            found.values,
+            found.objective,
+            found.status,
+            valid=found.valid,
+            failed=dict.fromkeys(missed),
+            active=active(found.solution) if usable and found.solution is not None else (),
+            found=how,
+        )
 
 
 def _rank(found: CycleResult) -> tuple[bool, float]:

@@ -21,20 +21,18 @@ from optlink.optimization.nlp import NLP, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGIN_KEYS
-from optlink.problem.quantity import Quantity, nearest
+from optlink.problem.quantity import nearest
 from optlink.solvers import multistart
 from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
 from optlink.studies.continuation import FOLLOWED, follow_optimum
 from optlink.studies.fast_overrides import FastOverride
-from optlink.studies.sweep_task import SweepTask, number_text
+from optlink.studies.sweep_task import OptimumTask
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
-from optlink.units import KINDS, factor
 from optlink.validation import validate
 
 Array = NDArray[np.float64]
 CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs a separate search
-TAIL = ("status", "valid", "failed", "active", "found")
 NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")  # keys of parameters of a programme
 SEARCHED = "searched"
 OTHER = 3.0  # ratio of sizes beyond which the scaling of the programme is unsuitable
@@ -86,29 +84,15 @@ class _Optimum:
 
 
 @dataclass(frozen=True)
-class ReoptimiseTask(SweepTask):
+class ReoptimiseTask(OptimumTask):
     """Optimum at every point."""
 
-    backend: str
-
-    @cached_property
-    def template(self) -> ProblemFile:
-        """The problem at the first point, whose design variables are those of all points."""
-        return self.problem.override(self.grid.changes(0))
-
-    @cached_property
-    def free(self) -> dict[str, Quantity]:
-        """Design variables."""
-        model = self.template.model
-        return {name: model.quantities[name] for name in model.free}
-
     @property
-    def columns(self) -> list[str]:
-        """The axes, the design variables in display units, the objective in SI, and the outcome."""
+    def objective_column(self) -> str:
+        """Name of the column of the objective."""
         from optlink.studies.sweep import objective_column
 
-        free = [f"{name}_{KINDS[quantity.kind].display}" for name, quantity in self.free.items()]
-        return [*(axis.column for axis in self.grid.axes), *free, objective_column(self.template), *TAIL]
+        return objective_column(self.template)
 
     @cached_property
     def programme(self) -> ParametricProgramme | None:
@@ -131,7 +115,7 @@ class ReoptimiseTask(SweepTask):
                 found = _alone(self.problem.override(self.grid.changes(point)), self.backend)
             else:
                 found = self._again(self.programme, point, done)
-            rows.append(self._row(point, found))
+            rows.append(self.optimum(point, **vars(found)))
         return rows
 
     def model(self, point: int) -> DesignProblem:
@@ -160,15 +144,6 @@ class ReoptimiseTask(SweepTask):
             missed, against = conflicting(solution)
             return _Optimum(solution.design, solution.objective, solution.status, valid, missed or failed, against, found)
         return _Optimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), found)
-
-    def _row(self, point: int, found: _Optimum) -> list[str]:
-        usable = found.status in (Status.OPTIMAL, Status.STALLED)
-        values = [number_text(v) if usable else "" for v in (*self._people(found.design), found.objective)]
-        tail = [found.status.value, str(found.valid).lower(), "; ".join(found.failed), "; ".join(found.active), found.found]
-        return [*map(repr, self.grid.values(point)), *values, *tail]
-
-    def _people(self, design: Mapping[str, float]) -> list[float]:
-        return [design.get(n, np.nan) / factor(KINDS[q.kind].display, q.kind) for n, q in self.free.items()]
 
 
 class ParametricProgramme:

@@ -11,7 +11,7 @@ from typing import Any
 from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
-from optlink.studies.sweep_task import SweepTask, number_text
+from optlink.studies.sweep_task import FiguresTask
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.simulate import simulate
 
@@ -19,7 +19,7 @@ Figures = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class SimulationTask(SweepTask):
+class SimulationTask(FiguresTask):
     """Figures of the simulation of the machine at every point.
 
     Parameters
@@ -36,19 +36,13 @@ class SimulationTask(SweepTask):
     options: tuple[tuple[str, Any], ...]
     design: tuple[tuple[str, float], ...]
 
-    @property
-    def columns(self) -> list[str]:
-        """The axes, the figures, and the outcome."""
-        return [*(axis.column for axis in self.grid.axes), *self.figures, "status", "valid", "reason"]
-
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
         rows = []
         for point in self.span(index):
             figures, status, reason = self.outcome(point)
-            cells = [number_text(figures.get(name, math.nan)) for name in self.figures]
-            valid = str(not reason).lower()
-            rows.append([*map(repr, self.grid.values(point)), *cells, status, valid, reason])
+            cells = [figures.get(name, math.nan) for name in self.figures]
+            rows.append(self.row(point, cells, status, str(not reason).lower(), reason))
         return rows
 
     @cached_property

@@ -10,16 +10,21 @@ import hashlib
 import io
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from optlink.errors import Fault, InputError
+from optlink.errors import Fault, InputError, Status
 from optlink.problem.file import ProblemFile, read
+from optlink.problem.quantity import Quantity
 from optlink.studies.grid import Axis, Grid
+from optlink.units import KINDS, factor
 from optlink.version import VERSION
+
+OUTCOME = ("status", "valid", "failed", "active", "found")
+"""Columns of the outcome of an optimum."""
 
 
 def number_text(value: float) -> str:
@@ -110,6 +115,10 @@ class SweepTask(ABC):
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
 
+    def row(self, point: int, figures: Iterable[float], *outcome: str) -> list[str]:
+        """Return a row: the values of the axes in their own digits, the figures, and the outcome."""
+        return [*map(repr, self.grid.values(point)), *map(number_text, figures), *outcome]
+
     def __call__(self, index: int) -> str:
         """Return a chunk as lines of CSV."""
         if self.mark not in _kept:
@@ -122,3 +131,75 @@ class SweepTask(ABC):
 
 _kept: dict[str, SweepTask] = {}
 """The task that this process is at: what it has built is used for every chunk, though each may come with a copy of the task."""
+
+
+class FiguresTask(SweepTask):
+    """A task whose rows are figures of given machines."""
+
+    figures: Any
+
+    @property
+    def columns(self) -> list[str]:
+        """The axes, the figures, and the outcome."""
+        return [*(axis.column for axis in self.grid.axes), *self.figures, "status", "valid", "reason"]
+
+
+@dataclass(frozen=True)
+class OptimumTask(SweepTask):
+    """A task whose rows are optima."""
+
+    backend: str
+
+    @cached_property
+    def template(self) -> ProblemFile:
+        """The problem at the first point, whose design variables are those of all points."""
+        return self.problem.override(self.grid.changes(0))
+
+    @cached_property
+    def free(self) -> dict[str, Quantity]:
+        """Design variables."""
+        model = self.template.model
+        return {name: model.quantities[name] for name in model.free}
+
+    @property
+    def columns(self) -> list[str]:
+        """The axes, the design variables in display units, the objective in SI, and the outcome."""
+        free = [f"{name}_{KINDS[quantity.kind].display}" for name, quantity in self.free.items()]
+        return [*(axis.column for axis in self.grid.axes), *free, self.objective_column, *OUTCOME]
+
+    @property
+    @abstractmethod
+    def objective_column(self) -> str:
+        """Name of the column of the objective."""
+
+    def optimum(
+        self,
+        point: int,
+        design: Mapping[str, float],
+        objective: float,
+        status: Status,
+        *,
+        valid: bool,
+        failed: Iterable[str],
+        active: Iterable[str],
+        found: str,
+    ) -> list[str]:
+        """Return the row of an optimum.
+
+        Parameters
+        ----------
+        point : int
+        design : mapping of str to float [SI]
+        objective : float [SI]
+        status : Status
+            Design and objective of other than optimal and stalled searches are left out.
+        valid : bool
+        failed, active : iterable of str
+            Names of failed checks and of active limits.
+        found : str
+            How the optimum was found.
+        """
+        usable = status in (Status.OPTIMAL, Status.STALLED)
+        sizes = [design.get(name, math.nan) / factor(KINDS[q.kind].display, q.kind) for name, q in self.free.items()]
+        figures = [value if usable else math.nan for value in (*sizes, objective)]
+        return self.row(point, figures, status.value, str(valid).lower(), "; ".join(failed), "; ".join(active), found)

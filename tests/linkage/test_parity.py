@@ -562,7 +562,7 @@ def test_measures_by_hand(residuals, expected):
 
 
 def test_slope_of_a_measure_is_its_derivative():
-    """Of the figure that people read, by what the programme minimises: mean square for rms, the same thing else."""
+    """Of the figure that displayed read, by what the programme minimises: mean square for rms, the same thing else."""
     residuals = np.array([0.3, -0.4, 0.1])
     mean = float(residuals @ residuals) / 3.0
     h = 1e-6
@@ -571,7 +571,7 @@ def test_slope_of_a_measure_is_its_derivative():
 
 
 @pytest.mark.parametrize(
-    ("scale", "value", "people"),
+    ("scale", "value", "displayed"),
     [
         (constraints.COSINE, math.cos(1.1), math.degrees(1.1)),
         (constraints.COSINE, -0.4, math.degrees(math.acos(-0.4))),
@@ -580,9 +580,9 @@ def test_slope_of_a_measure_is_its_derivative():
         (constraints.Scale("mm", 500.0), 0.8, 400.0),
     ],
 )
-def test_scales_turn_rows_into_peoples_figures_and_back(scale, value, people):
-    assert scale.to_display(value) == pytest.approx(people, rel=1e-14)
-    assert scale.own(people) == pytest.approx(value, rel=1e-14)
+def test_scales_convert_rows_to_display_units_and_back(scale, value, displayed):
+    assert scale.to_display(value) == pytest.approx(displayed, rel=1e-14)
+    assert scale.to_internal(displayed) == pytest.approx(value, rel=1e-14)
     slope = (scale.to_display(value + 1e-6) - scale.to_display(value - 1e-6)) / 2e-6
     assert scale.slope(value) == pytest.approx(slope, rel=1e-8)
 
@@ -593,11 +593,11 @@ def test_bounds_of_the_rows_are_the_limits_of_the_file():
     design = rule.design({})
     found = {row.label: row for row in constraints.rows(rule, design, rule.reach(design), 0.5)}
 
-    def people(words: str) -> tuple[float, float]:
+    def displayed(words: str) -> tuple[float, float]:
         (row,) = (row for label, row in found.items() if words in label)
         return tuple(row.scale.to_display(bound) if math.isfinite(bound) else bound for bound in (row.low, row.high))
 
-    assert people("smallest transmission angle") == (-math.inf, pytest.approx(40.0, rel=1e-12))
+    assert displayed("smallest transmission angle") == (-math.inf, pytest.approx(40.0, rel=1e-12))
     assert people("largest transmission angle") == (pytest.approx(130.0, rel=1e-12), math.inf)
     assert people("swing angle") == (pytest.approx(1.0, rel=1e-12), pytest.approx(170.0, rel=1e-12))
     assert people("time ratio") == (-math.inf, 1.5)

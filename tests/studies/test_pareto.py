@@ -27,8 +27,9 @@ from optlink.report.views.pareto_pictures import picture
 from optlink.studies import cycle_task
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.pareto import epsilon_ranges
-from optlink.studies.pareto import objectives as pareto_objectives
+from optlink.studies.pareto.cycle_objectives import epsilon_problem
 from optlink.studies.pareto.epsilon_constraint import ENDS, Pareto, pareto
+from optlink.studies.pareto.objectives import read_objectives
 from optlink.studies.sweep import sweep
 from optlink.validation import validate as prove
 
@@ -264,9 +265,9 @@ def test_the_limit_on_an_objective_gives_way_and_others_stay(press):
             }.items()
         }
     )
-    found = pareto_objectives.read_objectives(limited, "stroke of ram, limits.angle")
+    found = read_objectives(limited, "stroke of ram, limits.angle")
     assert [aim.name for aim in found] == ["stroke of ram", LEAST]
-    walked = pareto_objectives.epsilon_problem(limited, found, {0: 1.0}, {1: "60 deg"})
+    walked = epsilon_problem(limited, found, {0: 1.0}, {1: "60 deg"})
     assert set(walked.raw["limits"]) == {"rod", "front_2"}
     assert walked.raw["limits"]["front_2"]["min"] == "60 deg"
 
@@ -289,8 +290,8 @@ def test_a_search_begins_where_it_is_told(press):
 def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
     """Every row in people's units, and what peaks are judged by, as if the file had stated the bound."""
     problem = optlink.load("shaper-design")
-    found = pareto_objectives.read_objectives(problem, "peak torque, guide force in F")
-    one, other = (pareto_objectives.epsilon_problem(problem, found, {0: 1.0}, {1: f"{bound} N"}) for bound in (1500.0, 1320.0))
+    found = read_objectives(problem, "peak torque, guide force in F")
+    one, other = (epsilon_problem(problem, found, {0: 1.0}, {1: f"{bound} N"}) for bound in (1500.0, 1320.0))
     made, wanted = cycle_task.CycleProgramme(one, "slsqp").nlp, cycle_task.CycleProgramme(other, "slsqp").nlp
     moved = cycle_task.with_bounds(made, {"limits.front_2.max": 1320.0})
 

@@ -888,9 +888,9 @@ def test_fronts_stay_within_the_bounds_of_sizes(objectives, words):
 @pytest.mark.parametrize(
     ("name", "wanted"),
     [
-        ("transmission-optimal", "a swing and a good transmission are wanted here"),
-        ("motion-3-poses", "poses of a body are wanted here"),
-        ("path-ellipse10", "points of a path are wanted here"),
+        ("transmission-optimal", "a swing and a good transmission are prescribed here"),
+        ("motion-3-poses", "poses of a body are prescribed here"),
+        ("path-ellipse10", "points of a path are prescribed here"),
     ],
 )
 def test_what_has_no_front_says_what_is_wanted_of_it(name, wanted):

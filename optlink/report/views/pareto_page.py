@@ -17,7 +17,7 @@ from optlink.report.views import pareto_tables
 from optlink.report.views.function_tables import number
 from optlink.studies.grid import MAX_POINTS, Axis, Grid
 from optlink.studies.pareto.epsilon_constraint import SCHEMA, Pareto, ParetoPoint
-from optlink.studies.pareto.objectives import ParetoObjective
+from optlink.studies.pareto.objective import ParetoObjective
 
 __all__ = ["SCHEMA", "studied"]
 

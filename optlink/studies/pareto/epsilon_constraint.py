@@ -32,16 +32,11 @@ from optlink.studies.cycle_task import CycleTask
 from optlink.studies.execution.runner import check
 from optlink.studies.execution.store import Progress, Store
 from optlink.studies.grid import Grid
+from optlink.studies.pareto.cycle_objectives import cycle_figures
 from optlink.studies.pareto.epsilon_ranges import EpsilonRanges, NoExtreme
-from optlink.studies.pareto.objectives import (
-    OPTION,
-    ParetoObjective,
-    cycle_figures,
-    law_figure,
-    limit_in_file,
-    read_objectives,
-    tightest_bound,
-)
+from optlink.studies.pareto.law_objectives import law_figure, limit_in_file, tightest_bound
+from optlink.studies.pareto.objective import OPTION, ParetoObjective
+from optlink.studies.pareto.objectives import read_objectives
 from optlink.studies.reoptimise_task import CHUNK, SLOW_CHUNK, ReoptimiseTask, check_backend, one_programme_suffices
 from optlink.studies.sweep import TemporaryFolder
 from optlink.studies.sweep_task import SweepTask

@@ -15,16 +15,9 @@ from optlink.errors import Fault, InputError, Status
 from optlink.problem.file import ProblemFile
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.grid import Axis, Grid
-from optlink.studies.pareto.objectives import (
-    OPTION,
-    ParetoObjective,
-    cycle_figures,
-    epsilon_problem,
-    law_figure,
-    range_values,
-    tightest_bound,
-    without_varied_limits,
-)
+from optlink.studies.pareto.cycle_objectives import cycle_figures, epsilon_problem
+from optlink.studies.pareto.law_objectives import law_figure, tightest_bound, without_varied_limits
+from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
 from optlink.studies.reoptimise_task import one_programme_suffices
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.tasks.cycle import solve as solve_cycle

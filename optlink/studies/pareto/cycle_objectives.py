@@ -1,0 +1,188 @@
+"""Objectives of a machine optimised over its cycle: terms, dimensions, limits by name, and the `objective` of the file."""
+
+from __future__ import annotations
+
+import copy
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
+
+from optlink.errors import Fault, InputError
+from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle_terms import Limit, Measure, Term, What
+from optlink.problem.file import SIDES, ProblemFile, read
+from optlink.problem.quantity import nearest
+from optlink.studies.pareto.objective import OPTION, ParetoObjective
+from optlink.studies.toml_keys import Raw, exact_text
+from optlink.units import KINDS, factor
+from optlink.validation.cycle import Cycle
+
+OWN = "objective"
+
+_NAME = r"[A-Za-z][\w.\-]*"
+_TERM = re.compile(
+    rf"(?:(?P<sense>minimise|maximise)\s+)?(?:(?P<measure>{'|'.join(get_args(Measure))})\s+)?(?:(?P<static>static)\s+)?"
+    rf"(?P<quantity>{'|'.join(sorted(get_args(What), key=len, reverse=True))})(?:\s+per\s+revolution)?"
+    r"(?:\s+(?:of|in)\s+the\s+(?P<stroke>forward|backward)\s+stroke)?"
+    rf"(?:\s+(?:of|at|in)\s+(?P<of>{_NAME}))?(?:\s+on\s+(?P<on>{_NAME}))?(?:\s+along\s+(?P<direction>\S.*))?",
+    re.IGNORECASE,
+)
+
+
+def _model(problem: ProblemFile) -> CycleProblem:
+    assert isinstance(problem.model, CycleProblem)
+    return problem.model
+
+
+def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
+    """Return the objective of a name.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    name : str
+        Term, dimension, limit or "objective".
+    number : int
+        Number of the objective, for the name of its limit.
+
+    Raises
+    ------
+    InputError
+        If there is no such objective.
+    """
+    task = _model(problem)
+    if name == OWN:
+        if not task.single:
+            return ParetoObjective(name, "sum of the objective", "", 1)
+        own = {key: value for key, value in problem.raw["objective"].items() if key != "sense"}
+        return _termed(problem, own, -1 if task.goals[0].sense == "maximise" else 1, number, name)
+    limited = task.limits.named.get(name.removeprefix("limits."))
+    if limited is not None:
+        sense = -1 if limited.max is None and limited.exactly is None else 1
+        if limited.exactly is not None or (limited.min is not None and limited.max is not None):
+            remedy = f'Say which way: "minimise {limited.words}" or "maximise {limited.words}"'
+            raise InputError(Fault("the limit holds the term from both sides", remedy, problem.file, OPTION, name))
+        raw = {key: value for key, value in problem.raw["limits"][name.removeprefix("limits.")].items() if key not in SIDES}
+        return _termed(problem, raw, sense, number, name)
+    if name in task.quantities:
+        return _termed(problem, {"quantity": "length", "of": name}, 1, number, name)
+    match = _TERM.fullmatch(name)
+    if match is None:
+        known = [*get_args(What), *(f"limits.{key}" for key in task.limits.named), *task.free, OWN]
+        raise InputError(Fault("unknown objective", nearest(name, known), problem.file, OPTION, name))
+    raw = {key: value for key, value in match.groupdict().items() if value is not None}
+    for key in ("quantity", "measure", "stroke"):
+        if key in raw:
+            raw[key] = raw[key].lower()
+    if "static" in raw:
+        raw["static"] = True
+    stated = raw.pop("sense", "").lower()
+    sense = -1 if stated == "maximise" or (not stated and raw.get("measure") == "least") else 1
+    return _termed(problem, raw, sense, number, name)
+
+
+def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, name: str) -> ParetoObjective:
+    """Return the objective of a term, after validation by the model."""
+    stated = {**raw, "sense": "maximise" if sense < 0 else "minimise"}
+    document = {key: value for key, value in problem.raw.items() if key != "expected"}
+    try:
+        found = read({**document, "objective": stated}, problem.name, problem.file, problem.folder)
+    except InputError as error:
+        fault = error.faults[0]
+        raise InputError(Fault(fault.message, fault.remedy, problem.file, OPTION, name)) from None
+    goal = _model(found).goals[0]
+    kind = _model(found).kind(goal)
+    unit = KINDS[kind].display if kind else ""
+    side = "min" if sense < 0 else "max"
+    return ParetoObjective(name, goal.words, unit, sense, f"limits.front_{number}.{side}", tuple(raw.items()))
+
+
+def epsilon_problem(
+    problem: ProblemFile, aims: Sequence[ParetoObjective], goals: Mapping[int, float], bounds: Mapping[int, Raw]
+) -> ProblemFile:
+    """Return the problem of a machine with other objectives and bounds.
+
+    A limit of the file on the same side of the term of an objective is removed; all others remain.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    aims : sequence of ParetoObjective
+    goals : mapping of int to float
+        Minimised objectives: index, and the reference value in the unit of the objective.
+    bounds : mapping of int to value with unit
+        Constrained objectives: index, and bound.
+    """
+    raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
+    given = _model(problem)
+    way = {name for name, limit in given.limits.named.items() if any(_gives_way(limit, aim) for aim in aims)}
+    limits = {name: value for name, value in raw.get("limits", {}).items() if name not in way}
+    for name in way:
+        rest = _rest(problem, name, aims)
+        if rest is not None:
+            limits[name] = rest
+    for k, value in bounds.items():
+        limits[aims[k].key.split(".")[1]] = {**dict(aims[k].term), aims[k].side: value}
+    raw["limits"] = limits
+    terms = [term for k, one in goals.items() for term in _goals(problem, aims[k], one)]
+    single = [k for k in goals if len(goals) == 1 and aims[k].key]
+    raw["objective"] = {key: v for key, v in terms[0].items() if key != "scale"} if single else {"terms": terms}
+    return read(raw, problem.name, problem.file, problem.folder)
+
+
+def _goals(problem: ProblemFile, aim: ParetoObjective, one: float) -> list[dict[str, Any]]:
+    """Return the terms of an objective, with the reference value `one` [its unit]."""
+    if aim.key:
+        sense = "maximise" if aim.sense < 0 else "minimise"
+        return [{**dict(aim.term), "sense": sense, "scale": exact_text(one, aim.unit)}]
+    return [{**term, "weight": term.get("weight", 1.0) / one} for term in problem.raw["objective"]["terms"]]
+
+
+def _same(one: Term, other: Term) -> bool:
+    keys = ("quantity", "of", "on", "how", "static", "stroke")
+    ways = [None if term.direction is None else term.direction.value for term in (one, other)]
+    return ways[0] == ways[1] and all(getattr(one, key) == getattr(other, key) for key in keys)
+
+
+def _gives_way(limit: Limit, aim: ParetoObjective) -> bool:
+    """Return whether a limit constrains the term of an objective on the side that is varied."""
+    if not aim.key:
+        return False
+    return _same(limit, aim.made) and (limit.exactly is not None or getattr(limit, aim.side) is not None)
+
+
+def _rest(problem: ProblemFile, name: str, aims: Sequence[ParetoObjective]) -> dict[str, Any] | None:
+    """Return the other side of a limit that is removed, or None."""
+    limit, raw = _model(problem).limits.named[name], dict(problem.raw["limits"][name])
+    raw.pop("exactly", None)
+    for aim in aims:
+        if _gives_way(limit, aim):
+            raw.pop(aim.side, None)
+    return raw if any(side in raw for side in SIDES) else None
+
+
+def cycle_figures(problem: ProblemFile, aims: Sequence[ParetoObjective], values: Mapping[str, float]) -> tuple[float, ...]:
+    """Return the values of all objectives of a machine by ordinary inverse dynamics; NaN if the crank cannot turn fully.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    aims : sequence of ParetoObjective
+    values : mapping of str to float [SI]
+        Dimensions; those not named have their value in the file.
+
+    Returns
+    -------
+    tuple of float, each in the unit of its objective
+    """
+    task = _model(problem)
+    cycle = Cycle(task, values)
+    found = []
+    for aim in aims:
+        if not aim.key:
+            found.append(cycle.objective() if cycle.full else math.nan)
+            continue
+        kind = task.kind(aim.made)
+        found.append(cycle.figure(aim.made) / (factor(aim.unit, kind) if kind else 1.0))
+    return tuple(found)

@@ -1,0 +1,165 @@
+"""Objectives of a four-bar for a law: `error`, and any movable side of a limit or of a design variable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from optlink.errors import Fault, InputError
+from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.objectives import MEASURES
+from optlink.problem.file import SIDES, ProblemFile
+from optlink.problem.function import DesignProblem
+from optlink.problem.quantity import Interval, StrokeRatio, nearest
+from optlink.studies.pareto.objective import OPTION, ParetoObjective
+from optlink.studies.toml_keys import Raw, exact_text, value_at
+from optlink.units import KINDS, factor
+
+ERROR = "error"
+MOVABLE = ("transmission_angle", "transmission_cosine", "swing_angle", "time_ratio", "frame_length", "link_ratio")
+SEVERAL = ("transmission_angle", "transmission_cosine", "link_ratio")  # limits with a largest and a smallest value
+ROOM = 1e-3  # relative distance between the sides of a limit with one side at its tightest
+
+
+def law_objective(problem: ProblemFile, name: str) -> ParetoObjective:
+    """Return the objective of a name: "error", a side of a limit, or a design variable.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    name : str
+
+    Raises
+    ------
+    InputError
+        If there is no such objective.
+    """
+    task = problem.spec
+    if name == ERROR:
+        return ParetoObjective(name, ERROR, MEASURES[task.requirement.measure].unit, 1)
+    limits = [f"limits.{key}.{side}" for key in MOVABLE for side in SIDES]
+    sizes = [f"mechanism.{key}" for key in task.mechanism.quantities]
+    above, _, side = name.rpartition(".")
+    key = above.removeprefix("mechanism.").removeprefix("limits.")
+    if side in SIDES and key in MOVABLE:
+        unit = {"transmission_angle": "deg", "swing_angle": "deg", "frame_length": "mm"}.get(key, "")
+        words = key.replace("_", " ")
+        if key in SEVERAL:
+            words = f"{'largest' if side == 'max' else 'smallest'} {words}"
+        return ParetoObjective(name, words, unit, 1 if side == "max" else -1, f"limits.{key}.{side}")
+    if side not in SIDES:
+        key, side = name.removeprefix("mechanism."), "max"
+    if key not in task.mechanism.quantities:
+        raise InputError(
+            Fault("unknown objective", nearest(name, [ERROR, *limits, *(f"{s}.max" for s in sizes)]), problem.file, OPTION, name)
+        )
+    quantity = task.quantities[key]
+    if not quantity.free:
+        remedy = f"""Free it: --set mechanism.{key}='{{ bounds = ["...", "..."] }}'"""
+        raise InputError(Fault(f"{key} is fixed at {quantity}, it cannot move", remedy, problem.file, OPTION, name))
+    unit = KINDS[quantity.kind].display
+    return ParetoObjective(name, key, unit, 1 if side == "max" else -1, f"mechanism.{key}.{side}")
+
+
+def limit_in_file(problem: ProblemFile, key: str) -> Raw | None:
+    """Return the value in the file at one side of a limit, or None.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    key : str
+        Key of the limit, including its side.
+    """
+    above, _, side = key.rpartition(".")
+    whole = value_at(problem, above)
+    if isinstance(whole, Mapping):
+        whole = whole.get("bounds", whole) if key.startswith("mechanism.") else whole
+    if isinstance(whole, list):
+        return whole[SIDES.index(side)]  # type: ignore[no-any-return]
+    return whole.get(side, whole.get("exactly")) if isinstance(whole, Mapping) else whole  # type: ignore[no-any-return]
+
+
+def tightest_bound(problem: ProblemFile, aim: ParetoObjective) -> Raw:
+    """Return the tightest bound that can be stated, whether or not a linkage satisfies it.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With a law.
+    aim : ParetoObjective
+        With a `key`.
+    """
+    above = aim.key.rpartition(".")[0]
+    name = above.rpartition(".")[2]
+    other: float | None = None
+    if aim.key.startswith("mechanism."):
+        quantity = problem.spec.quantities[name]
+        low, high = (bound / factor(aim.unit, quantity.kind) for bound in quantity.bounds)
+        return exact_text(low + 1e-6 * (high - low) if aim.sense > 0 else high - 1e-6 * (high - low), aim.unit)
+    held: Interval | None = getattr(problem.spec.limits, name)
+    if held is not None:
+        other = held.low if aim.sense > 0 else held.high
+    if other is not None:
+        assert held is not None
+        own = other / factor(aim.unit, held.kind) if held.kind else other
+        return exact_text(aim.loose(own, ROOM * abs(own)), aim.unit)  # equal sides would prescribe one value at all positions
+    small, large = {"deg": (1.0, 179.0), "mm": (1e-3, 1e8)}.get(aim.unit, (1e-3, 1e3))
+    if isinstance(held, StrokeRatio):
+        small, large = (1.0 if held.stroke in (None, "slow") else small), (1.0 if held.stroke == "quick" else large)
+    elif name == "time_ratio":
+        small = 1.0
+    if name == "transmission_cosine":
+        small, large = -0.999, 0.999
+    return exact_text(small if aim.sense > 0 else large, aim.unit)
+
+
+def law_figure(task: DesignProblem, aim: ParetoObjective, design: Mapping[str, float]) -> float:
+    """Return the value that a limit constrains, in the unit of the objective.
+
+    Parameters
+    ----------
+    task : DesignProblem
+        States that side of the limit.
+    aim : ParetoObjective
+        With a `key`.
+    design : mapping of str to float [SI]
+    """
+    above, _, side = aim.key.rpartition(".")
+    name = above.removeprefix("mechanism.")
+    if above.startswith("mechanism."):
+        return design[name] / factor(aim.unit, task.quantities[name].kind)
+    values = task.design(design)
+    keys = {above} | ({"limits.alignment"} if name.startswith("transmission") else set())  # which may be tighter
+    rows = [row for row in limit_rows(task, values, task.reach(values), values["frame"]) if row.limit in keys]
+    held = [row for row in rows if math.isfinite(row.high if (side == "max") != row.scale.cosine else row.low)]
+    figures = [row.scale.to_display(float(row.value)) for row in held]
+    return max(figures) if side == "max" else min(figures)
+
+
+def without_varied_limits(problem: ProblemFile, aims: Sequence[ParetoObjective]) -> ProblemFile:
+    """Return the problem of a law without the limits that its objectives vary.
+
+    Bounds of a dimension remain; its search starts from their middle.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    aims : sequence of ParetoObjective
+        Objectives with a `key`.
+    """
+    for aim in aims:
+        above, _, side = aim.key.rpartition(".")
+        whole = value_at(problem, above)
+        if above.startswith("mechanism."):
+            problem = problem.override({above: {"bounds": whole["bounds"]}})
+        elif whole is not None:
+            pair = whole if isinstance(whole, list) else [whole, whole]
+            sides = dict(whole) if isinstance(whole, Mapping) else dict(zip(SIDES, pair, strict=True))
+            sides |= dict.fromkeys(SIDES, sides.pop("exactly")) if "exactly" in sides else {}
+            sides.pop(side, None)
+            if list(sides) == ["stroke"]:  # a limit that every linkage satisfies keeps the stroke
+                other = "max" if side == "min" else "min"
+                extreme = {"min": 1.0 if sides["stroke"] == "slow" else 1e-6, "max": 1.0 if sides["stroke"] == "quick" else 1e6}
+                sides[other] = extreme[other]
+            problem = problem.override({above: sides or None})
+    return problem

@@ -1,0 +1,77 @@
+"""One objective of a Pareto front."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from optlink.problem.cycle_terms import Term
+from optlink.studies.grid import Axis, column, read_axis
+
+OPTION = "--objectives"
+
+
+@dataclass(frozen=True)
+class ParetoObjective:
+    """One objective of a Pareto front: its text, `said`, and its `name`.
+
+    `sense`: 1 to minimise, -1 to maximise; `key`: the limit that constrains it in the problem file, with its side, empty for an
+    objective that can only be minimised itself; `term`: of a machine, as in the file; `span`: the requested range, if any.
+    """
+
+    said: str
+    name: str
+    unit: str
+    sense: int
+    key: str = ""
+    term: tuple[tuple[str, Any], ...] = ()
+    span: str = ""
+
+    @property
+    def column(self) -> str:
+        """Name of its column in the table."""
+        return column(self.name, self.unit).replace(" ", "_")
+
+    @property
+    def best(self) -> str:
+        """Name of its end of the front."""
+        if self.name.startswith(("largest", "least", "smallest")):
+            return f"best {self.name}"
+        return f"{'least' if self.sense > 0 else 'largest'} {self.name}"
+
+    @property
+    def side(self) -> str:
+        """Side of the limit that constrains it."""
+        return "max" if self.sense > 0 else "min"
+
+    @property
+    def made(self) -> Term:
+        """Term of a machine."""
+        return Term.model_validate(dict(self.term))
+
+    def loose(self, value: float, by: float) -> float:
+        """Return a value that is worse by an amount.
+
+        Parameters
+        ----------
+        value, by : float [unit of the objective]
+        """
+        return value + self.sense * by
+
+
+def range_values(aim: ParetoObjective, count: int) -> Axis:
+    """Return the values of the requested range of an objective.
+
+    Parameters
+    ----------
+    aim : ParetoObjective
+        With a `span`.
+    count : int
+        Number of values, unless the range states it.
+
+    Raises
+    ------
+    InputError
+        If the range is not valid.
+    """
+    return read_axis(f"{aim.key}={aim.span}" if ":" in aim.span or "step" in aim.span else f"{aim.key}={aim.span}:{count}")
