@@ -116,7 +116,14 @@ class SweepTask(ABC):
         """Return the rows of a chunk."""
 
     def row(self, point: int, figures: Iterable[float], *outcome: str) -> list[str]:
-        """Return a row: the values of the axes in their own digits, the figures, and the outcome."""
+        """Return a row: the values of the axes in their own digits, the figures, and the outcome.
+
+        Parameters
+        ----------
+        point : int
+        figures : iterable of float
+        *outcome : str
+        """
         return [*map(repr, self.grid.values(point)), *map(number_text, figures), *outcome]
 
     def __call__(self, index: int) -> str:

@@ -598,12 +598,12 @@ def test_bounds_of_the_rows_are_the_limits_of_the_file():
         return tuple(row.scale.to_display(bound) if math.isfinite(bound) else bound for bound in (row.low, row.high))
 
     assert displayed("smallest transmission angle") == (-math.inf, pytest.approx(40.0, rel=1e-12))
-    assert people("largest transmission angle") == (pytest.approx(130.0, rel=1e-12), math.inf)
-    assert people("swing angle") == (pytest.approx(1.0, rel=1e-12), pytest.approx(170.0, rel=1e-12))
-    assert people("time ratio") == (-math.inf, 1.5)
-    assert people("frame length") == (pytest.approx(1.0, rel=1e-12), pytest.approx(9000.0, rel=1e-12))
-    assert people("moving link / frame") == (0.01, 9.0)
-    assert people("crank <= rocker")[1] == people("crank + frame <=")[1] == math.inf
+    assert displayed("largest transmission angle") == (pytest.approx(130.0, rel=1e-12), math.inf)
+    assert displayed("swing angle") == (pytest.approx(1.0, rel=1e-12), pytest.approx(170.0, rel=1e-12))
+    assert displayed("time ratio") == (-math.inf, 1.5)
+    assert displayed("frame length") == (pytest.approx(1.0, rel=1e-12), pytest.approx(9000.0, rel=1e-12))
+    assert displayed("moving link / frame") == (0.01, 9.0)
+    assert displayed("crank <= rocker")[1] == displayed("crank + frame <=")[1] == math.inf
     (row,) = (row for label, row in found.items() if "crank + frame <=" in label)
     slack = design["coupler"] + design["rocker"] - design["crank"] - design["frame"]
     reserve = slack * 1e3 - row.scale.to_display(row.value - row.low)

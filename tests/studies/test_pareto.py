@@ -556,7 +556,7 @@ def test_terms_without_sense_are_refused(press, objectives, words):
 
 
 def test_other_problems_and_sizes_are_refused():
-    with pytest.raises(InputError, match="points of a path are wanted"):
+    with pytest.raises(InputError, match="points of a path are prescribed"):
         pareto(optlink.load("path-bean"), "error, crank.length")
     with pytest.raises(InputError, match=r"limits\.link_ratio\.max=LOW\.\.HIGH"):
         pareto(optlink.load("function-sin"), "error, limits.link_ratio.max")
