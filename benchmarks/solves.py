@@ -15,7 +15,8 @@ from timing import HERE, Row, race
 
 import optlink
 from optlink.optimization.nlp import NLP, build
-from optlink.solvers.multistart import BACKENDS, solve_from
+from optlink.solvers.contract import BACKENDS
+from optlink.solvers.multistart import solve_from
 
 Array = NDArray[np.float64]
 

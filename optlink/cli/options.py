@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-import enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from optlink.registry import load_extensions
+from optlink.solvers.contract import selectable
 
-class Backend(enum.StrEnum):
-    """Solver of the search."""
+load_extensions()
+BACK_ENDS = f"<{'|'.join((*selectable(), 'both'))}>"
 
-    slsqp = "slsqp"
-    ipopt = "ipopt"
-    both = "both"
+
+def back_end(text: str) -> str:
+    """Read the name of a back end.
+
+    Raises
+    ------
+    typer.BadParameter
+        If it is none; the command line then ends with exit code 2.
+    """
+    known = (*selectable(), "both")
+    if text in known:
+        return text
+    raise typer.BadParameter(f"{text[:40]!r} is not one of {', '.join(map(repr, known))}.")
 
 
 def whole_number(text: object) -> int:
@@ -53,7 +64,12 @@ Speed = Annotated[
 
 # --- search ------------------------------------------------------------------------------------------------------------------
 
-Searcher = Annotated[Backend, typer.Option("--backend", help="Both: each searches for itself, and they must agree.")]
+Searcher = Annotated[
+    str,
+    typer.Option(
+        "--backend", parser=back_end, metavar=BACK_ENDS, help="Both: SLSQP and IPOPT search independently and must agree."
+    ),
+]
 Starts = Annotated[
     int | None,
     typer.Option(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Backend, Design, Json, Of, Searcher, Seed, Set, Starts, Subjected, whole_number
+from optlink.cli.options import Design, Json, Of, Searcher, Seed, Set, Starts, Subjected, whole_number
 from optlink.errors import Fault, InputError
 from optlink.solvers import interrupts
 
@@ -31,7 +31,7 @@ def report(
     subject: Subjected,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.html", help="The page that is written.")],
     problem: Of = None,
-    backend: Searcher = Backend.ipopt,
+    backend: Searcher = "ipopt",
     starts: Starts = None,
     seed: Seed = 0,
     changes: Set = None,
@@ -76,7 +76,7 @@ def export(
     ] = 360,
     even_invalid: Annotated[bool, typer.Option("--even-invalid", help="Write a design that is not valid all the same.")] = False,
     problem: Of = None,
-    backend: Searcher = Backend.ipopt,
+    backend: Searcher = "ipopt",
     starts: Starts = None,
     seed: Seed = 0,
     changes: Set = None,
@@ -109,7 +109,7 @@ def _subject(
     text: str,
     output: Path,
     problem: str | None,
-    backend: Backend,
+    backend: str,
     starts: int | None,
     seed: int,
     changes: list[str] | None,
@@ -128,7 +128,7 @@ def _subject(
     remedy = "Leave it out, or name a result.json first"
     console.refuse({"--problem": problem}, "only a RESULT belongs to another problem", remedy, text)
     file = console.load(text, changes)
-    return report_model_of(file, solve_or_validate(file, str(backend), starts, seed, console.read_design_option(file, design)))
+    return report_model_of(file, solve_or_validate(file, backend, starts, seed, console.read_design_option(file, design)))
 
 
 def _refuse(about: ReportModel, as_json: bool) -> None:

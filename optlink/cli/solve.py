@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Backend, Design, Json, Out, Problem, Searcher, Seed, Set, Starts, whole_number
+from optlink.cli.options import Design, Json, Out, Problem, Searcher, Seed, Set, Starts, whole_number
 from optlink.errors import Status
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def register(app: typer.Typer) -> None:
 
 def solve(
     problem: Problem,
-    backend: Searcher = Backend.ipopt,
+    backend: Searcher = "ipopt",
     starts: Starts = None,
     seed: Seed = 0,
     designs: Annotated[
@@ -50,7 +50,7 @@ def solve(
 
         file = console.load(problem, changes)
         with console.share("searching") as progress:
-            result = search(file, str(backend), starts, seed, progress, designs=designs, track=out is not None)
+            result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None)
         if result.interrupted:
             of = "" if starts is None else f"of {starts} "
             print(f"Interrupted: the result is that of the first {result.starts} {of}starts.", file=sys.stderr)

@@ -11,6 +11,7 @@ import typer
 
 from optlink.cli import console
 from optlink.cli.options import Json, Problem, Set, whole_number
+from optlink.solvers.contract import selectable
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
@@ -19,7 +20,7 @@ OUTPUT_SCHEMA = "optlink/output-sensitivity/1"
 SIMULATED = ("the option is one of simulations", "Add --simulate")
 AROUND = "0..330 deg:12"  # default crank angles of an output
 
-Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="slsqp or ipopt.")]
+Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help=f"One of: {', '.join(selectable())}.")]
 Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="local (processes) or dask.")]
 Workers = Annotated[
     int | None,

@@ -13,18 +13,16 @@ import numpy as np
 
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.fourbar import (
-    LENGTHS,
     crank_rocker_conditions,
     double_crank_conditions,
     lengths_of,
-    swing,
-    time_ratio,
     transmission_cosine,
     turning_points,
 )
 from optlink.linkage.mechanism import Group, Pose
 from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
+from optlink.problem.limit_terms import stated
 from optlink.problem.limits import Alignment, Reach
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import PathProblem
@@ -226,8 +224,8 @@ def _within(interval: Interval | None) -> tuple[float, float]:
     )
 
 
-def stroke(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
-    """Yield the limits of the rocker's swing angle and of the time ratio of its two strokes.
+def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
+    """Yield the limits of `optlink.problem.limit_terms` that the file states.
 
     Parameters
     ----------
@@ -237,48 +235,15 @@ def stroke(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size:
     reach : Reach
         Crank angles over which the limits apply.
     size : float [m]
-        Not used here.
-    """
-    lengths = lengths_of(values)
-    if problem.limits.swing_angle is not None:
-        value = swing(*lengths, problem.side)
-        yield ConstraintRow(
-            "limits.swing_angle", "swing angle of the rocker", value, *_within(problem.limits.swing_angle), DEGREES
-        )
-    if problem.limits.time_ratio is not None:
-        ratio = problem.limits.time_ratio
-        value = time_ratio(*lengths, problem.side, ratio.stroke, reach.sense)
-        label = f"time ratio, {ratio.strokes}" if ratio.stroke else "time ratio"
-        yield ConstraintRow("limits.time_ratio", label, value, *_within(ratio), PLAIN)
-
-
-def proportion_rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
-    """Yield the limits of the frame length and of the ratios of the moving links to the frame.
-
-    Parameters
-    ----------
-    problem : DesignProblem or PathProblem
-    values : mapping of str to float or symbol [m, rad]
-        Value of every quantity.
-    reach : Reach
-        Not used here.
-    size : float [m]
         Reference length of the rows.
     """
-    if problem.limits.frame_length is not None:
-        low, high = _within(problem.limits.frame_length)
-        yield ConstraintRow(
-            "limits.frame_length",
-            "frame length",
-            values["frame"] / size,
-            low / size,
-            high / size,
-            Scale("mm", 1e3 * size),
-        )
-    if problem.limits.link_ratio is not None:
-        low, high = _within(problem.limits.link_ratio)
-        for name in LENGTHS[:3]:
-            yield ConstraintRow("limits.link_ratio", "moving link / frame", values[name] / values["frame"], low, high, PLAIN)
+    for term, interval in stated(problem.limits):
+        low, high = _within(interval)
+        for label, value in term.values(problem, values, reach, interval):
+            if interval.kind == "length":
+                yield ConstraintRow(term.key, label, value / size, low / size, high / size, Scale("mm", 1e3 * size))
+            else:
+                yield ConstraintRow(term.key, label, value, low, high, DEGREES if interval.kind == "angle" else PLAIN)
 
 
 def pivot_region_rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
@@ -308,8 +273,8 @@ def pivot_region_rows(problem: AnyProblem, values: Mapping[str, Value], reach: R
                 )
 
 
-FOUR_BAR: tuple[Term, ...] = (full_rotation_rows, dead_centres, transmission, stroke, proportion_rows)
-GENERAL: tuple[Term, ...] = (pivot_region_rows,)
+FOUR_BAR: tuple[Term, ...] = (full_rotation_rows, dead_centres, transmission)
+GENERAL: tuple[Term, ...] = (registered, pivot_region_rows)
 
 
 def rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> list[ConstraintRow]:

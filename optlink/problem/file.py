@@ -21,7 +21,7 @@ from optlink.problem.function import DesignProblem, cross_check_design
 from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem, cross_check
 from optlink.problem.path import PathProblem
-from optlink.problem.path_checks import FOUR_BAR_LIMITS, cross_check_path, inapplicable_keys
+from optlink.problem.path_checks import cross_check_path, four_bar_limits, inapplicable_keys
 from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.tolerances import with_tolerance
 
@@ -257,7 +257,7 @@ def complete(problem: ProblemFile) -> dict[str, Any]:
     limits = getattr(problem.model, "limits", None)
     if isinstance(limits, Alignment):
         four_bar = not _dyads(problem.raw)
-        held = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in FOUR_BAR_LIMITS)}
+        held = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in four_bar_limits())}
         own = {key: value for key, value in MARGINS.items() if key in held}
         raw["limits"] = {**own, **raw.get("limits", {})}
     return raw

@@ -15,7 +15,7 @@ from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import dead_centre, lengths_of
 from optlink.linkage.vector2d import Value, Vector, angle, unit
 from optlink.problem.base_model import Section
-from optlink.problem.limits import Limits, Reach, check_ranges
+from optlink.problem.limits import Limits, Reach, check_limits
 from optlink.problem.machine.model import Expected, Problem
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.quantity import (
@@ -275,29 +275,14 @@ def cross_check_design(problem: DesignProblem) -> None:
             "Keep transmission_angle or transmission_cosine",
             "limits.transmission_cosine",
         )
-    check_ranges(limits)
+    check_limits(limits)
     check_robust(requirement.robust, requirement.measure, len(problem.tolerances))
-    if limits.crank != "full rotation":
-        for key in ("swing_angle", "time_ratio"):
-            if getattr(limits, key) is not None:
-                raise Unusable(
-                    "only a crank-rocker has it",
-                    'Set limits.crank = "full rotation", or leave the limit out',
-                    f"limits.{key}",
-                )
     if limits.crank == "double-crank" and requirement.start in DEAD_CENTRES and "phi0" not in problem.quantities:
         raise Unusable(
             "a double-crank has no dead centres",
             'Start at an angle: from = "60 deg"',
             "requirement.from",
             requirement.start,
-        )
-    if limits.crank == "span" and limits.transmission_over == "revolution":
-        raise Unusable(
-            "a crank that need not turn fully has no whole revolution",
-            'Write transmission_over = "span", or crank = "full rotation"',
-            "limits.transmission_over",
-            "revolution",
         )
     _check_law(problem)
 

@@ -11,6 +11,7 @@ from pydantic import AfterValidator
 from optlink.linkage.margins import LEAST_ALIGNMENT, LEAST_LENGTH_MARGIN, SMALLEST_ALIGNMENT, SMALLEST_LENGTH_MARGIN
 from optlink.linkage.vector2d import Value
 from optlink.problem.base_model import Section
+from optlink.problem.limit_terms import LIMITS, stated
 from optlink.problem.quantity import (
     AngleInterval,
     FixedAngle,
@@ -84,20 +85,19 @@ class Limits(Margins):
     """Each moving link over the frame; of a four-bar."""
 
 
-def check_ranges(limits: Limits) -> None:
-    """Refuse limits outside the physically possible range.
+def check_limits(limits: Limits) -> None:
+    """Refuse limits outside the physically possible range, and those that contradict the crank condition.
 
     Raises
     ------
     Unusable
         with the full key of the limit.
     """
-    for key, lowest, highest, example in (
-        ("transmission_angle", 0.0, np.pi, '["45 deg", "135 deg"]'),
-        ("transmission_cosine", -1.0, 1.0, "[-0.7071, 0.7071]"),
-        ("swing_angle", 0.0, np.pi, '["30 deg", "60 deg"]'),
-        ("link_ratio", 0.0, np.inf, "[0.2, 5.0]"),
-    ):
+    own = (
+        ("transmission_angle", (0.0, np.pi), '["45 deg", "135 deg"]'),
+        ("transmission_cosine", (-1.0, 1.0), "[-0.7071, 0.7071]"),
+    )
+    for key, (lowest, highest), example in (*own, *((term.name, term.possible, term.example) for term in LIMITS.values())):
         interval = getattr(limits, key)
         for bound in () if interval is None else (interval.low, interval.high):
             if bound is not None and not lowest <= bound <= highest:
@@ -107,6 +107,16 @@ def check_ranges(limits: Limits) -> None:
                     f"limits.{key}",
                     str(interval),
                 )
+    for term, _ in stated(limits) if limits.crank != "full rotation" else ():
+        if term.crank_rocker:
+            raise Unusable("only a crank-rocker has it", 'Set limits.crank = "full rotation", or leave the limit out', term.key)
+    if limits.crank == "span" and limits.transmission_over == "revolution":
+        raise Unusable(
+            "a crank that need not turn fully has no whole revolution",
+            'Write transmission_over = "span", or crank = "full rotation"',
+            "limits.transmission_over",
+            "revolution",
+        )
 
 
 @dataclass(frozen=True)

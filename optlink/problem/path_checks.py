@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.problem.limits import check_ranges
+from optlink.problem.limit_terms import LIMITS
+from optlink.problem.limits import check_limits
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.path import FINE, SLIDES, TURN, PathProblem
 from optlink.problem.quantity import Unusable, nearest
@@ -30,8 +31,10 @@ BELONGS = {
 }
 """What only some kinds of task have."""
 
-FOUR_BAR_LIMITS = ("length_margin", "frame_length", "link_ratio", "swing_angle", "time_ratio", "transmission_cosine")
-"""Limits that only a four-bar has."""
+
+def four_bar_limits() -> tuple[str, ...]:
+    """Return the keys of limits that only a four-bar has."""
+    return ("length_margin", "transmission_cosine", *(term.name for term in LIMITS.values() if term.four_bar))
 
 
 def cross_check_path(problem: PathProblem) -> None:
@@ -77,7 +80,7 @@ def inapplicable_keys(section: str, kind: str, *, four_bar: bool) -> set[str]:
     """
     if section == "requirement":
         return {key for key, kinds in BELONGS.items() if kind not in kinds}
-    return set() if section != "limits" or four_bar else set(FOUR_BAR_LIMITS)
+    return set() if section != "limits" or four_bar else set(four_bar_limits())
 
 
 def _check_output(problem: PathProblem, mechanism: Mechanism) -> None:
@@ -202,24 +205,11 @@ def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
 
 def _check_limits(problem: PathProblem, mechanism: Mechanism) -> None:
     limits, four_bar = problem.limits, isinstance(problem.mechanism, FourBarSection)
-    for key in FOUR_BAR_LIMITS:
+    for key in four_bar_limits():
         if key in limits.model_fields_set and not four_bar:
             raise Unusable("only a four-bar has it", "Leave it out, and bound the lengths themselves", f"limits.{key}")
     if limits.crank == "double-crank" and not four_bar:
         raise Unusable("only a four-bar can be one", 'Write crank = "full rotation"', "limits.crank", limits.crank)
-    if limits.crank == "span" and limits.transmission_over == "revolution":
-        raise Unusable(
-            "a crank that need not turn fully has no whole revolution",
-            'Write transmission_over = "span", or crank = "full rotation"',
-            "limits.transmission_over",
-            "revolution",
-        )
     if limits.transmission_angle is not None and not any(group.kind == "RRR" for group in mechanism.groups):
         raise Unusable("no group of this mechanism has a transmission angle", "Leave it out", "limits.transmission_angle")
-    check_ranges(limits)
-    if limits.crank != "full rotation":
-        for key in ("swing_angle", "time_ratio"):
-            if getattr(limits, key) is not None:
-                raise Unusable(
-                    "only a crank-rocker has it", 'Set limits.crank = "full rotation", or leave the limit out', f"limits.{key}"
-                )
+    check_limits(limits)

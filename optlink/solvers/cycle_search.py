@@ -21,6 +21,7 @@ from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.problem.cycle import CycleProblem
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers import multistart
+from optlink.solvers.contract import backend
 from optlink.solvers.feasibility import repair
 from optlink.solvers.infeasibility import Explanation, Relaxation, explain
 from optlink.solvers.semi_infinite import exchange, peaks, restart_from
@@ -196,7 +197,7 @@ class OrderSearch:
         nlp = self.nlp
         start = repair(nlp, x, nlp.p)
         if start is None and insist and math.isfinite(nlp.values(x, nlp.p)[0]):
-            x = multistart.backend(name)(nlp, nlp.lifted(x), multistart.scaled_parameters(nlp, x)).x
+            x = backend(name)(nlp, nlp.lifted(x), multistart.scaled_parameters(nlp, x)).x
             start = repair(nlp, x, nlp.p, inside=0.0)
         if start is None:
             missed = multistart.solution_at(nlp, x, "no feasible point was found beside the start")

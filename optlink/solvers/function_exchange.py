@@ -14,6 +14,7 @@ from optlink.linkage.motion import sweep
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import DesignProblem
 from optlink.solvers import multistart
+from optlink.solvers.contract import MINIMAX
 from optlink.solvers.solution import Solution
 
 Array = NDArray[np.float64]
@@ -86,7 +87,7 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
         known = [at for at in sorted(known, key=lambda at: -(error(design, np.array([at]))[0] ** 2)) if _apart(at, new)]
         known = (new + known)[: nlp.roaming]
         nlp.roam(np.array(known))
-        found = multistart.solve_from(nlp, solution.x, multistart.MINIMAX)
+        found = multistart.solve_from(nlp, solution.x, MINIMAX)
         solution = found if found.status is Status.OPTIMAL else multistart.solve_from(nlp, solution.x, backend)
     return solution
 

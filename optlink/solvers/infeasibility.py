@@ -24,7 +24,8 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale
 from optlink.optimization.nlp import NLP, Variable
 from optlink.problem.function import EPIGRAPH
-from optlink.solvers.multistart import BACKENDS, backend, starts
+from optlink.solvers.contract import BACKENDS, backend
+from optlink.solvers.multistart import starts
 from optlink.solvers.solution import key_of
 
 Array = NDArray[np.float64]

@@ -109,7 +109,7 @@ def ipopt_close(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: boo
     track : bool
         Record the iterates.
     tight : bool
-        Use convergence tolerances of 1e-11 instead of 1e-8; without effect if `track` is set.
+        Use convergence tolerances of 1e-11 instead of 1e-8.
     """
     return ipopt(nlp, x, p, track=track, tight=tight, close=True)
 
@@ -127,12 +127,12 @@ def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
     track : bool
         Record the iterates.
     tight : bool
-        Use convergence tolerances of 1e-11 instead of 1e-8; without effect if `track` is set.
+        Use convergence tolerances of 1e-11 instead of 1e-8.
     close : bool
         Start with a small barrier parameter, for a start near an optimum.
     """
     recorder = _Recorder(nlp) if track else None
-    own = {"iteration_callback": recorder} | (NEAR if close else {})
+    own = {"iteration_callback": recorder} | (TIGHT if tight else {}) | (NEAR if close else {})
     solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, own)
     before = interrupted()
     result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)

@@ -123,11 +123,11 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
     p : array
         Parameters of the NLP.
     track : bool
-        Without effect: iterates are not recorded.
+        Record the iterates.
     tight : bool
-        Without effect: the tolerance is always tight.
+        Not used: the tolerance is always tight.
     """
-    view, y = _View(nlp, p), x[:-1]
+    view, y, path = _View(nlp, p), x[:-1], [x]
     here = view.at(y)
     if not math.isfinite(here.missed):
         return Attempt(x, 0, "undefined at the start")
@@ -162,6 +162,7 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
         if gained > TAKEN:
             y, here = np.clip(y + step.d, low, high), there
             bend = view.bend(y, step)
+            path += [nlp.lifted(np.append(y, 0.0))] if track else []
         if gained < POOR:
             reach = (0.5 if gained > 0.0 else 0.25) * length
         elif gained > GOOD and length > 0.9 * reach:
@@ -169,7 +170,7 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
         if reach < LEAST_REACH or here.largest * view.size <= nlp.exact:
             message = "the steps became too short" if reach < LEAST_REACH else "nothing left to improve"
             break
-    return Attempt(nlp.lifted(np.append(y, 0.0)), count, message)
+    return Attempt(nlp.lifted(np.append(y, 0.0)), count, message, np.array(path) if track else None)
 
 
 def _priced(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price: float, step: _Step) -> tuple[float, _Step]:

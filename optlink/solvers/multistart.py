@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE
+from optlink.solvers.contract import SOLVERS, backend
 from optlink.solvers.feasibility import repair
 from optlink.solvers.newton import polish
-from optlink.solvers.solution import FEASIBLE, Attempt, Backend, Solution, verified_solution, violation
+from optlink.solvers.solution import FEASIBLE, Attempt, Solution, verified_solution, violation
 
 Array = NDArray[np.float64]
 
-BACKENDS = ("slsqp", "ipopt")
-MINIMAX = "minimax"  # only for NLPs that minimise the largest of many deviations
-CLOSE = "ipopt, close"  # IPOPT with a small barrier parameter, for a start near an optimum
 SAME_OBJECTIVE = 1e-6  # relative
 SAME_ERROR = 1e-8  # rad; errors that differ by less count as equal
 SAME_DESIGN = 1e-5  # in scaled units
@@ -28,24 +26,6 @@ CONTINUATIONS = 3  # number of restarts, with tighter tolerances, from an end th
 NEARLY = 1e-3  # a violation up to this, in scaled units, is attributed to the solver's tolerance and repaired
 SOBOL_BLOCK = 64
 RESCALE = 1e-3  # if the objective fell below this share of its start, the search is repeated with a new scale
-
-
-def backend(name: str) -> Backend:
-    """Return the back end of that name; its library is imported on first use."""
-    if name == "slsqp":
-        from optlink.solvers.slsqp import slsqp
-
-        return slsqp
-    if name == MINIMAX:
-        from optlink.solvers.minimax import minimax
-
-        return minimax
-    from optlink.solvers.ipopt import ipopt, ipopt_close
-
-    if name == CLOSE:
-        return ipopt_close
-
-    return ipopt
 
 
 def prepare(nlp: NLP, name: str) -> None:
@@ -58,10 +38,9 @@ def prepare(nlp: NLP, name: str) -> None:
         Back end.
     """
     backend(name)
-    if name == "ipopt":
-        from optlink.solvers.ipopt import compiled
-
-        compiled(nlp)
+    compile_ = SOLVERS[name].compile
+    if compile_ is not None:
+        compile_(nlp)
     nlp.at(nlp.x_start, nlp.p)
     nlp.hessian(nlp.x_start, nlp.p, np.zeros(len(nlp.rows)))
     nlp.residuals(nlp.x_start)

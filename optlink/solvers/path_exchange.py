@@ -18,6 +18,7 @@ from optlink.linkage.extrema import Function, extremes
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import limit_excesses, required_motion
 from optlink.problem.path import PathProblem
+from optlink.solvers import contract
 from optlink.solvers import multistart as local
 from optlink.solvers.newton import polish
 from optlink.solvers.semi_infinite import with_places
@@ -108,7 +109,7 @@ def _followed(nlp: NLP, start: Solution, count: int, radius: float, backend: str
         moving.limit(i, low[i], upper=False)
         moving.limit(i, high[i], upper=True)
     p = local.scaled_parameters(moving, x)
-    end = polish(moving, local.backend(backend)(moving, x, p), p)
+    end = polish(moving, contract.backend(backend)(moving, x, p), p)
     return local.solution_at(nlp, end.x[:n], end.message)
 
 

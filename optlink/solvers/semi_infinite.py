@@ -18,6 +18,7 @@ from optlink.optimization.cycle_constraints import WatchedTerm
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.nlp import NLP, Variable
 from optlink.solvers import multistart
+from optlink.solvers.contract import backend
 from optlink.solvers.newton import polish
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Attempt, Solution, stationarity, verified_solution, violation
 
@@ -164,7 +165,7 @@ def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = 
             moving.limit(i, low[i] if i < n else max(start[i] - REACH, 0.0), upper=False)
             moving.limit(i, high[i] if i < n else min(start[i] + REACH, 1.0), upper=True)
     p = multistart.scaled_parameters(moving, start)
-    end = multistart.backend(name)(moving, start, p, tight=True)
+    end = backend(name)(moving, start, p, tight=True)
     for attempt in (polish(moving, end, p), end):
         if violation(moving, attempt.x, moving.values(attempt.x, p)[1]) > ALLOWED:
             continue

@@ -23,6 +23,7 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGIN_KEYS
 from optlink.problem.quantity import nearest
 from optlink.solvers import multistart
+from optlink.solvers.contract import selectable
 from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
 from optlink.studies.continuation import FOLLOWED, follow_optimum
 from optlink.studies.fast_overrides import FastOverride
@@ -51,8 +52,8 @@ def check_backend(name: str) -> None:
             "Give ipopt or slsqp, each in a folder of its own to compare them; `optlink solve --backend both` does for a design"
         )
         raise InputError(Fault("a study searches with one back end", remedy, key="--backend", value=name))
-    if name not in multistart.BACKENDS:
-        raise InputError(Fault("unknown back end of a study", nearest(name, multistart.BACKENDS), key="--backend", value=name))
+    if name not in selectable():
+        raise InputError(Fault("unknown back end of a study", nearest(name, selectable()), key="--backend", value=name))
 
 
 def one_programme_suffices(problem: ProblemFile, keys: tuple[str, ...]) -> bool:

@@ -13,11 +13,12 @@ from optlink.errors import Fault, InputError, Status
 from optlink.problem.cycle import Bound, CycleProblem
 from optlink.problem.cycle_terms import Term
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import Unusable, nearest
+from optlink.problem.quantity import Unusable
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
 from optlink.tasks.results.common import Optimum, optimality
 from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
+from optlink.tasks.search import agreement, back_ends
 from optlink.units import factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import validate_cycle
@@ -63,15 +64,11 @@ def solve(
         If there are no design variables, or an argument is out of range.
     """
     from optlink.optimization.cycle_signals import TracedCycle
-    from optlink.solvers import multistart
     from optlink.solvers.continuum import continuum
     from optlink.solvers.cycle_search import STARTS, StartSequence, explain_infeasibility, further_start_groups, rank, search_all
 
-    _check(problem, backend, starts, seed)
+    names = back_ends(problem, backend, starts, seed, MAX_STARTS)
     task, count = task_of(problem), STARTS if starts is None else starts
-    names = multistart.BACKENDS if backend == "both" else (backend,)
-    for name in names:
-        multistart.backend(name)  # imports do not count as solving time
     clock = [time.perf_counter()]
     try:
         trace = TracedCycle(task, slow=task.slow_assumed)
@@ -216,21 +213,6 @@ def validate(problem: ProblemFile, values: Mapping[str, float]) -> CycleResult:
     return CycleResult(problem, Status.NOT_SEARCHED, "none", own, proof.objective, proof, seconds, 0, 0)
 
 
-def _check(problem: ProblemFile, backend: str, starts: int | None, seed: int) -> None:
-    from optlink.solvers import multistart
-
-    known = [*multistart.BACKENDS, "both"]
-    if backend not in known:
-        raise InputError(Fault("unknown back end", nearest(backend, known), key="backend", value=backend))
-    if starts is not None and not 1 <= starts <= MAX_STARTS:
-        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_STARTS}", key="starts", value=starts))
-    if seed < 0:
-        raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
-    if not problem.model.free:
-        example = 'Free one: length = { start = "120 mm", bounds = ["60 mm", "200 mm"] }, or `optlink analyze` the machine'
-        raise InputError(Fault("no design variables: every dimension is fixed", example, problem.file, "mechanism"))
-
-
 def _strokeless(task: CycleProblem, trace: TracedCycle, structure: EventOrder) -> tuple[str, Term, int] | None:
     """Return a stroke term whose output has too few dead centres, with their number: a time ratio requires exactly two."""
     placed: list[tuple[str, Term]] = [("objective", goal) for goal in task.goals]
@@ -298,12 +280,6 @@ def _agreement(found: Mapping[str, Solution]) -> tuple[Check, ...]:
     from optlink.solvers.multistart import SAME_DESIGN, compare
 
     one, other = found.values()
-    same = compare(one, other).same
-    count = len(one.design)
+    same, count = compare(one, other), len(one.design)
     gap = float(np.max(np.abs(one.x[:count] - other.x[:count])))
-    alike = gap <= SAME_DESIGN
-    words = "" if alike or not same else " (two of equal value)"
-    return (
-        Check("both back ends agree: objective", same, compare(one, other).objective, "<= 1e-06", ""),
-        Check(f"both back ends agree: sizes{words}", same, gap, f"<= {SAME_DESIGN:.0e}" if alike else "-", "of the size"),
-    )
+    return agreement("sizes", same.same, (same.objective, gap), SAME_DESIGN, f"<= {SAME_DESIGN:.0e}", "of the size")

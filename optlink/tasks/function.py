@@ -28,13 +28,13 @@ from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.common import Optimum, Relaxed, heading, proof, proven, shortest_link
 from optlink.tasks.results.fit import Fit, law_fit
+from optlink.tasks.search import agreement, back_ends, part
 from optlink.units import show
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP
-    from optlink.solvers.multistart import Agreement
     from optlink.synthesis.freudenstein import FirstStep
 
 Start = NDArray[np.float64]
@@ -236,28 +236,15 @@ def solve(
     from optlink.solvers import multistart
     from optlink.tasks.function_search import FunctionSearch, start_sequence
 
-    if backend not in (*multistart.BACKENDS, "both"):
-        raise InputError(
-            Fault("unknown back end", nearest(backend, [*multistart.BACKENDS, "both"]), key="backend", value=backend)
-        )
-    if starts is not None and not 1 <= starts <= MAX_STARTS:
-        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_STARTS}", key="starts", value=starts))
-    if seed < 0:
-        raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
-    if not problem.spec.free:
-        example = 'Free one: coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
-        raise InputError(Fault("no design variables: every dimension is fixed", example, problem.file, "mechanism"))
+    names = back_ends(problem, backend, starts, seed, MAX_STARTS)
     if problem.spec.mechanism.assembly == EITHER:
         found: list[FunctionResult] = []
         variants = _variants(problem)
         for k, variant in enumerate(variants):
-            found.append(solve(variant, backend, starts, seed, _part(progress, k, len(variants)), track=track, begin=begin))
+            found.append(solve(variant, backend, starts, seed, part(progress, k, len(variants)), track=track, begin=begin))
             if found[-1].interrupted:
                 break
         return _merged(found)
-    names = multistart.BACKENDS if backend == "both" else (backend,)
-    for name in names:
-        multistart.backend(name)  # imports do not count as solving time
     clock = [time.perf_counter()]
     nlp = build(problem.spec)
     for name in names:
@@ -268,7 +255,7 @@ def solve(
     searches = {name: FunctionSearch(problem.spec, nlp, name, track=track) for name in names}
     count, interrupted = starts, False
     for k, one in enumerate(searches.values()):
-        if one.run(points, count, lambda: reason()[0], _part(progress, k, len(searches))):
+        if one.run(points, count, lambda: reason()[0], part(progress, k, len(searches))):
             count, interrupted = one.starts, True  # the other solver then uses as many starting points
     conflict: Conflict = ((), ())
     chosen = min(searches.values(), key=lambda one: one.result.rank)
@@ -282,7 +269,8 @@ def solve(
     if len(names) > 1:
         backends = multistart.reconcile(nlp, backends)
         winner = min([winner, *(chosen.judge(solution) for solution in backends.values())], key=lambda candidate: candidate.rank)
-        checks = _agreement(multistart.compare(*backends.values()))
+        gaps = multistart.compare(*backends.values())
+        checks = agreement("design", gaps.same, (gaps.objective, gaps.design), SAME_DESIGN, "<= 1e-06 frame")
     clock.append(time.perf_counter())
     seconds = dict(zip(("build", "solve"), np.diff(clock).tolist(), strict=True))
     validating = sum(one.validating for one in searches.values())
@@ -305,11 +293,6 @@ def solve(
         together=conflict[1],
         first=points.step,
     )
-
-
-def _part(progress: Callable[[float], None] | None, k: int, count: int) -> Callable[[float], None] | None:
-    """Return the progress function of the k-th of several searches."""
-    return None if progress is None else lambda share: progress((k + share) / count)
 
 
 Conflict = tuple[tuple[Relaxed, ...], tuple[Relaxed, ...]]
@@ -351,16 +334,6 @@ def _merged(found: list[FunctionResult]) -> FunctionResult:
         seconds={key: sum(result.seconds[key] for result in found) for key in best.seconds},
         optima=tuple(optima),
         counts=best.counts + tuple(count for result in found if result is not best for count in result.counts),
-    )
-
-
-def _agreement(agreement: Agreement) -> tuple[Check, ...]:
-    """Check that both solvers found the same objective, and the same design unless several are equally good."""
-    one = agreement.design <= SAME_DESIGN
-    words = "" if one or not agreement.same else " (two of equal value)"
-    return (
-        Check("both back ends agree: objective", agreement.same, agreement.objective, "<= 1e-06", ""),
-        Check(f"both back ends agree: design{words}", agreement.same, agreement.design, "<= 1e-06 frame" if one else "-", ""),
     )
 
 

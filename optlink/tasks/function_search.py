@@ -19,6 +19,7 @@ from optlink.optimization.nlp import NLP
 from optlink.problem.function import FULL_TURN, DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
+from optlink.solvers.contract import CLOSE
 from optlink.solvers.evidence import evidence
 from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
@@ -148,7 +149,7 @@ class FunctionSearch:
         found = multistart.solve_from(nlp, nlp.lifted(start.x), method, track=self.track and self.starts == 0)
         known = next((one for one in self.optima if _alike(one.coarse, found)), None)
         if known is None:
-            if method == multistart.CLOSE and self.backend != "ipopt" and found.usable:
+            if method == CLOSE and self.backend != "ipopt" and found.usable:
                 again = multistart.solve_from(nlp, found.x, self.backend)
                 found = again if again.status is Status.OPTIMAL else found
             candidate = self._followed(found)
@@ -178,7 +179,7 @@ class FunctionSearch:
     def _method(self, start: SearchStart) -> str:
         """Return the solver: IPOPT near a close start, also before SLSQP, which is slow with the many rows of a largest error."""
         if start.close and (self.backend == "ipopt" or (start.drawn and self.problem.everywhere)):
-            return multistart.CLOSE
+            return CLOSE
         return self.backend
 
     def _followed(self, found: Solution) -> FunctionCandidate | None:

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import Status
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import nearest
 from optlink.solvers import interrupts
+from optlink.solvers.contract import MINIMAX
 from optlink.solvers.evidence import evidence
 from optlink.tasks.path_search import DesignCollection, Polisher, has_several_dyads, path_model
 from optlink.tasks.results.common import Relaxed, shortest_link
 from optlink.tasks.results.path import PathDesign, PathResult
+from optlink.tasks.search import back_ends, check_count
 from optlink.validation.path import validate_path
 
 if TYPE_CHECKING:
@@ -74,21 +75,9 @@ def solve(
     InputError
         If there are no design variables, or an argument is out of range.
     """
-    from optlink.solvers import multistart as local
-
     interrupts.check()
-    if backend not in local.BACKENDS:
-        raise InputError(Fault("unknown back end", nearest(backend, local.BACKENDS), key="backend", value=backend))
-    if starts is not None and not 1 <= starts <= MAX_STARTS:
-        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_STARTS}", key="starts", value=starts))
-    if seed < 0:
-        raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
-    if not 1 <= designs <= MOST_DESIGNS:
-        raise InputError(Fault("out of range", f"Give a number from 1 to {MOST_DESIGNS}", key="designs", value=designs))
-    if not problem.model.free:
-        example = 'Free one: coupler = { bounds = ["100 mm", "900 mm"] }, or check the design: optlink validate'
-        raise InputError(Fault("no design variables: every dimension is fixed", example, problem.file, "mechanism"))
-    local.backend(backend)
+    check_count("designs", designs, MOST_DESIGNS)
+    back_ends(problem, backend, starts, seed, MAX_STARTS, both=False)
     clock = [time.perf_counter()]
     search = _Search(problem, backend, seed, designs)
     clock.append(time.perf_counter())
@@ -110,7 +99,7 @@ def solve(
         problem=problem,
         designs=tuple(found.designs),
         nearest=found.nearest,
-        backend=local.MINIMAX if task.measure == "max" else backend,
+        backend=MINIMAX if task.measure == "max" else backend,
         seed=seed,
         starts=search.searcher.found.starts,
         evidence=told,

@@ -11,6 +11,7 @@ import numpy as np
 from optlink.errors import Status
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
+from optlink.solvers.contract import MINIMAX
 from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.solution import Solution
 from optlink.tasks.results.common import OPTIMALITY_CHECK, optimality
@@ -80,7 +81,7 @@ class Polisher:
 
         file, start = self.files[candidate.variant], self._given(candidate)
         task, minimax = path_model(file), path_model(file).measure == "max"
-        solution = solve_semi_infinite(task, start, local.MINIMAX if minimax else self.backend, near=near)
+        solution = solve_semi_infinite(task, start, MINIMAX if minimax else self.backend, near=near)
         if minimax and solution.status is not Status.OPTIMAL:
             solution = local.best([solution, solve_semi_infinite(task, start, self.backend, near=near)])
         if minimax and start.usable and solution.objective > start.objective * (1.0 + 1e-9):

@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from optlink.problem.quantity import Interval, Quantity, StrokeRatio
+from optlink.problem.limit_terms import Moved, stated
+from optlink.problem.limits import Limits
+from optlink.problem.quantity import Interval, Quantity
 
 POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and extremes are refined
 ANGLE_TOLERANCE = 1e-6  # deg; solvers satisfy limits to 1e-8 of a radian
@@ -63,35 +65,6 @@ def bound(name: str, quantity: Quantity, value: float, size: float) -> Check:
     return Check(f"{name} within its bounds", bool(low - tolerance <= value <= high + tolerance), value * factor, limit, unit)
 
 
-def time_ratio(forward: float, backward: float, stroke: str | None) -> float:
-    """Return the time ratio of two strokes at constant crank speed.
-
-    Parameters
-    ----------
-    forward, backward : float [rad]
-        Positive crank rotation of the two strokes.
-    stroke : "forward", "backward", "slow", "quick" or None
-        Stroke in the numerator. None: the slow one.
-    """
-    if stroke in ("forward", "backward"):
-        return forward / backward if stroke == "forward" else backward / forward
-    quick, slow = sorted((forward, backward))
-    return quick / slow if stroke == "quick" else slow / quick
-
-
-def time_ratio_checks(forward: float, backward: float, limit: StrokeRatio) -> Iterator[Check]:
-    """Yield the checks of a limit of the time ratio.
-
-    Parameters
-    ----------
-    forward, backward : float [rad]
-        Crank rotation of the two strokes; NaN if there are no strokes.
-    limit : StrokeRatio
-    """
-    name = f"time ratio, {limit.strokes}" if limit.stroke else "time ratio"
-    yield from limit_checks(name, time_ratio(forward, backward, limit.stroke), limit, RATIO_TOLERANCE, 1.0, "")
-
-
 def limit_checks(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:
     """Yield one check per side of an interval.
 
@@ -115,3 +88,23 @@ def limit_checks(name: str, value: float, interval: Interval, tolerance: float, 
     if interval.high is not None:
         high = interval.high * factor
         yield Check(f"{name}, largest", bool(value <= high + tolerance), value, f"<= {high:.6g}", unit)
+
+
+def registered_checks(moved: Moved, limits: Limits, size: float) -> Iterator[Check]:
+    """Yield the checks of the limits of `optlink.problem.limit_terms` that a file states.
+
+    Parameters
+    ----------
+    moved : Moved
+        The design in motion.
+    limits : Limits
+    size : float [m]
+        Reference length of tolerances.
+    """
+    for term, interval in stated(limits):
+        tolerance, factor, unit = {
+            "angle": (ANGLE_TOLERANCE, math.degrees(1.0), "deg"),
+            "length": (1e-8 * size * 1e3, 1e3, "mm"),
+        }.get(str(interval.kind), (RATIO_TOLERANCE, 1.0, ""))
+        for name, value in term.measure(moved, interval):
+            yield from limit_checks(name, value * factor, interval, tolerance, factor, unit)

@@ -23,10 +23,11 @@ from optlink.linkage.stroke import TURN, Travel, reachable, travels
 from optlink.linkage.vector2d import Value, turn
 from optlink.problem.cycle import Bound, CycleProblem
 from optlink.problem.cycle_terms import Term, guide_of, output_of
+from optlink.problem.limit_terms import stroke_ratio
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
 from optlink.units import KINDS, factor
-from optlink.validation.check import LENGTH_TOLERANCE, POSITIONS, Check, Validation, bound, nan_last, time_ratio
+from optlink.validation.check import LENGTH_TOLERANCE, POSITIONS, Check, Validation, bound, nan_last
 from optlink.validation.margins import alignment_checks
 
 Array = NDArray[np.float64]
@@ -148,7 +149,7 @@ class Cycle:
         if term.quantity == "stroke":
             return found.span
         strokes = {stroke.name: stroke.rotation for stroke in found.strokes(self.speed)}
-        return time_ratio(strokes["forward"], strokes["backward"], term.stroke) if strokes else math.nan
+        return stroke_ratio(strokes["forward"], strokes["backward"], term.stroke) if strokes else math.nan
 
     def _point(self, term: Term) -> float:
         """Return the stroke, an end, or the time ratio of a point along a direction, from the extremes of its path."""
@@ -161,7 +162,7 @@ class Cycle:
         if term.quantity == "stroke":
             return float(values[0, 1] - values[0, 0])
         forward = math.copysign(1.0, self.speed) * float(angles[0, 1] - angles[0, 0]) % TURN
-        return time_ratio(forward, TURN - forward, term.stroke)
+        return stroke_ratio(forward, TURN - forward, term.stroke)
 
     def _work(self, term: Term) -> float:
         sense = math.copysign(TURN, self.speed)

@@ -26,13 +26,11 @@ from optlink.validation.check import (
     ANGLE_TOLERANCE,
     LENGTH_TOLERANCE,
     POSITIONS,
-    RATIO_TOLERANCE,
     Check,
     Validation,
     bound,
-    limit_checks,
     nan_last,
-    time_ratio_checks,
+    registered_checks,
 )
 from optlink.validation.margins import alignment_checks, at_least, grashof_check
 
@@ -77,7 +75,7 @@ class _Tested:
     """A design in motion: the sweeps shared by the checks."""
 
     def __init__(self, problem: DesignProblem, design: Mapping[str, float], mechanism: Mechanism) -> None:
-        self.problem, self.design, self.mechanism = problem, design, mechanism
+        self.problem, self.design, self.mechanism = problem, dict(design), mechanism
         self.sizes = problem.sizes(design)
         self.phi0, self.psi0 = design["phi0"], design["psi0"]
         self.revolution = self._sweep(np.linspace(0.0, 2.0 * np.pi, POSITIONS, endpoint=False))
@@ -141,6 +139,7 @@ class _Tested:
         least, largest = self.transmission(*self._placed(centres))
         return float(least), float(largest)
 
+    @cached_property
     def dead_centres(self) -> list[tuple[float, float]]:
         """Return crank and rocker angles [rad] at sign changes of the rocker velocity, refined by secants."""
 
@@ -169,6 +168,16 @@ class _Tested:
             angle = a if abs(at_a) < abs(at_b) else b
             found.append((angle % (2.0 * np.pi), float(self._sweep(np.array([angle])).body_angle("rocker").value[0])))
         return found
+
+    def strokes(self) -> tuple[float, float, float]:
+        """Return the swing angle of the rocker and the crank rotation of its forward and backward strokes [rad]."""
+        (phi_a, psi_a), (phi_b, psi_b) = self.dead_centres
+        turned = math.copysign(1.0, self.problem.span) * (phi_b - phi_a) % (2.0 * math.pi)
+        rest, rise = (
+            2.0 * math.pi - turned,
+            math.remainder(psi_b - psi_a, 2.0 * math.pi),
+        )  # a rocker swings by less than half a turn
+        return abs(rise), *((turned, rest) if rise > 0.0 else (rest, turned))
 
     def reach(self, crank_angle: float) -> float:
         """Return the distance A-C [m], large at the outer, small at the inner dead centre."""
@@ -348,27 +357,11 @@ def _requirement(tested: _Tested) -> Iterator[Check]:
 
 
 def _extra(tested: _Tested) -> Iterator[Check]:
-    """Check swing angle and time ratio from the dead centres of the motion, and length ratios."""
+    """Check the registered limits; those of the strokes need two dead centres in the motion."""
     limits = tested.problem.limits
     if limits.swing_angle is not None or limits.time_ratio is not None:
-        centres = tested.dead_centres()
-        two = len(centres) == 2
-        yield Check("the rocker has two dead centres", two, float(len(centres)), "= 2", "")
-        if not two:
+        count = len(tested.dead_centres)
+        yield Check("the rocker has two dead centres", count == 2, float(count), "= 2", "")
+        if count != 2:
             return
-        (phi_a, psi_a), (phi_b, psi_b) = centres
-        if limits.swing_angle is not None:
-            swing = math.degrees(abs(math.remainder(psi_a - psi_b, 2.0 * math.pi)))
-            yield from limit_checks("swing angle", swing, limits.swing_angle, ANGLE_TOLERANCE, math.degrees(1.0), "deg")
-        if limits.time_ratio is not None:
-            turned = math.copysign(1.0, tested.problem.span) * (phi_b - phi_a) % (2.0 * math.pi)
-            rest = 2.0 * math.pi - turned
-            rising = math.remainder(psi_b - psi_a, 2.0 * math.pi) > 0.0  # a rocker swings by less than half a turn
-            forward, backward = (turned, rest) if rising else (rest, turned)
-            yield from time_ratio_checks(forward, backward, limits.time_ratio)
-    frame = tested.design["frame"]
-    if limits.frame_length is not None:
-        yield from limit_checks("frame length", frame * 1e3, limits.frame_length, 1e-8 * frame * 1e3, 1e3, "mm")
-    if limits.link_ratio is not None:
-        for name in LENGTHS[:3]:
-            yield from limit_checks(f"{name} / frame", tested.design[name] / frame, limits.link_ratio, RATIO_TOLERANCE, 1.0, "")
+    yield from registered_checks(tested, limits, tested.design["frame"])

@@ -11,22 +11,21 @@ from numpy.typing import NDArray
 
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.extrema import extremes
-from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.stroke import travels
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import MARK, STEP, TURN, ZERO, PathProblem
 from optlink.validation.check import (
     ANGLE_TOLERANCE,
     LENGTH_TOLERANCE,
     POSITIONS,
-    RATIO_TOLERANCE,
     Check,
     Validation,
     bound,
     limit_checks,
     nan_last,
-    time_ratio_checks,
+    registered_checks,
 )
 from optlink.validation.margins import alignment_checks, grashof_check
 
@@ -130,7 +129,7 @@ def validate_path(
     """
     tested = _Tested(problem, design, np.asarray(crank_angles, dtype=float))
     found = tested.measured.objective
-    groups = (_sizes, _closure, _circuit, _order, _points, _transmission, _strokes, _pivots)
+    groups = (_sizes, _closure, _circuit, _order, _points, _transmission, _registered, _pivots)
     checks = [check for group in groups for check in group(tested)]
     if objective is not None:
         squared = problem.measure == "sum of squares"
@@ -166,6 +165,14 @@ class _Tested:
     def required(self) -> Motion:
         """The motion over which the mechanism must be assembled."""
         return self.span if self.revolution is None else self.revolution
+
+    def strokes(self) -> tuple[float, float, float]:
+        """Return the swing angle of the rocker and the crank rotation of its forward and backward strokes [rad], or NaN."""
+        travel = travels(self.mechanism, self.design, 0.0, TURN, True)[0].get("rocker")
+        if travel is None:
+            return math.nan, math.nan, math.nan
+        turned = {stroke.name: stroke.rotation for stroke in travel.strokes(self.way)}
+        return travel.span, turned.get("forward", math.nan), turned.get("backward", math.nan)
 
     def asked(self) -> Motion:
         """Return the motion over which the transmission angle is limited."""
@@ -307,27 +314,9 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
             yield Check(f"largest transmission angle{where}", passed, float(largest), f"<= {at_most:.6g}", "deg")
 
 
-def _strokes(tested: _Tested) -> Iterator[Check]:
-    """Check proportions, swing angle and time ratio of a four-bar."""
-    from optlink.linkage.stroke import travels
-
-    limits = tested.problem.limits
-    if limits.swing_angle is not None or limits.time_ratio is not None:
-        travel = travels(tested.mechanism, tested.design, 0.0, TURN, True)[0].get("rocker")
-        swing = math.nan if travel is None else math.degrees(travel.span)
-        strokes = {} if travel is None else {stroke.name: stroke.rotation for stroke in travel.strokes(tested.way)}
-        if limits.swing_angle is not None:
-            yield from limit_checks("swing angle", swing, limits.swing_angle, ANGLE_TOLERANCE, math.degrees(1.0), "deg")
-        if limits.time_ratio is not None:
-            rotations = strokes.get("forward", math.nan), strokes.get("backward", math.nan)
-            yield from time_ratio_checks(*rotations, limits.time_ratio)
-    if limits.frame_length is not None:
-        frame = tested.design["frame"]
-        yield from limit_checks("frame length", frame * 1e3, limits.frame_length, 1e-8 * frame * 1e3, 1e3, "mm")
-    if limits.link_ratio is not None:
-        for name in LENGTHS[:3]:
-            ratio = tested.design[name] / tested.design["frame"]
-            yield from limit_checks(f"{name} / frame", ratio, limits.link_ratio, RATIO_TOLERANCE, 1.0, "")
+def _registered(tested: _Tested) -> Iterator[Check]:
+    """Check the registered limits, such as proportions, swing angle and time ratio."""
+    yield from registered_checks(tested, tested.problem.limits, tested.design.get("frame", tested.problem.size))
 
 
 def _pivots(tested: _Tested) -> Iterator[Check]:

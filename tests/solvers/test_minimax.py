@@ -17,7 +17,7 @@ from optlink.optimization.nlp import NLP, Variable
 from optlink.optimization.objectives import error_measures
 from optlink.optimization.path_nlp import build_path_nlp
 from optlink.problem.function import EPIGRAPH
-from optlink.solvers import multistart
+from optlink.solvers import contract, multistart
 from optlink.solvers.minimax import minimax
 from optlink.tasks.path import assembly_variants
 
@@ -111,7 +111,7 @@ def test_largest_distance_is_no_more_than_the_best_known(name):
     """Values of IPOPT and SLSQP from the same candidates, which took them up to a hundred times as long."""
     result = optlink.solve(optlink.load(name, {"requirement.measure": "max"}), designs=1)
     assert result.valid
-    assert result.backend == multistart.MINIMAX
+    assert result.backend == contract.MINIMAX
     assert result.objective <= BEST[name]
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import optlink
 from optlink.optimization.nlp import build
-from optlink.solvers import multistart
+from optlink.solvers import contract, multistart
 from optlink.tasks.function_search import FunctionSearch, SearchStart, start_sequence
 from tests.tasks.test_function_problems import case, measured
 
@@ -97,7 +97,7 @@ def test_an_answer_has_one_figure_everywhere() -> None:
     assert first["design"] == document["design"]
     assert measured(result, case(11).task)[0] == pytest.approx(first["objective"], rel=1e-6)
     nlp = build(file.spec)
-    coarse = multistart.solve_from(nlp, nlp.x_of({name: result.design[name] for name in file.spec.free}), multistart.CLOSE)
+    coarse = multistart.solve_from(nlp, nlp.x_of({name: result.design[name] for name in file.spec.free}), contract.CLOSE)
     assert coarse.objective < result.objective * (1.0 - 1e-6)  # what the programme of the design positions alone has
 
 

@@ -28,13 +28,12 @@ def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | No
     design : mapping of str to float [m, rad]
     """
     from optlink.optimization.nlp import build
-    from optlink.solvers import multistart
     from optlink.tasks.function import solve
 
     if not file.spec.everywhere:
         return _at(build(file.spec), dict(design))
     # the positions of the largest errors belong to the nonlinear program: solve from the optimum, which must not move
-    found = solve(file, multistart.BACKENDS[-1], begin={name: design[name] for name in file.spec.free}).solution
+    found = solve(file, "ipopt", begin={name: design[name] for name in file.spec.free}).solution
     return None if found is None else _same(found, found.nlp.x_of(dict(design)))
 
 
@@ -74,7 +73,7 @@ def generated_optimum(design: PathDesign) -> PathDesign:
     own = {angle_name(k): float(angle) for k, angle in enumerate(angles)}
     x = nlp.x_of({**design.values, **own})
     start = multistart.solution_at(nlp, x, "read from a result file")
-    return replace(design, solution=_same(solve_semi_infinite(design.task, start, multistart.BACKENDS[-1], near=True), x))
+    return replace(design, solution=_same(solve_semi_infinite(design.task, start, "ipopt", near=True), x))
 
 
 def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
@@ -84,7 +83,7 @@ def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
     x = nlp.x_of(values)
     found = multistart.solution_at(nlp, x, "read from a result file")
     if found.status is not Status.OPTIMAL:
-        found = multistart.solve_from(nlp, x, multistart.BACKENDS[-1])
+        found = multistart.solve_from(nlp, x, "ipopt")
     return _same(found, x)
 
 

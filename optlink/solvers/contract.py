@@ -1,0 +1,86 @@
+"""Registry of back ends: local solvers by name, each imported when it is first used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from optlink.registry import Registry
+
+if TYPE_CHECKING:
+    from optlink.optimization.nlp import NLP
+    from optlink.solvers.solution import Backend
+
+BACKENDS = ("slsqp", "ipopt")
+"""Back ends of a search with "both"."""
+MINIMAX = "minimax"  # only for NLPs that minimise the largest of many deviations
+CLOSE = "ipopt, close"  # IPOPT with a small barrier parameter, for a start near an optimum
+
+
+@dataclass(frozen=True)
+class Solver:
+    """A back end.
+
+    Parameters
+    ----------
+    load : function
+        Imports and returns it.
+    compile : function of an NLP, optional
+        Builds what it needs for the NLP.
+    selectable : bool
+        Whether a user can select it.
+    """
+
+    load: Callable[[], Backend]
+    compile: Callable[[NLP], object] | None = None
+    selectable: bool = True
+
+
+SOLVERS: Registry[Solver] = Registry()
+
+
+def selectable() -> tuple[str, ...]:
+    """Return the names of the back ends that a user can select."""
+    return tuple(name for name, solver in SOLVERS.items() if solver.selectable)
+
+
+def backend(name: str) -> Backend:
+    """Return the back end of that name; its library is imported on first use."""
+    return SOLVERS[name].load()
+
+
+def _slsqp() -> Backend:
+    from optlink.solvers.slsqp import slsqp
+
+    return slsqp
+
+
+def _ipopt() -> Backend:
+    from optlink.solvers.ipopt import ipopt
+
+    return ipopt
+
+
+def _ipopt_close() -> Backend:
+    from optlink.solvers.ipopt import ipopt_close
+
+    return ipopt_close
+
+
+def _compiled(nlp: NLP) -> object:
+    from optlink.solvers.ipopt import compiled
+
+    return compiled(nlp)
+
+
+def _minimax() -> Backend:
+    from optlink.solvers.minimax import minimax
+
+    return minimax
+
+
+SOLVERS.add("slsqp", Solver(_slsqp))
+SOLVERS.add("ipopt", Solver(_ipopt, _compiled))
+SOLVERS.add(CLOSE, Solver(_ipopt_close, selectable=False))
+SOLVERS.add(MINIMAX, Solver(_minimax, selectable=False))

@@ -1,0 +1,115 @@
+"""Common parts of the searches: checked arguments, comparison of two back ends, progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from optlink.errors import Fault, InputError
+from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import nearest
+from optlink.solvers import contract
+from optlink.validation.check import Check
+
+Progress = Callable[[float], None] | None
+"""Receives the share of the work that is done, from 0 to 1."""
+
+
+def check_count(key: str, value: int | None, most: int) -> None:
+    """Check that a number lies between 1 and `most`.
+
+    Parameters
+    ----------
+    key : str
+        Argument, for the error.
+    value : int or None
+        None: the default.
+    most : int
+
+    Raises
+    ------
+    InputError
+        If it does not.
+    """
+    if value is not None and not 1 <= value <= most:
+        raise InputError(Fault("out of range", f"Give a number from 1 to {most}", key=key, value=value))
+
+
+def back_ends(
+    problem: ProblemFile, backend: str, starts: int | None, seed: int, most: int, *, both: bool = True
+) -> tuple[str, ...]:
+    """Check the arguments of a search, import its back ends and return their names.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    backend : str
+        Name of a back end, or "both".
+    starts : int, optional
+        Number of starting points.
+    seed : int
+    most : int
+        Largest number of starting points.
+    both : bool
+        Whether the search supports "both".
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range, or there are no design variables.
+    """
+    known = [*contract.selectable(), *(["both"] if both else [])]
+    if backend not in known:
+        raise InputError(Fault("unknown back end", nearest(backend, known), key="backend", value=backend))
+    check_count("starts", starts, most)
+    if seed < 0:
+        raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
+    if not problem.model.free:
+        example, otherwise = {
+            "function": ('coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }', "check the design: optlink validate"),
+            "cycle": ('length = { start = "120 mm", bounds = ["60 mm", "200 mm"] }', "`optlink analyze` the machine"),
+        }.get(problem.task, ('coupler = { bounds = ["100 mm", "900 mm"] }', "check the design: optlink validate"))
+        message = "no design variables: every dimension is fixed"
+        raise InputError(Fault(message, f"Free one: {example}, or {otherwise}", problem.file, "mechanism"))
+    names = contract.BACKENDS if backend == "both" else (backend,)
+    for name in names:
+        contract.backend(name)  # imports do not count as solving time
+    return names
+
+
+def agreement(
+    what: str, same: bool, gaps: tuple[float, float], nearest_design: float, limit: str, unit: str = ""
+) -> tuple[Check, ...]:
+    """Check that two back ends found the same objective, and the same design unless several are equally good.
+
+    Parameters
+    ----------
+    what : str
+        "design" or "sizes".
+    same : bool
+        Whether the objectives agree.
+    gaps : (float, float)
+        Relative difference of the objectives, and difference of the designs.
+    nearest_design : float
+        Difference up to which two designs are the same.
+    limit : str
+        The same, for display.
+    unit : str
+        Unit of the difference of the designs.
+    """
+    alike = gaps[1] <= nearest_design
+    words = "" if alike or not same else " (two of equal value)"
+    return (
+        Check("both back ends agree: objective", same, gaps[0], "<= 1e-06", ""),
+        Check(f"both back ends agree: {what}{words}", same, gaps[1], limit if alike else "-", unit),
+    )
+
+
+def part(progress: Progress, k: int, count: int) -> Progress:
+    """Return the progress function of the k-th of several searches.
+
+    Parameters
+    ----------
+    progress : function of the completed fraction, optional
+    k, count : int
+    """
+    return None if progress is None else lambda share: progress((k + share) / count)
