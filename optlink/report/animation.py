@@ -23,11 +23,11 @@ WIDE = 0.42  # ratio of height to width below which the curve is drawn below the
 def film(
     sketch: Sketch,
     steps: Motion,
-    curve: Callable[[Axes], None],
+    curve: Callable[[Axes], object],
     marks: Array,
     title: str,
     *,
-    more: Callable[[Axes], None] | None = None,
+    more: Callable[[Axes], object] | None = None,
 ) -> list[Image.Image]:
     """Draw every position of a motion.
 

@@ -105,17 +105,29 @@ def _rise(panel: Panel) -> tuple[float, float]:
 
 def _chart(place: Figure | SubFigure, chart: ChartSpec) -> list[Label]:
     """Draw the panels of a chart and return the labels still to place."""
-    grid = place.subplots(
-        len(chart.panels), 1, sharex=True, squeeze=False, height_ratios=[panel.height for panel in chart.panels]
-    )[:, 0]
-    labels: list[Label] = []
-    for axes, panel in zip(grid, chart.panels, strict=True):
-        labels += _panel(axes, chart, panel)
-    _scaled(grid[-1], "x", chart.x, chart.x.limits or (chart.reach if _tight(chart) else None))
-    for axes in grid[:-1]:
-        axes.set_xlabel("")
+    heights = [panel.height for panel in chart.panels]
+    grid = place.subplots(len(chart.panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    labels = [label for axes, panel in zip(grid, chart.panels, strict=True) for label in _panel(axes, chart, panel)]
+    _across(grid[-1], chart)
     place.align_ylabels()
     return labels
+
+
+def into(axes: Axes, spec: ChartSpec) -> list[Label]:
+    """Draw the first panel of a chart into axes and return the labels still to place.
+
+    Parameters
+    ----------
+    axes : Axes
+    spec : ChartSpec
+    """
+    labels = _panel(axes, spec, spec.panels[0])
+    _across(axes, spec)
+    return labels
+
+
+def _across(axes: Axes, chart: ChartSpec) -> None:
+    _scaled(axes, "x", chart.x, chart.x.limits or (chart.reach if _tight(chart) else None), equal=chart.equal)
 
 
 def _tight(chart: ChartSpec) -> bool:
@@ -129,18 +141,19 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel) -> list[Label]:
         _trace(axes, trace, chart, panel)
     for line in panel.lines:
         axes.axhline(line.at, zorder=2, **_look(line))
+    top = panel is chart.panels[0]
     for line in chart.lines:
-        axes.axvline(line.at, zorder=1.5, **_look(line))
+        axes.axvline(line.at, zorder=1.5, **_look(line) | ({} if top else {"label": None}))
     for span in chart.spans:
         style: dict[str, Any] = {"color": span.colour, "alpha": span.opacity, "linewidth": 0.0, "zorder": 0.5}
-        axes.axvspan(span.low, span.high, label=span.name or None, gid=span.gid or None, **style)
+        axes.axvspan(span.low, span.high, label=span.name if top and span.name else None, gid=span.gid or None, **style)
     flat = any(isinstance(trace, HeatMap) for trace in panel.traces)
     if not flat and not chart.equal:
         axes.margins(y=0.16 if panel.marks else 0.06)
-    _scaled(axes, "y", panel.y, panel.y.limits)
+    _scaled(axes, "y", panel.y, panel.y.limits, equal=chart.equal)
     low, high = sorted(axes.get_ylim())
     for mark in panel.marks:
-        _mark(axes, mark)
+        _mark(axes, mark, inside=chart.equal)
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim")
     if low < 0.0 < high and panel.y.scale == "linear" and not flat and not chart.equal:
@@ -229,16 +242,17 @@ def _cut(axes: Axes, trace: Bars) -> None:
             drawn.set(va="top" if up else "bottom", path_effects=HALO, gid="cut off", zorder=5)
 
 
-def _mark(axes: Axes, mark: Mark) -> None:
-    drawn = axes.plot([mark.x], [mark.y], linestyle="none", color=mark.colour, markersize=mark.size, clip_on=False, zorder=5)[0]
+def _mark(axes: Axes, mark: Mark, *, inside: bool) -> None:
+    """Draw a marked point, whole at the edge of the axes unless it may be `inside` only."""
+    drawn = axes.plot([mark.x], [mark.y], linestyle="none", color=mark.colour, markersize=mark.size, clip_on=inside, zorder=5)[0]
     look: Any = (3, 0, mark.angle) if mark.symbol == "triangle" else MARKERS[mark.symbol]
     drawn.set_marker(look)
     drawn.set_markerfacecolor("none" if mark.symbol == "open circle" else mark.colour)
     drawn.set_gid(mark.gid or None)
 
 
-def _scaled(axes: Axes, way: str, axis: Axis, limits: tuple[float, float] | None) -> None:
-    """Set name, scale, limits, direction and ticks of an axis."""
+def _scaled(axes: Axes, way: str, axis: Axis, limits: tuple[float, float] | None, *, equal: bool) -> None:
+    """Set name, scale, limits, direction and ticks of an axis; on equal scales the limits may be widened to fill the panel."""
     own = axes.xaxis if way == "x" else axes.yaxis
     own.set_label_text(axis.name if "\n" in axis.name else heading(axis.name, 5.0 if way == "x" else 2.4, 10.0))
     if axis.scale == "log":
@@ -249,7 +263,7 @@ def _scaled(axes: Axes, way: str, axis: Axis, limits: tuple[float, float] | None
         own.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e5 else f"{value:.0e}"))
         own.set_minor_formatter(NullFormatter())
     if limits is not None and limits[1] > limits[0]:
-        (axes.set_xlim if way == "x" else axes.set_ylim)(*limits)
+        (axes.set_xlim if way == "x" else axes.set_ylim)(*limits, auto=equal)
     if axis.reversed:
         (axes.invert_xaxis if way == "x" else axes.invert_yaxis)()
     low, high = sorted(axes.get_xlim() if way == "x" else axes.get_ylim())

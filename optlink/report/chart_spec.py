@@ -55,7 +55,7 @@ def crank_angle(*, clockwise: bool = False, limits: tuple[float, float] | None =
         Whether the crank turns clockwise, so that its angle decreases to the right.
     limits : (float, float) or None, optional [deg]
     """
-    return Axis(CRANK_ANGLE, limits, reversed=clockwise, step=60.0)
+    return Axis(CRANK_ANGLE + (", clockwise to the right" if clockwise else ""), limits, reversed=clockwise, step=60.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -123,9 +123,9 @@ def files_of(kind: str) -> Callable[[Any, Path], object]:
 
             return balance_files
         case "analysis":
-            from optlink.report.views.analysis_pictures import write_all as analysis_files
+            from optlink.report.views.analysis import VIEW as ANALYSIS
 
-            return analysis_files
+            return partial(write_files, ANALYSIS)
         case "simulation":
             from optlink.report.views.simulation_pictures import write_all as simulation_files
 

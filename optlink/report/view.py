@@ -22,6 +22,10 @@ def _none(result: Any) -> Any:
     return ()
 
 
+def _itself(result: Any) -> Any:
+    return result
+
+
 def _no_tables(result: Any) -> Mapping[str, Any]:
     return {}
 
@@ -32,22 +36,25 @@ def _no_design(result: Any) -> None:
 
 @dataclass(frozen=True)
 class View:
-    """What the files of --out show of a kind of result; every function takes the result.
+    """What the files of --out show of a kind of result.
 
     Parameters
     ----------
+    subject : function
+        Returns what `charts`, `drawings` and `frames` take, such as the motion of the result, computed once; default: the result.
     charts : function
         Returns the charts, which the page shows too.
     drawings : mapping of str to function
         Functions by file name that return a figure that is no chart, or None.
     tables : function
-        Returns CSV tables by file name: columns of equal length by name.
+        Returns CSV tables of a result by file name: columns of equal length by name.
     design : function
-        Returns the resulting machine and a comment on it for design.toml, or None.
+        Returns the machine of a result and a comment on it for design.toml, or None.
     frames : function
         Returns the frames of the animation motion.gif; none if there is nothing to move.
     """
 
+    subject: Callable[[Any], Any] = _itself
     charts: Callable[[Any], Iterable[ChartSpec]] = _none
     drawings: Mapping[str, Callable[[Any], Figure | None]] = field(default_factory=dict)
     tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float]]]] = _no_tables
@@ -82,12 +89,13 @@ def write_files(view: View, result: Any, folder: Path) -> list[Path]:
     design = view.design(result)
     if design is not None:
         written += write_design(folder, *design)
-    drawings = {name: draw(result) for name, draw in view.drawings.items()}
-    for name, drawn in {**drawings, **pictures(view.charts(result))}.items():
+    shown = view.subject(result)
+    drawings = {name: draw(shown) for name, draw in view.drawings.items()}
+    for name, drawn in {**drawings, **pictures(view.charts(shown))}.items():
         if drawn is not None:
             written.append(folder / f"{name}.png")
             save(drawn, written[-1])
-    frames = view.frames(result)
+    frames = view.frames(shown)
     if frames:
         written.append(folder / "motion.gif")
         save_film(frames, written[-1])

@@ -145,8 +145,8 @@ def test_the_checker_would_notice():
 
 def test_the_torque_chart_is_the_analysis():
     about = subject("six-bar")
-    chart = next(chart for chart in charts(about) if chart.title == "Driving torque and work")
-    torque = next(trace for trace in chart.figure["data"] if trace["name"] == "torque")
+    chart = next(chart for chart in charts(about) if chart.title == "Driving torque")
+    torque = next(trace for trace in chart.figure["data"] if trace["name"] == "driving torque")
     values = np.array([np.nan if value is None else value for value in torque["y"]])
     assert np.nanmax(values) == pytest.approx(278.8344391, rel=1e-6)  # the source of the problem
     assert np.nanmin(values) == pytest.approx(-320.0521365, rel=1e-6)

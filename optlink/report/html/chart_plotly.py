@@ -128,7 +128,7 @@ def stacked(panels: Sequence[Panel], x_name: str = CRANK_ANGLE, *, reversed_x: b
         top = bottom - gap
         traces += [trace | {"yaxis": f"y{key}"} for trace in panel.traces]
     layout["xaxis"] = axis(x_name) | {"anchor": f"y{len(panels) if len(panels) > 1 else ''}", "hoverformat": ".2f"}
-    if x_name == CRANK_ANGLE:
+    if x_name.startswith(CRANK_ANGLE):
         layout["xaxis"] |= {"dtick": 30 if _span(traces) <= 200.0 else 60}
     if reversed_x:
         layout["xaxis"]["autorange"] = "reversed"
@@ -246,6 +246,12 @@ def chart(spec: ChartSpec) -> Chart:
     for number, panel in enumerate(spec.panels, 1):
         key = "" if number == 1 else str(number)
         layout[f"yaxis{key}"] |= _axis(panel.y, None)
+        if number > 1:
+            top = layout[f"yaxis{key}"]["domain"][1]
+            layout[f"legend{key}"] = layout["legend"] | {"y": top + 0.005}
+            for trace in figure["data"]:
+                if trace["yaxis"] == f"y{key}":
+                    trace["legend"] = f"legend{key}"
         if spec.equal:
             layout[f"yaxis{key}"] |= {"scaleanchor": "x", "constrain": "domain"}
         if panel.note:
@@ -291,7 +297,7 @@ def _axis(one: chart_spec.Axis, spec: ChartSpec | None) -> dict[str, Any]:
             "ticktext": [escape(t) for _, t in one.ticks],
         }
         found |= places
-    elif one.step and spec is not None and one.name != CRANK_ANGLE:
+    elif one.step and spec is not None and not one.name.startswith(CRANK_ANGLE):
         low, high = one.limits or spec.reach
         found |= {"dtick": one.step} if high - low >= 4.0 * one.step else {}
     return found
@@ -410,8 +416,7 @@ def _marks(spec: ChartSpec, panel: chart_spec.Panel) -> list[Trace]:
     groups: dict[tuple[object, ...], list[Mark]] = {}
     for one in panel.marks:
         groups.setdefault((one.colour, one.symbol, one.size, one.written), []).append(one)
-    low, high = panel.y.limits or _heights(panel)
-    left, right = spec.x.limits or spec.reach
+    middle = [0.5 * sum(ends) for ends in (spec.x.limits or spec.reach, panel.y.limits or _heights(panel))]
     found = []
     for own in groups.values():
         first = own[0]
@@ -427,10 +432,8 @@ def _marks(spec: ChartSpec, panel: chart_spec.Panel) -> list[Trace]:
         drawn |= {"marker": look, "x": [one.x for one in own], "y": [one.y for one in own]}
         drawn |= {"text": [escape(one.text).replace("\n", "<br>") for one in own], "hovertemplate": "%{text}<extra></extra>"}
         if first.written:
-            sides = [
-                f"{'bottom' if one.y > 0.5 * (low + high) else 'top'} {'right' if one.x < 0.5 * (left + right) else 'left'}"
-                for one in own
-            ]
+            ways = [one.prefer if any(one.prefer) else (middle[0] - one.x, middle[1] - one.y) for one in own]
+            sides = [f"{'top' if up > 0.0 else 'bottom'} {'right' if across > 0.0 else 'left'}" for across, up in ways]
             drawn |= {"textposition": sides, "textfont": {"color": first.colour, "size": 11}}
         found.append(drawn | ({} if first.text else {"hoverinfo": "skip", "hovertemplate": None}))
     return found

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from html import escape
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.io import finite
+from optlink.report.chart_spec import ChartSpec
 from optlink.report.html import chart_plotly
-from optlink.report.html.chart_plotly import Chart, Panel, Trace, axis, filled, level, line, sheet, short, stacked
+from optlink.report.html.chart_plotly import Chart, Panel, Trace, axis, filled, line, sheet, short, stacked
 from optlink.report.html.moving_linkage import Readout
 from optlink.report.report_model import ReportModel
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, Scale, scale
-from optlink.report.views import cycle
-from optlink.report.views.analysis_curves import NOTHING, Course
-from optlink.report.views.analysis_pictures import outputs
-from optlink.report.views.function_pictures import transmission_limits
+from optlink.report.style import BODIES, FOUND, LIMIT, WANTED, Scale, scale
+from optlink.report.views import analysis_charts, analysis_forces, cycle
+from optlink.report.views.analysis_curves import Course
 from optlink.report.views.path_outputs import output
 from optlink.report.views.path_tables import exact
 from optlink.report.views.path_view import Track, best
@@ -38,25 +35,25 @@ PARTS = {"inertia": BODIES[0], "gravity": BODIES[1], "load": BODIES[2]}
 
 def charts(subject: ReportModel) -> list[Chart]:
     """Return the applicable charts of a report model."""
-    outcome, found = subject.outcome, []
+    outcome = subject.outcome
     course = None if subject.cycle is None else Course(subject.cycle)
+    found: list[Chart] = []
+    specs: list[ChartSpec] = []
     if isinstance(outcome, FunctionResult) and course is not None:
         found += _law(outcome)
     if isinstance(outcome, PathResult):
         found += _generated(outcome)
     if isinstance(outcome, CycleResult):
-        found += chart_plotly.charts(cycle.charts(outcome))
+        specs += cycle.charts(outcome)
     if course is not None:
         given = Course(outcome.given) if isinstance(outcome, CycleResult) and outcome.given is not None else None
         if not isinstance(outcome, FunctionResult | PathResult) or subject.forces:
-            found += _motion(course, given)
-        if isinstance(outcome, FunctionResult):
-            found += _transmission(course, outcome)
-        elif not (isinstance(outcome, PathResult) and not _pointed(outcome)):
-            found += _transmission(course)
+            specs += analysis_charts.motion(course, given)
+        if not (isinstance(outcome, PathResult) and not _pointed(outcome)):
+            specs += analysis_charts.transmission(course)
         if subject.forces:
-            found += [*_torque(course, given), *_reactions(course), *_shaking(course, given)]
-    return found
+            specs += analysis_forces.forces(course, given)
+    return [*found, *chart_plotly.charts(specs)]
 
 
 # --- function synthesis of a four-bar ----------------------------------------------------------------------------------------
@@ -83,29 +80,6 @@ def _law(result: FunctionResult) -> list[Chart]:
     ]
     panels = [Panel("rocker angle ψ [deg]", above, 1.5), Panel("wanted minus generated [deg]", below)]
     return [Chart("Motion law over the span", stacked(panels))]
-
-
-def _transmission(course: Course, result: FunctionResult | None = None) -> list[Chart]:
-    """Plot the transmission angles of all two-link groups over the motion, with their limits."""
-    names = [name for name in course.columns if name.endswith(".transmission_rad")]
-    if not names:
-        return []
-    factor = math.degrees(1.0)
-    curves = [
-        line(*course.line(name, factor), f"at {name.partition('.')[0]}", BODIES[k % len(BODIES)]) for k, name in enumerate(names)
-    ]
-    if result is not None:
-        begin = math.degrees(result.design["phi0"])
-        span = np.array([begin, begin + math.degrees(result.problem.spec.span)])
-        over = course.degrees if result.problem.spec.transmission_over == "revolution" else span
-        for value, low in transmission_limits(result):
-            curves.append(level(over, value, f"at {'least' if low else 'most'} {value:g}°"))
-    return [Chart("Transmission angle", _over_cycle([Panel("angle between the links [deg]", curves, 1.4)], course))]
-
-
-def _over_cycle(panels: Sequence[Panel], course: Course) -> dict[str, Any]:
-    """Return a figure over the crank angle, with time increasing to the right."""
-    return stacked(panels, reversed_x=course.way < 0.0)
 
 
 # --- path, motion and function synthesis -------------------------------------------------------------------------------------
@@ -176,90 +150,6 @@ def _output(track: Track) -> Chart:
         panels.append(Panel(f"generated minus wanted [{shown.name.rpartition('[')[2]}", [error]))
     title = "Transmission angle" if shown.wanted is None else "Output over the range"
     return Chart(title, stacked(panels, reversed_x=track.way < 0.0))
-
-
-# --- a machine over its cycle ------------------------------------------------------------------------------------------------
-
-
-def _both(course: Course, given: Course | None, column: str, shown: Scale, name: str, colour: str) -> list[Trace]:
-    """Return a column as a curve, with that of the initial machine in grey."""
-    curves = [line(*course.line(column, shown.factor), name, colour)]
-    if given is not None and column in given.columns:
-        curves.insert(0, line(*given.line(column, shown.factor), f"{name}, given machine", QUIET, width=1.5, dash="dot"))
-    return curves
-
-
-def _motion(course: Course, given: Course | None) -> list[Chart]:
-    """Plot position, velocity and acceleration of the outputs."""
-    found = []
-    for k, out in enumerate(outputs(course)):
-        words = ("position", "velocity", "acceleration") if out.slides else ("angle", "angular velocity", "angular acceleration")
-        panels = [
-            Panel(f"{word} [{shown.unit}]", _both(course, given, column, shown, word, BODIES[k % len(BODIES)]))
-            for word, column, shown in zip(words, out.columns, out.scales(course), strict=True)
-        ]
-        for trace in (trace for panel in panels for trace in panel.traces):
-            trace["showlegend"] = False  # the axes are labelled; the grey curve has one entry
-        if given is not None:
-            panels[0].traces[0].update(name="given machine", showlegend=True)
-        found.append(Chart(f"Motion of {out.name}", _over_cycle(panels, course)))
-    return found
-
-
-def _torque(course: Course, given: Course | None) -> list[Chart]:
-    """Plot the driving torque with its parts, and the work."""
-    if not course.has("input.torque_Nm"):
-        return []
-    names = {part: f"input.torque_{part}_Nm" for part in PARTS}
-    shown = scale(course.peak("input.torque_Nm"), "N m")
-    curves = _both(course, given, "input.torque_Nm", shown, "torque", CRANK)
-    for part, column in names.items():
-        if course.has(column, ["input.torque_Nm"]):
-            curves.append(line(*course.line(column, shown.factor), f"for {part}", PARTS[part], width=1.3, dash="dash"))
-    work = scale(course.peak("input.work_J"), "J")
-    panels = [
-        Panel(f"torque of the drive [{shown.unit}]", curves, 1.5),
-        Panel(f"work since the start [{work.unit}]", _both(course, given, "input.work_J", work, "work", BODIES[3])),
-    ]
-    return [Chart("Driving torque and work", _over_cycle(panels, course))]
-
-
-def _reactions(course: Course) -> list[Chart]:
-    """Plot the forces in pins and guides, without those of the initial machine."""
-    mechanism = course.result.machine.mechanism
-    pins = [name for name in course.columns if name.endswith(".f_N")]
-    guides = [f"{guide.name}.normal_N" for guide in mechanism.guides]
-    names = [name for name in [*pins, *guides] if course.has(name, [*pins, *guides])]
-    if not names:
-        return []
-    shown = scale(course.peak(*names), "N")
-    curves = []
-    for k, name in enumerate(names):
-        owner = name.rpartition(".")[0]
-        told = f"guide {owner}, normal" if name in guides else f"pin {owner}" if "." not in owner else f"pin on {owner}"
-        dash = "dash" if name in guides else "solid"
-        curves.append(line(*course.line(name, shown.factor), told, BODIES[k % len(BODIES)], width=1.8, dash=dash))
-    return [Chart("Joint reactions", _over_cycle([Panel(f"force [{shown.unit}]", curves, 1.7)], course))]
-
-
-def _shaking(course: Course, given: Course | None) -> list[Chart]:
-    """Plot shaking force and shaking moment."""
-    forces = ["frame.shaking_fx_N", "frame.shaking_fy_N"]
-    if course.peak(*forces) <= NOTHING * course.peak("input.torque_Nm"):
-        return []
-    shown, moment = scale(course.peak(*forces), "N"), scale(course.peak("frame.shaking_moment_Nm"), "N m")
-    curves = [
-        trace
-        for axis, column, colour in zip("xy", forces, BODIES, strict=False)
-        for trace in _both(course, given, column, shown, f"in {axis}", colour)
-    ]
-    panels = [
-        Panel(f"shaking force [{shown.unit}]", curves, 1.2),
-        Panel(
-            f"shaking moment [{moment.unit}]", _both(course, given, "frame.shaking_moment_Nm", moment, "moment", BODIES[3]), 0.8
-        ),
-    ]
-    return [Chart("Shaking of the frame", _over_cycle(panels, course))]
 
 
 # --- sensitivities -----------------------------------------------------------------------------------------------------------

@@ -1,0 +1,197 @@
+"""View of an analysis: mechanism at its characteristic positions, charts over the cycle, animation."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+
+from optlink.linkage.mechanism import FRAME
+from optlink.linkage.motion import sweep
+from optlink.linkage.stroke import TURN
+from optlink.report.animation import film, there_and_back
+from optlink.report.chart_mpl import into
+from optlink.report.chart_spec import ChartSpec
+from optlink.report.drawing import Sketch, arrow
+from optlink.report.labels import Label, place_labels
+from optlink.report.style import CRANK, degrees, figure, heading, scale, styled
+from optlink.report.view import View
+from optlink.report.views import analysis_charts, analysis_forces
+from optlink.report.views.analysis_charts import output
+from optlink.report.views.analysis_curves import NOTHING, Course
+
+FRAMES = 80
+
+
+def charts(course: Course) -> list[ChartSpec]:
+    """Return the charts of an analysis: motion, transmission angles and, as far as there are any, forces."""
+    return [*analysis_charts.motion(course), *analysis_charts.transmission(course), *analysis_forces.forces(course)]
+
+
+# --- mechanism -------------------------------------------------------------------------------------------------------------
+
+
+def positions(course: Course) -> dict[str, float]:
+    """Return the characteristic crank angles [rad] by name.
+
+    These are the start (or start, middle and end of a limited range), the dead centres of the output and the torque extremes.
+    """
+    result, out = course.result, output(course)
+    found = [("start", course.start)]
+    if not result.full:
+        middle = 0.5 * (course.start + course.end)
+        found = [("start of the range", course.start), ("middle of the range", middle), ("end of the range", course.end)]
+    centres = course.in_order(out.travel.dead_centres) if out.travel else []
+    ends = (out.travel.low_at, out.travel.high_at) if out.travel else ()
+    for number, at in enumerate(centres, 1):
+        if len(centres) <= 4 or any(abs(math.remainder(at - end, TURN)) < 1e-6 for end in ends):
+            found.append((f"dead centre {number} of {out.name}" if 1 < len(centres) <= 4 else f"limit of {out.name}", at))
+    torque = result.extremes.get("input.torque_Nm")
+    if torque and course.has("input.torque_Nm") and torque.largest - torque.least > NOTHING * course.peak("input.torque_Nm"):
+        found += [("largest torque", course.inside(torque.largest_at)), ("least torque", course.inside(torque.least_at))]
+    merged: dict[str, float] = {}
+    for name, at in found:
+        same = next((k for k, v in merged.items() if abs(math.remainder(v - at, TURN) if result.full else v - at) < 1e-6), None)
+        if same is None:
+            merged[name] = at
+        else:
+            merged = {f"{k} = {name}" if k == same else k: v for k, v in merged.items()}
+    return merged
+
+
+@styled
+def mechanism(course: Course) -> Figure:
+    """Draw the mechanism at its characteristic positions with joint traces, and the joint velocities at one of them."""
+    result = course.result
+    machine = result.machine
+    sketch = Sketch(sweep(machine.mechanism, machine.sizes, course.angles, result.speed), machine)
+    named = positions(course)
+    here = {name: sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed) for name, at in named.items()}
+    moving = [point for point, bodies in machine.mechanism.owners.items() if FRAME not in bodies]
+    speeds = {name: max(float(np.linalg.norm(there.velocity(point)[0])) for point in moving) for name, there in here.items()}
+    # show velocities at the largest torque or, if some are unbounded, where they are smallest
+    slow = {name: speed for name, speed in speeds.items() if math.isfinite(speed)}
+    chosen = next((name for name in named if "largest torque" in name), next(iter(named)))
+    if slow and not course.steady:
+        chosen = min(slow, key=lambda name: slow[name])
+    longest = 0.2 * float(np.max(sketch.high - sketch.low))
+    drawn_arrows = sketch.arrows(here[chosen], 0, moving, longest)
+    sketch.widen(np.array([end for _, end in drawn_arrows.values()]).reshape(-1, 2))
+    count = len(named) + bool(drawn_arrows)
+    tall = sketch.ratio > 1.15
+    columns = 4 if tall and count > 6 else 3 if count > 4 else 2 if count > 1 else 1
+    rows = -(-count // columns)
+    panel = 3.3 if tall else 4.0
+    width = panel * columns
+    made = figure(width, ((panel - 0.6) * min(max(sketch.ratio, 0.3), 1.6) + 0.95) * rows + 0.8)
+    panels = list(made.subplots(rows, columns, squeeze=False).flat)
+    labels: list[Label] = []
+    for axes, (name, at) in zip(panels, named.items(), strict=False):
+        sketch.stage(axes)
+        sketch.pose(axes, here[name])
+        labels += sketch.letters(axes, here[name])
+        axes.set_title(f"{heading(name, panel, 9.5)}\n{_state(course, at)}", fontsize=9.5)
+    if drawn_arrows:
+        axes = panels[len(named)]
+        sketch.stage(axes, traces=False)
+        sketch.pose(axes, here[chosen])
+        axes.set_xlabel(axes.get_xlabel(), loc="left")  # the scale of the arrows is drawn on the right
+        labels += sketch.letters(axes, here[chosen])
+        for point, (begin, end) in drawn_arrows.items():
+            arrow(axes, begin, end, gid=f"velocity {point}")
+        axes.set_title(f"velocities of the joints, φ {degrees(named[chosen])}\n{heading(chosen, panel, 9.5)}", fontsize=9.5)
+    for axes in panels[count:]:
+        axes.remove()
+    made.suptitle(heading(result.problem.model.title, width), fontsize=11)
+    handles, words = sketch.legend()
+    made.legend(
+        handles, words, loc="outside lower center", ncols=min(len(handles), int(1.1 * width)), frameon=False, fontsize=8.5
+    )
+    place_labels(made, labels)
+    if drawn_arrows:
+        top = max(float(np.linalg.norm(here[chosen].velocity(point)[0])) for point in drawn_arrows)
+        _scale_arrow(panels[len(named)], top, longest)
+    return made
+
+
+def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
+    """Draw the scale arrow of the velocities below the x axis; a velocity `top` [m/s] is drawn `longest` long."""
+    drawn = axes.get_figure()
+    assert drawn is not None
+    unit = scale(top, "m/s")
+    shown = _round(0.6 * top * unit.factor)
+    (_, low), (right, _) = axes.get_window_extent().get_points()
+    x, y = axes.transData.inverted().transform((right, low - 27.0 / 72.0 * drawn.dpi))
+    length = longest * shown / (top * unit.factor)
+    arrow(axes, np.array([x - length, y]), np.array([x, y]), gid="scale").set_clip_on(False)
+    room = 0.015 * float(np.ptp(axes.get_xlim()))
+    axes.text(x - length - room, y, f"{shown:g} {unit.unit}", ha="right", va="center", fontsize=8.5, in_layout=False)
+
+
+def _state(course: Course, at: float) -> str:
+    """Format crank angle, output position and driving torque at a position."""
+    out = output(course)
+    parts = [
+        f"φ {degrees(at)}",
+        f"{'s' if out.slides else 'θ'} {out.scales(course)[0].text(course.at(at, out.columns[0]))}",
+    ]
+    torque = course.at(at, "input.torque_Nm")
+    if course.has("input.torque_Nm") and math.isfinite(torque) and not np.any(np.abs(course.result.jumps - at) < 1e-6):
+        parts.append(f"M {scale(course.peak('input.torque_Nm'), 'N m').text(torque)}")
+    return "   ".join(parts)
+
+
+def _round(value: float) -> float:
+    """Return the next lower value of the series 1, 2, 5, 10, ..."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-12))
+
+
+# --- animation ---------------------------------------------------------------------------------------------------------------
+
+
+@styled
+def frames(course: Course, count: int = FRAMES) -> list[Image.Image]:
+    """Draw the frames of the animation: one revolution, or back and forth over a limited crank range.
+
+    Beside the mechanism, the driving torque or the output motion is drawn.
+
+    Parameters
+    ----------
+    course : Course
+    count : int, optional
+        Number of frames.
+    """
+    result = course.result
+    machine = result.machine
+    sketch = Sketch(sweep(machine.mechanism, machine.sizes, course.angles), machine)
+    once = course.start + course.way * result.cycle * np.arange(count) / count
+    steps = once if result.full else there_and_back(course.start, course.end, count)
+    out = output(course)
+    name = "input.torque_Nm" if course.has("input.torque_Nm") else out.columns[0]
+    unit = scale(course.peak(name), "N m") if course.has("input.torque_Nm") else out.scales(course)[0]
+
+    word = "driving torque" if name == "input.torque_Nm" else f"{out.name}: {'slide' if out.slides else 'angle'}"
+    traces = analysis_charts.curves(course, name, unit, "", CRANK)
+    strip = analysis_charts.chart(course, "", "", [analysis_charts.panel(course, f"{word} [{unit.unit}]", traces)])
+    marks = np.array([[math.degrees(at), course.at(at, name) * unit.factor] for at in steps])
+    return film(
+        sketch,
+        sweep(machine.mechanism, machine.sizes, steps),
+        functools.partial(into, spec=strip),
+        marks,
+        result.problem.model.title,
+    )
+
+
+VIEW = View(
+    subject=Course,
+    charts=charts,
+    drawings={"mechanism": mechanism},
+    tables=lambda result: {"cycle": result.columns},
+    frames=frames,
+)
