@@ -19,7 +19,9 @@ def register(app: typer.Typer) -> None:
 def analyze(
     problem: Problem,
     points: Annotated[int, typer.Option(parser=whole_number, metavar="N", help="Steps of the table per revolution.")] = 360,
-    step: Annotated[str | None, typer.Option(metavar="ANGLE", help='Instead of --points: --step "5 deg".')] = None,
+    step: Annotated[
+        str | None, typer.Option(metavar="ANGLE", help='Step of the table, instead of --points: --step "5 deg".')
+    ] = None,
     speed: Speed = None,
     changes: Set = None,
     design: Design = None,
@@ -27,7 +29,7 @@ def analyze(
     as_json: Json = False,
     out: Out = None,
 ) -> None:
-    """Motion, joint reactions, driving torque and work over the cycle."""
+    """Analyse a machine: motion, joint reactions, driving torque and work over the cycle."""
     with console.reported(as_json):
         from optlink.tasks.analyze import analyze as run
 
@@ -44,19 +46,22 @@ def analyze(
 def balance(
     problem: Problem,
     minimise: Annotated[
-        str | None, typer.Option(metavar="MEASURE", help='In place of the problem\'s: "rms force", "largest reaction at D".')
+        str | None,
+        typer.Option(
+            metavar="MEASURE", help='Measure to minimise, instead of that of the problem: "rms force", "largest reaction at D".'
+        ),
     ] = None,
     trade: Annotated[
-        str | None, typer.Option(metavar="A,B", help="The curve between two measures: --trade force,torque.")
+        str | None, typer.Option(metavar="A,B", help="Compute the trade-off between two measures: --trade force,torque.")
     ] = None,
-    points: Annotated[int, typer.Option(parser=whole_number, metavar="N", help="Of that curve.")] = 25,
+    points: Annotated[int, typer.Option(parser=whole_number, metavar="N", help="Points of the trade-off.")] = 25,
     changes: Set = None,
     design: Design = None,
     csv: Csv = None,
     as_json: Json = False,
     out: Out = None,
 ) -> None:
-    """Counterweights and springs that make shaking, torque or reactions least: proven, verified and priced."""
+    """Optimise counterweights and springs: least shaking force, torque or reactions, with proof and shadow prices."""
     with console.reported(as_json):
         from optlink.tasks.balance import balance as run
 

@@ -52,14 +52,14 @@ Design = Annotated[
     typer.Option(
         "--design",
         metavar="NAME=VALUE",
-        help='A given design: --design coupler="412 mm", or a result.json. Repeatable.',
+        help='Design to use: --design coupler="412 mm", or a result.json. Repeatable.',
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, pictures and tables there.")]
-Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the whole table there.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for result.json, pictures and tables.")]
+Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="File for the complete table.")]
 Speed = Annotated[
-    str | None, typer.Option("--speed", metavar="SPEED", help='Of the crank: --speed "64 rpm"; negative: clockwise.')
+    str | None, typer.Option("--speed", metavar="SPEED", help='Crank speed: --speed "64 rpm"; negative: clockwise.')
 ]
 
 # --- search ------------------------------------------------------------------------------------------------------------------
@@ -67,7 +67,7 @@ Speed = Annotated[
 Searcher = Annotated[
     str,
     typer.Option(
-        "--backend", parser=back_end, metavar=BACK_ENDS, help="Both: SLSQP and IPOPT search independently and must agree."
+        "--backend", parser=back_end, metavar=BACK_ENDS, help="Solver; both: SLSQP and IPOPT solve independently and must agree."
     ),
 ]
 Starts = Annotated[
@@ -76,11 +76,11 @@ Starts = Annotated[
         "--starts",
         parser=whole_number,
         metavar="N",
-        help="Number of starts; more are never worse. Of a law or function: N per assembly mode, by default the given one of a "
-        "law; of points: at least N. By default of functions and points: until a better design is unlikely.",
+        help="Number of starting points; more are never worse. Motion law or function: N per assembly mode; path: at least N. "
+        "Default: the given start of a law; of functions and paths as many as make a better design unlikely.",
     ),
 ]
-Seed = Annotated[int, typer.Option("--seed", parser=whole_number, metavar="S", help="Seed of the starts.")]
+Seed = Annotated[int, typer.Option("--seed", parser=whole_number, metavar="S", help="Seed of the starting points.")]
 
 # --- reports and exports -----------------------------------------------------------------------------------------------------
 
@@ -91,5 +91,5 @@ Subjected = Annotated[
     ),
 ]
 Of = Annotated[
-    str | None, typer.Option("--problem", metavar="FILE", help="The problem of a RESULT, if it is neither shipped nor beside it.")
+    str | None, typer.Option("--problem", metavar="FILE", help="Problem file of a RESULT that is neither shipped nor beside it.")
 ]

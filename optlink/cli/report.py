@@ -29,7 +29,7 @@ def register(app: typer.Typer) -> None:
 
 def report(
     subject: Subjected,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.html", help="The page that is written.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.html", help="HTML file to write.")],
     problem: Of = None,
     backend: Searcher = "ipopt",
     starts: Starts = None,
@@ -38,7 +38,7 @@ def report(
     design: Design = None,
     as_json: Json = False,
 ) -> None:
-    """Everything about a design, a simulation or a study on one page: figures, proof, charts, the moving linkage, sources."""
+    """Write a self-contained HTML page of a design, simulation or study: results, checks, charts, animation, sources."""
     with console.reported(as_json):
         from optlink.report.export.export import target
 
@@ -61,20 +61,23 @@ def report(
 def export(
     subject: Subjected,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="The file; its ending chooses: .dxf, .svg, .csv or .json.")
+        Path,
+        typer.Option(
+            "-o", "--output", metavar="FILE", help="File to write; its suffix selects the format: .dxf, .svg, .csv or .json."
+        ),
     ],
     at: Annotated[
         str | None,
-        typer.Option("--at", metavar="ANGLE", help='Crank angle of the drawing: --at "30 deg"; its start if not said.'),
+        typer.Option(
+            "--at", metavar="ANGLE", help='Crank angle of the drawing: --at "30 deg"; default: the start of the motion.'
+        ),
     ] = None,
-    hole: Annotated[str | None, typer.Option("--hole", metavar="SIZE", help='DXF: diameter of the holes: --hole "8 mm".')] = None,
-    width: Annotated[
-        str | None, typer.Option("--width", metavar="SIZE", help='DXF: width of the links: --width "20 mm".')
-    ] = None,
+    hole: Annotated[str | None, typer.Option("--hole", metavar="SIZE", help='DXF: hole diameter: --hole "8 mm".')] = None,
+    width: Annotated[str | None, typer.Option("--width", metavar="SIZE", help='DXF: link width: --width "20 mm".')] = None,
     points: Annotated[
         int, typer.Option("--points", parser=whole_number, metavar="N", help="CSV: steps of the table per revolution.")
     ] = 360,
-    even_invalid: Annotated[bool, typer.Option("--even-invalid", help="Write a design that is not valid all the same.")] = False,
+    even_invalid: Annotated[bool, typer.Option("--even-invalid", help="Write the design even if it is not valid.")] = False,
     problem: Of = None,
     backend: Searcher = "ipopt",
     starts: Starts = None,
@@ -83,7 +86,7 @@ def export(
     design: Design = None,
     as_json: Json = False,
 ) -> None:
-    """A design for other programs: DXF, SVG, CSV or JSON."""
+    """Export a design to DXF, SVG, CSV or JSON."""
     with console.reported(as_json):
         from optlink.report.export.export import FORMATS, Options, target
         from optlink.report.export.export import export as write

@@ -17,7 +17,7 @@ def register(app: typer.Typer) -> None:
 
 
 def list_problems(as_json: Json = False) -> None:
-    """Shipped problems: name, kind, one line."""
+    """List the shipped problems with their kind and a summary."""
     with console.reported(as_json):
         from optlink.problem.file import load, shipped
 
@@ -34,10 +34,10 @@ def list_problems(as_json: Json = False) -> None:
 def show(
     problem: Problem,
     changes: Set = None,
-    as_toml: Annotated[bool, typer.Option("--toml", help="As a problem file, to begin your own with.")] = False,
+    as_toml: Annotated[bool, typer.Option("--toml", help="Print a problem file, as a template for your own.")] = False,
     as_json: Json = False,
 ) -> None:
-    """The problem in full, with units and defaults."""
+    """Show a problem with units and default values."""
     with console.reported(as_json):
         from optlink.problem.file import complete
 

@@ -53,63 +53,73 @@ class Run:
 
 def simulate(
     problem: Problem,
-    duration: Annotated[str | None, typer.Option(metavar="TIME", help='--duration "2 s"; that of the problem else.')] = None,
+    duration: Annotated[
+        str | None, typer.Option(metavar="TIME", help='Simulated time: --duration "2 s"; default: that of the problem.')
+    ] = None,
     points: Annotated[
         int | None,
         typer.Option(
             parser=whole_number,
             metavar="N",
-            help="Steps of the table: 1000; with clearance of a revolution: 360, to compare or tune 200.",
+            help="Steps of the table. Default: 1000; with clearance 360 per revolution, 200 to compare or tune.",
         ),
     ] = None,
     speed: Speed = None,
-    torque: Annotated[str | None, typer.Option(metavar="TORQUE", help='A constant driving torque: --torque "5 N*m".')] = None,
-    flywheel: Annotated[str | None, typer.Option(metavar="J", help='At the crank: --flywheel "0.2 kg*m^2".')] = None,
+    torque: Annotated[str | None, typer.Option(metavar="TORQUE", help='Constant driving torque: --torque "5 N*m".')] = None,
+    flywheel: Annotated[
+        str | None, typer.Option(metavar="J", help='Flywheel inertia at the crank: --flywheel "0.2 kg*m^2".')
+    ] = None,
     revolutions: Annotated[
-        int | None, typer.Option(parser=whole_number, metavar="N", help="With clearance: how many; 20 if not said.")
+        int | None, typer.Option(parser=whole_number, metavar="N", help="With clearance: number of revolutions. Default: 20.")
     ] = None,
     control: Annotated[
         str | None,
-        typer.Option(metavar="HOW", help="With clearance: none, inverse, pid, inverse+pid; compare: all, from several starts."),
+        typer.Option(
+            metavar="HOW",
+            help="With clearance, control: none, inverse, pid, inverse+pid; compare: all of them, from several starts.",
+        ),
     ] = None,
     tune: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Tune this parameter of the control: proportional, integral, derivative, regularisation, bandwidth. Repeatable.",
+            help="Control parameter to tune: proportional, integral, derivative, regularisation, bandwidth. Repeatable.",
         ),
     ] = None,
     evaluations: Annotated[
-        int | None, typer.Option(parser=whole_number, metavar="N", help="With --tune: number of parameter sets to try; 24.")
+        int | None, typer.Option(parser=whole_number, metavar="N", help="With --tune: number of parameter sets. Default: 24.")
     ] = None,
     starts: Annotated[
         int | None,
         typer.Option(
-            parser=whole_number, metavar="N", help="To compare or tune: number of crank angles at the start; compare 5, tune 3."
+            parser=whole_number,
+            metavar="N",
+            help="To compare or tune: number of initial crank angles. Default: compare 5, tune 3.",
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(parser=whole_number, metavar="S", help="To compare or tune: of these crank angles; 0.")
+        int | None,
+        typer.Option(parser=whole_number, metavar="S", help="To compare or tune: seed of the initial crank angles. Default: 0."),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(parser=whole_number, metavar="N", help="To compare or tune: processes that share the runs; all cores."),
+        typer.Option(parser=whole_number, metavar="N", help="To compare or tune: number of processes. Default: all cores."),
     ] = None,
     tolerance: Annotated[
         float | None,
-        typer.Option(metavar="X", help="With clearance: relative, of the integrator; 1e-10, to compare or tune 1e-8."),
+        typer.Option(
+            metavar="X", help="With clearance: relative tolerance of the integrator. Default: 1e-10; to compare or tune 1e-8."
+        ),
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="With clearance: go on with the run that was interrupted in --out DIR.")
-    ] = False,
-    ideal: Annotated[bool, typer.Option("--ideal", help="As if no joint had clearance.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="With clearance: resume the interrupted run in --out DIR.")] = False,
+    ideal: Annotated[bool, typer.Option("--ideal", help="Ignore joint clearance.")] = False,
     changes: Set = None,
     design: Design = None,
     csv: Csv = None,
     as_json: Json = False,
     out: Out = None,
 ) -> None:
-    """Motion in time, under a torque or at a constant speed; with clearance in joints, and control, if the problem has them."""
+    """Simulate a machine in time, under a torque or at constant speed, with joint clearance and control."""
     with console.reported(as_json):
         file = console.load(problem, changes)
         if torque is not None:

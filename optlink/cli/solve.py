@@ -34,14 +34,15 @@ def solve(
     starts: Starts = None,
     seed: Seed = 0,
     designs: Annotated[
-        int | None, typer.Option(parser=whole_number, metavar="N", help="Of points or poses: distinct designs; 3 if not said.")
+        int | None,
+        typer.Option(parser=whole_number, metavar="N", help="Path and motion problems: number of distinct designs. Default: 3."),
     ] = None,
     changes: Set = None,
     design: Design = None,
     as_json: Json = False,
     out: Out = None,
 ) -> None:
-    """Find the design, prove it, and report the shadow price of each active constraint."""
+    """Optimise a design, verify it independently, and report the shadow prices of the active constraints."""
     with console.reported(as_json), console.result_folder(out, "solve", problem):
         if design:
             _validate(problem, design, changes, as_json, out)
@@ -58,7 +59,7 @@ def solve(
 
 
 def validate(problem: Problem, design: Design = None, changes: Set = None, as_json: Json = False, out: Out = None) -> None:
-    """Prove a given design, or show where it fails."""
+    """Check a design against all requirements and limits."""
     with console.reported(as_json), console.result_folder(out, "validate", problem):
         _validate(problem, design or [], changes, as_json, out)
 

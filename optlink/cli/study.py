@@ -24,20 +24,18 @@ Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help=f"One of
 Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="local (processes) or dask.")]
 Workers = Annotated[
     int | None,
-    typer.Option("--workers", parser=whole_number, metavar="N", help="Processes; as many as cores if left out."),
+    typer.Option("--workers", parser=whole_number, metavar="N", help="Number of processes. Default: all cores."),
 ]
 Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="With --engine dask: of a cluster that runs.")
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="With --engine dask: address of a running scheduler.")
 ]
 Kept = Annotated[
     Path | None,
-    typer.Option(
-        "--out", metavar="DIR", help="Keep chunks there as they are done; tables, result.json and a picture at the end."
-    ),
+    typer.Option("--out", metavar="DIR", help="Folder for completed chunks, and for table, result.json and picture at the end."),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with the run in --out DIR that ended early.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Resume the interrupted run in --out DIR.")]
 
-study = typer.Typer(no_args_is_help=True, help="What if: how an optimum answers to what is given, one by one or over a grid.")
+study = typer.Typer(no_args_is_help=True, help="Parametric studies: sensitivity, sweep, tolerance analysis, Pareto front.")
 
 
 def register(app: typer.Typer) -> None:
@@ -48,26 +46,30 @@ def register(app: typer.Typer) -> None:
 @study.command()
 def sensitivity(
     problem: Problem,
-    check: Annotated[bool, typer.Option("--check", help="Search again on both sides of each, and print the agreement.")] = False,
+    check: Annotated[bool, typer.Option("--check", help="Verify each sensitivity by re-optimising on both sides.")] = False,
     output: Annotated[
         str | None,
-        typer.Option(metavar="BODY|P.x", help="Instead: how an output angle or point answers to every size."),
+        typer.Option(
+            metavar="BODY|P.x", help="Sensitivity of an output angle or point to every dimension, instead of the objective."
+        ),
     ] = None,
     angles: Annotated[
         str | None,
         typer.Option("--angles", metavar="LIST", help=f'With --output, crank angles: "0 deg, 60 deg" or "{AROUND}" (default).'),
     ] = None,
     backend: Backend = "ipopt",
-    starts: Annotated[int | None, typer.Option(metavar="N", help="Number of starts of the search.")] = None,
-    seed: Annotated[int, typer.Option(metavar="S", help="Seed of the starts.")] = 0,
+    starts: Annotated[int | None, typer.Option(metavar="N", help="Number of starting points.")] = None,
+    seed: Annotated[int, typer.Option(metavar="S", help="Seed of the starting points.")] = 0,
     changes: Set = None,
     design: Annotated[
-        list[str] | None, typer.Option("--design", metavar="NAME=VALUE", help="With --output: a given design. Repeatable.")
+        list[str] | None, typer.Option("--design", metavar="NAME=VALUE", help="With --output: design to use. Repeatable.")
     ] = None,
     as_json: Json = False,
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and the tornado.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for result.json, table and tornado chart.")
+    ] = None,
 ) -> None:
-    """At the optimum: what each fixed size and each limit costs, how the design moves with it, and how far that holds."""
+    """Sensitivity of the optimum to each fixed parameter and limit, with the range over which it holds."""
     with console.reported(as_json), console.result_folder(out, "sensitivity", problem):
         from optlink.studies.reoptimise_task import check_backend
 
@@ -160,26 +162,36 @@ def sweep(
         list[str] | None,
         typer.Option("--vary", metavar="KEY=VALUES", help='mechanism.frame="450..550 mm:101", or a list of values. Repeatable.'),
     ] = None,
-    analyze: Annotated[bool, typer.Option("--analyze", help="Only analyse the designs, no optimisation.")] = False,
-    simulate: Annotated[bool, typer.Option("--simulate", help="Only simulate the designs, with their clearance.")] = False,
+    analyze: Annotated[bool, typer.Option("--analyze", help="Analyse the machine at every point, without optimisation.")] = False,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Simulate the machine at every point, with joint clearance, without optimisation.")
+    ] = False,
     revolutions: Annotated[
-        int | None, typer.Option(parser=whole_number, metavar="N", help="With --simulate, of joints with clearance; 20.")
+        int | None,
+        typer.Option(
+            parser=whole_number, metavar="N", help="With --simulate and joint clearance: number of revolutions. Default: 20."
+        ),
     ] = None,
-    control: Annotated[str | None, typer.Option(metavar="HOW", help="With --simulate: none, inverse, pid, inverse+pid.")] = None,
+    control: Annotated[
+        str | None, typer.Option(metavar="HOW", help="With --simulate, control: none, inverse, pid, inverse+pid.")
+    ] = None,
     column: Annotated[
         list[str] | None,
         typer.Option(
             "--column",
             metavar="NAME",
-            help="With --analyze: a column of the analysis, or a figure such as slider.stroke_m. Repeatable.",
+            help="With --analyze: column of the analysis, or a figure such as slider.stroke_m. Repeatable.",
         ),
     ] = None,
     points: Annotated[
-        int | None, typer.Option(parser=whole_number, metavar="N", help="With --analyze: crank angles per revolution; 360.")
+        int | None,
+        typer.Option(parser=whole_number, metavar="N", help="With --analyze: crank angles per revolution. Default: 360."),
     ] = None,
     design: Annotated[
         list[str] | None,
-        typer.Option("--design", metavar="NAME=VALUE", help="With --analyze: what is free and not varied. Repeatable."),
+        typer.Option(
+            "--design", metavar="NAME=VALUE", help="With --analyze: values of design variables that are not varied. Repeatable."
+        ),
     ] = None,
     backend: Backend = "ipopt",
     engine: Engine = "local",
@@ -190,7 +202,7 @@ def sweep(
     as_json: Json = False,
     out: Kept = None,
 ) -> None:
-    """Solve the problem again at every point of a grid; each optimum proven, interruptible, on one machine or a cluster."""
+    """Solve, analyse or simulate a problem at every point of a grid, on one machine or a cluster; resumable."""
     with console.reported(as_json):
         from optlink.errors import Fault, InputError
         from optlink.studies.sweep import sweep as run
@@ -247,45 +259,46 @@ def tolerance(
         typer.Option(
             "--tolerance",
             metavar="NAME=T",
-            help='coupler="0.1 mm", D.x="0.05 mm uniform", C.clearance="0.1 mm", rocker=parts.csv. Repeatable. Else [tolerances]',
+            help='coupler="0.1 mm", D.x="0.05 mm uniform", C.clearance="0.1 mm", rocker=parts.csv. Repeatable. Default: those of the file.',
         ),
     ] = None,
     output: Annotated[
-        str | None, typer.Option(metavar="BODY|P.x|error", help="What is judged; the error, where a motion law is wanted.")
+        str | None, typer.Option(metavar="BODY|P.x|error", help="Output to analyse. Default: the error of a motion law.")
     ] = None,
     angles: Annotated[
         str | None, typer.Option("--angles", metavar="LIST", help='Crank angles: "0 deg, 60 deg" or "0..330 deg:12".')
     ] = None,
     limit: Annotated[
-        str | None, typer.Option(metavar="SIZE", help='What error or change is allowed, "0.5 deg": the yield is told.')
+        str | None, typer.Option(metavar="SIZE", help='Permitted error or deviation, for the yield: "0.5 deg".')
     ] = None,
-    samples: Annotated[int, typer.Option(metavar="N", help="Linkages with deviations drawn; 0: linear analysis only.")] = 131072,
+    samples: Annotated[int, typer.Option(metavar="N", help="Number of sampled linkages; 0: linear analysis only.")] = 131072,
     seed: Annotated[int, typer.Option(metavar="S", help="Seed of the samples.")] = 0,
     distribution: Annotated[
-        str, typer.Option(metavar="NAME", help="Where none is said: normal (the tolerance is 3 sigma), uniform, triangular.")
+        str, typer.Option(metavar="NAME", help="Default distribution: normal (the tolerance is 3 sigma), uniform, triangular.")
     ] = "normal",
     allocate: Annotated[
-        str | None, typer.Option(metavar="YIELD", help='Search the loosest tolerances that keep a yield: "99.7 %".')
+        str | None, typer.Option(metavar="YIELD", help='Find the least costly tolerances that reach a yield: "99.7 %".')
     ] = None,
     cost: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=C", help="With --allocate: a tolerance t costs C/t; 1 if left out. Repeatable."),
+        typer.Option(metavar="NAME=C", help="With --allocate: a tolerance t costs C/t. Default: 1. Repeatable."),
     ] = None,
     robust: Annotated[
         str | None,
         typer.Option(
             metavar="K|worst|margin|yield",
-            help="Search the design with the least error plus K sigma, or the worst case; with most sigma; with most yield.",
+            help="Optimise the design for the error plus K sigma, the worst case, the most sigma, or the largest yield.",
         ),
     ] = None,
     changes: Set = None,
     design: Annotated[
-        list[str] | None, typer.Option("--design", metavar="NAME=VALUE", help="A given design instead of the best. Repeatable.")
+        list[str] | None,
+        typer.Option("--design", metavar="NAME=VALUE", help="Design to analyse, instead of the optimum. Repeatable."),
     ] = None,
     as_json: Json = False,
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write result.json, a table and pictures.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for result.json, table and pictures.")] = None,
 ) -> None:
-    """How exact it must be built: worst case, scatter and yield for given tolerances, and the loosest that will do."""
+    """Tolerance analysis: worst case, statistical scatter, yield, tolerance allocation, robust design."""
     with console.reported(as_json), console.result_folder(out, "tolerance", problem):
         from optlink.errors import Fault, InputError
         from optlink.studies.tolerance.analysis import tolerance as run
@@ -335,7 +348,11 @@ def pareto(
     ],
     points: Annotated[
         int | None,
-        typer.Option(parser=whole_number, metavar="N", help="Points; of three objectives along each of two. 15, of three 7."),
+        typer.Option(
+            parser=whole_number,
+            metavar="N",
+            help="Number of points; with three objectives along each of two axes. Default: 15; with three objectives 7.",
+        ),
     ] = None,
     backend: Backend = "ipopt",
     engine: Engine = "local",
@@ -346,7 +363,7 @@ def pareto(
     as_json: Json = False,
     out: Kept = None,
 ) -> None:
-    """What one objective costs in another: the front of two or three, its ends and its knee, every point proven."""
+    """Pareto front of two or three objectives, with its ends and knee; every point is validated."""
     with console.reported(as_json):
         from optlink.studies.pareto.epsilon_constraint import pareto as run
 
