@@ -259,7 +259,7 @@ def tolerance(
         typer.Option(
             "--tolerance",
             metavar="NAME=T",
-            help='coupler="0.1 mm", D.x="0.05 mm uniform", C.clearance="0.1 mm", rocker=parts.csv. Repeatable. Default: those of the file.',
+            help='coupler="0.1 mm", D.x="0.05 mm uniform", rocker=parts.csv. Default: as in the file. Repeatable.',
         ),
     ] = None,
     output: Annotated[
