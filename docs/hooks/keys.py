@@ -28,7 +28,7 @@ from optlink.clearance.contact_laws import NORMAL
 from optlink.errors import InputError
 from optlink.problem.base_model import Section
 from optlink.problem.cycle import CycleProblem
-from optlink.problem.cycle_terms import NATURES
+from optlink.problem.cycle_quantities import QUANTITIES
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
@@ -94,7 +94,7 @@ FORMS = {
     "DyadsSection.ground": "names with `[x, y]`, each fixed or free",
     "Problem.tolerances": "names with text or tables",
     "Term.quantity": "one of the [quantities](#quantities)",
-    "Objective.quantity": "one of the [quantities](#quantities)",
+    "TermSection.quantity": "one of the [quantities](#quantities)",
     "Requirement.law": "text or table",
     "Requirement.robust": "text",
     "Requirement.start": " or ".join(f"`{start}`" for start in DEAD_CENTRES) + ", or angle, fixed or free",
@@ -372,7 +372,7 @@ def _cell(text: str) -> str:
 def _terms() -> str:
     lines = ["## Quantities of the cycle { #quantities }", "", "What `quantity` may be in `[objective]` and `[limits.NAME]`.", ""]
     lines += ["| quantity | kind | `of` | measures |", "|---|---|---|---|"]
-    for name, nature in NATURES.items():
+    for name, nature in QUANTITIES.items():
         measures = ", ".join(f"`{measure}`" for measure in nature.measures) or "one figure"
         lines.append(f"| `{name}` | {nature.kind or 'number'} | {nature.of or '-'} | {measures} |")
     return "\n".join(lines)

@@ -15,17 +15,17 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.inverse import Reactions, reactions, reported_on, required_wrench, shaking
+from optlink.dynamics.inverse import Reactions, reactions, required_wrench
 from optlink.dynamics.loads import Force, Load
 from optlink.dynamics.machine import Machine, Moving, jet_parts
-from optlink.linkage.dyad_types import RRP, RRR
 from optlink.linkage.extrema import zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import Direction, slow_stroke
-from optlink.linkage.vector2d import Value, cross, dot, magnitude, minus, sign, unit
+from optlink.linkage.vector2d import Value, dot, sign, unit
 from optlink.problem.cycle import CycleProblem
-from optlink.problem.cycle_terms import STATIC, Term, guide_of, output_of
+from optlink.problem.cycle_quantities import guide_of
+from optlink.problem.cycle_terms import Term, output_of
 from optlink.problem.machine.load_curves import Curve
 from optlink.problem.mechanism import sizes_of
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
@@ -168,46 +168,13 @@ class TracedCycle:
 
     def _signals(self, moving: Moving) -> list[tuple[Value, ...]]:
         """Return the components of every cyclic term, followed by the driving torque if work is required."""
-        forced = [term for term in self.cyclic if term.quantity in STATIC]
-        if not forced and not self.works:  # friction, with which reactions cannot be traced, does not affect the motion
-            return [self._signal(term, moving, None) for term in self.cyclic]
-        whole = reactions(moving)
+        signals = {term.quantity: term.nature.signal for term in self.cyclic}
+        forced = [term for term in self.cyclic if term.nature.forces]
+        # friction, with which reactions cannot be traced, does not affect the motion
+        whole = reactions(moving) if forced or self.works else Reactions(0.0, {}, {}, {})
         still = reactions(moving, required_wrench(moving, inertia=False)) if any(t.static for t in forced) else whole
-        found = [self._signal(term, moving, still if term.static else whole) for term in self.cyclic]
+        found = [signal(moving, still if t.static else whole, t) for t in self.cyclic if (signal := signals[t.quantity])]
         return [*found, (whole.torque,)] if self.works else found
-
-    def _signal(self, term: Term, moving: Moving, found: Reactions | None) -> tuple[Value, ...]:
-        what, name = term.quantity, str(term.of)
-        if found is not None and what == "torque":
-            return (found.torque,)
-        if found is not None and what == "reaction":
-            return found.pins[name][term.on or reported_on(moving.machine)[name]]
-        if what in ("shaking force", "shaking moment"):
-            shaken = shaking(moving)
-            return shaken.force if what == "shaking force" else (shaken.moment,)
-        if what == "velocity":
-            return moving.velocity(name)
-        if what == "acceleration":
-            return moving.acceleration(name)
-        if what == "transmission angle":
-            return (self._transmission(name, moving),)
-        guide = str(guide_of(name, self.mechanism))
-        if found is not None and what == "guide force":
-            return (found.guides[guide].normal,)
-        if found is not None and what == "guide moment":
-            return (found.guides[guide].moment,)
-        s, v, _ = moving.slides[guide]
-        return (s,) if what == "slide" else (v / self.speed,)
-
-    def _transmission(self, joint: str, moving: Moving) -> Value:
-        """Return the angle between two links, or between a link and the normal of a slider's line [rad]; 90 deg is best."""
-        group = next(group for group in self.mechanism.groups if group.joint == joint)
-        if isinstance(group, RRR):
-            p, q = (minus(moving.position(pin), moving.position(joint)) for pin in group.pins)
-            return np.arctan2(magnitude(cross(p, q)), dot(p, q))
-        assert isinstance(group, RRP)
-        link, line = minus(moving.position(joint), moving.position(group.outer)), moving.line(group.guide.name)
-        return np.arctan2(magnitude(dot(link, line)), cross(line, link))
 
     def _output(self, term: Term, moving: Moving) -> tuple[Value, ...]:
         """Return the position of an output: slide, coordinate of a point, or direction of a body."""

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import model_validator
+from pydantic import BeforeValidator, model_validator
 
-from optlink.linkage.dyad_types import RRP, RRR
-from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.mechanism import Mechanism
 from optlink.problem.base_model import Section
+from optlink.problem.cycle_quantities import GUIDE, QUANTITIES, QuantityType, guide_of, moving_points
 from optlink.problem.quantity import (
     STROKES,
     FixedAngle,
@@ -25,70 +24,25 @@ from optlink.problem.quantity import (
 )
 
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
-What = Literal[
-    "torque",
-    "reaction",
-    "guide force",
-    "guide moment",
-    "shaking force",
-    "shaking moment",
-    "velocity",
-    "acceleration",
-    "transmission angle",
-    "slide",
-    "lever arm",
-    "stroke",
-    "end",
-    "time ratio",
-    "work",
-    "length",
-]
+
+
+def _known(raw: object) -> object:
+    if not isinstance(raw, str) or raw not in QUANTITIES:
+        raise Unusable("not one of the choices", nearest(str(raw), QUANTITIES), "", raw)
+    return raw
+
+
+What = Annotated[str, BeforeValidator(_known)]
+"""One of `QUANTITIES`."""
 EXTREME = ("peak", "largest", "least")
 """Measures that a single position decides: as many rows as positions, rather than one figure."""
 
 
-@dataclass(frozen=True)
-class QuantityType:
-    """Properties of a quantity: physical kind ("" for a plain number), its measures, and the element that `of` must name.
+class TermSection(Section):
+    """Keys of a term."""
 
-    `vector`: it has two components and only its magnitude counts; `cyclic`: it has a value at every crank angle.
-    """
-
-    kind: str
-    measures: tuple[str, ...]
-    of: str
-    vector: bool = False
-    cyclic: bool = True
-
-
-_SIGNED = ("peak", "rms", "mean", "largest", "least")
-NATURES: dict[str, QuantityType] = {
-    "torque": QuantityType("torque", _SIGNED, ""),
-    "reaction": QuantityType("force", ("peak", "rms"), "pin joint", vector=True),
-    "guide force": QuantityType("force", _SIGNED, "guide"),
-    "guide moment": QuantityType("torque", _SIGNED, "guide"),
-    "shaking force": QuantityType("force", ("peak", "rms"), "", vector=True),
-    "shaking moment": QuantityType("torque", _SIGNED, ""),
-    "velocity": QuantityType("velocity", ("peak", "rms"), "moving point", vector=True),
-    "acceleration": QuantityType("acceleration", ("peak", "rms"), "moving point", vector=True),
-    "transmission angle": QuantityType("angle", ("least", "largest"), "joint of two links, or of a link and a slider"),
-    "slide": QuantityType("coordinate", ("least", "largest"), "guide"),
-    "lever arm": QuantityType("length", ("peak", "rms"), "guide"),
-    "stroke": QuantityType("length", (), "slider, body or point", cyclic=False),
-    "end": QuantityType("coordinate", (), "slider or point", cyclic=False),
-    "time ratio": QuantityType("", (), "slider, body or point", cyclic=False),
-    "work": QuantityType("energy", (), "slider", cyclic=False),
-    "length": QuantityType("coordinate", (), "size", cyclic=False),
-}
-STATIC = ("torque", "reaction", "guide force", "guide moment")
-"""Quantities that can be asked for without the inertia of the bodies."""
-
-
-class Term(Section):
-    """A value computed from the cycle: a quantity, the element where it is evaluated, and the measure that reduces it."""
-
-    quantity: What
-    """What is meant."""
+    quantity: What | None = None
+    """What is minimised."""
     of: str | None = None
     """Where it is taken: the name of a pin, guide, slider, body, point or size, whichever the quantity asks for."""
     on: str | None = None
@@ -103,6 +57,13 @@ class Term(Section):
     """Of an end, and of the work of a slider: in which stroke, forward or backward. Of a time ratio: the stroke whose time is
     divided by that of the other; left out: the slow one."""
 
+
+class Term(TermSection):
+    """A value computed from the cycle: a quantity, the element where it is evaluated, and the measure that reduces it."""
+
+    quantity: What
+    """What is meant."""
+
     @model_validator(mode="after")
     def _fits(self) -> Self:
         check_shape(self)
@@ -111,7 +72,7 @@ class Term(Section):
     @property
     def nature(self) -> QuantityType:
         """Properties of the quantity."""
-        return NATURES[self.quantity]
+        return QUANTITIES[self.quantity]
 
     @property
     def how(self) -> str:
@@ -150,8 +111,7 @@ class Term(Section):
             return f"end of the {self.stroke} stroke of {self.of}{along}"
         if self.quantity == "length":
             return str(self.of)
-        where = {"reaction": "at", "transmission angle": "at", "guide force": "in", "guide moment": "in", "slide": "in"}
-        words += f" {where.get(self.quantity, 'of')} {self.of}" if self.of else ""
+        words += f" {self.nature.at} {self.of}" if self.of else ""
         words += f" on {self.on}" if self.on else ""
         words += f", {self.stroke} over {STROKES[self.stroke]}" if self.quantity == "time ratio" and self.stroke else ""
         return words + (f" along {self.direction}" if self.direction is not None else "")
@@ -184,8 +144,9 @@ def check_shape(term: Term) -> None:
         raise Unusable(f"the {what} is that of the whole machine", "Leave it out", "of", term.of)
     if term.on is not None and what != "reaction":
         raise Unusable("only a reaction acts on a body", "Leave it out", "on", term.on)
-    if term.static and what not in STATIC:
-        raise Unusable(f"{_a(what)} has no static part", f"Leave it out; only {', '.join(STATIC)} have one", "static")
+    if term.static and not nature.forces:
+        static = ", ".join(name for name, known in QUANTITIES.items() if known.forces)
+        raise Unusable(f"{_a(what)} has no static part", f"Leave it out; only {static} have one", "static")
     if term.stroke is not None and what not in ("end", "time ratio") and (what != "work" or term.of is None):
         message = "only an end, a time ratio, and the work during a stroke of a slider have one"
         raise Unusable(message, 'Write quantity = "work" and of', "stroke")
@@ -213,24 +174,9 @@ class Goal(Term):
         return self
 
 
-class Objective(Section):
+class Objective(TermSection):
     """The objective: one term, or a weighted sum of several under `terms`."""
 
-    quantity: What | None = None
-    """What is minimised."""
-    of: str | None = None
-    """Where it is taken: the name of a pin, guide, slider, body, point or size, whichever the quantity asks for."""
-    on: str | None = None
-    """Of a reaction: the body on which it acts."""
-    measure: Measure | None = None
-    """How the course over the cycle becomes one figure; left out: the first that the quantity has."""
-    static: bool = False
-    """Leave the inertia of the bodies out; weights and loads stay."""
-    direction: FixedAngle | None = None
-    """Of the stroke of a point: along what, from +x."""
-    stroke: Literal["forward", "backward", "slow", "quick"] | None = None
-    """Of an end, and of the work of a slider: in which stroke, forward or backward. Of a time ratio: the stroke whose time is
-    divided by that of the other; left out: the slow one."""
     sense: Literal["minimise", "maximise"] = "minimise"
     """Whether it shall be small or large."""
     terms: tuple[Goal, ...] = ()
@@ -242,9 +188,7 @@ class Objective(Section):
         if self.terms and own:
             raise Unusable("the objective is one term or a sum of terms", "Put all of them under [[objective.terms]]", own[0])
         if not self.terms and self.quantity is None:
-            raise Unusable(
-                "nothing is to be minimised", f'Add quantity = "torque"; known: {", ".join(get_args(What))}', "quantity"
-            )
+            raise Unusable("nothing is to be minimised", f'Add quantity = "torque"; known: {", ".join(QUANTITIES)}', "quantity")
         if not self.terms:
             _ = self.goals  # runs its checks
         for k, goal in enumerate(self.terms):
@@ -381,21 +325,6 @@ def _a(words: str) -> str:
 # --- elements named by `of` --------------------------------------------------------------------------------------------
 
 
-def guide_of(name: str, mechanism: Mechanism) -> str | None:
-    """Return the guide of that name, or the only guide of a slider of that name; None if there is none.
-
-    Parameters
-    ----------
-    name : str
-        Name of a guide or slider.
-    mechanism : Mechanism
-    """
-    if any(guide.name == name for guide in mechanism.guides):
-        return name
-    own = [guide.name for guide in mechanism.guides if guide.slider == name]
-    return own[0] if len(own) == 1 else None
-
-
 def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
     """Return the output of a term: ("guide" | "body" | "point", name).
 
@@ -410,7 +339,7 @@ def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
         with the key below the term.
     """
     name = str(term.of)
-    points = [point for point, bodies in mechanism.owners.items() if FRAME not in bodies]
+    points = moving_points(mechanism)
     if name in points:
         if term.direction is None:
             raise Unusable("a point moves in the plane", 'Say along what: direction = "0 deg"', "direction")
@@ -449,22 +378,12 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
             raise Unusable(message, "Name a slider or a point", "of", term.of)
     elif term.direction is not None:
         raise Unusable("only the stroke of a point has a direction", "Leave it out", "direction", str(term.direction))
-    if what == "reaction":
-        if name not in mechanism.pins:
-            raise Unusable("no such pin joint", nearest(name, mechanism.pins), "of", term.of)
-        if term.on is not None and term.on not in mechanism.pins[name]:
-            raise Unusable("the joint is not one of that body", nearest(term.on, mechanism.pins[name]), "on", term.on)
-    if what in ("guide force", "guide moment", "slide", "lever arm") or (what == "work" and term.of is not None):
-        guides = [guide.name for guide in mechanism.guides]
-        if guide_of(name, mechanism) is None:
-            raise Unusable("no such guide", nearest(name, guides) if guides else "This machine has none", "of", term.of)
-    if what in ("velocity", "acceleration"):
-        points = [point for point, bodies in mechanism.owners.items() if FRAME not in bodies]
-        if name not in points:
-            raise Unusable("no moving body has such a point", nearest(name, points), "of", term.of)
-    if what == "transmission angle":
-        joints = [group.joint for group in mechanism.groups if isinstance(group, RRR | RRP)]
-        if name not in joints:
-            raise Unusable("no group has its transmission angle there", nearest(name, joints), "of", term.of)
+    element = None if term.of is None else term.nature.element
+    if element is not None:
+        known = element.names(mechanism)
+        if name not in known and not (element is GUIDE and guide_of(name, mechanism)):
+            raise Unusable(element.missing, nearest(name, known) if known else "This machine has none", "of", term.of)
+    if term.on is not None and term.on not in mechanism.pins[name]:
+        raise Unusable("the joint is not one of that body", nearest(term.on, mechanism.pins[name]), "on", term.on)
     if what == "length" and name not in quantities:
         raise Unusable("no such size", nearest(name, quantities), "of", term.of)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -12,17 +11,16 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.inertia import Parameters
-from optlink.dynamics.inverse import reported_on
 from optlink.dynamics.loads import Acting
 from optlink.dynamics.machine import Machine, Moving
 from optlink.dynamics.work import NODES, WEIGHTS, Work
-from optlink.linkage.dyad_types import RRP, RRR
 from optlink.linkage.extrema import extremes
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import TURN, Travel, reachable, travels
 from optlink.linkage.vector2d import Value, turn
 from optlink.problem.cycle import Bound, CycleProblem
-from optlink.problem.cycle_terms import Term, guide_of, output_of
+from optlink.problem.cycle_quantities import guide_of
+from optlink.problem.cycle_terms import Term, output_of
 from optlink.problem.limit_terms import stroke_ratio
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
@@ -67,28 +65,6 @@ def without_masses(machine: Machine) -> Machine:
     """Return the machine with weights and loads only."""
     weights = tuple(_Weight(body, mass.parameters, machine.gravity) for body, mass in machine.inertias.items())
     return machine.with_(inertias={}, gravity=(0.0, 0.0), loads=(*machine.loads, *weights))
-
-
-@dataclass(frozen=True)
-class MachineCycle:
-    """One machine over its revolution, evaluated on either side of load jumps."""
-
-    machine: Machine
-    speed: float
-    jumps: Array
-
-    def values(self, columns: Callable[[MotionColumns], Array], angles: Array, side: int = 1) -> Array:
-        """Return a quantity at crank angles.
-
-        Parameters
-        ----------
-        columns : function of MotionColumns to array (n,)
-            Reads the quantity.
-        angles : array (n,) [rad]
-        side : int
-            Side of load jumps, +1 after, -1 before.
-        """
-        return columns(MotionColumns(self.machine.moving(angles, self.speed, side=side)))
 
 
 class Cycle:
@@ -181,50 +157,9 @@ class Cycle:
 
     def course(self, term: Term) -> tuple[Machine, Callable[[MotionColumns], Array]]:
         """Return the machine of a cyclic term, and a function that reads the term from a record."""
-        what, name = term.quantity, str(term.of)
-        machine = self._still if term.static else self.machine
-
-        def size(x: str, y: str) -> Callable[[MotionColumns], Array]:
-            return lambda record: np.hypot(record[x], record[y])
-
-        if what == "torque":
-            return machine, lambda record: record["input.torque_Nm"]
-        if what == "reaction":
-            on = term.on or reported_on(self.machine)[name]
-
-            def pin(record: MotionColumns) -> Array:
-                x, y = (record.full(part) for part in record.reactions.pins[name][on])
-                return np.asarray(np.hypot(x, y))
-
-            return machine, pin
-        if what == "shaking force":
-            return machine, size("frame.shaking_fx_N", "frame.shaking_fy_N")
-        if what == "shaking moment":
-            return machine, lambda record: record["frame.shaking_moment_Nm"]
-        if what == "velocity":
-            return machine, size(f"{name}.vx_m_s", f"{name}.vy_m_s")
-        if what == "acceleration":
-            return machine, size(f"{name}.ax_m_s2", f"{name}.ay_m_s2")
-        if what == "transmission angle":
-            return machine, lambda record: self._transmission(name, record)
-        guide = str(guide_of(name, self.mechanism))
-        slider = slider_names(self.machine)[guide]
-        column = {"guide force": f"{guide}.normal_N", "guide moment": f"{guide}.moment_Nm", "slide": f"{slider}.s_m"}
-        if what == "lever arm":
-            return machine, lambda record: np.abs(record[f"{slider}.v_m_s"] / self.speed)
-        return machine, lambda record: record[column[what]]
-
-    def _transmission(self, joint: str, record: MotionColumns) -> Array:
-        """Return the transmission angle at a joint [rad]: between two links, or between a link and the normal of the guide."""
-        group = next(group for group in self.mechanism.groups if group.joint == joint)
-        if isinstance(group, RRR):
-            return record[f"{joint}.transmission_rad"]
-        motion = record.moving.motion
-        assert isinstance(group, RRP)
-        link = np.asarray(motion.position(joint) - motion.position(group.outer))
-        line = record.moving.line(group.guide.name)
-        cosine = (line[0] * link[:, 1] - line[1] * link[:, 0]) / np.linalg.norm(link, axis=1)
-        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))  # values beyond +-1 are rounding errors
+        read = term.nature.course
+        assert read is not None
+        return self._still if term.static else self.machine, lambda record: read(record, term)
 
     def _cyclic(self, term: Term) -> float:
         machine, read = self.course(term)

@@ -10,7 +10,8 @@ from typing import Any, get_args
 
 from optlink.errors import Fault, InputError
 from optlink.problem.cycle import CycleProblem
-from optlink.problem.cycle_terms import Limit, Measure, Term, What
+from optlink.problem.cycle_quantities import QUANTITIES
+from optlink.problem.cycle_terms import Limit, Measure, Term
 from optlink.problem.file import SIDES, ProblemFile, read
 from optlink.problem.quantity import nearest
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
@@ -21,13 +22,19 @@ from optlink.validation.cycle import Cycle
 OWN = "objective"
 
 _NAME = r"[A-Za-z][\w.\-]*"
-_TERM = re.compile(
-    rf"(?:(?P<sense>minimise|maximise)\s+)?(?:(?P<measure>{'|'.join(get_args(Measure))})\s+)?(?:(?P<static>static)\s+)?"
-    rf"(?P<quantity>{'|'.join(sorted(get_args(What), key=len, reverse=True))})(?:\s+per\s+revolution)?"
-    r"(?:\s+(?:of|in)\s+the\s+(?P<stroke>forward|backward)\s+stroke)?"
-    rf"(?:\s+(?:of|at|in)\s+(?P<of>{_NAME}))?(?:\s+on\s+(?P<on>{_NAME}))?(?:\s+along\s+(?P<direction>\S.*))?",
-    re.IGNORECASE,
-)
+
+
+def _parsed(name: str) -> re.Match[str] | None:
+    """Return the parts of a term such as "minimise peak torque"."""
+    quantities = "|".join(sorted(QUANTITIES, key=len, reverse=True))
+    return re.fullmatch(
+        rf"(?:(?P<sense>minimise|maximise)\s+)?(?:(?P<measure>{'|'.join(get_args(Measure))})\s+)?(?:(?P<static>static)\s+)?"
+        rf"(?P<quantity>{quantities})(?:\s+per\s+revolution)?"
+        r"(?:\s+(?:of|in)\s+the\s+(?P<stroke>forward|backward)\s+stroke)?"
+        rf"(?:\s+(?:of|at|in)\s+(?P<of>{_NAME}))?(?:\s+on\s+(?P<on>{_NAME}))?(?:\s+along\s+(?P<direction>\S.*))?",
+        name,
+        re.IGNORECASE,
+    )
 
 
 def _model(problem: ProblemFile) -> CycleProblem:
@@ -67,9 +74,9 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
         return _termed(problem, raw, sense, number, name)
     if name in task.quantities:
         return _termed(problem, {"quantity": "length", "of": name}, 1, number, name)
-    match = _TERM.fullmatch(name)
+    match = _parsed(name)
     if match is None:
-        known = [*get_args(What), *(f"limits.{key}" for key in task.limits.named), *task.free, OWN]
+        known = [*QUANTITIES, *(f"limits.{key}" for key in task.limits.named), *task.free, OWN]
         raise InputError(Fault("unknown objective", nearest(name, known), problem.file, OPTION, name))
     raw = {key: value for key, value in match.groupdict().items() if value is not None}
     for key in ("quantity", "measure", "stroke"):

@@ -1,0 +1,270 @@
+"""Quantities of a machine cycle that can be optimised or limited: one entry of `QUANTITIES` per value of the key `quantity`.
+
+An entry contains the formula of the optimiser (`signal`, elementwise on floats, arrays and symbols) and, written separately, the
+columns from which the validator reads it (`course`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import MotionColumns, slider_names
+from optlink.dynamics.inverse import Reactions, reported_on, shaking
+from optlink.dynamics.machine import Moving
+from optlink.linkage.dyad_types import RRP, RRR
+from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.vector2d import Value, cross, dot, magnitude, minus
+from optlink.registry import Registry
+
+if TYPE_CHECKING:
+    from optlink.problem.cycle_terms import Term
+
+Array = NDArray[np.float64]
+Signal = Callable[[Moving, Reactions, "Term"], tuple[Value, ...]]
+Course = Callable[[MotionColumns, "Term"], Array]
+
+
+@dataclass(frozen=True)
+class Element:
+    """A type of element that `of` can name: the names in a mechanism, and the error message for any other name."""
+
+    names: Callable[[Mechanism], Collection[str]]
+    missing: str
+
+
+def moving_points(mechanism: Mechanism) -> list[str]:
+    """Return the names of the points that move."""
+    return [point for point, bodies in mechanism.owners.items() if FRAME not in bodies]
+
+
+def guide_of(name: str, mechanism: Mechanism) -> str | None:
+    """Return the guide of that name, or the only guide of a slider of that name; None if there is none.
+
+    Parameters
+    ----------
+    name : str
+        Name of a guide or slider.
+    mechanism : Mechanism
+    """
+    if any(guide.name == name for guide in mechanism.guides):
+        return name
+    own = [guide.name for guide in mechanism.guides if guide.slider == name]
+    return own[0] if len(own) == 1 else None
+
+
+PIN = Element(lambda mechanism: mechanism.pins, "no such pin joint")
+GUIDE = Element(lambda mechanism: [guide.name for guide in mechanism.guides], "no such guide")
+POINT = Element(moving_points, "no moving body has such a point")
+JOINT = Element(
+    lambda mechanism: [group.joint for group in mechanism.groups if isinstance(group, RRR | RRP)],
+    "no group has its transmission angle there",
+)
+_SIGNED = ("peak", "rms", "mean", "largest", "least")
+_SIZE = ("peak", "rms")
+_EXTREMES = ("least", "largest")
+
+
+@dataclass(frozen=True)
+class QuantityType:
+    """Properties of a quantity.
+
+    Parameters
+    ----------
+    kind : str
+        Physical kind; empty for a plain number.
+    measures : tuple of str
+        Measures that reduce it to one value, the default first; empty for a quantity with a single value.
+    of : str
+        Element that `of` must name, for display; empty if it belongs to the whole machine.
+    element : Element, optional
+        The names that `of` may take.
+    signal : function of (machine in motion, reactions, term), optional
+        Formula at one crank angle [SI]; two components for a vector, of which only the magnitude counts.
+    course : function of (columns of a motion, term), optional
+        Measurement at all crank angles [SI].
+    forces : bool
+        Whether `signal` needs the reactions; it can then also be evaluated without the inertia of the bodies.
+    vector : bool
+        Whether the signal has two components.
+    at : str
+        Preposition before the element, for display.
+    """
+
+    kind: str
+    measures: tuple[str, ...]
+    of: str = ""
+    element: Element | None = None
+    signal: Signal | None = None
+    course: Course | None = None
+    forces: bool = False
+    vector: bool = False
+    at: str = "of"
+
+    @property
+    def cyclic(self) -> bool:
+        """Whether it has a value at every crank angle."""
+        return self.signal is not None
+
+
+QUANTITIES: Registry[QuantityType] = Registry()
+
+
+def _guide(moving: Moving, term: Term) -> str:
+    return str(guide_of(str(term.of), moving.machine.mechanism))
+
+
+def _column(suffix: str, *, of_slider: bool = False) -> Course:
+    """Return a function that reads a column of a guide, or of its slider."""
+
+    def read(record: MotionColumns, term: Term) -> Array:
+        guide = _guide(record.moving, term)
+        return record[f"{slider_names(record.moving.machine)[guide] if of_slider else guide}.{suffix}"]
+
+    return read
+
+
+def _size(x: str, y: str) -> Course:
+    """Return a function that reads the magnitude of two columns; {} is the element."""
+    return lambda record, term: np.hypot(record[x.format(term.of)], record[y.format(term.of)])
+
+
+def _pin(record: MotionColumns, term: Term) -> Array:
+    machine, name = record.moving.machine, str(term.of)
+    force = record.reactions.pins[name][term.on or reported_on(machine)[name]]
+    return np.asarray(np.hypot(*(record.full(part) for part in force)))
+
+
+def _transmission(moving: Moving, reactions: Reactions, term: Term) -> tuple[Value, ...]:
+    """Return the angle between two links, or between a link and the normal of a slider's line [rad]; 90 deg is best."""
+    group = next(group for group in moving.machine.mechanism.groups if group.joint == term.of)
+    if isinstance(group, RRR):
+        p, q = (minus(moving.position(pin), moving.position(group.joint)) for pin in group.pins)
+        return (np.arctan2(magnitude(cross(p, q)), dot(p, q)),)
+    assert isinstance(group, RRP)
+    link, line = minus(moving.position(group.joint), moving.position(group.outer)), moving.line(group.guide.name)
+    return (np.arctan2(magnitude(dot(link, line)), cross(line, link)),)
+
+
+def _transmission_measured(record: MotionColumns, term: Term) -> Array:
+    group = next(group for group in record.moving.machine.mechanism.groups if group.joint == term.of)
+    if isinstance(group, RRR):
+        return record[f"{group.joint}.transmission_rad"]
+    motion = record.moving.motion
+    assert isinstance(group, RRP)
+    link = np.asarray(motion.position(group.joint) - motion.position(group.outer))
+    line = record.moving.line(group.guide.name)
+    cosine = (line[0] * link[:, 1] - line[1] * link[:, 0]) / np.linalg.norm(link, axis=1)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))  # values beyond +-1 are rounding errors
+
+
+def _lever_arm(record: MotionColumns, term: Term) -> Array:
+    return np.asarray(np.abs(_column("v_m_s", of_slider=True)(record, term) / record.moving.motion.speed))
+
+
+QUANTITIES |= {
+    "torque": QuantityType(
+        "torque",
+        _SIGNED,
+        signal=lambda moving, reactions, term: (reactions.torque,),
+        course=lambda record, term: record["input.torque_Nm"],
+        forces=True,
+    ),
+    "reaction": QuantityType(
+        "force",
+        _SIZE,
+        "pin joint",
+        PIN,
+        lambda moving, reactions, term: reactions.pins[str(term.of)][term.on or reported_on(moving.machine)[str(term.of)]],
+        _pin,
+        forces=True,
+        vector=True,
+        at="at",
+    ),
+    "guide force": QuantityType(
+        "force",
+        _SIGNED,
+        "guide",
+        GUIDE,
+        lambda moving, reactions, term: (reactions.guides[_guide(moving, term)].normal,),
+        _column("normal_N"),
+        forces=True,
+        at="in",
+    ),
+    "guide moment": QuantityType(
+        "torque",
+        _SIGNED,
+        "guide",
+        GUIDE,
+        lambda moving, reactions, term: (reactions.guides[_guide(moving, term)].moment,),
+        _column("moment_Nm"),
+        forces=True,
+        at="in",
+    ),
+    "shaking force": QuantityType(
+        "force",
+        _SIZE,
+        signal=lambda moving, reactions, term: shaking(moving).force,
+        course=_size("frame.shaking_fx_N", "frame.shaking_fy_N"),
+        vector=True,
+    ),
+    "shaking moment": QuantityType(
+        "torque",
+        _SIGNED,
+        signal=lambda moving, reactions, term: (shaking(moving).moment,),
+        course=lambda record, term: record["frame.shaking_moment_Nm"],
+    ),
+    "velocity": QuantityType(
+        "velocity",
+        _SIZE,
+        "moving point",
+        POINT,
+        lambda moving, reactions, term: moving.velocity(str(term.of)),
+        _size("{}.vx_m_s", "{}.vy_m_s"),
+        vector=True,
+    ),
+    "acceleration": QuantityType(
+        "acceleration",
+        _SIZE,
+        "moving point",
+        POINT,
+        lambda moving, reactions, term: moving.acceleration(str(term.of)),
+        _size("{}.ax_m_s2", "{}.ay_m_s2"),
+        vector=True,
+    ),
+    "transmission angle": QuantityType(
+        "angle",
+        _EXTREMES,
+        "joint of two links, or of a link and a slider",
+        JOINT,
+        _transmission,
+        _transmission_measured,
+        at="at",
+    ),
+    "slide": QuantityType(
+        "coordinate",
+        _EXTREMES,
+        "guide",
+        GUIDE,
+        lambda moving, reactions, term: (moving.slides[_guide(moving, term)][0],),
+        _column("s_m", of_slider=True),
+        at="in",
+    ),
+    "lever arm": QuantityType(
+        "length",
+        _SIZE,
+        "guide",
+        GUIDE,
+        lambda moving, reactions, term: (moving.slides[_guide(moving, term)][1] / moving.motion.speed,),
+        _lever_arm,
+    ),
+    "stroke": QuantityType("length", (), "slider, body or point"),
+    "end": QuantityType("coordinate", (), "slider or point"),
+    "time ratio": QuantityType("", (), "slider, body or point"),
+    "work": QuantityType("energy", (), "slider", GUIDE),
+    "length": QuantityType("coordinate", (), "size"),
+}
