@@ -1,0 +1,159 @@
+"""Tables and texts of a result, described independently of terminal and HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+Role = Literal["", "good", "bad", "quiet", "strong"]
+
+
+@dataclass(frozen=True)
+class Span:
+    """A piece of text in one role."""
+
+    text: str
+    role: Role = ""
+
+
+Inline = str | Span
+Line = Inline | Sequence[Inline]
+
+
+def good(text: str) -> Span:
+    """Return a text that reports a success."""
+    return Span(text, "good")
+
+
+def bad(text: str) -> Span:
+    """Return a text that reports a failure."""
+    return Span(text, "bad")
+
+
+def quiet(text: str) -> Span:
+    """Return a remark."""
+    return Span(text, "quiet")
+
+
+def strong(text: str) -> Span:
+    """Return an emphasised text."""
+    return Span(text, "strong")
+
+
+@dataclass(frozen=True, init=False)
+class Paragraph:
+    """Lines of text, each a sequence of spans; `lead` marks the introduction of what follows."""
+
+    lines: tuple[tuple[Span, ...], ...]
+    lead: bool
+
+    def __init__(self, *lines: Line, lead: bool = False) -> None:
+        object.__setattr__(self, "lines", tuple(_spans(line) for line in lines))
+        object.__setattr__(self, "lead", lead)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: its name, whether its cells are right-aligned, and whether they must stay on one line."""
+
+    name: str = ""
+    right: bool = False
+    unbroken: bool = False
+
+
+@dataclass(frozen=True)
+class TableSpec:
+    """A table.
+
+    Parameters
+    ----------
+    title : str
+    columns : tuple of Column
+        Their names are shown unless all are empty.
+    rows : tuple of tuple of Span
+        One cell per column.
+    notes : tuple of Span
+        Lines below the table.
+    sections : tuple of int
+        Rows that begin a further section.
+    leading : int
+        Columns repeated where a table that is too wide for a terminal is split; 0: the cells are wrapped instead.
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Span, ...], ...]
+    notes: tuple[Span, ...] = ()
+    sections: tuple[int, ...] = ()
+    leading: int = 0
+
+    @property
+    def header(self) -> bool:
+        """Whether the columns have names."""
+        return any(column.name for column in self.columns)
+
+
+Part = TableSpec | Paragraph
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What is shown of a result: title, status below it, tables and paragraphs."""
+
+    title: str
+    status: Paragraph
+    parts: tuple[Part, ...] = ()
+
+
+def summary(title: str, status: Iterable[Line], *parts: Part | None) -> Summary:
+    """Return a summary without the parts that are None.
+
+    Parameters
+    ----------
+    title : str
+    status : iterable of Line
+    *parts : TableSpec, Paragraph or None
+    """
+    return Summary(title, Paragraph(*status), tuple(part for part in parts if part is not None))
+
+
+def table(
+    title: str,
+    columns: Iterable[str | Column],
+    rows: Iterable[Sequence[Inline]],
+    *,
+    notes: Iterable[Inline] = (),
+    sections: Sequence[int] = (),
+    leading: int = 0,
+    unbroken: bool = False,
+) -> TableSpec:
+    """Return a table.
+
+    Parameters
+    ----------
+    title : str
+    columns : iterable of str or Column
+        Names; one that begins with ">" is right-aligned, one that begins with "<" is left-aligned, which is the default. A string
+        such as "<><" describes columns without names.
+    rows : iterable of sequence of str or Span
+        One cell per column.
+    notes : iterable of str or Span, optional
+        Lines below the table.
+    sections : sequence of int, optional
+        Rows that begin a further section.
+    leading : int, optional
+        Columns repeated where a table that is too wide for a terminal is split.
+    unbroken : bool, optional
+        Never break a right-aligned cell into lines.
+    """
+    made = tuple(
+        column if isinstance(column, Column) else Column(column.lstrip("<>"), column[:1] == ">", unbroken and column[:1] == ">")
+        for column in columns
+    )
+    return TableSpec(title, made, tuple(_spans(row) for row in rows), _spans(tuple(notes)), tuple(sections), leading)
+
+
+def _spans(line: Line) -> tuple[Span, ...]:
+    pieces = [line] if isinstance(line, str | Span) else line
+    return tuple(piece if isinstance(piece, Span) else Span(piece) for piece in pieces)
