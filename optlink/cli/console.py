@@ -114,9 +114,9 @@ def deliver(result: Any, kind: str, csv: Path | None, as_json: bool, out: Path |
     if as_json:
         print_json(result.to_dict())
     else:
-        from optlink.report.views import function_tables
+        from optlink.report import terminal
 
-        function_tables.console().print(table_of(kind)(result))
+        terminal.show(table_of(kind)(result))
 
 
 # --- progress ----------------------------------------------------------------------------------------------------------------
@@ -125,9 +125,9 @@ def deliver(result: Any, kind: str, csv: Path | None, as_json: bool, out: Path |
 @contextlib.contextmanager
 def working(what: str) -> Iterator[None]:
     """Show on standard error what is in progress, without an estimate of its duration."""
-    from optlink.report.views import function_tables
+    from optlink.report import terminal
 
-    with function_tables.console(stderr=True).status(what):
+    with terminal.console(stderr=True).status(what):
         yield
 
 
@@ -156,10 +156,10 @@ def share(what: str) -> Iterator[Callable[[float], None] | None]:
 def _bar(what: str) -> Iterator[Callable[[float], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from optlink.report.views import function_tables
+    from optlink.report import terminal
 
     columns = (TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
-    with Progress(*columns, console=function_tables.console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda done: bar.update(task, completed=done)
 

@@ -26,9 +26,10 @@ def list_problems(as_json: Json = False) -> None:
             rows = [{"name": f.name, "kind": f.kind, "title": f.model.title} for f in files]
             console.print_json({"schema": "optlink/list/1", "problems": rows})
             return
+        from optlink.report import terminal
         from optlink.report.views import function_tables
 
-        function_tables.console().print(function_tables.listing(files))
+        terminal.show(function_tables.listing(files))
 
 
 def show(
@@ -51,6 +52,7 @@ def show(
 
             print(tomli_w.dumps(complete(file)), end="")
             return
+        from optlink.report import terminal
         from optlink.report.views import function_tables
 
-        function_tables.console().print(function_tables.problem(file))
+        terminal.show(function_tables.problem(file))

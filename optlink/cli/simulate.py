@@ -270,10 +270,10 @@ def _shown(asked: Run, found: Any, table: str) -> None:
     if asked.as_json:
         console.print_json(found.to_dict())
         return
+    from optlink.report import terminal
     from optlink.report.views import clearance_tables as loose
-    from optlink.report.views import function_tables
 
-    function_tables.console().print(getattr(loose, table)(found))
+    terminal.show(getattr(loose, table)(found))
 
 
 @contextlib.contextmanager

@@ -150,9 +150,10 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     if as_json:
         console.print_json(finite(document))
         return
-    from optlink.report.views import function_tables, study_tables
+    from optlink.report import terminal
+    from optlink.report.views import study_tables
 
-    function_tables.console().print(study_tables.outputs(found))
+    terminal.show(study_tables.outputs(found))
 
 
 @study.command()
@@ -418,7 +419,7 @@ def _points(what: str = "sweeping") -> Iterator[Callable[[int, int], None]]:
     """Show a bar with the completed points, their rate and the remaining time on standard error."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from optlink.report.views import function_tables
+    from optlink.report import terminal
 
     columns = (
         TextColumn(what),
@@ -427,7 +428,7 @@ def _points(what: str = "sweeping") -> Iterator[Callable[[int, int], None]]:
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
     )
-    console = function_tables.console(stderr=True)
+    console = terminal.console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("points", total=None, rate="")
 

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 from optlink.report.view import write_files
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from optlink.problem.file import ProblemFile
     from optlink.report.stored.reader import Record
     from optlink.report.stored.stored_study import Studied
+    from optlink.report.table_spec import Summary
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class View:
         Writes result.json, tables and pictures.
     """
 
-    table: Callable[[Any], RenderableType]
+    table: Callable[[Any], Summary]
     files: Callable[[Any, Path], object]
 
 
@@ -41,7 +40,7 @@ REGISTERED: dict[str, View] = {}
 """Views of further kinds of results by the name of the kind."""
 
 
-def table_of(kind: str) -> Callable[[Any], RenderableType]:
+def table_of(kind: str) -> Callable[[Any], Summary]:
     """Import the function that shows results of a kind in the terminal.
 
     Raises

@@ -18,7 +18,8 @@ class Span:
 
 
 Inline = str | Span
-Line = Inline | Sequence[Inline]
+Row = Sequence[Inline]
+Line = Inline | Row
 
 
 def good(text: str) -> Span:
@@ -121,7 +122,7 @@ def summary(title: str, status: Iterable[Line], *parts: Part | None) -> Summary:
 def table(
     title: str,
     columns: Iterable[str | Column],
-    rows: Iterable[Sequence[Inline]],
+    rows: Iterable[Row],
     *,
     notes: Iterable[Inline] = (),
     sections: Sequence[int] = (),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Literal
 
 from rich import box
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
@@ -69,12 +70,15 @@ def _table(spec: TableSpec, title: str, chosen: range | list[int]) -> Table:
         caption=Text("\n").join(Text(*_styled(note)) for note in spec.notes) if spec.notes else None,
         caption_justify="left",
     )
-    for column in (spec.columns[k] for k in chosen):
-        made.add_column(column.name, justify="right" if column.right else "left", overflow="fold", no_wrap=column.unbroken)
+    for k in chosen:
+        column = spec.columns[k]
+        fits = max(map(len, column.name.split("\n"))) <= max((len(row[k].text) for row in spec.rows), default=0)
+        justify: Literal["left", "right"] = "right" if column.right else "left"
+        made.add_column(column.name, justify=justify, overflow="fold", no_wrap=column.unbroken and fits)
     for number, row in enumerate(spec.rows):
         if number in spec.sections:
             made.add_section()
-        made.add_row(*(Text(*_styled(row[k])) for k in chosen))
+        made.add_row(*(Text(*_styled(row[k]), no_wrap=spec.columns[k].unbroken or None) for k in chosen))
     return made
 
 

@@ -15,7 +15,8 @@ from PIL import Image
 
 import optlink
 from optlink.dynamics.counterweights import BalanceMeasure, quantities_of
-from optlink.report.views import balance_pictures, function_tables
+from optlink.report import terminal
+from optlink.report.views import balance_pictures
 from optlink.report.views import balance_tables as tables
 
 SPRUNG = {
@@ -169,10 +170,10 @@ def test_files_can_be_opened(tmp_path):
 
 def test_table_fits_the_narrowest_terminal():
     """No figure of the table is broken over two lines."""
-    console = function_tables.console()
+    console = terminal.console()
     for case in CASES:
         with console.capture() as capture:
-            console.print(tables.balance(result(*case)))
+            console.print(terminal.rendered(tables.balance(result(*case))))
         text = capture.get()
         row = next(line for line in text.splitlines() if line.startswith(" driving torque"))
         assert row.split()[-1] == "m"

@@ -20,6 +20,7 @@ from rich.console import Console
 
 import optlink
 from optlink.errors import Status
+from optlink.report import terminal
 from optlink.report.style import LIMIT
 from optlink.report.views import path_outputs, path_pictures, path_residuals
 from optlink.report.views import path_tables as tables
@@ -588,7 +589,7 @@ def test_labels_keep_in_and_off_one_another(name, kind):
 
 def told(found: PathResult, width: int) -> str:
     page = Console(file=io.StringIO(), width=width, highlight=False, markup=False, emoji=False)
-    page.print(tables.generation(found))
+    page.print(terminal.rendered(tables.generation(found)))
     return page.file.getvalue()
 
 

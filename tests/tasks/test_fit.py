@@ -12,9 +12,10 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.problem.file import dump
+from optlink.report import terminal
 from optlink.report.html.page import verdict
 from optlink.report.report_model import ReportModel
-from optlink.report.views import cycle_tables, function_tables
+from optlink.report.views import cycle_tables
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.path import solve, validate
 from optlink.tasks.results.fit import Fit, TransmissionFit
@@ -205,9 +206,9 @@ def test_an_objective_without_a_target_stands_beside_that_of_the_initial_design(
     initial = result.to_dict()["initial"]
     assert initial == {"objective": pytest.approx(torque(0.05, 0.13), rel=1e-6), "feasible": feasible}
     assert 2000.0 * crank < result.objective == pytest.approx(torque(crank, rod), rel=1e-6)
-    console = function_tables.console()
+    console = terminal.console()
     with console.capture() as text:
-        console.print(cycle_tables.machine_design(result))
+        console.print(terminal.rendered(cycle_tables.machine_design(result)))
     shown = " ".join(text.get().split())
     change = torque(crank, rod) / torque(0.05, 0.13) - 1.0
     assert f"initial design {torque(0.05, 0.13):.5g} N*m ({change:+.1%})" in shown

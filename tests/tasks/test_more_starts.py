@@ -102,15 +102,16 @@ def test_an_answer_has_one_figure_everywhere() -> None:
 
 
 def test_every_answer_says_its_assembly_mode() -> None:
+    from optlink.report import terminal
     from optlink.report.views import function_tables
 
     result = optlink.solve(short(**{"mechanism.assembly": "either"}), starts=1)
     document = result.to_dict()
     assert document["assembly"] == result.assembly in ("left", "right")
     assert {optimum["assembly"] for optimum in document["optima"]} <= {"left", "right"}
-    console = function_tables.console()
+    console = terminal.console()
     with console.capture() as text:
-        console.print(function_tables.result(result))
+        console.print(terminal.rendered(function_tables.result(result)))
     assert f"joint C lies to the {result.assembly} of B -> D" in text.get()
 
 

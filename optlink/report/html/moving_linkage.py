@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from optlink.report.scene import Scene
 
 Array = NDArray[np.float64]
 FLAT = 0.45  # ratio of height to width below which the quantities are shown below the drawing
-TICKS = (("traces", "paths of the points"), ("names", "names of the points"))
 
 
 @dataclass(frozen=True)
@@ -80,29 +78,15 @@ class Moving:
         listed = [{"values": one.values, "decimals": one.decimals} for one in self.readouts]
         return self.scene.to_dict() | {"zigzag": zigzag(self.scene.size), "readouts": listed, "slider": slider}
 
-    def html(self, title: str) -> str:
-        """Return the drawing with its controls and quantities as HTML."""
-        drawn, stops = self.scene, self.stops
-        _, _, width, height = drawn.box
-        flat = " flat" if height < FLAT * width else ""
-        picture = svg(drawn, f"{title}, drawn to scale")
-        legend = "".join(f'<li><i style="background:{body.colour}"></i>{escape(body.name)}</li>' for body in drawn.bodies)
-        figures = "".join(
-            f"<div><dt>{escape(one.name)}</dt><dd><span data-readout>{one.text()}</span> {escape(one.shown_unit)}</dd></div>"
-            for one in self.readouts
-        )
-        ticks = "".join(
-            f'<label class="tick"><input type="checkbox" checked data-toggle="{layer}"> {words}</label>' for layer, words in TICKS
-        )
-        return f"""<div class="linkage{flat}">
-<div><div class="stage">{picture}</div>
-<div class="controls"><button type="button" id="play" aria-pressed="false">▶ Play</button>
-<label for="crank">{escape(stops.name)}</label>
-<input type="range" id="crank" min="0" max="{len(stops.values) - 1}" step="1" value="0" aria-valuetext="{stops.text()}">
-<output id="crank-angle" for="crank">{stops.text()}</output></div></div>
-<div class="aside"><ul class="legend">{legend}</ul>
-<dl class="readouts">{figures}</dl>{ticks}</div>
-</div>"""
+    @property
+    def flat(self) -> bool:
+        """Whether the quantities are shown below the drawing."""
+        _, _, width, height = self.scene.box
+        return height < FLAT * width
+
+    def svg(self, title: str) -> str:
+        """Return the drawing."""
+        return svg(self.scene, f"{title}, drawn to scale")
 
 
 def even(count: int, most: int) -> NDArray[np.intp]:

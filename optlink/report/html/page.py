@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from html import escape
 from pathlib import Path
 
-from rich.console import RenderableType
-from rich.table import Table
-from rich.text import Text
-
 from optlink.errors import Status
-from optlink.report.html import tables
 from optlink.report.html.charts import charts, readouts, tornado
 from optlink.report.html.moving_linkage import Moving, crank_stops
-from optlink.report.html.shell import LARGEST, Section, Sheet, cards, fitted, write
+from optlink.report.html.shell import LARGEST, Section, Sheet, fitted, write
 from optlink.report.html.sources import closing
 from optlink.report.report_model import Outcome, ReportModel
 from optlink.report.scene import scene
+from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
 from optlink.report.views import analysis_tables, cycle_tables, function_tables, path_tables, study_tables
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.function import FunctionResult
@@ -52,14 +47,15 @@ def page(subject: ReportModel) -> str:
 
 
 def _sheet(subject: ReportModel, answers: Sensitivities | None, steps: int) -> Sheet:
-    moving = moved(subject, steps)
+    moving, shown = moved(subject, steps), told(subject)
+    notes = Paragraph(*(f"Note: {note}" for note in subject.notes))
     return Sheet(
         title=subject.problem.model.title,
         kind=f"{subject.problem.name} · {subject.problem.kind}",
         verdict=verdict(subject),
         good=subject.valid,
-        status="".join(_status(subject)),
-        sections=tuple(_sections(subject, moving, answers)),
+        status=Paragraph(*shown.status.lines, *notes.lines),
+        sections=tuple(_sections(subject, shown, moving, answers)),
         moving=moving,
     )
 
@@ -82,16 +78,16 @@ def moved(subject: ReportModel, steps: int) -> Moving | None:
 # --- layout ------------------------------------------------------------------------------------------------------------------
 
 
-def _sections(subject: ReportModel, moving: Moving | None, answers: Sensitivities | None) -> Iterator[Section]:
+def _sections(subject: ReportModel, shown: Summary, moving: Moving | None, answers: Sensitivities | None) -> Iterator[Section]:
     if answers is not None and subject.answers is not None:  # the requested study comes first
         yield _matters(answers)
     if moving is not None:
-        yield Section("Linkage in motion", (moving.html(subject.problem.model.title),))
+        yield Section("Linkage in motion", (moving,))
     elif subject.unmoved:
-        yield Section("Linkage", (f"<p>It cannot be shown in motion: {escape(subject.unmoved)}.</p>",))
-    result = [*_result(subject)]
+        yield Section("Linkage", (Paragraph(f"It cannot be shown in motion: {subject.unmoved}."),))
+    result = _with_recorded_limits(subject, shown)
     if result:
-        yield Section("Analysis" if isinstance(subject.outcome, Analysis) else "Design and proof", (cards(result),))
+        yield Section("Analysis" if isinstance(subject.outcome, Analysis) else "Design and proof", (result,))
     if answers is not None and subject.answers is None:
         yield _matters(answers)
     curves = charts(subject)
@@ -102,13 +98,7 @@ def _sections(subject: ReportModel, moving: Moving | None, answers: Sensitivitie
 
 def _matters(answers: Sensitivities) -> Section:
     """Return the section of the sensitivities."""
-    rest = [part for part in tables.flat(study_tables.sensitivities(answers)) if not _known(part)]
-    return Section("What matters", (tornado(answers), cards(rest)))
-
-
-def _known(part: Table | Text) -> bool:
-    """Return whether a part of the sensitivities is shown elsewhere: title and optimum."""
-    return str(part.title) == "Optimum" if isinstance(part, Table) else "bold" in str(part.style)
+    return Section("What matters", (tornado(answers), tuple(study_tables.sensitivity_parts(answers))))
 
 
 def sensitivities_of(subject: ReportModel) -> Sensitivities | None:
@@ -153,8 +143,8 @@ def _failed(subject: ReportModel) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def told(subject: ReportModel) -> RenderableType:
-    """Return the terminal tables of the result."""
+def told(subject: ReportModel) -> Summary:
+    """Return the summary of the result."""
     outcome = subject.outcome
     if isinstance(outcome, FunctionResult):
         return function_tables.result(outcome)
@@ -165,23 +155,13 @@ def told(subject: ReportModel) -> RenderableType:
     return analysis_tables.analysis(outcome)
 
 
-def _status(subject: ReportModel) -> Iterator[str]:
-    """Yield the lines below the title, and the notes of a stored result."""
-    first = next(part for part in tables.flat(told(subject)) if isinstance(part, Text))
-    for text in first.split("\n")[1:]:
-        yield tables.paragraph(text, plain=True)
-    for note in subject.notes:
-        yield f"<p>Note: {escape(note)}</p>"
-
-
-def _result(subject: ReportModel) -> Iterator[Table | Text]:
+def _with_recorded_limits(subject: ReportModel, shown: Summary) -> list[Part]:
     """Return the tables of the result, with the stored active constraints before the validation."""
-    parts = list(tables.flat(told(subject)))[1:]
+    parts = list(shown.parts)
     if subject.limits and not _priced(subject.outcome):
-        recorded = list(tables.flat(_recorded(subject)))
-        place = next((k for k, part in enumerate(parts) if "Validation" in str(getattr(part, "title", ""))), len(parts))
-        parts[place:place] = recorded
-    return iter(parts)
+        titles = [part.title if isinstance(part, TableSpec) else "" for part in parts]
+        parts.insert(next((k for k, title in enumerate(titles) if "Validation" in title), len(parts)), _recorded(subject))
+    return parts
 
 
 def _priced(outcome: Outcome) -> bool:
@@ -190,7 +170,7 @@ def _priced(outcome: Outcome) -> bool:
     return getattr(found, "solution", None) is not None
 
 
-def _recorded(subject: ReportModel) -> RenderableType:
+def _recorded(subject: ReportModel) -> Part:
     """Tabulate the stored active constraints with their shadow prices in display units."""
     outcome, limits = subject.outcome, subject.limits
     if isinstance(outcome, PathResult) and outcome.best is not None:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import datetime
 import platform
 from collections.abc import Iterable
-from html import escape
 from importlib.metadata import version
 
 import numpy as np
-from rich.table import Table
 
 from optlink.problem.file import ProblemFile
-from optlink.report.html import tables
-from optlink.report.html.shell import Section, cards, facts
+from optlink.report.html.shell import Section
+from optlink.report.table_spec import Paragraph
 from optlink.report.views import function_tables
 from optlink.version import VERSION
 
@@ -27,14 +25,9 @@ def closing(file: ProblemFile, by: str) -> Iterable[Section]:
     by : str
         Method by which the result was found.
     """
-    parts = [part for part in tables.flat(function_tables.problem(file)) if isinstance(part, Table)]
-    about = "".join(f"<p>{escape(piece)}</p>" for piece in _paragraphs(file.model.about))
-    yield Section("Problem", (f"{about}{cards(parts)}",))
-    yield Section("Sources", (facts(_sources(file, by)),))
-
-
-def _paragraphs(text: str) -> list[str]:
-    return [" ".join(piece.split()) for piece in text.split("\n\n") if piece.strip()]
+    about = (" ".join(piece.split()) for piece in file.model.about.split("\n\n") if piece.strip())
+    yield Section("Problem", (Paragraph(*about), function_tables.problem(file).parts))
+    yield Section("Sources", (dict(_sources(file, by)),))
 
 
 def _sources(file: ProblemFile, by: str) -> list[tuple[str, str]]:

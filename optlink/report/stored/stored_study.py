@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
-
-from rich.console import RenderableType
-from rich.table import Table
-from rich.text import Text
 
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
-from optlink.report.html import tables
 from optlink.report.html.charts import readouts
 from optlink.report.html.moving_linkage import Moving, crank_stops
-from optlink.report.html.shell import Section, Sheet, cards, fitted, write
+from optlink.report.html.shell import Section, Sheet, fitted, write
 from optlink.report.html.sources import closing
 from optlink.report.scene import scene
+from optlink.report.table_spec import Line, Paragraph, Part
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 from optlink.units import KINDS, factor
@@ -39,7 +34,7 @@ class Studied:
     kind: str
     verdict: str
     valid: bool
-    status: Sequence[str]
+    status: Sequence[Line]
     sections: Sequence[Section]
     moving: Callable[[int], Moving | None]
     by: str
@@ -73,15 +68,14 @@ def _sheet(studied: Studied, steps: int) -> Sheet:
     file, moving = studied.problem, studied.moving(steps)
     sections = list(studied.sections)
     if moving is not None:
-        above = f'<p class="lead">{escape(studied.drawn)}</p>' if studied.drawn else ""
-        sections.insert(studied.after, Section("Linkage in motion", (above, moving.html(file.model.title))))
-    lines = [*studied.status, *(f"Note: {note}" for note in studied.notes)]
+        lead = (Paragraph(studied.drawn, lead=True),) if studied.drawn else ()
+        sections.insert(studied.after, Section("Linkage in motion", (*lead, moving)))
     return Sheet(
         title=file.model.title,
         kind=f"{file.name} · {studied.kind}",
         verdict=studied.verdict,
         good=studied.valid,
-        status="".join(f"<p>{escape(line)}</p>" for line in lines if line),
+        status=Paragraph(*studied.status, *(f"Note: {note}" for note in studied.notes)),
         sections=(*sections, *closing(file, studied.by)),
         moving=moving,
     )
@@ -90,26 +84,18 @@ def _sheet(studied: Studied, steps: int) -> Sheet:
 # --- parts -------------------------------------------------------------------------------------------------------------------
 
 
-def split(told: RenderableType) -> tuple[list[str], list[Table | Text]]:
-    """Split terminal output into the lines below its title and the tables and texts after them."""
-    parts = list(tables.flat(told))
-    first = parts[0]
-    lines = first.plain.split("\n")[1:] if isinstance(first, Text) else []
-    return [line for line in lines if line.strip()], parts[1:] if isinstance(first, Text) else parts
-
-
-def figures_of(parts: Iterable[Table | Text], name: str = "Figures") -> Iterator[Section]:
+def figures_of(parts: Iterable[Part], name: str = "Figures") -> Iterator[Section]:
     """Yield a section of tables, if there are any.
 
     Parameters
     ----------
-    parts : iterable of Table or Text
+    parts : iterable of TableSpec or Paragraph
     name : str, optional
         Heading of the section.
     """
-    listed = list(parts)
+    listed = tuple(parts)
     if listed:
-        yield Section(name, (cards(listed),))
+        yield Section(name, (listed,))
 
 
 def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float]:

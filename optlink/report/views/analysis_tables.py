@@ -1,129 +1,97 @@
-"""Terminal tables of a machine, its analysis and its forward dynamics simulation."""
+"""Tables of a machine, its analysis and its forward dynamics simulation."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
+from collections.abc import Iterator, Mapping
 
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
 from optlink.linkage.stroke import Travel
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import DyadsSection
-from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, fixed, grid, number
+from optlink.report.format import fixed, number
+from optlink.report.table_spec import Column, Paragraph, Part, Row, Summary, TableSpec, quiet, strong, summary, table
+from optlink.report.views.function_tables import noted, verdict
 from optlink.tasks.results.analysis import Analysis, named_travels, reaction_conventions
 from optlink.tasks.simulate import Simulation
 
-COLUMN = tuple[str, str]
 
-
-def machine(file: ProblemFile) -> list[RenderableType]:
+def machine(file: ProblemFile) -> Iterator[TableSpec]:
     """List the bodies, joints, Assur groups, masses, loads and drive of a machine, and the directions of its joint reactions."""
     model = file.model
     built = model.machine(slow=model.slow_assumed)
     mechanism = built.mechanism
-    parts: list[RenderableType] = []
+    modes = model.mechanism.assembly if isinstance(model.mechanism, DyadsSection) else {}
     if isinstance(model.mechanism, DyadsSection):
-        sizes = grid("\n[mechanism] sizes", [("", "left"), ("", "left")])
-        for name, quantity in model.quantities.items():
-            sizes.add_row(name, str(quantity))
-        parts.append(sizes)
-    order = grid("\nOrder of solution", [("", "left"), ("", "left"), ("", "left"), ("", "left")])
-    order.add_row("crank", mechanism.crank.body, f"pivot {mechanism.crank.start}", "")
+        yield table("[mechanism] sizes", "<<", [(name, str(quantity)) for name, quantity in model.quantities.items()])
+    order: list[Row] = [("crank", mechanism.crank.body, f"pivot {mechanism.crank.start}", "")]
     for group in mechanism.groups:
-        mode = model.mechanism.assembly.get(group.joint, "") if isinstance(model.mechanism, DyadsSection) else ""
-        order.add_row(group.kind, ", ".join(link.body for link in group.links), f"joint {group.joint}", Text(mode, style=QUIET))
-    parts.append(order)
+        bodies = ", ".join(link.body for link in group.links)
+        order.append((group.kind, bodies, f"joint {group.joint}", quiet(modes.get(group.joint, ""))))
+    yield table("Order of solution", "<<<<", order)
     if built.inertias:
-        masses = grid(
-            "\n[bodies]",
-            [("body", "left"), ("mass kg", "right"), ("centroid mm", "right"), ("inertia kg m^2", "right")],
-            header=True,
-        )
-        for name, inertia in built.inertias.items():
-            place = f"({number(inertia.along * 1e3)}, {number(inertia.across * 1e3)})"
-            masses.add_row(name, number(inertia.mass), place, number(inertia.moment))
-        parts.append(masses)
+        masses = [
+            (
+                name,
+                number(inertia.mass),
+                f"({number(inertia.along * 1e3)}, {number(inertia.across * 1e3)})",
+                number(inertia.moment),
+            )
+            for name, inertia in built.inertias.items()
+        ]
+        yield table("[bodies]", ["body", ">mass kg", ">centroid mm", ">inertia kg m^2"], masses)
     gravity = math.hypot(*built.gravity)
-    drive = grid("\n[drive] and loads", [("", "left"), ("", "left")])
-    drive.add_row("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}")
+    drive = [("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}")]
     if model.drive.torque is not None:
-        drive.add_row("torque", f"{model.drive.torque}, for simulate")
-    drive.add_row("gravity", f"({built.gravity[0]:g}, {built.gravity[1]:g}) m/s^2" if gravity else "none")
+        drive.append(("torque", f"{model.drive.torque}, for simulate"))
+    drive.append(("gravity", f"({built.gravity[0]:g}, {built.gravity[1]:g}) m/s^2" if gravity else "none"))
     for name, section in model.loads.items():
         stated = {key: getattr(section, key) for key in type(section).model_fields if key in section.model_fields_set}
         words = ", ".join(f"{key} {'-'.join(value) if isinstance(value, tuple) else value}" for key, value in stated.items())
         stroke = getattr(next(load for load in built.loads if load.name == name), "stroke", "both")
-        drive.add_row(name, words + (f" (the {stroke} one)" if section.by_pace and not model.free else ""))
-    for name, coefficient in built.friction.items():
-        drive.add_row(f"friction in {name}", number(coefficient))
-    parts.append(drive)
-    parts += _loose(file, built)
+        drive.append((name, words + (f" (the {stroke} one)" if section.by_pace and not model.free else "")))
+    drive += [(f"friction in {name}", number(coefficient)) for name, coefficient in built.friction.items()]
+    yield table("[drive] and loads", "<<", drive)
+    yield from _clearances(file, built)
     if model.balance is not None:
         from optlink.report.views.balance_tables import asked
 
-        parts += asked(model.balance)
-    told = grid("\nReactions: force of which body on which", [("", "left"), ("", "left")])
-    for joint, words in reaction_conventions(built).items():
-        told.add_row(joint, words)
-    parts.append(told)
-    return parts
+        yield asked(model.balance)
+    yield table("Reactions: force of which body on which", "<<", reaction_conventions(built).items())
 
 
-def _loose(file: ProblemFile, built: Machine) -> list[RenderableType]:
-    """List the joints with clearance, the contact law and the controller."""
+def _clearances(file: ProblemFile, built: Machine) -> Iterator[TableSpec]:
+    """Yield the joints with clearance, the contact law and the controller."""
     gaps, model = file.model.gaps(built), file.model
     if not gaps:
-        return []
-    columns: list[COLUMN] = [
-        ("joint", "left"),
-        ("journal", "left"),
-        ("bearing", "left"),
-        ("gap mm", "right"),
-        ("journal mm", "right"),
-    ]
-    columns += [("N/m^1.5", "right"), ("restit.", "right"), ("friction", "right")]
-    table = grid("\nClearance, radius of the journal in mm, contact", columns, header=True)
+        return
+    rows = []
     for gap in gaps:
         sizes = [number(value) for value in (gap.clearance * 1e3, gap.radius * 1e3)]
         law = [f"{gap.stiffness:.4g}", number(gap.restitution), number(gap.friction)]
-        table.add_row(gap.point, gap.journal, gap.bearing, *sizes, *law)
-    found: list[RenderableType] = [table]
-    rows = [("law", ", ".join(sorted({gap.law for gap in gaps})))]
+        rows.append((gap.point, gap.journal, gap.bearing, *sizes, *law))
+    columns = ["joint", "journal", "bearing", ">gap mm", ">journal mm", ">N/m^1.5", ">restit.", ">friction"]
+    yield table("Clearance, radius of the journal in mm, contact", columns, rows)
+    control = [("law", ", ".join(sorted({gap.law for gap in gaps})))]
     if model.drive.servo is not None:
-        rows.append(("servo", f"{model.drive.servo.bandwidth}, damping {model.drive.servo.damping:g}"))
-    if model.control is not None:
-        stated = {key: getattr(model.control, key) for key in type(model.control).model_fields}
-        rows += [
-            (key, ", ".join(value) if isinstance(value, tuple) else str(value))
-            for key, value in stated.items()
-            if value is not None
-        ]
-    control = grid("\nContact law and [control]", [("", "left"), ("", "left")])
-    for row in rows:
-        control.add_row(*row)
-    return [*found, control]
+        control.append(("servo", f"{model.drive.servo.bandwidth}, damping {model.drive.servo.damping:g}"))
+    for key in type(model.control).model_fields if model.control is not None else ():
+        value = getattr(model.control, key)
+        if value is not None:
+            control.append((key, ", ".join(value) if isinstance(value, tuple) else str(value)))
+    yield table("Contact law and [control]", "<<", control)
 
 
-def analysis(outcome: Analysis) -> RenderableType:
+def analysis(outcome: Analysis) -> Summary:
     """Summarise an analysis: status, strokes, extremes, work and flywheel."""
-    model = outcome.problem.model
-    title = Text(model.title, style=HEAD)
     turn = "the crank turns fully" if outcome.full else "the crank cannot turn fully"
-    title.append(f"\n{outcome.status}", style=GOOD if outcome.sound else BAD)
-    title.append(f", {turn}; {_speed(outcome.speed)}")
-    for note in outcome.notes:
-        title.append(f"\nNote: {note}")
+    ended = verdict(outcome.status, outcome.sound), f", {turn}; {_speed(outcome.speed)}"
+    title, status = outcome.problem.model.title, [ended, *noted(outcome.notes)]
     if outcome.ranges.singular:
-        return title
-    parts: list[RenderableType] = [title, Text(), _travels(outcome), Text(), _extremes(outcome)]
-    if outcome.machine.inertias or outcome.machine.loads:
-        parts += [Text(), _work(outcome)]
-    return Group(*parts)
+        return summary(title, status)
+    loaded = outcome.machine.inertias or outcome.machine.loads
+    return summary(title, status, *_travels(outcome), _extremes(outcome), _work(outcome) if loaded else None)
 
 
 def _speed(speed: float) -> str:
@@ -131,31 +99,23 @@ def _speed(speed: float) -> str:
     return f"{abs(speed):.6g} rad/s = {abs(speed) * 30.0 / math.pi:.6g} rpm{sense}"
 
 
-def _travels(outcome: Analysis) -> RenderableType:
+def _travels(outcome: Analysis) -> Iterator[Part | None]:
     if not outcome.strokes and not outcome.swings:
-        return Text("No body swings and no slider moves to and fro")
-    columns: list[COLUMN] = [("", "left"), ("from", "right"), ("to", "right"), ("span", "right"), ("", "left")]
-    columns += [("reverses deg", "right"), ("time ratio", "right")]
-    table = grid("Strokes of sliders, swings of bodies", columns, header=True)
+        yield Paragraph("No body swings and no slider moves to and fro")
+        return
     outputs, others = travels_by_use(outcome.machine, outcome.swings, outcome.strokes)
+    rows = []
     for name, travel in (outputs | others).items():
         factor, unit = (1e3, "mm") if name.endswith(" slides") else (math.degrees(1.0), "deg")
-        centres = [f"{math.degrees(at) + 0.0:.3f}" for at in travel.dead_centres]
-        low, high, span = (fixed(value * factor) for value in (travel.low, travel.high, travel.span))
-        table.add_row(
-            Text(name, style=HEAD if name in outputs else ""),
-            low,
-            high,
-            span,
-            unit,
-            "\n".join(centres),
-            fixed(travel.time_ratio, 5),
-        )
-    strokes = stroke_table(outputs, outcome.speed, outcome.acting)
-    return table if strokes is None else Group(table, Text(), strokes)
+        centres = "\n".join(f"{math.degrees(at) + 0.0:.3f}" for at in travel.dead_centres)
+        ends = (fixed(value * factor) for value in (travel.low, travel.high, travel.span))
+        rows.append((strong(name) if name in outputs else name, *ends, unit, centres, fixed(travel.time_ratio, 5)))
+    columns = ["", ">from", ">to", ">span", "", ">reverses deg", ">time ratio"]
+    yield table("Strokes of sliders, swings of bodies", columns, rows)
+    yield stroke_table(outputs, outcome.speed, outcome.acting)
 
 
-def machine_strokes(machine: Machine, speed: float, acting: tuple[StrokeLoad, ...] | None = None) -> Table | None:
+def machine_strokes(machine: Machine, speed: float, acting: tuple[StrokeLoad, ...] | None = None) -> TableSpec | None:
     """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none.
 
     Parameters
@@ -169,7 +129,7 @@ def machine_strokes(machine: Machine, speed: float, acting: tuple[StrokeLoad, ..
     return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed) if acting is None else acting)
 
 
-def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[StrokeLoad, ...]) -> Table | None:
+def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[StrokeLoad, ...]) -> TableSpec | None:
     """Tabulate the forward and return strokes of outputs with their crank ranges; None if no output has two dead centres.
 
     Parameters
@@ -181,18 +141,16 @@ def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Stroke
     acting : tuple of StrokeLoad
         Loads that act in one stroke only.
     """
-    columns: list[COLUMN] = [("", "left"), ("stroke", "left"), ("crank range deg", "right"), ("turns deg", "right")]
-    columns += [("pace", "left"), ("use", "left")]
-    table = grid("Working and return strokes", columns, header=True)
-    table.columns[0].no_wrap = all(len(name) <= LONGEST for name in named)
-    table.columns[2].no_wrap = True
+    rows = []
     for name, travel in named.items():
         working, loads = working_stroke(travel, speed, acting)
         for stroke in travel.strokes(speed):
             use = use_of(stroke, working) + (f": {', '.join(loads)}" if loads and stroke.name == working else "")
             begin, end, rotation = (f"{math.degrees(angle):.3f}" for angle in (stroke.begin, stroke.end, stroke.rotation))
-            table.add_row(name, stroke.name, f"{begin} to {end}", rotation, stroke.pace, use)
-    return table if table.row_count else None
+            rows.append((name, stroke.name, f"{begin} to {end}", rotation, stroke.pace, use))
+    first = Column(unbroken=all(len(name) <= LONGEST for name in named))
+    columns: list[str | Column] = [first, "stroke", ">crank range deg", ">turns deg", "pace", "use"]
+    return table("Working and return strokes", columns, rows, unbroken=True) if rows else None
 
 
 WORTH = {
@@ -236,77 +194,75 @@ WORDS = {
 }
 
 
-def _extremes(outcome: Analysis) -> Table:
-    columns: list[COLUMN] = [("", "left"), ("least", "right"), ("at deg", "right"), ("largest", "right"), ("at deg", "right")]
-    table = grid("Extremes over the motion, at their exact crank angles", [*columns, ("", "left")], header=True)
+def _extremes(outcome: Analysis) -> TableSpec:
     sizes = {name: max(abs(extreme.least), abs(extreme.largest)) for name, extreme in outcome.extremes.items()}
     scale = {u: max((s for name, s in sizes.items() if name.endswith(f"_{u}") and math.isfinite(s)), default=0.0) for u in UNITS}
     moving = {name for name, size in sizes.items() if size > 1e-9 * scale.get(name.rpartition("_")[2], 0.0)}  # else rounding
+    rows = []
     for name, extreme in outcome.extremes.items():
         unit = next((unit for ending, unit in WORTH.items() if name.endswith(ending)), None)
         if unit is None or name not in moving or not math.isfinite(extreme.least):
             continue
         factor = math.degrees(1.0) if unit == "deg" else 1.0
         owner, _, what = name.rpartition(".")
-        least, largest = (0.0 if abs(v) <= ROUNDING * sizes[name] else v for v in (extreme.least, extreme.largest))
-        table.add_row(
-            f"{owner}: {WORDS.get(what, what)}",
-            number(least * factor, 7),
-            fixed(math.degrees(extreme.least_at), 4),
-            number(largest * factor, 7),
-            fixed(math.degrees(extreme.largest_at), 4),
-            Text(unit, style=QUIET),
-        )
-    return table
+        ends = ((extreme.least, extreme.least_at), (extreme.largest, extreme.largest_at))
+        cells = [
+            (number(factor * (0.0 if abs(value) <= ROUNDING * sizes[name] else value), 7), fixed(math.degrees(at), 4))
+            for value, at in ends
+        ]
+        rows.append((f"{owner}: {WORDS.get(what, what)}", *cells[0], *cells[1], quiet(unit)))
+    columns = ["", ">least", ">at deg", ">largest", ">at deg", ""]
+    return table("Extremes over the motion, at their exact crank angles", columns, rows)
 
 
-def _work(outcome: Analysis) -> Table:
-    table = grid("Work of the drive", [("", "left"), ("", "right"), ("", "left")])
+def _work(outcome: Analysis) -> TableSpec:
     scale = max((abs(v) for v in outcome.extremes.get("input.work_J", (0.0,))), default=0.0)
     work = 0.0 if abs(outcome.work) <= 1e-12 * scale else outcome.work  # rounding error of cancelling terms
-    table.add_row(outcome.extent, number(work, 9), "J")
+    rows = [(outcome.extent, number(work, 9), "J")]
     if "input.work_J" in outcome.extremes:
         extreme = outcome.extremes["input.work_J"]
         for word, amount, at in (("least", *extreme[:2]), ("largest", *extreme[2:])):
             last = abs(amount - outcome.work) <= ROUNDING * scale < abs(amount)  # the end shares its crank angle with the start
             where = "the end" if last else f"{math.degrees(at):.4f} deg"
-            table.add_row(f"{word} since the start", number(amount, 9), f"J at {where}")
+            rows.append((f"{word} since the start", number(amount, 9), f"J at {where}"))
     wheel = outcome.flywheel
     if wheel:
-        table.add_row("mean torque", number(wheel.mean_torque), "N m")
-        table.add_row("mean speed", number(wheel.mean_speed), "rad/s, mean over crank angle, not time")
         alone = "of the mean speed under it, without a flywheel"
-        table.add_row(
-            "fluctuation", number(wheel.fluctuation), alone if wheel.fluctuation > 0.0 else "without a flywheel: it would stop"
-        )
-        table.add_row("flywheel", number(wheel.inertia), f"kg m^2 at the crank keeps it at {wheel.allowed:g}")
-    return table
+        rows += [
+            ("mean torque", number(wheel.mean_torque), "N m"),
+            ("mean speed", number(wheel.mean_speed), "rad/s, mean over crank angle, not time"),
+            ("fluctuation", number(wheel.fluctuation), alone if wheel.fluctuation > 0.0 else "without a flywheel: it would stop"),
+            ("flywheel", number(wheel.inertia), f"kg m^2 at the crank keeps it at {wheel.allowed:g}"),
+        ]
+    return table("Work of the drive", "<><", rows)
 
 
-def simulation(outcome: Simulation) -> RenderableType:
+def simulation(outcome: Simulation) -> Summary:
     """Summarise a forward dynamics simulation: final state, energy balance, drift and speed fluctuation."""
     found, course = outcome.figures, outcome.run
-    title = Text(outcome.problem.model.title, style=HEAD)
-    title.append(f"\n{course.ending.value}", style=GOOD if outcome.finished else BAD)
-    title.append(f", driven by {outcome.driven}; {course.ending.text}")
-    for note in outcome.notes:
-        title.append(f"\nNote: {note}")
-    end = grid("At the end", [("", "left"), ("", "right"), ("", "left")])
-    end.add_row("time", number(found["end.time_s"], 9), "s")
-    turns = found["end.crank_angle_rad"] / (2.0 * math.pi)
-    end.add_row("crank angle", number(found["end.crank_angle_rad"], 10), f"rad ({turns:.4f} turns)")
-    speed = found["end.speed_rad_s"]
-    end.add_row("crank speed", number(speed, 10), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)")
+    speed, turns = found["end.speed_rad_s"], found["end.crank_angle_rad"] / (2.0 * math.pi)
+    end = [
+        ("time", number(found["end.time_s"], 9), "s"),
+        ("crank angle", number(found["end.crank_angle_rad"], 10), f"rad ({turns:.4f} turns)"),
+        ("crank speed", number(speed, 10), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)"),
+    ]
     if "last_turn.mean_speed_rad_s" in found:
         mean, share = found["last_turn.mean_speed_rad_s"], found["last_turn.fluctuation"]
-        end.add_row("last turn: mean speed", number(mean), f"rad/s, mean over time; fluctuation {share:.4%}")
-    works = grid("Energy account", [("", "left"), ("", "right"), ("", "left")])
-    for name, work in course.works.items():
-        works.add_row("work of the drive" if name == "input" else f"work of {name}", number(float(work[-1]), 9), "J")
-    works.add_row("kinetic and gravity's energy gained", number(float(course.energy[-1] - course.energy[0]), 9), "J")
+        end.append(("last turn: mean speed", number(mean), f"rad/s, mean over time; fluctuation {share:.4%}"))
+    works = [
+        ("work of the drive" if name == "input" else f"work of {name}", number(float(work[-1]), 9), "J")
+        for name, work in course.works.items()
+    ]
     share = course.imbalance / course.turnover if course.turnover > 0.0 else 0.0
-    works.add_row("largest imbalance on the way", f"{course.imbalance:.1e}", f"J, {share:.1e} of the largest amount")
-    check = f"{course.drift:.1e} m, {course.drift_angle:.1e} rad"
-    words = f"Drift of the twice integrated positions from the closed loops: at most {check}"
-    tail = Text(f"{words}\n{course.steps} steps, {course.evaluations} evaluations", style=QUIET)
-    return Group(title, Text(), end, Text(), works, Text(), tail)
+    works += [
+        ("kinetic and gravity's energy gained", number(float(course.energy[-1] - course.energy[0]), 9), "J"),
+        ("largest imbalance on the way", f"{course.imbalance:.1e}", f"J, {share:.1e} of the largest amount"),
+    ]
+    drift = f"{course.drift:.1e} m, {course.drift_angle:.1e} rad"
+    tail = Paragraph(
+        quiet(f"Drift of the twice integrated positions from the closed loops: at most {drift}"),
+        quiet(f"{course.steps} steps, {course.evaluations} evaluations"),
+    )
+    ended = verdict(course.ending.value, outcome.finished), f", driven by {outcome.driven}; {course.ending.text}"
+    tables = table("At the end", "<><", end), table("Energy account", "<><", works)
+    return summary(outcome.problem.model.title, [ended, *noted(outcome.notes)], *tables, tail)

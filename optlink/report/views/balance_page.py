@@ -14,13 +14,13 @@ from optlink.dynamics.machine import Machine
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import BalanceSection, read_measure
 from optlink.problem.quantity import Unusable
+from optlink.report.format import change, number
 from optlink.report.html.chart_plotly import Chart, Panel, Picks, axis, line, mark, sheet, short, stacked
 from optlink.report.html.shell import Section
 from optlink.report.stored.reader import Record
-from optlink.report.stored.stored_study import Studied, figures_of, split, still, turning
+from optlink.report.stored.stored_study import Studied, figures_of, still, turning
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, scale
 from optlink.report.views import balance_tables
-from optlink.report.views.function_tables import number
 from optlink.tasks.balance import balanced_problem
 from optlink.tasks.machine import machine_of, motion_range, table_angles
 from optlink.tasks.results.balance import (
@@ -223,8 +223,8 @@ def studied(record: Record, file: ProblemFile) -> Studied:
         If the record is damaged or its measures differ from those of its counterweights.
     """
     found = read(record, file)
-    lines, tables = split(balance_tables.balance(found))
-    sections = list(figures_of(tables, "Balance and proof"))
+    shown = balance_tables.balance(found)
+    sections = list(figures_of(shown.parts, "Balance and proof"))
     if found.trade is not None and len(found.trade.points) > 1:
         sections.append(Section("Trade-off", [_curve(found, found.trade)]))
     if found.heavier is not None:
@@ -234,7 +234,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
         kind="balance",
         verdict=VERDICTS[found.status] if found.valid or found.status == "infeasible" else "Not valid",
         valid=found.valid,
-        status=lines,
+        status=shown.status.lines,
         sections=sections,
         moving=still if found.balanced is None else turning(found.balanced, {}),
         by=f"a convex programme, {found.solver}; verified by the inverse dynamics of the balanced machine",
@@ -325,7 +325,7 @@ def _picks(trade: TradeOff, x: Array, y: Array) -> Picks:
     ]
     rows = []
     for point in trade.points:
-        shares = [balance_tables.percent(value / before - 1.0) for value, before in zip(point.made, trade.before, strict=True)]
+        shares = [change(value / before - 1.0) for value, before in zip(point.made, trade.before, strict=True)]
         told = [number(point.made[0]), shares[0], number(point.made[1]), shares[1]]
         rows.append((*told, *(f"{number(point.masses[body])} kg" if body in point.masses else "none" for body in bodies)))
     first = trade.knee or 0

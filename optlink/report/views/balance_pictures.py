@@ -20,9 +20,9 @@ from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict, write_csv, write_design, write_json
+from optlink.report.format import change
 from optlink.report.labels import Label, place_labels
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, ROCKER, WANTED, Scale, figure, heading, save, scale, styled
-from optlink.report.views.balance_tables import percent
 from optlink.tasks.results.balance import AddedCounterweight, Balance
 
 Array = NDArray[np.float64]
@@ -156,9 +156,9 @@ def _colour(measure: BalanceMeasure) -> str:
 
 def _values(measure: BalanceMeasure, old: Array, new: Array, unit: Scale) -> dict[str, str]:
     rms = [float(np.sqrt(np.mean(values * values))) for values in (old, new)]
-    change = percent(rms[1] / rms[0] - 1.0) if rms[0] > 0.0 else ""
+    told = change(rms[1] / rms[0] - 1.0) if rms[0] > 0.0 else ""
     shown = [unit.text(value) if value > 1e-12 * rms[0] else "0" for value in rms]
-    return {"given": f"given: rms {shown[0]}", "balanced": f"balanced: {shown[1]} ({change})"}
+    return {"given": f"given: rms {shown[0]}", "balanced": f"balanced: {shown[1]} ({told})"}
 
 
 @styled
@@ -310,7 +310,7 @@ def trade(result: Balance) -> Figure | None:
     if found.knee is not None:
         marks[found.knee] = "knee"
     for k, name in marks.items():
-        shares = [percent(v / b - 1.0) for v, b in zip(found.points[k].made, found.before, strict=True)]
+        shares = [change(v / b - 1.0) for v, b in zip(found.points[k].made, found.before, strict=True)]
         axes.plot(*real[k], "o", color=LIMIT, markersize=7.0, zorder=5, gid=name)
         text = f"{name}\n{_short(first)} {shares[0]}, {_short(second)} {shares[1]}"
         labels.append(Label(axes, (float(real[k, 0]), float(real[k, 1])), text, LIMIT, 8.5, 4.0, (0.7, 0.7)))

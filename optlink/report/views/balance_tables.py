@@ -6,7 +6,7 @@ import math
 
 from optlink.problem.machine.balance import BalanceSection
 from optlink.report.format import change, number, times
-from optlink.report.table_spec import Inline, Paragraph, Part, Span, Summary, TableSpec, bad, good, quiet, strong, summary, table
+from optlink.report.table_spec import Paragraph, Part, Row, Span, Summary, TableSpec, bad, good, quiet, strong, summary, table
 from optlink.report.views.function_tables import noted
 from optlink.tasks.results.balance import Balance, TradeOff
 
@@ -45,7 +45,7 @@ def _objective(outcome: Balance) -> TableSpec:
         proof = "least squares without any limit: nothing can be below"
     agrees = quiet("inverse dynamics of the balanced machine agrees")
     off = max([outcome.disagreement, *(p.disagreement for p in (outcome.trade.points if outcome.trade else ()))])
-    rows = [
+    rows: list[Row] = [
         (outcome.measure, strong(number(outcome.objective, 9)), unit, quiet(against)),
         ("proven lower bound", number(max(outcome.lower, 0.0), 9), unit, quiet(proof)),
         ("verification", f"{off:.1e}", "", agrees if outcome.verified else bad("inverse dynamics DISAGREES")),
@@ -54,7 +54,7 @@ def _objective(outcome: Balance) -> TableSpec:
 
 
 def _added(outcome: Balance) -> TableSpec:
-    rows: list[tuple[Inline, ...]] = []
+    rows: list[Row] = []
     for one in outcome.added:
         x, y = one.place
         size, what = (one.radius, "disc") if one.radius is not None else (one.gyration, "of gyration")
@@ -74,7 +74,7 @@ def _added(outcome: Balance) -> TableSpec:
 
 
 def _measures(outcome: Balance) -> TableSpec:
-    rows = []
+    rows: list[Row] = []
     for rms, most in zip(outcome.rows[::2], outcome.rows[1::2], strict=True):
         cells, largest = [], max(rms.before, rms.after)
         prefixes = ((1e-3, "k"), (1.0, ""), (1e3, "m"), (1e6, "µ"))

@@ -24,7 +24,7 @@ from optlink.report.html.moving_linkage import Moving, Readout, Stops, decimals_
 from optlink.report.html.shell import Section
 from optlink.report.scene import through
 from optlink.report.stored.reader import Record
-from optlink.report.stored.stored_study import Studied, figures_of, split, still
+from optlink.report.stored.stored_study import Studied, figures_of, still
 from optlink.report.style import BODIES, CRANK, FOUND, GROUND, LIMIT, QUIET, Scale, scale
 from optlink.report.views import clearance_tables
 from optlink.report.views.revolutions import WINDOW, Turns
@@ -177,8 +177,8 @@ def studied(record: Record, file: ProblemFile) -> Studied:
         If the record is damaged.
     """
     found = read(record, file)
-    lines, tables = split(clearance_tables.simulation(found))
-    sections = list(figures_of(tables))
+    shown = clearance_tables.simulation(found)
+    sections = list(figures_of(shown.parts))
     if found.revolutions:
         turns = Turns(found)
         sections.append(Section("Orbits in the gaps", [_orbit(turns, gap) for gap in found.gaps]))
@@ -189,7 +189,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
         kind="simulation with clearance",
         verdict="Finished" if found.finished else f"Not finished: {found.ending.value}",
         valid=found.finished,
-        status=lines,
+        status=shown.status.lines,
         sections=sections,
         moving=_moving(found),
         by=f"event-driven integration of all bodies, tolerance {found.tolerance:g}{control}",
@@ -365,14 +365,14 @@ def compared(record: Record, file: ProblemFile) -> Studied:
     if unit not in clearance_tables.TO_DISPLAY:
         raise record.fault("unit", "no output has that", unit)
     found = Comparison(file, trials, starts, record.whole("seed"), record.whole("revolutions"), {}, unit)
-    lines, tables = split(clearance_tables.comparison(found))
+    shown = clearance_tables.comparison(found)
     return Studied(
         problem=file,
         kind="comparison of control",
         verdict="Finished" if found.finished else "Not every run was finished",
         valid=found.finished,
-        status=lines,
-        sections=[*figures_of(tables), Section("Chart", [_bars(found)])],
+        status=shown.status.lines,
+        sections=[*figures_of(shown.parts), Section("Chart", [_bars(found)])],
         moving=still,
         by=f"event-driven integration from {len(starts)} crank angles, seed {found.seed}",
     )

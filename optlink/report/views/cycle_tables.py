@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from optlink.errors import Status
 from optlink.problem.cycle import CycleProblem
 from optlink.report.format import fixed, number, times
-from optlink.report.table_spec import Inline, Line, Paragraph, Part, Summary, TableSpec, quiet, strong, summary, table
+from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, quiet, strong, summary, table
 from optlink.report.views.analysis_tables import machine_strokes
 from optlink.report.views.function_tables import active, checks, conflict, graded, noted, verdict
 from optlink.tasks.results.cycle import CycleResult, display_unit
@@ -67,7 +67,7 @@ def _sizes(outcome: CycleResult) -> TableSpec:
 
 
 def _figures(outcome: CycleResult) -> TableSpec:
-    rows: list[tuple[Inline, ...]] = []
+    rows: list[Row] = []
     for one in outcome.figures:
         change = one.found / one.given - 1.0 if one.given and math.isfinite(one.given) else math.nan
         shown = f"{change:+.2%}" if math.isfinite(change) else "-"

@@ -22,6 +22,7 @@ from optlink.report.table_spec import (
     Line,
     Paragraph,
     Part,
+    Row,
     Summary,
     TableSpec,
     bad,
@@ -124,7 +125,7 @@ def _objective(outcome: FunctionResult) -> TableSpec:
     rms, largest = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
     robust = outcome.problem.spec.requirement.robust
     remark = f"error{'' if robust is None else ' as drawn'}: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
-    rows = [(outcome.measure, strong(number(outcome.objective)), outcome.unit, quiet(remark))]
+    rows: list[Row] = [(outcome.measure, strong(number(outcome.objective)), outcome.unit, quiet(remark))]
     in_degrees = ("", strong(number(math.degrees(outcome.objective))), "deg")
     if robust is not None and outcome.unit == "rad":
         rows.append((*in_degrees, quiet("objective of the linkage with its tolerances")))
@@ -171,7 +172,7 @@ def checks(asked: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:
     gathered : sequence of Check, optional
         Passed bounds of dimensions that share one row.
     """
-    rows: list[tuple[Inline, ...]] = [
+    rows: list[Row] = [
         (verdict("ok" if one.passed else "FAIL", one.passed), one.name, number(one.value), quiet(one.unit), one.limit)
         for one in asked
         if one not in gathered

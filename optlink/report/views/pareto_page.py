@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
+from optlink.report.format import number
 from optlink.report.html.chart_plotly import Chart, Picks, Trace, axis, line, mark, sheet, short
 from optlink.report.html.shell import Section
 from optlink.report.stored.reader import Record
-from optlink.report.stored.stored_study import Studied, figures_of, named_si, split, still, turning
+from optlink.report.stored.stored_study import Studied, figures_of, named_si, still, turning
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
 from optlink.report.views import pareto_tables
-from optlink.report.views.function_tables import number
 from optlink.studies.grid import MAX_POINTS, Axis, Grid
 from optlink.studies.pareto.epsilon_constraint import SCHEMA, Pareto, ParetoPoint
 from optlink.studies.pareto.objective import ParetoObjective
@@ -119,7 +119,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
         If the record is damaged.
     """
     found = read(record, file)
-    lines, tables = split(pareto_tables.front(found))
+    shown = pareto_tables.front(found)
     chosen = _chosen(found)
     words = f"The design of point {chosen + 1}: {found.points[chosen].mark or 'the first'}." if chosen is not None else ""
     charts = (_front(found),) if len(found.points) > 1 else ()
@@ -128,8 +128,8 @@ def studied(record: Record, file: ProblemFile) -> Studied:
         kind=f"front of {len(found.aims)} objectives",
         verdict="Every point of the front is proven" if found.complete else "Not every point could be proven",
         valid=found.complete,
-        status=lines,
-        sections=[*([Section("Front", charts)] if charts else []), *figures_of(tables, "Points and designs")],
+        status=shown.status.lines,
+        sections=[*([Section("Front", charts)] if charts else []), *figures_of(shown.parts, "Points and designs")],
         moving=still if chosen is None else turning(file, named_si(file, found.points[chosen].design)),
         by="optima along limits on all objectives but one, each proven by the validator (epsilon constraint method)",
         drawn=words,

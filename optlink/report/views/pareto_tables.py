@@ -1,48 +1,41 @@
-"""Terminal tables of a Pareto front of two or three objectives."""
+"""Tables of a Pareto front of two or three objectives."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
-from rich.console import Group, RenderableType
-from rich.text import Text
-
-from optlink.report.views.balance_tables import percent
-from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, grid, number, points
+from optlink.report.format import change, number, points
+from optlink.report.table_spec import Inline, Line, Paragraph, Row, Summary, TableSpec, bad, good, quiet, summary, table
 from optlink.studies.pareto.epsilon_constraint import Pareto
 
 MANY = 3.0  # ratio above which a change is not given in per cent
 SHOWN = 24  # largest number of listed points, besides the end points and the knee
 
 
-def front(result: Pareto) -> RenderableType:
+def front(result: Pareto) -> Summary:
     """Summarise a Pareto front: points, end points, knee, and the change of each objective from the reference design."""
-    title = Text(result.problem.model.title, style=HEAD)
-    title.append(f"\n{points(len(result.points))} of the front of {_and([aim.name for aim in result.aims])}, ")
-    title.append("every one proven", style=GOOD)
-    empty = f"; {result.infeasible} hold no design" if result.infeasible else ""
-    title.append(
-        f"\n{result.solved} solved; {result.dominated} {'is' if result.dominated == 1 else 'are'} beaten by others{empty}"
-    )
-    missed = result.solved - result.valid - result.infeasible
-    if missed:
-        title.append(f"; {missed} could not be proven and are left out", style=BAD)
+    title = result.problem.model.title
     if not result.points:
-        return Group(title)
-    if len(result.points) == 1:
-        title.append("\nNo trade-off: one design is best in every objective")
-    elif result.knee is None:
-        title.append("\nNo knee: the front is straight or bulges the other way")
-    parts: list[RenderableType] = [title, Text(), _points(result), Text(), _designs(result)]
+        return summary(title, _status(result))
     rate = f"; {1e3 * result.cpu / result.done:.0f} ms of processor time each" if result.done else ""
-    line = (
-        f"{points(result.done)} done in {result.seconds:.1f} s{rate}; knee by the distance from the chord of the ends (Das 1999)"
-    )
-    return Group(*parts, Text(), Text(line, style=QUIET))
+    knee = "knee by the distance from the chord of the ends (Das 1999)"
+    effort = Paragraph(quiet(f"{points(result.done)} done in {result.seconds:.1f} s{rate}; {knee}"))
+    return summary(title, _status(result), _points(result), _designs(result), effort)
 
 
-def _and(names: list[str]) -> str:
-    return f"{', '.join(names[:-1])} and {names[-1]}"
+def _status(result: Pareto) -> Iterator[Line]:
+    names = [aim.name for aim in result.aims]
+    found = f"{points(len(result.points))} of the front of {', '.join(names[:-1])} and {names[-1]}, "
+    yield found, good("every one proven")
+    missed = result.solved - result.valid - result.infeasible
+    empty = f"; {result.infeasible} hold no design" if result.infeasible else ""
+    beaten = f"{result.solved} solved; {result.dominated} {'is' if result.dominated == 1 else 'are'} beaten by others{empty}"
+    yield beaten, bad(f"; {missed} could not be proven and are left out" if missed else "")
+    if len(result.points) == 1:
+        yield "No trade-off: one design is best in every objective"
+    elif result.points and result.knee is None:
+        yield "No knee: the front is straight or bulges the other way"
 
 
 def _shown(result: Pareto) -> list[int]:
@@ -51,28 +44,22 @@ def _shown(result: Pareto) -> list[int]:
     return [k for k, point in enumerate(result.points) if k % step == 0 or point.mark]
 
 
-def _points(result: Pareto) -> RenderableType:
+def _points(result: Pareto) -> TableSpec:
     """Tabulate the objectives of the points and their change from the reference design."""
-    columns = [("", "right")]
-    for aim in result.aims:
-        columns += [(f"{aim.name}\n[{aim.unit}]" if aim.unit else aim.name, "right")]
-        columns += [("", "right")] if _compared(result) else []
-    table = grid("Front", [*columns, ("", "left")], header=True)
-    for k in _shown(result):
-        table.add_row(str(k + 1), *_cells(result, result.points[k].values), result.points[k].mark)
+    rows: list[Row] = [(str(k + 1), *_cells(result, result.points[k].values), result.points[k].mark) for k in _shown(result)]
     if result.given is not None:
-        table.add_row("", *_cells(result, result.given), Text(result.given_words, style=QUIET))
-    return table
+        rows.append(("", *_cells(result, result.given), quiet(result.given_words)))
+    columns = [">"]
+    for aim in result.aims:
+        columns += [f">{aim.name}\n[{aim.unit}]" if aim.unit else f">{aim.name}", *([">"] if _compared(result) else [])]
+    return table("Front", [*columns, ""], rows, unbroken=True)
 
 
-def _designs(result: Pareto) -> RenderableType:
+def _designs(result: Pareto) -> TableSpec:
     """Tabulate the design variables of the points."""
     free = list(result.points[0].design)
-    heads = [("{}\n[{}]".format(*name.rpartition("_")[::2]), "right") for name in free]
-    table = grid("Designs", [("", "right"), *heads], header=True)
-    for k in _shown(result):
-        table.add_row(str(k + 1), *(number(result.points[k].design[name], 5) for name in free))
-    return table
+    rows = [(str(k + 1), *(number(result.points[k].design[name], 5) for name in free)) for k in _shown(result)]
+    return table("Designs", [">", *(">{}\n[{}]".format(*name.rpartition("_")[::2]) for name in free)], rows)
 
 
 def _compared(result: Pareto) -> bool:
@@ -80,13 +67,11 @@ def _compared(result: Pareto) -> bool:
     return result.given is not None and len(result.aims) == 2
 
 
-def _cells(result: Pareto, values: tuple[float, ...]) -> list[RenderableType]:
-    cells: list[RenderableType] = []
+def _cells(result: Pareto, values: tuple[float, ...]) -> Iterator[Inline]:
     for k, value in enumerate(values):
-        cells.append(Text(number(value, 6), no_wrap=True))
+        yield number(value, 6)
         if result.given is not None and _compared(result):
-            cells.append(Text("" if values is result.given else against(value, result.given[k]), style=QUIET, no_wrap=True))
-    return cells
+            yield quiet("" if values is result.given else against(value, result.given[k]))
 
 
 def against(value: float, before: float) -> str:
@@ -101,4 +86,4 @@ def against(value: float, before: float) -> str:
     if not before:
         return ""
     ratio = value / before
-    return f"x {ratio:.3g}" if ratio >= MANY else percent(ratio - 1.0)
+    return f"x {ratio:.3g}" if ratio >= MANY else change(ratio - 1.0)

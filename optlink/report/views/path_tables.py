@@ -10,10 +10,10 @@ from optlink.linkage.cognates import Cognate, CouplerLinkage
 from optlink.problem.path import TURN, PathProblem
 from optlink.report.format import fixed, number, precise, significant, times
 from optlink.report.table_spec import (
-    Inline,
     Line,
     Paragraph,
     Part,
+    Row,
     Summary,
     TableSpec,
     bad,
@@ -100,7 +100,7 @@ def _objective(design: PathDesign) -> TableSpec:
     if measured.turned is not None:
         remark += f"; angle: largest {number(math.degrees(float(abs(measured.turned).max())), 4)} deg"
     objective = strong(precise(people_objective(design), 8))
-    rows: list[tuple[Inline, ...]] = [(measure(task), objective, people_objective_unit(design), quiet(remark))]
+    rows: list[Row] = [(measure(task), objective, people_objective_unit(design), quiet(remark))]
     least = math.degrees(design.least_transmission)
     if math.isfinite(least):
         remark = "from 0 or 180 deg, at its worst " + ("of the revolution" if design.turns else "between the points")
@@ -164,7 +164,7 @@ def _alternatives(outcome: PathResult) -> TableSpec:
     names = [(measure(task), people_objective_unit(best)), ("least transmission angle", "deg"), ("same curve as", "")]
     names += [(name, display_unit(task, name)[1]) for name in task.quantities if task.quantities[name].free]
     names += [(joint, "") for joint in dict.fromkeys(f"assembly {one}".rstrip() for design in designs for one in modes(design))]
-    rows = [
+    rows: list[Row] = [
         (name, quiet(unit), *(column.get(name, "") for column in columns))
         for name, unit in names
         if any(name in column for column in columns)

@@ -7,14 +7,13 @@ from collections.abc import Callable, Container, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
-from rich.text import Text
 
 from optlink.dynamics.columns import slider_names
 from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
+from optlink.report.format import number
 from optlink.report.html.chart_plotly import Chart, Panel, Trace, line, stacked, thinned
 from optlink.report.html.moving_linkage import Moving, Readout, Stops, decimals_of, even
 from optlink.report.html.shell import Section
@@ -22,8 +21,7 @@ from optlink.report.scene import through
 from optlink.report.stored.reader import Record
 from optlink.report.stored.stored_study import Studied, figures_of, still
 from optlink.report.style import BODIES, CRANK, Scale, scale
-from optlink.report.views.function_tables import QUIET as DIM
-from optlink.report.views.function_tables import grid, number
+from optlink.report.table_spec import Paragraph, Part, TableSpec, quiet, table
 from optlink.tasks.analyze import analyze
 from optlink.tasks.machine import machine_of
 from optlink.tasks.simulate import SCHEMA
@@ -71,7 +69,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
         *_reactions(columns, {*mechanism.pins, *(guide.name for guide in mechanism.guides)}),
         *_work(columns),
     ]
-    tables: list[Table | Text] = [_end(figures, crank), _account(figures), Text(f"{_drift(figures)}; {effort}", style=DIM)]
+    tables: list[Part] = [_end(figures, crank), _account(figures), Paragraph(quiet(f"{_drift(figures)}; {effort}"))]
     return Studied(
         problem=file,
         kind="simulation in time",
@@ -88,30 +86,29 @@ def studied(record: Record, file: ProblemFile) -> Studied:
 # --- tables ------------------------------------------------------------------------------------------------------------------
 
 
-def _end(figures: Mapping[str, float], crank: Array) -> Table:
-    table = grid("At the end", [("", "left"), ("", "right"), ("", "left")])
-    table.add_row("time", number(figures["end.time_s"], 9), "s")
-    table.add_row(
-        "crank angle", number(float(crank[-1]), 9), f"deg, {abs(crank[-1] - crank[0]) / 360.0:.4f} turns from the start"
-    )
+def _end(figures: Mapping[str, float], crank: Array) -> TableSpec:
     speed = figures["end.speed_rad_s"]
-    table.add_row("crank speed", number(speed, 9), f"rad/s, {speed * 30.0 / math.pi:.6g} rpm")
+    rows = [
+        ("time", number(figures["end.time_s"], 9), "s"),
+        ("crank angle", number(float(crank[-1]), 9), f"deg, {abs(crank[-1] - crank[0]) / 360.0:.4f} turns from the start"),
+        ("crank speed", number(speed, 9), f"rad/s, {speed * 30.0 / math.pi:.6g} rpm"),
+    ]
     if "last_turn.mean_speed_rad_s" in figures:
         share = f"rad/s, mean over time; fluctuation {figures.get('last_turn.fluctuation', math.nan):.4%}"
-        table.add_row("last turn: mean speed", number(figures["last_turn.mean_speed_rad_s"]), share)
-    return table
+        rows.append(("last turn: mean speed", number(figures["last_turn.mean_speed_rad_s"]), share))
+    return table("At the end", "<><", rows)
 
 
-def _account(figures: Mapping[str, float]) -> Table:
-    table = grid("Energy account", [("", "left"), ("", "right"), ("", "left")])
+def _account(figures: Mapping[str, float]) -> TableSpec:
     works = {name.removesuffix(".work_J"): work for name, work in figures.items() if name.endswith(".work_J")}
-    for name, work in works.items():
-        table.add_row("work of the drive" if name == "input" else f"work of {name}", number(work, 9), "J")
-    table.add_row("their sum: energy gained", number(sum(works.values()), 9), "J, kinetic and of gravity")
+    rows = [("work of the drive" if name == "input" else f"work of {name}", number(work, 9), "J") for name, work in works.items()]
     largest = figures["turnover_J"]
     share = figures["imbalance_J"] / largest if largest > 0.0 else 0.0
-    table.add_row("largest imbalance on the way", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount")
-    return table
+    rows += [
+        ("their sum: energy gained", number(sum(works.values()), 9), "J, kinetic and of gravity"),
+        ("largest imbalance on the way", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount"),
+    ]
+    return table("Energy account", "<><", rows)
 
 
 def _drift(figures: Mapping[str, float]) -> str:

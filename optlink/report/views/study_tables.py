@@ -1,17 +1,17 @@
-"""Terminal tables of parametric studies."""
+"""Tables of parametric studies."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
 
-from optlink.report.views.function_tables import BAD, GOOD, HEAD, QUIET, fixed, grid, number, points
+from optlink.report.format import fixed, number, points, signed
+from optlink.report.table_spec import Paragraph, Part, Row, Summary, TableSpec, bad, good, quiet, strong, summary, table
+from optlink.report.views.function_tables import noted, verdict
 from optlink.studies.motion_sensitivity import OutputSensitivity
-from optlink.studies.sensitivity import Sensitivities, Sensitivity, ValidityEnd
+from optlink.studies.sensitivity import Sensitivities, Sensitivity
 from optlink.studies.sweep import TEXT, Sweep
 
 AGREES = 1e-5  # relative tolerance between exact derivatives and those from solving again
@@ -30,77 +30,73 @@ def step(row: Sensitivity) -> str:
     return "1 %" if p.value else f"{p.step:g} {p.unit}".rstrip()
 
 
-def sensitivities(result: Sensitivities) -> RenderableType:
+def sensitivities(result: Sensitivities) -> Summary:
     """Summarise the sensitivities of an optimum to its fixed parameters, largest effect first."""
-    names = list(result.units)
-    title = Text(result.problem.model.title, style=HEAD)
-    for note in result.notes:
-        title.append(f"\nNote: {note}")
-    found = grid("Optimum", [("", "left"), ("", "right"), ("", "left")])
-    found.add_row("objective", Text(number(result.solution.objective), style=HEAD), result.unit)
-    for name, value in result.values.items():
-        found.add_row(name, Text(fixed(value), style=HEAD), result.units[name])
-    few = len(names) <= FEW
-    each = [(f"{name}\n[{result.units[name]}]", "right") for name in names] if few else [("moves most", "left")]
-    columns = [("given", "left"), ("change", "right"), ("objective", "right"), *each]
-    table = grid("Sensitivity to prescribed values, largest effect first", columns, header=True)
-    for row in result.moving:
-        p = row.parameter
-        share = row.effect / result.solution.objective if result.solution.objective else math.nan
-        table.add_row(
-            p.name,
-            f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}",
-            Text(_percent(share), style=GOOD if row.effect < 0.0 else ""),
-            *([_signed(row.design[name] * p.step) for name in names] if few else [_movers(result, row)]),
-        )
-    parts: list[RenderableType] = [title, Text(), found, Text()]
+    rows = [("objective", strong(number(result.solution.objective)), result.unit)]
+    rows += [(name, strong(fixed(value)), result.units[name]) for name, value in result.values.items()]
+    return summary(result.problem.model.title, noted(result.notes), table("Optimum", "<><", rows), *sensitivity_parts(result))
+
+
+def sensitivity_parts(result: Sensitivities) -> Iterator[Part]:
+    """Yield the tables of the sensitivities without the optimum itself."""
     if result.moving:
-        parts += [table, Text(), _prices(result), Text(), _events(result)]
+        yield from (_effects(result), _prices(result), _events(result))
     else:
-        parts.append(Text("Nothing that is given moves this optimum, to first order."))
+        yield Paragraph("Nothing that is given moves this optimum, to first order.")
     still = [row.parameter.name for row in result.rows if not row.moves]
     if still:
-        parts += [Text(), Text(f"Without effect here: {'; '.join(dict.fromkeys(still))}.", style=QUIET)]
+        yield Paragraph(quiet(f"Without effect here: {'; '.join(dict.fromkeys(still))}."))
     if result.gap is not None:
-        style = GOOD if result.gap <= AGREES else BAD
-        line = Text.assemble(("\nRe-optimised on both sides of each: ", QUIET), (f"largest difference {result.gap:.1e}", style))
-        parts.append(line)
-    return Group(*parts)
+        gap = verdict(f"largest difference {result.gap:.1e}", result.gap <= AGREES)
+        yield Paragraph((quiet("Re-optimised on both sides of each: "), gap))
+
+
+def _effects(result: Sensitivities) -> TableSpec:
+    """Tabulate the effect of one step of every parameter on the objective and the design."""
+    names, objective, rows = list(result.units), result.solution.objective, []
+    few = len(names) <= FEW
+    for row in result.moving:
+        p = row.parameter
+        share = _percent(row.effect / objective if objective else math.nan)
+        responses = [signed(row.design[name] * p.step) for name in names] if few else [_movers(result, row)]
+        changed = f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}"
+        rows.append((p.name, changed, good(share) if row.effect < 0.0 else share, *responses))
+    each = [f">{name}\n[{result.units[name]}]" for name in names] if few else ["moves most"]
+    columns = ["given", ">change", ">objective", *each]
+    return table("Sensitivity to prescribed values, largest effect first", columns, rows)
 
 
 def _movers(result: Sensitivities, row: Sensitivity) -> str:
     """Format the design variables with the largest relative response to a parameter."""
     sizes = {name: abs(result.values[name]) or 1.0 for name in row.design}
     order = sorted(row.design, key=lambda name: -abs(row.design[name]) / sizes[name])
-    told = [
-        f"{name} {_signed(row.design[name] * row.parameter.step)}\u00a0{result.units[name]}" for name in order if row.design[name]
+    responses = [
+        f"{name} {signed(row.design[name] * row.parameter.step)}\u00a0{result.units[name]}" for name in order if row.design[name]
     ]
-    return ", ".join(told[:MOVERS])
+    return ", ".join(responses[:MOVERS])
 
 
-def _prices(result: Sensitivities) -> Table:
+def _prices(result: Sensitivities) -> TableSpec:
     """Tabulate the derivatives of the objective."""
-    table = grid("Per unit", [("", "left"), ("", "right"), ("", "left")])
-    for row in result.moving:
-        p = row.parameter
-        per = f"{result.unit} per {p.unit or 'unit'}".strip()
-        table.add_row(p.key, f"{row.objective:+.6g}" if row.objective else "0", Text(per, style=QUIET))
-    return table
+    rows = [
+        (
+            row.parameter.key,
+            f"{row.objective:+.6g}" if row.objective else "0",
+            quiet(f"{result.unit} per {row.parameter.unit or 'unit'}".strip()),
+        )
+        for row in result.moving
+    ]
+    return table("Per unit", "<><", rows)
 
 
-def _events(result: Sensitivities) -> Table:
-    table = grid("What ends the range in which this holds (to first order)", [("", "left"), ("", "left"), ("", "left")])
-    for row in result.moving:
-        for word, end in (("below", row.below), ("above", row.above)):
-            if math.isfinite(end.value):
-                table.add_row(
-                    row.parameter.name, f"{word} {_end(end)} {row.parameter.unit}".rstrip(), Text(end.event, style=QUIET)
-                )
-    return table
-
-
-def _end(end: ValidityEnd) -> str:
-    return number(end.value, 5) if math.isfinite(end.value) else "any"
+def _events(result: Sensitivities) -> TableSpec:
+    rows = [
+        (row.parameter.name, f"{word} {number(end.value, 5)} {row.parameter.unit}".rstrip(), quiet(end.event))
+        for row in result.moving
+        for word, end in (("below", row.below), ("above", row.above))
+        if math.isfinite(end.value)
+    ]
+    return table("What ends the range in which this holds (to first order)", "<<<", rows)
 
 
 def _percent(share: float) -> str:
@@ -110,57 +106,45 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:+.1e} %" if tiny else f"{share:+.3%}".replace("%", " %")
 
 
-def _signed(value: float) -> str:
-    return f"{value:+.4g}" if value else "0"
-
-
-def outputs(found: OutputSensitivity) -> RenderableType:
+def outputs(found: OutputSensitivity) -> TableSpec:
     """Tabulate the derivatives of an output with respect to every dimension, one row for each crank angle."""
     angular = found.unit == "rad"
-    per = "deg per mm" if angular else "mm per mm"
+    per, unit = ("deg per mm", "deg") if angular else ("mm per mm", "mm")
     factor = math.degrees(1.0) / 1e3 if angular else 1.0
-    table = grid(
-        f"{found.name}: change per size, at a crank angle that stays [{per}]",
-        [("crank [deg]", "right"), (f"{found.name} [{'deg' if angular else 'mm'}]", "right"), *((n, "right") for n in found.by)],
-        header=True,
-    )
     shown = np.degrees(found.value) if angular else 1e3 * found.value
-    for i, angle in enumerate(np.degrees(found.crank_angles)):
-        table.add_row(f"{angle:g}", fixed(shown[i], 4), *(fixed(factor * column[i], 6) for column in found.by.values()))
-    return table
+    rows = [
+        (f"{angle:g}", fixed(shown[i], 4), *(fixed(factor * column[i], 6) for column in found.by.values()))
+        for i, angle in enumerate(np.degrees(found.crank_angles))
+    ]
+    columns = [">crank [deg]", f">{found.name} [{unit}]", *(f">{name}" for name in found.by)]
+    return table(f"{found.name}: change per size, at a crank angle that stays [{per}]", columns, rows)
 
 
-def sweep(result: Sweep) -> RenderableType:
+def sweep(result: Sweep) -> Summary:
     """Summarise a parameter sweep."""
-    title = Text(result.problem.model.title, style=HEAD)
     every = " x ".join(f"{len(axis.values):,}" for axis in result.grid.axes)
-    title.append(f"\n{points(result.grid.count)}" + (f" ({every})" if len(result.grid.axes) > 1 else ""))
-    title.append(", ").append(_counted(result), style=GOOD if result.complete else BAD)
-    if result.infeasible:
-        title.append("\nWhich limits conflict where there is no design: `optlink solve` with --set at such a point")
-    parts: list[RenderableType] = [title, Text()]
-    axes = grid("Varied", [("", "left"), ("", "left"), ("", "right")])
-    for axis in result.grid.axes:
-        span = f"{axis.values[0]:g} ... {axis.values[-1]:g} {axis.unit}".rstrip()
-        axes.add_row(axis.key, span, Text(f"{len(axis.values):,} values", style=QUIET))
-    parts.append(axes)
+    counted = points(result.grid.count) + (f" ({every})" if len(result.grid.axes) > 1 else "")
+    conflict = "Which limits conflict where there is no design: `optlink solve` with --set at such a point"
+    status = [(f"{counted}, ", verdict(_counted(result), result.complete)), *([conflict] if result.infeasible else [])]
+    axes = [
+        (axis.key, f"{axis.values[0]:g} ... {axis.values[-1]:g} {axis.unit}".rstrip(), quiet(f"{len(axis.values):,} values"))
+        for axis in result.grid.axes
+    ]
+    parts = [table("Varied", "<<>", axes)]
     if result.best is not None:
-        best = grid("Best", [("", "left"), ("", "right")])
-        for name, value in result.best.items():
-            if name in ("status", "valid", "failed", "found", "active_set_changed"):
-                continue
-            best.add_row(name, value if name == "active" else number(float(value), 8))
-        parts += [Text(), best]
+        omitted = ("status", "valid", "failed", "found", "active_set_changed")
+        best = {name: value for name, value in result.best.items() if name not in omitted}
+        rows = ((name, value if name == "active" else number(float(value), 8)) for name, value in best.items())
+        parts.append(table("Best", "<>", rows))
     if result.changes:
-        parts += [Text(), _changes(result)]
-    if result.evaluated:
-        parts += [Text(), *_rows(result)]
+        parts.append(_changes(result))
+    parts += _rows(result) if result.evaluated else []
     rate = result.done / result.seconds if result.seconds else 0.0
     line = f"{points(result.done)} done in {result.seconds:.1f} s ({rate:,.0f} a second"
     line += f"; {1e3 * result.cpu / result.done:.2f} ms of processor time each)" if result.done else ")"
     if not result.evaluated:
         line += f"; {result.searched:,} needed a search, the others followed a neighbour"
-    return Group(*parts, Text(), Text(line, style=QUIET))
+    return summary(result.problem.model.title, status, *parts, Paragraph(quiet(line)))
 
 
 def _counted(result: Sweep) -> str:
@@ -175,38 +159,32 @@ def _counted(result: Sweep) -> str:
     return ", ".join(f"{count:,} {words}" for words, count in counts.items() if count)
 
 
-def _rows(result: Sweep) -> list[RenderableType]:
-    """Tabulate the first points of a sweep of analyses; for larger sweeps, the extremes of each quantity."""
+def _rows(result: Sweep) -> Iterator[TableSpec]:
+    """Yield the first points of a sweep of analyses; for larger sweeps, the extremes of each quantity."""
     axes = result.grid.axes
     names = [name for name in result.names[len(axes) :] if name not in TEXT and name != "valid"]
     columns = result.columns
-    parts: list[RenderableType] = []
     few = result.grid.count <= SHOWN and len(names) <= ACROSS
     if not few and result.valid:
-        heads = [("", "left"), ("least", "right"), ("at", "right"), ("largest", "right"), ("at", "right")]
-        span = grid("Figures over all valid points", heads, header=True)
-        valid = np.flatnonzero(columns["valid"])
+        valid, rows = np.flatnonzero(columns["valid"]), []
         for name in names:
-            least, largest = (int(valid[of(columns[name][valid])]) for of in (np.nanargmin, np.nanargmax))
-            span.add_row(name, *(text for k in (least, largest) for text in (number(columns[name][k]), _place(result, k))))
-        parts += [span, Text()]
-    varied = [(_short(axis.key, axis.unit), "right") for axis in axes]
+            ends = [int(valid[of(columns[name][valid])]) for of in (np.nanargmin, np.nanargmax)]
+            rows.append((name, *(text for k in ends for text in (number(columns[name][k]), _place(result, k)))))
+        yield table("Figures over all valid points", ["", ">least", ">at", ">largest", ">at"], rows)
+    varied = [f">{_short(axis.key, axis.unit)}" for axis in axes]
     if few:
-        heads = [(name.replace(".", ".\n"), "right") for name in names]
-        table = grid("Points", [*varied, *heads, ("status", "left")], header=True)
+        heads = [">" + name.replace(".", ".\n") for name in names]
+        listed: list[Row] = []
         for k in range(result.grid.count):
-            cells = [number(float(columns[name][k])) for name in names]
-            table.add_row(*_values(result, k), *cells, Text(columns["status"][k], style="" if columns["valid"][k] else BAD))
-        parts += [table, Text()]
-    bad = np.flatnonzero(~columns["valid"])
-    if bad.size:
-        table = grid(f"Points that are not valid: {bad.size:,}", [*varied, ("reason", "left")], header=True)
-        for k in map(int, bad[:SHOWN]):
-            table.add_row(*_values(result, k), columns["reason"][k])
-        if bad.size > SHOWN:
-            table.caption = f"and {bad.size - SHOWN:,} more; the table of the sweep has all"
-        parts += [table, Text()]
-    return parts[:-1]
+            status = columns["status"][k] if columns["valid"][k] else bad(columns["status"][k])
+            listed.append((*_values(result, k), *(number(float(columns[name][k])) for name in names), status))
+        yield table("Points", [*varied, *heads, "status"], listed)
+    invalid = np.flatnonzero(~columns["valid"])
+    if invalid.size:
+        failed = [(*_values(result, k), columns["reason"][k]) for k in map(int, invalid[:SHOWN])]
+        more = invalid.size - SHOWN
+        notes = [f"and {more:,} more; the table of the sweep has all"] if more > 0 else []
+        yield table(f"Points that are not valid: {invalid.size:,}", [*varied, "reason"], failed, notes=notes)
 
 
 def _values(result: Sweep, point: int) -> list[str]:
@@ -224,12 +202,10 @@ def _place(result: Sweep, point: int) -> str:
     return ", ".join(f"{value:g} {axis.unit}".rstrip() for axis, value in values)
 
 
-def _changes(result: Sweep) -> Table:
-    table = grid(
-        f"Where other limits begin to hold the design: {result.changed}",
-        [*((axis.column, "right") for axis in result.grid.axes), ("before", "left"), ("from there on", "left")],
-        header=True,
-    )
-    for change in result.changes[:SHOWN]:
-        table.add_row(*(f"{value:g}" for value in change.at.values()), change.before or "none", change.after or "none")
-    return table
+def _changes(result: Sweep) -> TableSpec:
+    rows = [
+        (*(f"{value:g}" for value in change.at.values()), change.before or "none", change.after or "none")
+        for change in result.changes[:SHOWN]
+    ]
+    columns = [*(f">{axis.column}" for axis in result.grid.axes), "before", "from there on"]
+    return table(f"Where other limits begin to hold the design: {result.changed}", columns, rows)

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
+from optlink.report.format import number, points
 from optlink.report.html.chart_plotly import Chart, Panel, Picks, Trace, axis, line, mark, sheet, short, stacked
 from optlink.report.html.shell import Section
 from optlink.report.stored.reader import AGAIN, LARGEST, Record
 from optlink.report.stored.stored_study import Studied, figures_of, named_si, still, turning
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET
-from optlink.report.views.function_tables import grid, number, points
+from optlink.report.table_spec import TableSpec, quiet, table
 from optlink.studies.execution.store import TABLE
 from optlink.studies.grid import Axis, Grid
 from optlink.studies.sweep import CHANGED, SCHEMA
@@ -193,30 +193,29 @@ def _best(file: ProblemFile, found: Swept, best: int) -> tuple[ProblemFile, dict
     return there, named_si(there, {name: float(found.table[name][best]) for name in found.designs})
 
 
-def _tables(found: Swept, best: int | None) -> Iterator[Table]:
-    varied = grid("Varied", [("", "left"), ("", "left"), ("", "right")])
+def _tables(found: Swept, best: int | None) -> Iterator[TableSpec]:
+    varied = []
     for one in found.grid.axes:
         span = f"{min(one.values):g} ... {max(one.values):g} {one.unit}".rstrip()
-        varied.add_row(one.key, span, f"{len(one.values):,} value{'s' * (len(one.values) != 1)}")
-    yield varied
+        varied.append((one.key, span, f"{len(one.values):,} value{'s' * (len(one.values) != 1)}"))
+    yield table("Varied", "<<>", varied)
+    active = found.table.get("active", [])
     if best is not None:
-        table = grid("Best point", [("", "left"), ("", "right")])
-        for name, words in _columns(found).items():
-            table.add_row(words, number(float(found.table[name][best]), 8))
-        table.caption = f"held by: {found.table['active'][best] or 'nothing'}"
-        yield table
+        rows = [(words, number(float(found.table[name][best]), 8)) for name, words in _columns(found).items()]
+        yield table("Best point", "<>", rows, notes=[quiet(f"held by: {active[best] or 'nothing'}")])
     places = np.flatnonzero(found.flags(CHANGED))
     if len(places):
-        heads = [(_varied(one), "right") for one in found.grid.axes]
-        told = f"Where other limits begin to hold the design: {len(places):,}"
-        changes = grid(told, [*heads, ("before", "left"), ("from there on", "left")], header=True)
-        for k in places[:LISTED]:
-            active = found.table["active"]
-            before, after = (active[i].replace("; ", "\n") or "none" for i in (k - 1, k))
-            changes.add_row(*(f"{value:g}" for value in found.grid.values(int(k))), before, after)
-        if len(places) > LISTED:
-            changes.caption = f"and {len(places) - LISTED:,} more; the table of the sweep marks all"
-        yield changes
+        changes = [
+            (
+                *(f"{value:g}" for value in found.grid.values(int(k))),
+                *(active[i].replace("; ", "\n") or "none" for i in (k - 1, k)),
+            )
+            for k in places[:LISTED]
+        ]
+        more = len(places) - LISTED
+        notes = [quiet(f"and {more:,} more; the table of the sweep marks all")] if more > 0 else []
+        columns = [*(f">{_varied(one)}" for one in found.grid.axes), "before", "from there on"]
+        yield table(f"Where other limits begin to hold the design: {len(places):,}", columns, changes, notes=notes)
 
 
 def _columns(found: Swept) -> dict[str, str]:

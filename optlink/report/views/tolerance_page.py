@@ -9,18 +9,16 @@ from html import escape
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
-from rich.text import Text
 
 from optlink.problem.file import ProblemFile
+from optlink.report.format import number, percent
 from optlink.report.html.chart_plotly import Chart, Panel, Trace, axis, line, sheet, short, stacked
 from optlink.report.html.shell import Section
 from optlink.report.stored.reader import Record
 from optlink.report.stored.stored_study import Studied, figures_of, turning
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, WANTED
-from optlink.report.views.function_tables import BAD, GOOD, HEAD, grid, number
-from optlink.report.views.function_tables import QUIET as DIM
-from optlink.report.views.tolerance_tables import judged, made, percent, proven
+from optlink.report.table_spec import Row, TableSpec, bad, good, quiet, strong, table
+from optlink.report.views.tolerance_tables import judged, made, proven
 from optlink.studies.tolerance.analysis import SCHEMA
 from optlink.tasks.function import display_value
 
@@ -230,98 +228,87 @@ def _unit_of(file: ProblemFile, part: Part) -> tuple[float, str]:
     return (math.degrees(1.0), "deg") if quantity is not None and quantity.kind == "angle" else (1e3, "mm")
 
 
-def _blame(file: ProblemFile, found: Toleranced) -> Table:
-    at = found.where
-    heads = [("", "left"), ("tolerance", "right"), ("distribution", "left"), (f"change [{found.unit}]\nper tolerance", "right")]
-    heads += [("share of the\nvariance", "right"), ("over all\nangles", "right")]
-    table = grid(f"Variance contributions at the worst crank angle: {found.degrees[at]:.4g} deg", heads, header=True)
+def _blame(file: ProblemFile, found: Toleranced) -> TableSpec:
+    at, rows = found.where, []
     for part in sorted(found.parts, key=lambda part: -part.share[at]):
         shape = part.shape if part.size == part.name else f"{part.shape}, adds to {part.size}"
         per = f"{found.scale * part.by[at] * part.tolerance:+.4g}"
-        shares = Text(f"{part.share[at]:.1f} %", style=HEAD), f"{float(np.mean(part.share)):.1f} %"
-        table.add_row(part.name, part.text(part.tolerance, *_unit_of(file, part)), Text(shape, style=DIM), per, *shares)
-    return table
+        shares = strong(f"{part.share[at]:.1f} %"), f"{float(np.mean(part.share)):.1f} %"
+        rows.append((part.name, part.text(part.tolerance, *_unit_of(file, part)), quiet(shape), per, *shares))
+    columns = ["", ">tolerance", "distribution", f">change [{found.unit}]\nper tolerance"]
+    columns += [">share of the\nvariance", ">over all\nangles"]
+    return table(f"Variance contributions at the worst crank angle: {found.degrees[at]:.4g} deg", columns, rows)
 
 
-def _scatter(found: Toleranced) -> Table:
-    table = grid(f"Change of the output to first order [{found.unit}]", [("", "left"), ("", "right"), ("", "left")])
+def _scatter(found: Toleranced) -> TableSpec:
     both = np.maximum(-found.linear["worst_low"], found.linear["worst_high"])
-    rows = {"worst case": both, "root of the sum of squares": found.linear["rss"], "standard deviation": found.linear["sigma"]}
-    for name, column in rows.items():
+    values = {"worst case": both, "root of the sum of squares": found.linear["rss"], "standard deviation": found.linear["sigma"]}
+    rows = []
+    for name, column in values.items():
         at = int(np.argmax(column))
         sign = "" if name == "standard deviation" else "±"
-        table.add_row(name, sign + number(found.scale * column[at], 5), Text(f"at {found.degrees[at]:.4g} deg", style=DIM))
-    return table
+        rows.append((name, sign + number(found.scale * column[at], 5), quiet(f"at {found.degrees[at]:.4g} deg")))
+    return table(f"Change of the output to first order [{found.unit}]", "<><", rows)
 
 
-def _told(found: Toleranced, sampled: Sampled) -> Table:
-    title = f"{sampled.samples:,} linkages with deviations drawn (Sobol, seed {sampled.seed}), moved exactly"
-    table = grid(title, [("", "left"), ("", "right"), ("", "left")])
+def _told(found: Toleranced, sampled: Sampled) -> TableSpec:
     at, arrays = found.where, sampled.arrays
-    spread = (
-        f"{number(found.scale * arrays['sigma'][at], 5)} ± {number(found.scale * 2.0 * arrays['sigma_standard_error'][at], 2)}"
-    )
-    table.add_row("standard deviation", spread, Text(f"{found.unit}, at {found.degrees[at]:.4g} deg", style=DIM))
+    sigma, error = (found.scale * arrays[name][at] for name in ("sigma", "sigma_standard_error"))
+    where = quiet(f"{found.unit}, at {found.degrees[at]:.4g} deg")
+    rows: list[Row] = [("standard deviation", f"{number(sigma, 5)} ± {number(2.0 * error, 2)}", where)]
     for name, value in sampled.below.items():
         told = number(found.scale * value, 5) if math.isfinite(value) else "beyond the histogram"
-        table.add_row(f"{_judged(found)}: {name.removesuffix('_percent')} % below", told, found.unit)
+        rows.append((f"{_judged(found)}: {name.removesuffix('_percent')} % below", told, found.unit))
     if sampled.stuck:
-        table.add_row(Text("cannot be assembled", style=BAD), f"{sampled.stuck:,}", "")
+        rows.append((bad("cannot be assembled"), f"{sampled.stuck:,}", ""))
     if math.isfinite(sampled.share):
         low, high = sampled.interval
         limit = f"yield, within {number(found.scale * found.limit)} {found.unit}"
-        table.add_row(
-            limit, Text(percent(sampled.share), style=HEAD), Text(f"{percent(low)} ... {percent(high)} (95 % sure)", style=DIM)
-        )
-        table.add_row("yield by the linear model", percent(sampled.linear), "")
-    return table
+        rows.append((limit, strong(percent(sampled.share)), quiet(f"{percent(low)} ... {percent(high)} (95 % sure)")))
+        rows.append(("yield by the linear model", percent(sampled.linear), ""))
+    title = f"{sampled.samples:,} linkages with deviations drawn (Sobol, seed {sampled.seed}), moved exactly"
+    return table(title, "<><", rows)
 
 
 def _judged(found: Toleranced) -> str:
     return "largest error" if np.any(found.base) else "largest change"
 
 
-def _allocated(file: ProblemFile, found: Toleranced, record: Record) -> Table:
+def _allocated(file: ProblemFile, found: Toleranced, record: Record) -> TableSpec:
     values, costs = record.figures("tolerances_SI"), record.figures("cost_coefficients")
     idle, before = record.texts("without_effect"), record.number("cost_of_those_given")
     if not before > 0.0:
         raise record.fault("cost_of_those_given", "a cost is above zero", before)
-    share = record.number("cost") / before
-    title = f"The loosest tolerances for a yield of {percent(record.number('wanted_yield'))}: cost {number(share)} of the given"
-    heads = [("", "left"), ("given", "right"), ("allocated", "right"), ("cost coefficient", "right"), ("", "left")]
-    table = grid(title, heads, header=True)
+    share, rows = record.number("cost") / before, []
     for part in found.parts:
         if part.name not in values or part.name not in costs:
             raise record.fault(f"tolerances_SI.{part.name}", "this is missing")
         unit = _unit_of(file, part)
-        allocated = Text(part.text(values[part.name], *unit), style=HEAD)
-        remark = "has no effect" if part.name in idle else ""
-        table.add_row(part.name, part.text(part.tolerance, *unit), allocated, number(costs[part.name]), remark)
+        sizes = part.text(part.tolerance, *unit), strong(part.text(values[part.name], *unit))
+        rows.append((part.name, *sizes, number(costs[part.name]), "has no effect" if part.name in idle else ""))
     check = _sampled(record.record("check"), len(found.degrees))
     low, high = check.interval
     told = f"checked by {check.samples:,} others: {percent(check.share)}, {percent(low)} ... {percent(high)} (95 % sure)"
-    table.caption = Text(told, style=GOOD if record.flag("kept") else BAD)
-    return table
+    title = f"The loosest tolerances for a yield of {percent(record.number('wanted_yield'))}: cost {number(share)} of the given"
+    columns = ["", ">given", ">allocated", ">cost coefficient", ""]
+    return table(title, columns, rows, notes=[good(told) if record.flag("kept") else bad(told)])
 
 
-def _redesigned(file: ProblemFile, found: Toleranced, record: Record) -> Table:
-    title = made(record.text("counted"))
-    table = grid(title, [("", "left"), ("best as drawn", "right"), ("robust", "right"), ("", "left")], header=True)
+def _redesigned(file: ProblemFile, found: Toleranced, record: Record) -> TableSpec:
     now, before = record.figures("design_SI"), record.figures("nominal_design_SI")
+    rows: list[Row] = []
     for name in file.model.free:
         if name not in now or name not in before:
             raise record.fault(f"design_SI.{name}", "this is missing")
         old, unit = display_value(name, before[name])
-        table.add_row(name, number(old, 7), Text(number(display_value(name, now[name])[0], 7), style=HEAD), unit)
+        rows.append((name, number(old, 7), strong(number(display_value(name, now[name])[0], 7)), unit))
     values = [number(math.degrees(record.number(key)), 5) for key in ("largest_of_the_nominal_design_rad", "largest_rad")]
-    table.add_row(judged(record.text("counted")), *values, "deg")
+    rows.append((judged(record.text("counted")), *values, "deg"))
     if record.has("monte_carlo_of_the_nominal_design") and found.sampled is not None and math.isfinite(found.sampled.share):
         other = _sampled(record.record("monte_carlo_of_the_nominal_design"), len(found.degrees))
-        table.add_row("yield", percent(other.share), Text(percent(found.sampled.share), style=HEAD), "")
-    table.caption = Text(
-        proven(record.text("counted")) if record.flag("valid") else "not proven", style=GOOD if record.flag("valid") else BAD
-    )
-    return table
+        rows.append(("yield", percent(other.share), strong(percent(found.sampled.share)), ""))
+    note = good(proven(record.text("counted"))) if record.flag("valid") else bad("not proven")
+    return table(made(record.text("counted")), ["", ">best as drawn", ">robust", ""], rows, notes=[note])
 
 
 # --- charts ------------------------------------------------------------------------------------------------------------------

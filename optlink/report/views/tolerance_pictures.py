@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from optlink.report.files import write_csv, write_json
+from optlink.report.format import percent
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, SHADE, WANTED, figure, heading, save, styled
-from optlink.report.views.tolerance_tables import percent
 from optlink.studies.tolerance.analysis import Tolerance
 from optlink.studies.tolerance.monte_carlo import MonteCarlo
 from optlink.studies.tolerance.nominal import display_unit
