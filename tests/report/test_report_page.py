@@ -372,10 +372,11 @@ def test_the_limit_of_a_page():
 # --- in a browser ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_assets_belong_to_the_package():
+def test_assets_and_templates_belong_to_the_package():
     """Beside the modules, where the wheel takes them from."""
-    folder = Path(optlink.__file__).parent / "report" / "assets"
-    assert {path.name for path in folder.iterdir()} == {"page.html", "page.css", "page.js"}
+    folder = Path(optlink.__file__).parent / "report"
+    assert {path.name for path in (folder / "assets").iterdir()} == {"page.css", "page.js"}
+    assert {path.name for path in (folder / "templates").iterdir()} == {"page.html", "parts.html"}
 
 
 @pytest.fixture(scope="module")

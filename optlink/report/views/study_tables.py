@@ -183,7 +183,7 @@ def _rows(result: Sweep) -> Iterator[TableSpec]:
     if invalid.size:
         failed = [(*_values(result, k), columns["reason"][k]) for k in map(int, invalid[:SHOWN])]
         more = invalid.size - SHOWN
-        notes = [f"and {more:,} more; the table of the sweep has all"] if more > 0 else []
+        notes = [quiet(f"and {more:,} more; the table of the sweep has all")] if more > 0 else []
         yield table(f"Points that are not valid: {invalid.size:,}", [*varied, "reason"], failed, notes=notes)
 
 
