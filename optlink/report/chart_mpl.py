@@ -68,7 +68,7 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
     width = max(sum(chart.width for chart in row) for row in rows)
     heights = [max(_height(chart) for chart in row) for row in rows]
     first = charts[0]
-    words = [heading(first.heading or first.title, 0.95 * width, TITLE)]
+    words = [heading(line, 0.95 * width, TITLE) for line in (first.heading or first.title).split("\n")]
     words += [heading(first.remark, 0.95 * width, TITLE)] if first.remark and len(charts) == 1 else []
     title = "\n".join(words)
     made = figure(width, sum(heights) + 0.35 + 0.17 * title.count("\n"))
@@ -155,7 +155,7 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel) -> list[Label]:
     for mark in panel.marks:
         _mark(axes, mark, inside=chart.equal)
     if chart.equal:
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal", adjustable="datalim" if panel.y.limits is None or chart.x.limits is None else "box")
     if low < 0.0 < high and panel.y.scale == "linear" and not flat and not chart.equal:
         axes.axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
     if panel.y.limits is not None:

@@ -118,21 +118,25 @@ def files_of(kind: str) -> Callable[[Any, Path], object]:
 
             return partial(write_files, CYCLE)
         case "balance":
-            from optlink.report.views.balance_pictures import write_all as balance_files
+            from optlink.report.views.balance import VIEW as BALANCE
 
-            return balance_files
+            return partial(write_files, BALANCE)
         case "analysis":
             from optlink.report.views.analysis import VIEW as ANALYSIS
 
             return partial(write_files, ANALYSIS)
         case "simulation":
-            from optlink.report.views.simulation_pictures import write_all as simulation_files
+            from optlink.report.views.simulation import VIEW as SIMULATION
 
-            return simulation_files
+            return partial(write_files, SIMULATION)
         case "clearance":
-            from optlink.report.views.clearance_pictures import write_all as clearance_files
+            from optlink.report.views.clearance import VIEW as CLEARANCE
 
-            return clearance_files
+            return partial(write_files, CLEARANCE)
+        case "control comparison":
+            from optlink.report.views.control_comparison import VIEW as CONTROL_COMPARISON
+
+            return partial(write_files, CONTROL_COMPARISON)
         case "sweep":
             from optlink.report.views.sweep_pictures import write_all as sweep_files
 

@@ -187,5 +187,8 @@ def _columns(machine: Machine, found: Run) -> tuple[dict[str, Array], dict[str, 
         columns[name], meanings[name] = column.values, column.meaning
         if name == "input.power_W":
             columns["input.work_J"], meanings["input.work_J"] = found.works["input"], "work of the drive, integrated"
+    for name, work in found.works.items():
+        if name != "input":
+            columns[f"{name}.work_J"], meanings[f"{name}.work_J"] = work, f"work of {name}, integrated"
     columns[f"{crank}.angle_rad"] = found.crank_angle
     return columns, meanings

@@ -16,7 +16,9 @@ from PIL import Image
 import optlink
 from optlink.dynamics.counterweights import BalanceMeasure, quantities_of
 from optlink.report import terminal
-from optlink.report.views import balance_pictures
+from optlink.report.chart_mpl import pictures
+from optlink.report.registry import files_of
+from optlink.report.views import balance, balance_drawing
 from optlink.report.views import balance_tables as tables
 
 SPRUNG = {
@@ -35,7 +37,8 @@ def result(name: str = "balance-six-bar", changed: bool = False) -> optlink.Bala
 
 @functools.cache
 def drawn(picture: str, name: str = "balance-six-bar", changed: bool = False) -> Figure:
-    made = balance_pictures.PICTURES[picture](result(name, changed))
+    every = {"mechanism": balance_drawing.mechanism(result(name, changed)), **pictures(balance.charts(result(name, changed)))}
+    made = every[picture]
     assert made is not None
     made.draw_without_rendering()
     return made
@@ -49,7 +52,7 @@ CASES = [("balance-six-bar", False), ("balance-four-bar", False), ("balance-four
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("picture", balance_pictures.PICTURES)
+@pytest.mark.parametrize("picture", ["before_after", "hodograph", "mechanism", "trade"])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
 def test_nothing_is_cut_off(picture, case):
     made = drawn(picture, *case)
@@ -157,11 +160,12 @@ def test_no_picture_of_what_is_not_there():
     limits = {"balance.limits": {"rms shaking force": "1 %"}}
     nothing = optlink.balance(optlink.load("balance-six-bar", limits))
     assert nothing.status == "infeasible"
-    assert all(draw(nothing) is None for draw in balance_pictures.PICTURES.values())
+    assert balance.charts(nothing) == []
+    assert balance_drawing.mechanism(nothing) is None
 
 
 def test_files_can_be_opened(tmp_path):
-    for path in balance_pictures.write_all(result(), tmp_path):
+    for path in files_of("balance")(result(), tmp_path):
         assert path.stat().st_size > 100
         if path.suffix == ".png":
             with Image.open(path) as picture:

@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.report.views import balance_pictures, cycle_pictures, function_pictures, path_pictures
+from optlink.report import chart_mpl
+from optlink.report.views import function_pictures, path_pictures
 
 FREE = {"bounds": ["5 mm", "150 mm"]}
 PLACE = {"bounds": ["-150 mm", "150 mm"]}
@@ -221,7 +222,8 @@ KINDS = ["law", "function", "path", "timed path", "motion", "transmission", "six
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_design_file_of_every_kind_of_answer_is_a_machine(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (function_pictures, path_pictures, cycle_pictures, balance_pictures):
+    monkeypatch.setattr(chart_mpl, "pictures", lambda _: {})
+    for module in (function_pictures, path_pictures):
         monkeypatch.setattr(module, "PICTURES", {})
     for module in (function_pictures, path_pictures):
         monkeypatch.setattr(module, "frames", lambda _: [])

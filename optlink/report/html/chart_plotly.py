@@ -201,7 +201,7 @@ def mark(picks: Picks) -> Trace:
 
 
 def thinned(x: Array, y: Array, most: int = 2000) -> tuple[Array, Array]:
-    """Reduce a long curve to at most about `most` points, keeping the extremes of each portion.
+    """Reduce a long curve to at most about `most` points, keeping the extremes of each portion and all gaps.
 
     Parameters
     ----------
@@ -212,13 +212,12 @@ def thinned(x: Array, y: Array, most: int = 2000) -> tuple[Array, Array]:
     if len(x) <= most:
         return x, y
     edges = np.linspace(0, len(x), most // 2 + 1).astype(int)
-    kept: set[int] = {0, len(x) - 1}
+    gaps = np.flatnonzero(np.diff(np.isnan(y).astype(np.int8)) > 0) + 1
+    kept: set[int] = {0, len(x) - 1, *gaps.tolist()}
     for first, last in itertools.pairwise(edges.tolist()):
         portion = y[first:last]
-        if np.all(np.isnan(portion)):
-            kept.add(first)
-            continue
-        kept |= {first + int(np.nanargmin(portion)), first + int(np.nanargmax(portion))}
+        if not np.all(np.isnan(portion)):
+            kept |= {first + int(np.nanargmin(portion)), first + int(np.nanargmax(portion))}
     rows = np.array(sorted(kept))
     return x[rows], y[rows]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.report.export.svg import svg, zigzag
 from optlink.report.scene import Scene
+from optlink.report.style import Scale
 
 Array = NDArray[np.float64]
 FLAT = 0.45  # ratio of height to width below which the quantities are shown below the drawing
@@ -87,6 +88,23 @@ class Moving:
     def svg(self, title: str) -> str:
         """Return the drawing."""
         return svg(self.scene, f"{title}, drawn to scale")
+
+
+def in_time(scene: Scene, time: Array, shown: Iterable[tuple[str, Scale, Array]]) -> Moving:
+    """Return the animation of a scene whose positions are reached at times, with quantities that follow it.
+
+    Parameters
+    ----------
+    scene : Scene
+    time : array (positions,) [s]
+    shown : iterable of (name, Scale, array (positions,))
+        Name, display unit and values [SI] of the quantities.
+    """
+    listed = [
+        Readout(name, unit.unit, [round(float(v) * unit.factor, 5) if math.isfinite(v) else None for v in values])
+        for name, unit, values in shown
+    ]
+    return Moving(scene, Stops("time", " s", time, decimals_of(time)), listed)
 
 
 def even(count: int, most: int) -> NDArray[np.intp]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +13,13 @@ from optlink.dynamics.machine import Machine
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import BalanceSection, read_measure
 from optlink.problem.quantity import Unusable
-from optlink.report.format import change, number
-from optlink.report.html.chart_plotly import Chart, Panel, Picks, axis, line, mark, sheet, short, stacked
+from optlink.report.html import chart_plotly
 from optlink.report.html.shell import Section
 from optlink.report.stored.reader import Record
 from optlink.report.stored.stored_study import Studied, figures_of, still, turning
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, scale
+from optlink.report.style import BODIES, CRANK, FOUND
 from optlink.report.views import balance_tables
+from optlink.report.views.balance import courses, trade_off
 from optlink.tasks.balance import balanced_problem
 from optlink.tasks.machine import machine_of, motion_range, table_angles
 from optlink.tasks.results.balance import (
@@ -226,9 +225,9 @@ def studied(record: Record, file: ProblemFile) -> Studied:
     shown = balance_tables.balance(found)
     sections = list(figures_of(shown.parts, "Balance and proof"))
     if found.trade is not None and len(found.trade.points) > 1:
-        sections.append(Section("Trade-off", [_curve(found, found.trade)]))
+        sections.append(Section("Trade-off", chart_plotly.charts(trade_off(found))))
     if found.heavier is not None:
-        sections.append(Section("Before and after", [*_before_after(found.columns), *_hodograph(found.columns)]))
+        sections.append(Section("Before and after", chart_plotly.charts(courses(found))))
     return Studied(
         problem=file,
         kind="balance",
@@ -241,92 +240,3 @@ def studied(record: Record, file: ProblemFile) -> Studied:
         drawn="The balanced machine: rings mark the centroids of its bodies with their counterweights.",
         after=1,
     )
-
-
-def _amounts(columns: Mapping[str, Array]) -> Iterator[tuple[str, str, Array, Array]]:
-    """Yield name, unit and magnitudes [SI] before and after balancing of every quantity over the cycle."""
-    for name in [name.removeprefix("before.") for name in columns if name.startswith("before.") and "_y_" not in name]:
-        pair = name.replace("_x_", "_y_") if "_x_" in name else ""
-        old, new = (
-            np.hypot(columns[f"{when}.{name}"], columns[f"{when}.{pair}"]) if pair else columns[f"{when}.{name}"]
-            for when in ("before", "after")
-        )
-        quantity, _, unit = name.replace("_x_", "_").rpartition("_")
-        yield quantity, unit.replace("Nm", "N m"), old, new
-
-
-def _before_after(columns: Mapping[str, Array]) -> list[Chart]:
-    """Plot shaking force and moment, driving torque and joint reactions over the crank angle, before and after balancing."""
-    x = columns["crank_angle_deg"]
-    panels: dict[str, list[Panel]] = {"Shaking and drive": [], "Joint reactions": []}
-    for quantity, unit, old, new in _amounts(columns):
-        own = panels["Shaking and drive" if quantity in COLOURS else "Joint reactions"]
-        shown = scale(float(np.max(np.abs([old, new]))), unit)
-        colour, words = (
-            COLOURS.get(quantity, BODIES[len(own) % len(BODIES)]),
-            quantity.replace("_", " ").replace("reaction ", "at "),
-        )
-        given = line(x, old * shown.factor, "given machine", QUIET, width=1.5, dash="dot") | {"showlegend": not len(own) % PANELS}
-        own.append(Panel(f"{words} [{shown.unit}]", [given, line(x, new * shown.factor, f"balanced: {words}", colour)]))
-    return [
-        Chart(f"{title}, {k // PANELS + 1}" if k else title, stacked(own[k : k + PANELS]))
-        for title, own in panels.items()
-        for k in range(0, len(own), PANELS)
-    ]
-
-
-def _hodograph(columns: Mapping[str, Array]) -> list[Chart]:
-    """Plot the hodograph of the shaking force over a revolution with equal scales."""
-    shown = scale(_most(columns), "N")
-    curves = []
-    for when, words, colour in (("before", "given machine", QUIET), ("after", "balanced", FOUND)):
-        x, y = (columns[f"{when}.shaking_force_{way}_N"] * shown.factor for way in "xy")
-        point = max(float(np.ptp(x)), float(np.ptp(y))) < 0.01 * shown.factor * _most(columns)
-        mode = "markers" if point else "lines"
-        curves.append(line(np.append(x, x[:1]), np.append(y, y[:1]), words, colour, width=8.0 if point else 2.0, mode=mode))
-    layout = sheet(460) | {"hovermode": "closest"}
-    layout["xaxis"] = axis(f"shaking force in x [{shown.unit}]") | {"constrain": "domain"}
-    layout["yaxis"] = axis(f"shaking force in y [{shown.unit}]") | {"scaleanchor": "x", "constrain": "domain"}
-    return [Chart("Shaking force over the revolution", {"data": curves, "layout": layout}, cranked=False)]
-
-
-def _most(columns: Mapping[str, Array]) -> float:
-    """Return the largest component of the shaking force before balancing [N]."""
-    return max(float(np.max(np.abs(columns[f"before.shaking_force_{way}_N"]))) for way in "xy")
-
-
-def _curve(found: Balance, trade: TradeOff) -> Chart:
-    """Plot the trade-off between two measures; its points carry their counterweights."""
-    one, other = trade.first, trade.second
-    units = [scale(max(*(point.made[k] for point in trade.points), trade.before[k]), (one, other)[k].unit) for k in (0, 1)]
-    x, y = (np.array([point.made[k] for point in trade.points]) * units[k].factor for k in (0, 1))
-    given = [np.array([trade.before[k]]) * units[k].factor for k in (0, 1)]
-    picks = _picks(trade, x, y)
-    curve = line(x, y, "neither can be less without more of the other", FOUND, width=2.2) | {"mode": "lines+markers"}
-    curves = [curve | {"customdata": list(range(len(x)))}]
-    ends = [0, len(x) - 1]
-    chord = line(x[ends], y[ends], "chord of the ends", QUIET, width=1.0, dash="dash")
-    curves.append(chord | {"hoverinfo": "skip"})
-    if trade.knee is not None:
-        at = [trade.knee]
-        curves.append(line(x[at], y[at], "knee", LIMIT, width=10.0, mode="markers") | {"customdata": at})
-    curves.append(line(given[0], given[1], "given machine", WANTED, width=9.0, mode="markers"))
-    layout = sheet(460) | {"hovermode": "closest"}
-    layout["xaxis"], layout["yaxis"] = axis(f"{one} [{units[0].unit}]"), axis(f"{other} [{units[1].unit}]")
-    return Chart(f"{one} against {other}", {"data": [*curves, mark(picks)], "layout": layout}, False, picks)
-
-
-def _picks(trade: TradeOff, x: Array, y: Array) -> Picks:
-    bodies = sorted({body for point in trade.points for body in point.masses})
-    names = [
-        words
-        for measure in (trade.first, trade.second)
-        for words in (f"{measure} [{measure.unit}]", f"{measure.quantity}: against the given machine")
-    ]
-    rows = []
-    for point in trade.points:
-        shares = [change(value / before - 1.0) for value, before in zip(point.made, trade.before, strict=True)]
-        told = [number(point.made[0]), shares[0], number(point.made[1]), shares[1]]
-        rows.append((*told, *(f"{number(point.masses[body])} kg" if body in point.masses else "none" for body in bodies)))
-    first = trade.knee or 0
-    return Picks("point", (*names, *(f"counterweight on {body}" for body in bodies)), tuple(rows), short(x), short(y), first)

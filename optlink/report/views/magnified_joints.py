@@ -20,10 +20,11 @@ from optlink.clearance.joint import Gap
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
 from optlink.report.animation import WIDE, film
+from optlink.report.chart_mpl import FONT, TITLE
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, place_labels
 from optlink.report.style import GROUND, QUIET, WANTED, degrees, figure, heading, styled
-from optlink.report.views.revolutions import FONT, FULL, TITLE, Turns, rough, round_below
+from optlink.report.views.revolutions import FULL, Turns, named, rough, round_below
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
@@ -234,8 +235,7 @@ class Loosened(Sketch):
             last = self.turns.rows(1)
             x, y = (self.turns.result[f"{gap.point}.e{axis}_m"][last] / gap.clearance * share for axis in "xy")
             axes.plot(middle[0] + x, middle[1] + y, color=QUIET, linewidth=0.8, zorder=5, gid=f"path {gap.point}")
-            named = f"{gap.point}: {gap.journal} in {gap.bearing}"
-            lines = textwrap.wrap(named, WRITTEN if told is None else 2 * WRITTEN)
+            lines = textwrap.wrap(named(gap), WRITTEN if told is None else 2 * WRITTEN)
             if told is not None:
                 lines += [self._state(gap, told), f"gap drawn {share * (gap.radius + gap.clearance) / gap.clearance:.2g}-fold"]
             axes.text(middle[0], middle[1] - 0.52 * CELL, "\n".join(lines), ha="center", va="top", fontsize=FONT)
@@ -314,7 +314,8 @@ def mechanism(result: ClearanceSimulation) -> Figure | None:
     sketch.stage(stage)
     sketch.pose(stage, sketch.steps)
     place = f"φ {degrees(math.radians(float(turns.angle[row]) % FULL))}, largest contact force of {turns.span(1)}"
-    made.suptitle(turns.title("play in the joints", width - 0.4, place), fontsize=TITLE)
+    words = turns.title("play in the joints", place).split("\n")
+    made.suptitle("\n".join(heading(line, width - 0.4, TITLE) for line in words), fontsize=TITLE)
     stage.set_title(_exaggerated(sketch), fontsize=9.5)
     strip.set_title(
         heading("journals, their paths, contact forces on them", width if strip.get_position().x0 < 0.5 else 3.0, 9.5),

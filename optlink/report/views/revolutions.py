@@ -1,19 +1,16 @@
-"""Simulation with clearance by revolutions, folded onto the crank angle, and the axes shared by its figures."""
+"""Simulation with clearance by revolutions, folded onto the crank angle, and the axes and curves shared by its charts."""
 
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap
-from optlink.report.style import FOUND, QUIET, SHADE, Scale, heading, scale
+from optlink.report.chart_spec import CRANK_ANGLE, Axis, Curve, Line, Span
+from optlink.report.style import FOUND, QUIET, SHADE, Scale, scale
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
@@ -21,12 +18,8 @@ Mask = NDArray[np.bool_]
 FULL = 360.0
 TORQUE = "input.torque_Nm"
 WINDOW = 3  # number of revolutions drawn over time
-STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 BULK = 99.8  # percentile of the values that the limits of y include
-THIN = 0.6  # line width of a revolution among many
-FONT = 8.5
-TITLE = 10.5
-TIMES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
+CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
 
 
 class Turns:
@@ -86,6 +79,11 @@ class Turns:
         return f"revolution {self.last}" if count == 1 else f"revolutions {self.last - count + 1} to {self.last}"
 
     @property
+    def overlaid(self) -> str:
+        """Description of the revolutions that are drawn on one another."""
+        return f"{self.span(self.shown)}, the last one bold" if self.shown > 1 else self.span(1)
+
+    @property
     def counted(self) -> str:
         """Description of the revolutions that the statistics include."""
         return f"revolution {self.last}" if self.begin == self.last else f"revolutions {self.begin} to {self.last}"
@@ -143,6 +141,27 @@ class Turns:
         whole = min(count - self.broken, len(exact))
         return max(found, float(np.max(exact[-whole:]))) if whole else found
 
+    # --- titles --------------------------------------------------------------------------------------------------------
+
+    def title(self, what: str, more: str = "") -> str:
+        """Compose the title of a picture: machine and subject, then speed, control and `more`.
+
+        Parameters
+        ----------
+        what : str
+            Subject of the picture.
+        more : str, optional
+            Addition to the second line.
+        """
+        result = self.result
+        nominal, sense = "nominal " if self.free else "", "" if self.way > 0.0 else " clockwise"
+        parts = [f"{nominal}{abs(result.speed) * 30.0 / math.pi:.5g} rpm{sense}"]
+        if result.control != "none":
+            parts.append(f"control {result.control}")
+        if not result.finished:
+            parts.append(f"{result.ending.value} after {self.last} revolution{'s' if self.last != 1 else ''}")
+        return f"{result.problem.model.title}: {what}\n{', '.join([*parts, *filter(None, [more])])}"
+
     # --- the crank angle as abscissa -----------------------------------------------------------------------------------
 
     def fold(self, values: Array, rows: slice, advance: float = 0.0) -> tuple[Array, Array]:
@@ -158,34 +177,67 @@ class Turns:
         """
         return fold(self.angle[rows], values[rows], advance)
 
-    def times(self, rows: slice) -> Scale:
-        """Return the display unit of time for the rows."""
-        span = float(self.time[rows][-1] - self.time[rows][0])
-        size, unit = next(((size, unit) for size, unit in TIMES if span >= 0.5 * size), TIMES[-1])
-        return Scale(1.0 / size, unit)
+    @property
+    def crank_axis(self) -> Axis:
+        """Axis of the crank angle within a revolution, with time increasing to the right."""
+        name = CRANK_ANGLE + ("" if self.way > 0.0 else ", clockwise to the right")
+        return Axis(name, (0.0, FULL), reversed=self.way < 0.0, step=60.0)
 
-    # --- titles --------------------------------------------------------------------------------------------------------
-
-    def title(self, what: str, width: float, *more: str) -> str:
-        """Compose the title of a figure: machine and subject, then speed, control and further lines.
+    def overlay(self, values: Array, unit: Scale, name: str, colour: str = FOUND, advance: float = 0.0) -> list[Curve]:
+        """Return every revolution after the running-in as a thin curve and the last one as a bold curve.
 
         Parameters
         ----------
-        what : str
-            ReportModel of the figure.
-        width : float [inch]
-        *more : str
-            Addition to the second line, then further lines.
+        values : array (n,) [SI]
+            Values at all rows.
+        unit : Scale
+            Display unit of the axis.
+        name : str
+            Entry in the legend.
+        colour : str, optional
+        advance : float [SI], optional
+            Amount subtracted from the values for every whole turn of the crank.
         """
-        result = self.result
-        nominal, sense = "nominal " if self.free else "", "" if self.way > 0.0 else " clockwise"
-        parts = [f"{nominal}{abs(result.speed) * 30.0 / math.pi:.5g} rpm{sense}"]
-        if result.control != "none":
-            parts.append(f"control {result.control}")
-        if not result.finished:
-            parts.append(f"{result.ending.value} after {self.last} revolution{'s' if self.last != 1 else ''}")
-        lines = [f"{result.problem.model.title}: {what}", ", ".join([*parts, *filter(None, more[:1])]), *more[1:]]
-        return "\n".join(heading(line, width, TITLE) for line in lines)
+        curves = []
+        if self.shown > 1:
+            rows = slice(self.rows(self.shown).start, self.rows(1).start + 1)
+            opacity = min(0.9, max(0.25, 6.0 / self.shown))
+            x, y = self.fold(values * unit.factor, rows, advance * unit.factor)
+            thin = partial(Curve, width=0.6, opacity=opacity, legend=False, hover=False, gid="revolutions")
+            curves.append(thin(x, y, "earlier revolutions", QUIET))
+        x, y = self.fold(values * unit.factor, self.rows(1), advance * unit.factor)
+        return [*curves, Curve(x, y, name, colour, 1.7, gid="last revolution")]
+
+    def bands(self, contact: Array, rows: slice, name: str) -> list[Span]:
+        """Return the crank angles at which journal and bearing are in contact as shaded ranges.
+
+        Parameters
+        ----------
+        contact : array (n,)
+            1 in contact, 0 apart, at all rows.
+        rows : slice
+        name : str
+            Entry in the legend.
+        """
+        x, touching = self.fold(contact, rows)
+        found: list[Span] = []
+        for piece in np.split(np.arange(len(x)), np.flatnonzero(np.isnan(x))):
+            own = piece[np.isfinite(x[piece])]
+            at = x[own]
+            for a, b in runs(touching[own] > 0.5):
+                begin, end = 0.5 * (at[a] + at[max(0, a - 1)]), 0.5 * (at[b] + at[min(len(at) - 1, b + 1)])
+                if begin != end:
+                    low, high = sorted((float(begin), float(end)))
+                    found.append(Span(low, high, "" if found else name, SHADE, 0.75, gid="contact"))
+        return found
+
+    # --- time as abscissa ----------------------------------------------------------------------------------------------
+
+    def ends(self, rows: slice) -> list[Line]:
+        """Return the ends of the revolutions [s] within rows as vertical lines."""
+        first, last = (float(self.time[rows][k]) for k in (0, -1))
+        times = [k * self.period for k in range(math.ceil(first / self.period - 1e-9), self.last + 1)]
+        return [Line(at, "", QUIET, 0.9, "dot", gid="revolution") for at in times if first < at < last - 1e-6 * (last - first)]
 
 
 def fold(angle: Array, values: Array, advance: float = 0.0) -> tuple[Array, Array]:
@@ -241,155 +293,36 @@ def round_below(value: float) -> float:
     return max(step * power for step in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0) if step * power <= value)
 
 
+def numbered(numbers: Array) -> Axis:
+    """Return the axis of revolution numbers, with whole numbers as ticks."""
+    step = max(1, int(round_below(len(numbers) / 8.0)))
+    ticks = [(float(number), f"{number:g}") for number in numbers if number % step == 0.0]
+    return Axis("revolution", (float(numbers[0]) - 0.5, float(numbers[-1]) + 0.5), ticks=ticks)
+
+
 def named(gap: Gap) -> str:
     """Format the name of a joint with clearance."""
     return f"{gap.point}: {gap.journal} in {gap.bearing}"
 
 
 def beside(count: int) -> int:
-    """Return the number of panels in a row."""
+    """Return the number of charts in a row."""
     return 2 if count in (2, 4) else min(count, 3)
 
 
-# --- axes ----------------------------------------------------------------------------------------------------------------
+# --- limits of y ---------------------------------------------------------------------------------------------------------
 
 
-def crank_axis(axes: Axes, turns: Turns, *, named: bool = True) -> None:
-    """Set up the crank angle within a revolution as the x axis, with time increasing to the right.
-
-    Parameters
-    ----------
-    axes : Axes
-    turns : Turns
-    named : bool, optional
-        Label the axis.
-    """
-    axes.set_xlim((0.0, FULL) if turns.way > 0.0 else (FULL, 0.0))
-    axes.xaxis.set_major_locator(MultipleLocator(60.0))
-    if named:
-        axes.set_xlabel("crank angle φ [deg]" + ("" if turns.way > 0.0 else ", clockwise to the right"))
+def from_zero(largest: float) -> tuple[float, float]:
+    """Return limits from zero to slightly above the largest value."""
+    return 0.0, 1.08 * largest if 0.0 < largest < math.inf else 1.0
 
 
-def time_axis(axes: Axes, turns: Turns, rows: slice, *, named: bool = True) -> None:
-    """Set up time as the x axis and mark the ends of the revolutions.
+def crown(turns: Turns, values: Array, low: float = 0.0, high: float = 0.0) -> tuple[tuple[float, float], str]:
+    """Return limits of the last revolution and most of the others, and ", cut off" if values exceed them.
 
     Parameters
     ----------
-    axes : Axes
-    turns : Turns
-    rows : slice
-        Rows to show.
-    named : bool, optional
-        Label the axis.
-    """
-    unit = turns.times(rows)
-    first, last = (float(turns.time[rows][k]) * unit.factor for k in (0, -1))
-    axes.set_xlim(first, last)
-    axes.xaxis.set_major_locator(MaxNLocator(6, steps=STEPS))
-    axes.ticklabel_format(axis="x", useOffset=False, style="plain")
-    for k in range(math.ceil(turns.time[rows][0] / turns.period - 1e-9), turns.last + 1):
-        at = k * turns.period * unit.factor
-        if first < at < last - 1e-6 * (last - first):
-            axes.axvline(at, color=QUIET, linewidth=0.9, linestyle=":", zorder=1, gid="revolution")
-    if named:
-        axes.set_xlabel(f"time [{unit.unit}]")
-
-
-def turn_axis(axes: Axes, first: float, last: float) -> None:
-    """Set up revolution numbers as the x axis.
-
-    Parameters
-    ----------
-    axes : Axes
-    first : float [revolutions]
-        Lower limit.
-    last : float [revolutions]
-        Upper limit.
-    """
-    axes.set_xlim(first, last)
-    axes.xaxis.set_major_locator(MaxNLocator(10, integer=True, min_n_ticks=1, steps=STEPS))
-    axes.set_xlabel("revolution")
-
-
-def overlay(
-    axes: Axes, turns: Turns, values: Array, unit: Scale, colour: str = FOUND, *, advance: float = 0.0, label: str = ""
-) -> Line2D:
-    """Draw every revolution after the running-in as a thin line and the last one bold; return the bold line.
-
-    Parameters
-    ----------
-    axes : Axes
-    turns : Turns
-    values : array (n,) [SI]
-        Values at all rows.
-    unit : Scale
-        Display unit of the axis.
-    colour : str, optional
-    advance : float [SI], optional
-        Amount subtracted from the values for every whole turn of the crank.
-    label : str, optional
-        Entry in the legend; empty for none.
-    """
-    if turns.shown > 1:
-        rows = turns.rows(turns.shown)
-        x, y = turns.fold(values * unit.factor, slice(rows.start, turns.rows(1).start + 1), advance * unit.factor)
-        strength = min(0.9, max(0.25, 6.0 / turns.shown))
-        axes.plot(x, y, color=QUIET, linewidth=THIN, alpha=strength, zorder=2, gid="revolutions")
-    x, y = turns.fold(values * unit.factor, turns.rows(1), advance * unit.factor)
-    return axes.plot(x, y, color=colour, linewidth=1.7, zorder=3, label=label or None, gid="last revolution")[0]
-
-
-def bands(axes: Axes, turns: Turns, contact: Array, rows: slice, label: str = "") -> None:
-    """Shade the crank angles at which journal and bearing are in contact.
-
-    Parameters
-    ----------
-    axes : Axes
-    turns : Turns
-    contact : array (n,)
-        1 in contact, 0 apart, at all rows.
-    rows : slice
-    label : str, optional
-        Entry in the legend; empty for none.
-    """
-    x, touching = turns.fold(contact, rows)
-    for piece in np.split(np.arange(len(x)), np.flatnonzero(np.isnan(x))):
-        own = piece[np.isfinite(x[piece])]
-        at = x[own]
-        for a, b in runs(touching[own] > 0.5):
-            begin = 0.5 * (at[a] + at[max(0, a - 1)])
-            end = 0.5 * (at[b] + at[min(len(at) - 1, b + 1)])
-            if begin != end:
-                axes.axvspan(
-                    *sorted((begin, end)), color=SHADE, linewidth=0.0, alpha=0.75, zorder=0.5, label=label or None, gid="contact"
-                )
-
-
-def zero(axes: Axes) -> None:
-    """Draw a thin line at zero if zero is within the limits of y."""
-    low, high = axes.get_ylim()
-    if low < 0.0 < high:
-        axes.axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
-
-
-def from_zero(axes: Axes, largest: float) -> None:
-    """Set the limits of y from zero to slightly above the largest value.
-
-    Parameters
-    ----------
-    axes : Axes
-    largest : float
-        In the unit of the axis.
-    """
-    axes.set_ylim(0.0, 1.08 * largest if 0.0 < largest < math.inf else 1.0)
-
-
-def crown(axes: Axes, turns: Turns, values: Array, low: float = 0.0, high: float = 0.0) -> str:
-    """Set the limits of y to the last revolution and most of the others; return ", cut off" if values exceed them.
-
-    Parameters
-    ----------
-    axes : Axes
     turns : Turns
     values : array (n,)
         Values at all rows, in the unit of the axis.
@@ -401,61 +334,20 @@ def crown(axes: Axes, turns: Turns, values: Array, low: float = 0.0, high: float
     every = values[turns.rows(turns.shown)]
     top = max(high, float(np.max(values[turns.rows(1)])), float(np.percentile(every, BULK)))
     top = top if top > 0.0 else 1.0
-    axes.set_ylim(1.08 * low, 1.08 * top)
-    return ", cut off" if float(np.max(every)) > 1.08 * top else ""
+    return (1.08 * low, 1.08 * top), ", cut off" if float(np.max(every)) > 1.08 * top else ""
 
 
-def hold(axes: Axes, *values: Array, least: float = 0.0) -> None:
-    """Set the limits of y to all finite values with a margin.
+def hold(values: Array, least: float = 0.0) -> tuple[float, float]:
+    """Return limits of all finite values with a margin.
 
     Parameters
     ----------
-    axes : Axes
-    *values : array
+    values : array
         In the unit of the axis.
     least : float, optional
         Smallest range, as a share of the largest absolute value.
     """
-    known = np.concatenate([value[np.isfinite(value)] for value in values])
+    known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     width = max(high - low, least * max(abs(low), abs(high))) or 1.0
-    axes.set_ylim(0.5 * (low + high) - 0.58 * width, 0.5 * (low + high) + 0.58 * width)
-
-
-def legend(made: Figure, *axes: Axes, columns: int = 4) -> None:
-    """Draw one legend of all labelled artists below a figure; equal labels appear once.
-
-    Parameters
-    ----------
-    made : Figure
-    *axes : Axes
-        Axes with labelled artists.
-    columns : int, optional
-        Largest number of columns.
-    """
-    found: dict[str, Artist] = {}
-    for one in axes:
-        for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    if found:
-        longest = max(len(label) for label in found)
-        fitting = int(made.get_figwidth() / (0.58 * FONT / 72.0 * longest + 0.55))
-        columns = max(1, min(columns, fitting, len(found)))
-        made.legend(found.values(), found, frameon=False, fontsize=FONT, loc="outside lower center", ncols=columns)
-
-
-def square(axes: Axes, reach: float, unit: Scale) -> None:
-    """Set equal scales and axis labels for an eccentricity.
-
-    Parameters
-    ----------
-    axes : Axes
-    reach : float
-        Half width, in the unit of the axes.
-    unit : Scale
-        Display unit of the axes.
-    """
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel=f"e in x [{unit.unit}]", ylabel=f"e in y [{unit.unit}]")
-    axes.set_aspect("equal")
-    for side in (axes.xaxis, axes.yaxis):
-        side.set_major_locator(MaxNLocator(6, steps=STEPS))
+    return 0.5 * (low + high) - 0.58 * width, 0.5 * (low + high) + 0.58 * width

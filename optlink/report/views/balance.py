@@ -1,0 +1,235 @@
+"""Charts of a balancing result: before and after, hodograph of the shaking force, trade-off; its files."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.counterweights import BalanceMeasure, quantities
+from optlink.dynamics.inverse import reported_on
+from optlink.problem.file import ProblemFile
+from optlink.problem.fixed_design import fixed_design
+from optlink.problem.mechanism import sizes_of
+from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Picks, crank_angle
+from optlink.report.files import verdict
+from optlink.report.format import change, number
+from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, WANTED, scale
+from optlink.report.view import View
+from optlink.report.views import balance_drawing
+from optlink.tasks.results.balance import Balance, TradeOff
+
+Array = NDArray[np.float64]
+GIVEN = "#8a8a8a"
+COMMON = ("shaking force", "shaking moment", "driving torque")
+COLOURS = {"shaking force": FOUND, "shaking moment": BODIES[3], "driving torque": CRANK}
+PANELS = 4  # largest number of stacked panels in a chart of the page
+
+
+def charts(result: Balance) -> list[ChartSpec]:
+    """Return the charts of a balancing result.
+
+    Parameters
+    ----------
+    result : Balance
+        As computed or as stored.
+    """
+    return [*trade_off(result), *courses(result)]
+
+
+def courses(result: Balance) -> list[ChartSpec]:
+    """Return the charts over the crank angle and the hodograph; none without a balanced machine."""
+    return [] if result.heavier is None else [*before_after(result), hodograph(result)]
+
+
+# --- before and after ------------------------------------------------------------------------------------------------------
+
+
+def _amounts(result: Balance, measure: BalanceMeasure, when: str) -> Array:
+    """Return the magnitude of a force or the value of a torque at the positions [SI]."""
+    stem = f"{when}.{measure.quantity.replace(' at ', '_').replace(' ', '_')}"
+    unit = measure.unit.replace(" ", "")
+    if f"{stem}_x_{unit}" in result.columns:
+        return np.hypot(result.columns[f"{stem}_x_{unit}"], result.columns[f"{stem}_y_{unit}"])
+    return result.columns[f"{stem}_{unit}"]
+
+
+def before_after(result: Balance) -> list[ChartSpec]:
+    """Plot shaking force and moment, driving torque and joint reactions over the crank angle, before and after.
+
+    The picture has the minimised and limited reactions only.
+    """
+    every = quantities(result.machine)
+    section = result.problem.model.balance
+    asked = [measure for measure, _ in result.goal]
+    asked += [] if section is None else [limit.measure for limit in section.limits.values()]
+    common = [one for one in every if one.kind in COMMON]
+    reactions = [one for one in every if one.kind not in COMMON]
+    chosen = [one for one in reactions if any(_same(one, measure, result) for measure in asked)]
+    others = [one for one in reactions if one not in chosen]
+    groups = [("Shaking and drive", common, "before_after"), ("Joint reactions", chosen, "before_after")]
+    groups += [
+        (f"Joint reactions, {k // PANELS + 1}" if k or chosen else "Joint reactions", others[k : k + PANELS], "")
+        for k in range(0, len(others), PANELS)
+    ]
+    x, closing = result.columns["crank_angle_deg"], []
+    if abs(abs(x[-1] - x[0]) + abs(x[1] - x[0]) - 360.0) < 1e-6:  # a whole revolution is closed
+        closing = [x[0] + math.copysign(360.0, x[1] - x[0])]
+    angles = np.append(x, closing)
+    axis = crank_angle(limits=(float(np.min(angles)), float(np.max(angles))))
+    heading = f"{result.problem.model.title}: least {result.measure}"
+    found = []
+    for row, (title, own, file) in enumerate(groups):
+        panels = [_panel(result, measure, angles, BODIES[k]) for k, measure in enumerate(own)]
+        found.append(ChartSpec(file, title, panels, axis, heading, row=row, width=8.2))
+    return [chart for chart in found if chart.panels]
+
+
+def _panel(result: Balance, measure: BalanceMeasure, angles: Array, other: str) -> Panel:
+    old, new = (_amounts(result, measure, when) for when in ("before", "after"))
+    unit = scale(float(np.max(np.abs([old, new]))), measure.unit)
+    old_rms, new_rms = (float(np.sqrt(np.mean(values * values))) for values in (old, new))
+    share = f" ({change(new_rms / old_rms - 1.0)})" if old_rms > 0.0 else ""
+    shown = unit.text(new_rms) if new_rms > 1e-12 * old_rms else "0"
+    name, colour = measure.quantity, COLOURS.get(measure.kind, other)
+    before, after = (np.append(values, values[: len(angles) - len(values)]) * unit.factor for values in (old, new))
+    curves = [
+        Curve(angles, before, f"given: rms {unit.text(old_rms)}", GIVEN, 1.3, gid=f"given {name}"),
+        Curve(angles, after, f"balanced {name}: {shown}{share}", colour, 2.1, gid=f"balanced {name}"),
+    ]
+    bounds = [limit.bound for limit in result.limits if limit.name == f"largest {name}"]
+    signs = (1.0,) if measure.unit == "N" else (1.0, -1.0)
+    lines = [Line(sign * bound * unit.factor, "", LIMIT, gid="limit") for bound in bounds for sign in signs]
+    positive = measure.unit == "N" and float(np.min([old, new])) >= 0.0
+    top = max(float(np.max([before, after])), *(line.at for line in lines), 0.0)
+    return Panel(Axis(f"{name}\n[{unit.unit}]", (0.0, 1.06 * top) if positive and top > 0.0 else None), curves, lines=lines)
+
+
+def _same(bare: BalanceMeasure, measure: BalanceMeasure, result: Balance) -> bool:
+    """Return whether a measure is of a reaction."""
+    if bare.kind != measure.kind or bare.joint != measure.joint:
+        return False
+    return not bare.on or bare.on == (measure.on or reported_on(result.machine)[measure.joint])
+
+
+def hodograph(result: Balance) -> ChartSpec:
+    """Plot the hodograph of the shaking force over the motion before and after balancing, with equal scales."""
+    names = (("before", GIVEN, 1.4, "given"), ("after", FOUND, 2.1, "balanced"))
+    paths = [np.stack([result.columns[f"{when}.shaking_force_{way}_N"] for way in "xy"], axis=-1) for when, *_ in names]
+    largest = float(np.max(np.abs(paths[0])))
+    unit = scale(largest, "N")
+    centre = Curve(np.zeros(1), np.zeros(1), "", WANTED, mode="markers", symbol="plus", size=10.0, legend=False, hover=False)
+    curves, marks = [centre], []
+    for (_, colour, width, name), path in zip(names, paths, strict=True):
+        most, drawn = float(np.max(np.linalg.norm(path, axis=1))), path * unit.factor
+        closed, middle = np.concatenate([drawn, drawn[:1]]), np.mean(drawn, axis=0)
+        told = f"{name}: at most {unit.text(most) if most > 1e-12 * largest else '0'}"
+        curves.append(Curve(closed[:, 0], closed[:, 1], told, colour, width, gid=f"hodograph {name}"))
+        if most < 0.02 * largest:  # degenerates to a point: no crank angles to mark
+            marks.append(Mark(float(middle[0]), float(middle[1]), "", colour, size=6.0))
+            continue
+        for turned in range(0, 360, 60):
+            k = int(np.argmin(np.abs(np.mod(result.columns["crank_angle_deg"] - turned + 180.0, 360.0) - 180.0)))
+            x, y = (drawn[k] - middle) / max(float(np.linalg.norm(drawn[k] - middle)), 1e-30)
+            there = partial(Mark, float(drawn[k, 0]), float(drawn[k, 1]), size=4.0, written=True)
+            marks.append(there(f"{turned}°", colour, prefer=(float(x), float(y))))
+    x_axis, y_axis = (Axis(f"shaking force in {way} [{unit.unit}]") for way in "xy")
+    heading = f"{result.problem.model.title}: shaking force, crank angle marked"
+    panel, title = Panel(y_axis, curves, marks=marks), "Shaking force over the motion, crank angle marked"
+    return ChartSpec("hodograph", title, [panel], x_axis, heading, equal=True, cursor=False)
+
+
+# --- trade-off -------------------------------------------------------------------------------------------------------------
+
+
+def trade_off(result: Balance) -> list[ChartSpec]:
+    """Plot the trade-off curve with its end points, its knee and the unbalanced machine; below it the counterweight masses."""
+    found = result.trade
+    if found is None or len(found.points) < 2:
+        return []
+    both = (found.first, found.second)
+    units = [scale(max(found.before[k], *(p.made[k] for p in found.points)), m.unit) for k, m in enumerate(both)]
+    factors = np.array([unit.factor for unit in units])
+    bound = np.array([[p.first, p.second] for p in found.points]) * factors
+    real, given = np.array([p.made for p in found.points]) * factors, np.array(found.before) * factors
+    below = Band(bound[:, 0], np.full(len(bound), np.min(bound[:, 1])), bound[:, 1], "", "#888888", 0.14, gid="out of reach")
+    designs = partial(Curve, mode="markers", size=4.0, picks=range(len(real)), gid="made")
+    curves: list[Curve | Band] = [
+        below,
+        Curve(bound[:, 0], bound[:, 1], "proven bound", FOUND, 1.8, gid="bound"),
+        designs(real[:, 0], real[:, 1], "designs, by inverse dynamics", FOUND),
+        Curve(given[:1], given[1:], "given machine", WANTED, mode="markers", symbol="square", size=6.5, gid="given"),
+    ]
+    names = {0: f"least {found.first.quantity}", len(found.points) - 1: f"least {found.second.quantity}"}
+    if found.knee is not None:
+        names[found.knee] = "knee"
+    marks = [Mark(float(given[0]), float(given[1]), "given machine", WANTED, "square", 6.5, font=9.0)]
+    for k, name in names.items():
+        shares = (change(value / before - 1.0) for value, before in zip(found.points[k].made, found.before, strict=True))
+        text = f"{name}\n{', '.join(f'{_short(m)} {share}' for m, share in zip(both, shares, strict=True))}"
+        marks.append(Mark(float(real[k, 0]), float(real[k, 1]), text, LIMIT, size=7.0, prefer=(0.7, 0.7), gid=name))
+    panels = [Panel(Axis(f"{found.second} [{units[1].unit}]"), curves, 2.0, marks=marks)]
+    crank = result.machine.mechanism.crank.body
+    others = [body for body in result.machine.mechanism.bodies if body != crank]
+    colours = {crank: CRANK} | {body: BODIES[k % len(BODIES)] for k, body in enumerate(others)}
+    masses = {body: [p.masses.get(body, 0.0) for p in found.points] for point in found.points for body in point.masses}
+    if masses:
+        mass = partial(Curve, real[:, 0], width=1.3, mode="lines+markers", size=3.0)
+        weights = [mass(np.array(own), body, colours[body], gid=f"mass {body}") for body, own in masses.items()]
+        highest = max(max(own) for own in masses.values())
+        panels.append(Panel(Axis("mass [kg]", (0.0, 1.06 * highest) if highest > 0.0 else None), weights))
+    title, heading = f"{found.second} against {found.first}", f"{result.problem.model.title}: what one costs in the other"
+    ends = (*real[:, 0], *bound[:, 0], given[0])
+    room = 0.08 * (max(ends) - min(ends))
+    x = Axis(f"{found.first} [{units[0].unit}]", (float(min(ends) - room), float(max(ends) + room)))
+    return [ChartSpec("trade", title, panels, x, heading, picks=_picks(found, real), cursor=False)]
+
+
+def _short(measure: BalanceMeasure) -> str:
+    return measure.quantity.split(" ")[-1] if measure.kind != "reaction" else measure.joint
+
+
+def _picks(trade: TradeOff, places: Array) -> Picks:
+    """Return the designs of a trade-off with their measures and counterweights."""
+    bodies = sorted({body for point in trade.points for body in point.masses})
+    names = [
+        words
+        for measure in (trade.first, trade.second)
+        for words in (f"{measure} [{measure.unit}]", f"{measure.quantity}: against the given machine")
+    ]
+    rows = []
+    for point in trade.points:
+        shares = [change(value / before - 1.0) for value, before in zip(point.made, trade.before, strict=True)]
+        told = [number(point.made[0]), shares[0], number(point.made[1]), shares[1]]
+        rows.append((*told, *(f"{number(point.masses[body])} kg" if body in point.masses else "none" for body in bodies)))
+    what = (*names, *(f"counterweight on {body}" for body in bodies))
+    return Picks("point", what, tuple(rows), places[:, 0], places[:, 1], trade.knee or 0)
+
+
+# --- files -----------------------------------------------------------------------------------------------------------------
+
+
+def _tables(result: Balance) -> dict[str, dict[str, Array]]:
+    found: dict[str, dict[str, Array]] = {"balance": result.columns}
+    if result.trade is not None:
+        trade, points = result.trade, result.trade.points
+        columns = {
+            f"{m}_{m.unit}".replace(" ", "_"): [p.made[k] for p in points] for k, m in enumerate((trade.first, trade.second))
+        }
+        bodies = [weight.asked.body for weight in result.added] + [b for p in points for b in p.masses]
+        masses = {f"{body}_kg": [point.masses.get(body, 0.0) for point in points] for body in dict.fromkeys(bodies)}
+        found["trade"] = {**columns, "rate": [p.rate for p in points], "gap": [p.gap for p in points], **masses}  # type: ignore[dict-item]
+    return found
+
+
+def _design(result: Balance) -> tuple[ProblemFile, str] | None:
+    if result.balanced is None:
+        return None
+    sizes = sizes_of(result.balanced.model.quantities)
+    machine = fixed_design(result.balanced, sizes) if result.balanced.model.free else result.balanced
+    return machine, verdict(result.status, result.valid, result.status)
+
+
+VIEW = View(charts=charts, drawings={"mechanism": balance_drawing.mechanism}, tables=_tables, design=_design)

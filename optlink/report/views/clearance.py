@@ -1,0 +1,227 @@
+"""Charts of a simulation with joint clearance: output deviation, driving torque, energy balance."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import MotionColumns
+from optlink.report.chart_spec import TIME, Axis, ChartSpec, Curve, Dash, Panel, Span
+from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, ROCKER, SHADE, WANTED, scale
+from optlink.report.view import View
+from optlink.report.views import clearance_joints, magnified_joints
+from optlink.report.views.revolutions import FULL, TORQUE, WINDOW, Turns, from_zero, hold, numbered, rough
+from optlink.tasks.results.clearance import ClearanceSimulation
+
+Array = NDArray[np.float64]
+MARKED = 60  # number of revolutions up to which each has a marker
+ZOOM = 4.0  # ratio to the ideal torque beyond which a second panel enlarges the latter
+
+
+def charts(result: ClearanceSimulation) -> list[ChartSpec]:
+    """Return the charts of a simulation with clearance; none if it was interrupted in its first revolution.
+
+    Parameters
+    ----------
+    result : ClearanceSimulation
+        As computed or as stored.
+    """
+    turns = Turns(result)
+    if not turns:
+        return []
+    joints = clearance_joints.charts(turns)
+    return [*displacement(turns), *error(turns), *joints, *torque(turns), *energy(turns)]
+
+
+# --- output --------------------------------------------------------------------------------------------------------------
+
+
+def displacement(turns: Turns) -> list[ChartSpec]:
+    """Plot the output with and without clearance and its deviation over the last revolutions, over time and crank angle."""
+    out, value, deviation, rows, advance = turns.result.output, turns.output, turns.error, turns.rows(WINDOW), turns.advance
+    unit = turns.shares(float(np.max(np.abs(value))))
+    small = turns.shares(float(np.max(np.abs(deviation[turns.rows(turns.shown)]))))
+    time, ideal = turns.time[rows], value - deviation
+    both = [
+        Curve(time, value[rows] * unit.factor, "with clearance", ROCKER, 1.7, gid="output"),
+        Curve(time, ideal[rows] * unit.factor, "ideal machine", WANTED, 1.1, "dash", gid="ideal"),
+    ]
+    away = Curve(time, deviation[rows] * small.factor, f"deviation of {out.name}", LIMIT, 1.3, gid="error")
+    if advance:  # over the crank angle, a fully rotating output is shown within one turn
+        lowest = float(np.nanmin(turns.fold(value, turns.rows(1), advance)[1]))
+        value, ideal = (part - 2.0 * math.pi * math.floor(lowest / (2.0 * math.pi) + 1e-6) for part in (value, ideal))
+    x, y = turns.fold(ideal * unit.factor, turns.rows(1), advance * unit.factor)
+    folded = turns.overlay(value, unit, "with clearance", ROCKER, advance)
+    folded.append(Curve(x, y, "ideal machine", WANTED, 1.1, "dash", gid="ideal"))
+    moved = Axis(f"{out.name}: {'slide' if out.guide else 'angle'} [{unit.unit}]")
+    lost = Axis(f"deviation [{small.unit}]", hold(deviation[turns.rows(max(turns.shown, WINDOW))] * small.factor))
+    heading = turns.title(f"motion of {out.name}")
+    over_time = [Panel(moved, both, 1.35), Panel(lost, [away])]
+    over_angle = [Panel(moved, folded, 1.35), Panel(lost, turns.overlay(deviation, small, f"deviation of {out.name}", LIMIT))]
+    whole, last = f"Motion of {out.name} over time, {turns.span(WINDOW)}", f"Motion of {out.name}, {turns.overlaid}"
+    return [
+        ChartSpec("displacement", whole, over_time, Axis(TIME), heading, lines=turns.ends(rows), width=5.8),
+        ChartSpec("displacement", last, over_angle, turns.crank_axis, cursor=False, width=5.2),
+        _course(turns, rows),
+    ]
+
+
+def _course(turns: Turns, rows: slice) -> ChartSpec:
+    """Plot contact forces and driving torque over time."""
+    names = [f"{gap.point}.normal_N" for gap in turns.result.gaps]
+    force = scale(max(turns.peak(name, WINDOW) for name in names), "N")
+    drive = scale(turns.peak(TORQUE, WINDOW), "N m")
+    time = turns.time[rows]
+    forces = [
+        Curve(time, turns.result[name][rows] * force.factor, f"contact force at {gap.point}", BODIES[k % len(BODIES)], 1.2)
+        for k, (gap, name) in enumerate(zip(turns.result.gaps, names, strict=True))
+    ]
+    own = Curve(time, turns.result[TORQUE][rows] * drive.factor, "driving torque", CRANK, 1.2)
+    panels = [Panel(Axis(f"contact force [{force.unit}]"), forces, 1.3), Panel(Axis(f"torque [{drive.unit}]"), [own])]
+    return ChartSpec("", f"Forces and torque over time, {turns.span(WINDOW)}", panels, Axis(TIME), lines=turns.ends(rows))
+
+
+def error(turns: Turns) -> list[ChartSpec]:
+    """Plot deviation and largest contact forces of every revolution, and the RMS over all revolutions after the running-in."""
+    result, out = turns.result, turns.result.output
+    unit, numbers = out.unit, result.turns.get("revolution")
+    if numbers is None or not len(numbers):
+        return []
+    rms, peak = result.turns[f"rms_{unit}"], result.turns[f"peak_{unit}"]
+    shown = turns.shares(float(np.max(peak)))
+    plotted = partial(Curve, numbers, mode="lines+markers" if len(numbers) <= MARKED else "lines", size=3.5)
+    low, high = float(numbers[0]) - 0.5, float(numbers[-1]) + 0.5
+    ends = np.array([max(turns.begin - 0.5, low), high])
+    deviations = [
+        plotted(peak * shown.factor, "peak", CRANK, 1.1, gid="peak"),
+        plotted(rms * shown.factor, "root mean square", FOUND, 1.5, gid="rms"),
+        Curve(ends, np.full(2, turns.rms * shown.factor), f"RMS over {turns.counted}", WANTED, 1.1, "dash", gid="whole"),
+    ]
+    largest = [result.turns[f"{gap.point}.normal_max_N"] for gap in result.gaps]
+    force = scale(float(np.max(largest)), "N")
+    forces = [
+        plotted(values * force.factor, f"force at {gap.point}", BODIES[k % len(BODIES)], 1.3)
+        for k, (gap, values) in enumerate(zip(result.gaps, largest, strict=True))
+    ]
+    top = from_zero(float(np.max(peak)) * shown.factor), from_zero(float(np.max(largest)) * force.factor)
+    panels = [
+        Panel(Axis(f"deviation of {out.name} [{shown.unit}]", top[0]), deviations, 1.5),
+        Panel(Axis(f"largest contact force [{force.unit}]", top[1]), forces),
+    ]
+    spans = [Span(low, turns.begin - 0.5, "running-in, left out", SHADE)] if turns.begin - 0.5 > low else []
+    counted, si = numbers >= turns.begin, "m" if unit == "m" else "deg"
+    told = f"RMS {rough(turns.rms, si)}, peak {rough(float(np.max(peak[counted])), si)}"
+    if int(np.sum(counted)) > 1:
+        told += f", RMS of single revolutions ±{float(np.std(rms[counted], ddof=1)) * shown.factor:.2g}"
+        told += "°" if si == "deg" else f" {shown.unit}"
+    heading = turns.title(f"deviation of {out.name}", turns.counted)
+    x = numbered(numbers)
+    return [ChartSpec("error", "Revolution by revolution", panels, x, heading, told, spans=spans, cursor=False)]
+
+
+# --- drive ---------------------------------------------------------------------------------------------------------------
+
+
+def _ideal_torque(turns: Turns) -> tuple[Array, Array] | None:
+    """Return crank angles [deg] and the driving torque [N m] of the machine without clearance at constant speed."""
+    if turns.free:
+        return None
+    angles = np.linspace(0.0, FULL, 721)
+    values = MotionColumns(turns.result.machine.moving(np.radians(angles), turns.result.speed))[TORQUE]
+    return angles, np.broadcast_to(np.asarray(values, dtype=float), angles.shape)
+
+
+def torque(turns: Turns) -> list[ChartSpec]:
+    """Plot the driving torque of the last revolution with and without clearance; a small ideal torque is enlarged below."""
+    own, ideal = turns.result[TORQUE], _ideal_torque(turns)
+    last, largest = own[turns.rows(1)], turns.peak(TORQUE, 1)
+    rms = math.sqrt(float(np.mean(last[-turns.points :] ** 2)))
+    near = 0.0 if ideal is None else float(np.nanmax(np.abs(ideal[1]), initial=0.0))
+    crank = turns.result.machine.mechanism.crank.body
+    panels, views = [], (False, True) if 0.0 < ZOOM * near < largest else (False,)
+    for close in views:
+        unit = scale(near if close else max(largest, near), "N m")
+        x, y = turns.fold(own * unit.factor, turns.rows(1))
+        name = f"with clearance: RMS {rough(rms, 'N m')}, largest {rough(largest, 'N m')}"
+        curves = [Curve(x, y, name, CRANK, 1.4, legend=not close, gid="last revolution")]
+        if ideal is not None:
+            even = math.sqrt(float(np.mean(ideal[1] ** 2)))
+            name = f"ideal machine: RMS {rough(even, 'N m')}, largest {rough(near, 'N m')}"
+            curves.append(Curve(ideal[0], ideal[1] * unit.factor, name, WANTED, 1.4, "dash", legend=not close, gid="ideal"))
+        limits = (-1.6 * near * unit.factor, 1.6 * near * unit.factor) if close else None
+        if float(np.ptp(last)) < 1e-6 * largest:  # constant torque: start at zero instead of showing rounding errors
+            ends = sorted((0.0, 1.15 * float(last[0]) * unit.factor))
+            limits = ends[0], ends[1]
+        note = "near the ideal machine's torque, cut off" if close else ""
+        panels.append(Panel(Axis(f"torque on {crank} [{unit.unit}]", limits), curves, 2.0 / len(views), note=note))
+    heading = turns.title("driving torque", turns.span(1))
+    return [ChartSpec("torque", f"Driving torque, {turns.span(1)}", panels, turns.crank_axis, heading, cursor=False)]
+
+
+# --- energy --------------------------------------------------------------------------------------------------------------
+
+
+def _works(turns: Turns) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return the work of drive and loads, and the energy lost at the joints, since the first stored row [J]."""
+    names = [name.removesuffix(".work_J") for name in turns.result.figures if name.endswith(".work_J")]
+    points = {gap.point for gap in turns.result.gaps}
+    fed: dict[str, Array] = {}
+    lost: dict[str, Array] = {}
+    for name in names:
+        work = turns.result[f"work.{name}_J"]
+        point, _, kind = name.rpartition(".")
+        into = lost if point in points and kind in ("impact", "friction") else fed
+        into[name] = work - work[0]
+    return fed, lost
+
+
+def energy(turns: Turns) -> list[ChartSpec]:
+    """Plot the work of drive and loads, the energy gained, the losses at each joint, and the imbalance of the energy account."""
+    result, time = turns.result, turns.time
+    largest = result.figures["largest_energy_J"]
+    if largest <= 0.0:
+        return []
+    stored = result["energy.kinetic_J"] + result["energy.potential_J"] + result["energy.contact_J"]
+    gained = stored - stored[0]
+    fed, lost = _works(turns)
+    unit = scale(max(float(np.max(np.abs(work))) for work in (*fed.values(), gained)), "J")
+    above = []
+    for k, (name, work) in enumerate(fed.items()):
+        words, colour = ("drive", CRANK) if name == "drive" else (name, BODIES[(k + 1) % len(BODIES)])
+        above.append(Curve(time, work * unit.factor, f"work of {words}", colour, 1.3, gid=f"work {name}"))
+    above.append(Curve(time, gained * unit.factor, "energy gained", WANTED, 1.0, "dash", gid="gained"))
+    total = sum(fed.values()) - gained
+    most = max([float(np.max(np.abs(total))), *(float(np.max(np.abs(work))) for work in lost.values())])
+    small, below = scale(most, "J"), []
+    points = [gap.point for gap in result.gaps]
+    for name, work in lost.items():
+        point, _, kind = name.rpartition(".")
+        if float(np.max(np.abs(work))) > 1e-9 * most or kind == "impact":
+            words = "by friction" if kind == "friction" else "in contact"
+            dash: Dash = "solid" if kind == "friction" else "dashdot"
+            colour = BODIES[points.index(point) % len(BODIES)]
+            below.append(Curve(time, work * small.factor, f"lost at {point} {words}", colour, 1.5, dash, gid=f"lost {name}"))
+    below.append(Curve(time, total * small.factor, "works minus energy gained", WANTED, 1.4, "dot", gid="total"))
+    missing = np.abs(total - sum(lost.values())) / largest
+    low = 10.0 ** math.floor(math.log10(max(float(np.percentile(missing[1:], 5.0)), 1e-16)) - 1.0)
+    share = Curve(time, np.maximum(missing, 1e-17), "imbalance", QUIET, 1.0, legend=False, gid="imbalance")
+    limits = low, max(1e-8, 10.0 * float(np.max(missing)))
+    panels = [
+        Panel(Axis(f"energy [{unit.unit}]"), above, 1.5),
+        Panel(Axis(f"losses [{small.unit}]"), below, 1.3),
+        Panel(Axis("imbalance / largest", limits, "log"), [share], 0.9),
+    ]
+    told = f"imbalance at most {result.figures['imbalance_J'] / largest:.1e} of the largest energy, {rough(largest, 'J')}"
+    heading = turns.title("energy account", turns.span(turns.kept))
+    return [ChartSpec("energy", "Energy account", panels, Axis(TIME), heading, told)]
+
+
+VIEW = View(
+    charts=charts,
+    drawings={"mechanism": magnified_joints.mechanism},
+    tables=lambda result: {"play": result.columns} if result.columns else {},
+    frames=magnified_joints.frames,
+)

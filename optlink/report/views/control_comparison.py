@@ -1,0 +1,120 @@
+"""Charts of a control comparison: deviation under each kind of control, and trials from several starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Panel
+from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, WANTED, scale
+from optlink.report.view import View
+from optlink.report.views.revolutions import FULL, Turns, fold
+from optlink.tasks.control_comparison import Comparison
+from optlink.tasks.results.clearance import ClearanceSimulation
+
+Array = NDArray[np.float64]
+
+
+def charts(found: Comparison) -> list[ChartSpec]:
+    """Return the charts of a control comparison; that of single runs only where these are known."""
+    return [*compensation(found.examples), trials(found)]
+
+
+def _mean_turn(turns: Turns, values: Array) -> tuple[Array, Array, Array, Array]:
+    """Return crank angles [deg] and the mean, least and largest values over the revolutions after the running-in."""
+    count = max(1, min(turns.whole // turns.points, turns.last - turns.begin + 1))
+    rows = slice(turns.whole - count * turns.points, turns.whole)
+    table = values[rows].reshape(count, turns.points)
+    numbers = np.arange(turns.last - count, turns.last)[:, None]
+    angles = np.mean(turns.angle[rows].reshape(count, turns.points) - turns.way * FULL * numbers, axis=0)
+    before = angles[-1] - turns.way * FULL
+    closed = np.concatenate([[before], angles])
+    return closed, _closed(np.mean(table, axis=0)), _closed(np.min(table, axis=0)), _closed(np.max(table, axis=0))
+
+
+def _closed(values: Array) -> Array:
+    """Prepend the last value of a periodic course."""
+    return np.concatenate([values[-1:], values])
+
+
+def _standstills(turns: Turns) -> list[float]:
+    """Return the crank angles [deg] at which the ideal output reverses, where crank corrections have no effect."""
+    angles, ideal, _, _ = _mean_turn(turns, turns.output - turns.error)
+    if turns.advance:
+        return []
+    slope, at = np.diff(ideal), 0.5 * (angles[1:] + angles[:-1])
+    turned = np.flatnonzero(slope[:-1] * slope[1:] < 0.0)
+    places = at[turned] + (at[turned + 1] - at[turned]) * slope[turned] / (slope[turned] - slope[turned + 1])
+    return sorted(float(place) % FULL for place in places)
+
+
+def compensation(results: Mapping[str, ClearanceSimulation]) -> list[ChartSpec]:
+    """Plot the deviation over the crank angle under several kinds of control, and the corrections of the crank command."""
+    every = {name: Turns(result) for name, result in results.items()}
+    every = {name: turns for name, turns in every.items() if turns and turns.last}
+    if not every:
+        return []
+    first = next(iter(every.values()))
+    means = {name: _mean_turn(turns, turns.error) for name, turns in every.items()}
+    shown = first.shares(max(float(np.max(np.abs(course[1:]))) for course in means.values()))
+    colours = dict(zip(every, (QUIET, COUPLER, BODIES[2], ROCKER, *BODIES[3:]), strict=False)) | {"none": WANTED}
+    before = every["none"].rms if "none" in every else None
+    deviations: list[Curve | Band] = []
+    corrections: list[Curve | Band] = []
+    for name, turns in every.items():
+        gain = "" if name == "none" or not before else f" ({(turns.rms / before - 1.0) * 100.0:+.0f} %)".replace("-", "−")
+        label = f"{_kind(name)}: RMS {turns.rms * shown.factor:.4g} {shown.unit}{gain}"
+        deviations += _scatter(means[name], shown.factor, label, colours[name], f"mean {name}")
+        if turns.result.figures["correction_max_rad"] > 0.0:
+            correction = _mean_turn(turns, turns.result["command.correction_rad"])
+            corrections += _scatter(correction, math.degrees(1.0), "", colours[name], f"correction {name}")
+    panels = [Panel(Axis(f"deviation of {first.result.output.name} [{shown.unit}]"), deviations, 1.5)]
+    if corrections:
+        panels.append(Panel(Axis("correction of the\ncrank's command [deg]"), corrections))
+    lines = [
+        Line(at, "" if k else "the output reverses", QUIET, 1.0, gid="standstill") for k, at in enumerate(_standstills(first))
+    ]
+    rpm = f"{abs(first.result.speed) * 30.0 / math.pi:.5g} rpm{'' if first.way > 0.0 else ' clockwise'}"
+    heading = f"{first.result.problem.model.title}: compensation of the clearance\n{rpm}, means of {first.counted}"
+    heading += ", shaded from least to largest" if first.shown > 1 else ""
+    title = "Compensation of the clearance"
+    return [ChartSpec("compensation", title, panels, first.crank_axis, heading, lines=lines, cursor=False, width=8.4)]
+
+
+def _kind(name: str) -> str:
+    return "no control" if name == "none" else name
+
+
+def _scatter(courses: tuple[Array, Array, Array, Array], factor: float, name: str, colour: str, gid: str) -> list[Curve | Band]:
+    """Return the mean over the revolutions as a curve on the band from the least to the largest value."""
+    angles, *values = courses
+    x, mean = fold(angles, values[0] * factor)
+    low, high = (fold(angles, one * factor)[1] for one in values[1:])
+    return [Band(x, low, high, "", colour, 0.12), Curve(x, mean, name, colour, 1.6, legend=bool(name), gid=gid)]
+
+
+def trials(found: Comparison) -> ChartSpec:
+    """Plot the RMS and peak deviation of every start under each kind of control, and their means."""
+    kinds = list(found.trials)
+    shown = scale(float(max(np.max(one.peak) for one in found.trials.values())), "m" if found.unit == "m" else "deg")
+    curves = []
+    for k, (name, one) in enumerate(found.trials.items(), 1):
+        for values, colour, word, off in ((one.rms, FOUND, "root mean square", -0.12), (one.peak, CRANK, "peak", 0.12)):
+            dots = partial(Curve, mode="markers", size=5.0, opacity=0.55, text=[_kind(name)] * len(values), gid=word)
+            curves.append(dots(values * shown.factor, np.full(len(values), k + off), word, colour, legend=k == 1))
+        ends = np.array([k - 0.34, k + 0.1])
+        curves.append(Curve(np.full(2, one.mean * shown.factor), ends, "mean", WANTED, legend=k == 1, gid="mean"))
+    y = Axis("", (0.4, len(kinds) + 0.6), reversed=True, ticks=[(float(k), _kind(name)) for k, name in enumerate(kinds, 1)])
+    furthest = max(float(np.max(curve.x)) for curve in curves)
+    x = Axis(f"deviation [{shown.unit}]", (0.0, 1.05 * furthest))
+    count = f"{found.revolutions} revolutions from each of {len(found.starts)} starts"
+    heading = f"{found.problem.model.title}: kinds of control\n{count}"
+    panel = Panel(y, curves, 0.27 * len(kinds) + 0.3)
+    return ChartSpec("trials", f"Deviation under each kind of control, {count}", [panel], x, heading, cursor=False)
+
+
+VIEW = View(charts=charts)

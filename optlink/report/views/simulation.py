@@ -1,0 +1,169 @@
+"""Charts of a simulation in time: speed and torque, output, reactions, energy balance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import slider_names
+from optlink.dynamics.machine import Machine
+from optlink.report.chart_spec import TIME, Axis, ChartSpec, Curve, Dash, Panel
+from optlink.report.style import BODIES, CRANK, QUIET, WANTED, scale
+from optlink.report.view import View
+from optlink.tasks.simulate import Simulation
+
+Array = NDArray[np.float64]
+RPM = 30.0 / math.pi
+LINES = 10  # largest number of joint reactions
+
+
+@dataclass(frozen=True)
+class History:
+    """A simulation in time, as computed or as stored: `columns` (n,) and `figures` by name [SI]."""
+
+    title: str
+    machine: Machine
+    driven: str
+    ending: str
+    columns: Mapping[str, Array]
+    figures: Mapping[str, float]
+
+    def curve(
+        self, name: str, factor: float, words: str, colour: str, width: float = 1.6, dash: Dash = "solid", *, legend: bool = True
+    ) -> Curve:
+        """Return a column times a factor over time as a curve."""
+        return Curve(self.columns["time_s"], self.columns[name] * factor, words, colour, width, dash, legend=legend, gid=name)
+
+    def largest(self, names: Iterable[str]) -> float:
+        """Return the largest absolute finite value of columns [SI]."""
+        return largest(self.columns, names)
+
+
+def largest(columns: Mapping[str, Array], names: Iterable[str]) -> float:
+    """Return the largest absolute finite value in columns [SI].
+
+    Parameters
+    ----------
+    columns : mapping of str to array (n,)
+    names : iterable of str
+        Columns to consider.
+    """
+    every = [np.abs(columns[name]) for name in names]
+    return max((float(np.max(one, initial=0.0, where=np.isfinite(one))) for one in every), default=0.0)
+
+
+def charts(run: History) -> list[ChartSpec]:
+    """Return the charts of a simulation in time; none if the machine did not move.
+
+    Parameters
+    ----------
+    run : History
+    """
+    return [*drive(run), *output(run), *reactions(run), *energy(run)] if len(run.columns["time_s"]) > 1 else []
+
+
+def drive(run: History) -> list[ChartSpec]:
+    """Plot crank speed and driving torque, and the mean speed of the last revolution if it was completed."""
+    speed, panels = f"{run.machine.mechanism.crank.body}.omega_rad_s", []
+    if speed in run.columns:
+        values = run.columns[speed] * RPM
+        curves, note, mean = [run.curve(speed, RPM, "crank speed", CRANK, legend=False)], "", 0.0
+        if "last_turn.mean_speed_rad_s" in run.figures:
+            own, share = run.figures["last_turn.mean_speed_rad_s"], run.figures.get("last_turn.fluctuation", math.nan)
+            mean, crank = math.copysign(own, values[-1]) * RPM, run.columns["crank_angle_deg"]
+            turned = np.abs(crank - crank[-1]) <= 360.0 * (1.0 + 1e-12)
+            over = run.columns["time_s"][turned]
+            curves.append(Curve(over, np.full(len(over), mean), "mean", WANTED, 1.2, "dash", legend=False, gid="mean"))
+            note = f"last turn: mean over time {own:.4g} rad/s ({own * RPM:.4g} rpm), fluctuation {share:.2%}"
+        room = 0.16 * float(np.ptp(values)) or 0.1 * abs(mean) or 1.0
+        limits = float(np.min(values)) - room, float(np.max(values)) + 0.4 * room
+        panels.append(Panel(Axis("crank speed [rpm]", limits), curves, 1.4, note=note))
+    if "input.torque_Nm" in run.columns:
+        torque = run.columns["input.torque_Nm"]
+        most = run.largest(["input.torque_Nm"])
+        unit = scale(most, "N m")
+        limits_ = None
+        if float(np.ptp(torque)) < 1e-6 * most:  # constant torque: start at zero instead of showing rounding errors
+            low, high = sorted((0.0, 1.15 * float(torque[0]) * unit.factor))
+            limits_ = low, high
+        curve = run.curve("input.torque_Nm", unit.factor, "driving torque", BODIES[0], legend=False)
+        panels.append(Panel(Axis(f"driving torque [{unit.unit}]", limits_), [curve]))
+    heading = f"{run.title}: driven by {run.driven}, {run.ending}"
+    return [ChartSpec("drive", "Drive", panels, Axis(TIME), heading)] if panels else []
+
+
+def output(run: History) -> list[ChartSpec]:
+    """Plot position, velocity and acceleration of the last slider, otherwise of the last body."""
+    sliders = list(slider_names(run.machine).values())
+    name = sliders[-1] if sliders else run.machine.mechanism.links[-1].body
+    rows = [("position", ".s_m", "m"), ("velocity", ".v_m_s", "m/s"), ("acceleration", ".a_m_s2", "m/s²")]
+    if not sliders:
+        rows = [("angle", ".angle_rad", "deg"), ("angular velocity", ".omega_rad_s", "rad/s")]
+        rows.append(("angular acceleration", ".alpha_rad_s2", "rad/s²"))
+    panels = []
+    for word, ending, unit in rows:
+        if name + ending in run.columns:
+            values = np.unwrap(run.columns[name + ending]) if unit == "deg" else run.columns[name + ending]
+            shown = scale(run.largest([name + ending]), unit)
+            curve = Curve(run.columns["time_s"], values * shown.factor, word, BODIES[1], legend=False, gid=name + ending)
+            panels.append(Panel(Axis(f"{word} [{shown.unit}]"), [curve]))
+    return [ChartSpec("output", f"Motion of {name}", panels, Axis(TIME), f"{run.title}: {name}")] if panels else []
+
+
+def reactions(run: History) -> list[ChartSpec]:
+    """Plot the magnitudes of the joint reactions; a pin of three bodies has two."""
+    mechanism = run.machine.mechanism
+    joints = {*mechanism.pins, *(guide.name for guide in mechanism.guides)}
+    forces = {name: values for name, values in run.columns.items() if name.partition(".")[0] in joints}
+    for name in [name for name in forces if name.endswith(".fx_N") and name.replace(".fx_N", ".fy_N") in forces]:
+        forces[name.replace(".fx_N", ".f_N")] = np.hypot(forces[name], forces[name.replace(".fx_N", ".fy_N")])
+    names = [name for name in forces if name.endswith((".f_N", ".normal_N")) and largest(forces, [name]) > 0.0][:LINES]
+    if not names:
+        return []
+    shown = scale(largest(forces, names), "N")
+    curves = []
+    for k, name in enumerate(names):
+        dash: Dash = "solid" if name.endswith(".f_N") else "dash"
+        values, words = forces[name] * shown.factor, name.rpartition(".")[0]
+        curves.append(Curve(run.columns["time_s"], values, words, BODIES[k % len(BODIES)], dash=dash))
+    return [ChartSpec("", "Joint reactions", [Panel(Axis(f"force [{shown.unit}]"), curves, 1.6)], Axis(TIME))]
+
+
+def energy(run: History) -> list[ChartSpec]:
+    """Plot the work of drive, loads and friction, the energies, and the imbalance of the energy account."""
+    columns, turnover = run.columns, run.figures.get("turnover_J", 0.0)
+    works = [name for name in columns if name.endswith(".work_J")]
+    stored = [name for name in ("energy.kinetic_J", "energy.potential_J") if name in columns]
+    if turnover <= 0.0 or not works:
+        return []
+    shown = scale(turnover, "J")
+    above = []
+    for k, name in enumerate(works):
+        colour = CRANK if name == "input.work_J" else BODIES[(k - 1) % len(BODIES)]
+        what = "drive" if name == "input.work_J" else name.removesuffix(".work_J")
+        above.append(run.curve(name, shown.factor, f"work of {what}", colour))
+    for name, words, colour in zip(stored, ("kinetic energy", "potential energy"), BODIES[3:], strict=False):
+        if run.largest([name]) > 0.0:
+            above.append(run.curve(name, shown.factor, words, colour, 1.2, "dashdot"))
+    gained = sum((columns[name] - columns[name][0] for name in stored), np.zeros(len(columns["time_s"])))
+    panels = [Panel(Axis(f"energy [{shown.unit}]"), above, 2.0)]
+    if all(name in columns for name in run.figures if name.endswith(".work_J")):
+        words = "kinetic and gravity's energy gained"
+        above.append(Curve(columns["time_s"], gained * shown.factor, words, WANTED, 1.4, "dash", gid="gained"))
+        missing = np.abs(gained - sum(columns[name] for name in works)) / turnover
+        share = Curve(columns["time_s"], np.maximum(missing, 1e-17), "imbalance", QUIET, 1.2, legend=False, gid="imbalance")
+        limits = 1e-17, max(1e-8, 10.0 * float(np.max(missing)))
+        panels.append(Panel(Axis("imbalance / largest", limits, "log"), [share]))
+    return [ChartSpec("energy", "Energy", panels, Axis(TIME), f"{run.title}: energy account")]
+
+
+def _history(result: Simulation) -> History:
+    title, ending = result.problem.model.title, result.run.ending.value
+    return History(title, result.machine, result.driven, ending, result.columns, result.figures)
+
+
+VIEW = View(charts=lambda result: charts(_history(result)), tables=lambda result: {"course": result.columns})
