@@ -17,7 +17,6 @@ from optlink.report.html import chart_plotly
 from optlink.report.html.shell import Section
 from optlink.report.stored.reader import Record
 from optlink.report.stored.stored_study import Studied, figures_of, still, turning
-from optlink.report.style import BODIES, CRANK, FOUND
 from optlink.report.views import balance_tables
 from optlink.report.views.balance import courses, trade_off
 from optlink.tasks.balance import balanced_problem
@@ -37,9 +36,7 @@ from optlink.tasks.results.balance import (
 __all__ = ["SCHEMA", "studied"]
 
 Array = NDArray[np.float64]
-PANELS = 4  # largest number of stacked panels in a chart
 TRUE = 1e-6  # relative tolerance of stored measures, as a share of the value before balancing
-COLOURS = {"shaking_force": FOUND, "shaking_moment": BODIES[3], "driving_torque": CRANK}
 VERDICTS = {
     "optimal": "Optimal: no counterweights within the limits do better",
     "relaxed": "Near the proven bound",
