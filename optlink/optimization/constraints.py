@@ -22,8 +22,7 @@ from optlink.linkage.fourbar import (
 from optlink.linkage.mechanism import Group, Pose
 from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
-from optlink.problem.limit_terms import stated
-from optlink.problem.limits import Alignment, Reach
+from optlink.problem.limits import Alignment, Reach, stated
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import PathProblem
 from optlink.problem.quantity import Interval
@@ -225,7 +224,7 @@ def _within(interval: Interval | None) -> tuple[float, float]:
 
 
 def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
-    """Yield the limits of `optlink.problem.limit_terms` that the file states.
+    """Yield the limits of `optlink.problem.limits` that the file states.
 
     Parameters
     ----------

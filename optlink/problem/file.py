@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,15 +15,16 @@ from typing import Any
 import pydantic
 
 from optlink.errors import Fault, InputError, shown
-from optlink.problem.cycle import CycleLimits, CycleProblem, cross_check_cycle
-from optlink.problem.cycle_terms import Limit
+from optlink.problem.cycle import CycleProblem, cross_check_cycle
+from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads
 from optlink.problem.function import DesignProblem, cross_check_design
 from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem, cross_check
 from optlink.problem.path import PathProblem
-from optlink.problem.path_checks import cross_check_path, four_bar_limits, inapplicable_keys
+from optlink.problem.path_checks import cross_check_path, four_bar_limits
 from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.tolerances import with_tolerance
+from optlink.registry import load_extensions
 
 MAX_BYTES = 1_000_000
 GENERATED = ("path", "motion", "transmission")
@@ -68,7 +69,7 @@ class ProblemFile:
     @property
     def kind(self) -> str:
         """Type of the linkage and kind of the task, for display."""
-        asked = "cycle design" if self.task == "cycle" else "analysis" if self.model.balance is None else "balancing"
+        asked = {"cycle": "cycle design", "balance": "balancing"}.get(self.task, self.task)
         if isinstance(self.model, DesignProblem | PathProblem):
             asked = f"{self.model.requirement.kind} design"
         return f"{self.model.mechanism.type}, {asked}"
@@ -181,11 +182,12 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     InputError
         with one fault per error.
     """
+    load_extensions()
     where = folder or Path()
     _check_integers(raw, file)
     raw = _typed(raw)
     task = raw.get("requirement")
-    dyads = _dyads(raw)
+    dyads = of_dyads(raw)
     output = dyads and isinstance(task, dict)
     kinds = ("function", *GENERATED)
     if isinstance(task, dict) and task.get("kind", "function") not in kinds:
@@ -196,6 +198,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
         model = PathProblem
     if "objective" in raw and "requirement" not in raw:
         model = CycleProblem
+    model = next((further for section, further in SECTIONS.items() if section in raw), model)
     if generation and isinstance(task, dict) and "robust" in task:
         remedy = "Leave it out; `optlink study tolerance` judges any design"
         fault = Fault("a robust design is found for motion laws of a four-bar only", remedy, file, "requirement.robust")
@@ -203,7 +206,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     try:
         problem = model.model_validate(raw, context={"folder": where})
     except pydantic.ValidationError as error:
-        raise InputError(list(_faults(error, model, raw, file))) from None
+        raise InputError(list(faults(error, model, raw, file))) from None
     try:
         if isinstance(problem, DesignProblem):
             cross_check_design(problem)
@@ -230,11 +233,6 @@ def _check_integers(raw: Mapping[str, Any], file: str) -> None:
             todo += [(f"{key}[{place}]", item) for place, item in enumerate(value)]
 
 
-def _dyads(raw: Mapping[str, Any]) -> bool:
-    """Return whether the linkage is defined by links and guides."""
-    return isinstance(raw.get("mechanism"), dict) and raw["mechanism"].get("type") == "dyads"
-
-
 def _typed(raw: Mapping[str, Any]) -> Mapping[str, Any]:
     """Add the type of a mechanism without one: dyads if it has links, ground or guides, else four-bar."""
     mechanism = raw.get("mechanism")
@@ -256,7 +254,7 @@ def complete(problem: ProblemFile) -> dict[str, Any]:
     raw = copy.deepcopy(dict(problem.raw))
     limits = getattr(problem.model, "limits", None)
     if isinstance(limits, Alignment):
-        four_bar = not _dyads(problem.raw)
+        four_bar = not of_dyads(problem.raw)
         held = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in four_bar_limits())}
         own = {key: value for key, value in MARGINS.items() if key in held}
         raw["limits"] = {**own, **raw.get("limits", {})}
@@ -329,7 +327,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
         path = tuple(steps[:depth])
         place = _coordinate(path, table, step)
         if place is None and step not in table:
-            known = _known(path) if _fixed(path) else list(table)
+            known = known_keys(path) if _fixed(path) else list(table)
             if step not in known:
                 remedy = nearest(step, known)
                 if not _fixed(path):
@@ -387,18 +385,6 @@ def _side(pair: list[Any], side: str, value: object) -> list[Any]:
     return [value, *pair[1:]] if side == SIDES[0] else [*pair[:1], value]
 
 
-def _known(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
-    """Return the keys that models of these kinds (default: any kind) have at a path of sections."""
-    models: list[Any] = list(kinds) or [DesignProblem, PathProblem, CycleProblem, Problem]
-    for step in path:
-        fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
-        if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same
-            models = [model for f in fields for model in _models(f.annotation)]
-        if not models:
-            return ["start", "bounds"]
-    return list(dict.fromkeys(field.alias or name for model in models for name, field in model.model_fields.items()))
-
-
 def _fixed(path: tuple[str, ...]) -> bool:
     """Return whether the keys at a path are those of a section, not names defined by the file."""
     return path not in {
@@ -410,80 +396,3 @@ def _fixed(path: tuple[str, ...]) -> bool:
         ("joints",),
         ("loads",),
     }
-
-
-def _models(annotation: Any) -> Iterator[Any]:
-    """Yield the sections that a key can contain; for the limits of a cycle also the named limits."""
-    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
-        yield annotation
-        if annotation is CycleLimits:
-            yield Limit
-    for inner in getattr(annotation, "__args__", ()):
-        yield from _models(inner)
-
-
-def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
-    """Return the keys at a path of sections that are valid for the task of the file."""
-    known = _known(path, model)
-    if model is PathProblem and len(path) == 1:
-        others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not _dyads(raw))
-        known = [key for key in known if key not in others]
-    return known
-
-
-def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
-    for item in error.errors(include_url=False):
-        path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
-        path = [step for step in path if step != "[key]"]
-        if path[:1] == ["mechanism"] and path[1:2] in (["four-bar"], ["dyads"]):
-            del path[1]  # the tag of the union type
-        key = ".".join(str(step) for step in path)
-        value, kind, context = item["input"], item["type"], item.get("ctx", {})
-        problem = context.get("error")
-        if isinstance(problem, Unusable):
-            below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
-            yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
-        elif kind == "extra_forbidden":
-            yield Fault("unknown key", nearest(str(path[-1]), _fitting(tuple(path[:-1]), model, raw)), file, key)
-        elif kind == "union_tag_invalid":
-            given = raw["mechanism"].get("type")
-            yield Fault("not a type of linkage", nearest(str(given), ("four-bar", "dyads")), file, f"{key}.type", _plain(given))
-        elif kind == "missing":
-            yield Fault("this key is missing", _example(key), file, key)
-        elif kind == "literal_error":
-            options = str(context.get("expected", "")).replace("'", '"').replace(" or ", ", ").split(", ")
-            yield Fault("not one of the choices", nearest(str(value), [o.strip('"') for o in options]), file, key, _plain(value))
-        elif kind in ("model_type", "model_attributes_type"):
-            yield Fault("expected a table", f"Begin it with [{key}]" if key else "Write the sections", file, key, _plain(value))
-        else:
-            message = item["msg"][0].lower() + item["msg"][1:]
-            yield Fault(message, _example(key), file, key, _plain(value))
-
-
-def _plain(value: object) -> object:
-    return value if isinstance(value, str | int | float | list | dict) else type(value).__name__
-
-
-_EXAMPLES = {
-    "title": 'Add title = "..."',
-    "mechanism": "Add the section [mechanism]",
-    "requirement": "Add the section [requirement]",
-    "requirement.law": 'Add law = "psi0 + 0.5*(phi - phi0)"',
-    "requirement.points": "Give a whole number from 1 to 10000, for example points = 30",
-    "expected.source": "Say where the expected values come from",
-}
-
-
-def _example(key: str) -> str:
-    section, _, last = key.partition(".")[0], *key.rpartition(".")[1:]
-    if section == "bodies" and last == "mass":
-        return 'Add mass = "1.2 kg"'
-    if last == "joints":
-        return 'Add joints = ["B", "C"], or joints = ["E"] for a body that a guide carries'
-    if key.startswith(
-        ("mechanism.links", "mechanism.guides", "mechanism.ground", "bodies", "joints", "loads", "drive", "gravity")
-    ):
-        return "See `optlink show six-bar --toml` for an example"
-    if key.startswith("mechanism."):
-        return f'Add {key.split(".")[1]} = "100 mm", or {{ start = "400 mm", bounds = ["100 mm", "900 mm"] }}'
-    return _EXAMPLES.get(key, "See `optlink show crank-rocker --toml` for an example")

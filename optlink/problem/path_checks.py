@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.problem.limit_terms import LIMITS
-from optlink.problem.limits import check_limits
+from optlink.problem.limits import LIMITS, check_limits
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.path import FINE, SLIDES, TURN, PathProblem
 from optlink.problem.quantity import Unusable, nearest

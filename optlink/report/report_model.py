@@ -129,10 +129,10 @@ def machine_found(outcome: FunctionResult | PathResult | CycleResult) -> Problem
     InputError
         If the dimensions do not form a linkage.
     """
-    if isinstance(outcome, CycleResult):
-        return outcome.machine
     if isinstance(outcome, FunctionResult):
         return _begun(fixed_design(outcome.problem, outcome.design), outcome.design["phi0"], outcome.problem.spec.span)
+    if not isinstance(outcome, PathResult):
+        return outcome.machine
     design = outcome.best
     if design is None:
         return None

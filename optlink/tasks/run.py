@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
+from optlink.registry import Registry
 
 if TYPE_CHECKING:
     from optlink.tasks.function import FunctionResult
@@ -16,6 +18,34 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float], None]
 """Receives the share of the work that is done, from 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """Options of a search, see `solve`."""
+
+    backend: str = "ipopt"
+    starts: int | None = None
+    seed: int = 0
+    progress: Progress | None = None
+    designs: int | None = None
+    track: bool = False
+
+
+@dataclass(frozen=True)
+class Task:
+    """How a kind of problem is solved, and how a given design of it is validated.
+
+    The results have `problem`, `status`, `valid`, `interrupted`, `validation`, `with_checks` and `to_dict`; and, for the motion
+    on their page, `machine`: the problem with all dimensions fixed, or None.
+    """
+
+    solve: Callable[[ProblemFile, Search], Any]
+    validate: Callable[[ProblemFile, Mapping[str, float]], Any]
+
+
+TASKS: Registry[Task] = Registry()
+"""Tasks by the kind of problem (`ProblemFile.task`)."""
 
 
 def solve(
@@ -61,24 +91,9 @@ def solve(
     if problem.task != "path" and designs is not None:
         remedy = "Leave it out; --starts N lists the distinct optima of a law"
         raise InputError(Fault("only points and poses have several designs", remedy, problem.file, "--designs", designs))
-    if problem.task == "path":
-        from optlink.tasks import path
-
-        return path.solve(problem, backend, starts, seed, 3 if designs is None else designs, progress)
-    if problem.task == "cycle":
-        from optlink.tasks import cycle
-
-        return cycle.solve(problem, backend, starts, seed, progress)
-    if problem.task == "balance":
-        from optlink.tasks import balance
-
-        if starts is not None:
-            message = "balancing is a convex programme with one optimum: it has no starting points"
-            raise InputError(Fault(message, "Leave it out", problem.file, "--starts", starts))
-        return balance.balance(problem, progress=progress)
-    from optlink.tasks import function
-
-    return function.solve(problem, backend, starts, seed, progress, track=track)
+    found: FunctionResult | PathResult | CycleResult | Balance
+    found = TASKS[problem.task].solve(problem, Search(backend, starts, seed, progress, designs, track))
+    return found
 
 
 def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult | PathResult | CycleResult:
@@ -96,17 +111,65 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResul
     InputError
         if the problem has no requirement or objective.
     """
-    if problem.task == "path":
-        from optlink.tasks import path
+    found: FunctionResult | PathResult | CycleResult = TASKS[problem.task].validate(problem, design)
+    return found
 
-        return path.validate(problem, design)
-    if problem.task == "cycle":
-        from optlink.tasks import cycle
 
-        return cycle.validate(problem, design)
-    if problem.task == "balance":
-        remedy = "Run `optlink balance`: it verifies what it finds by inverse dynamics"
-        raise InputError(Fault("a balancing problem has no design to validate", remedy, problem.file, "balance"))
+# --- the kinds of problems -------------------------------------------------------------------------------------------------
+
+
+def _function(problem: ProblemFile, search: Search) -> FunctionResult:
+    from optlink.tasks import function
+
+    return function.solve(problem, search.backend, search.starts, search.seed, search.progress, track=search.track)
+
+
+def _path(problem: ProblemFile, search: Search) -> PathResult:
+    from optlink.tasks import path
+
+    designs = 3 if search.designs is None else search.designs
+    return path.solve(problem, search.backend, search.starts, search.seed, designs, search.progress)
+
+
+def _cycle(problem: ProblemFile, search: Search) -> CycleResult:
+    from optlink.tasks import cycle
+
+    return cycle.solve(problem, search.backend, search.starts, search.seed, search.progress)
+
+
+def _balance(problem: ProblemFile, search: Search) -> Balance:
+    from optlink.tasks import balance
+
+    if search.starts is not None:
+        message = "balancing is a convex programme with one optimum: it has no starting points"
+        raise InputError(Fault(message, "Leave it out", problem.file, "--starts", search.starts))
+    return balance.balance(problem, progress=search.progress)
+
+
+def _check_function(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
     from optlink.tasks import function
 
     return function.validate(problem, design)
+
+
+def _check_path(problem: ProblemFile, design: Mapping[str, float]) -> PathResult:
+    from optlink.tasks import path
+
+    return path.validate(problem, design)
+
+
+def _check_cycle(problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
+    from optlink.tasks import cycle
+
+    return cycle.validate(problem, design)
+
+
+def _check_balance(problem: ProblemFile, design: Mapping[str, float]) -> Balance:
+    remedy = "Run `optlink balance`: it verifies what it finds by inverse dynamics"
+    raise InputError(Fault("a balancing problem has no design to validate", remedy, problem.file, "balance"))
+
+
+TASKS["function"] = TASKS["analysis"] = Task(_function, _check_function)  # an analysis is refused: it has no requirement
+TASKS["path"] = Task(_path, _check_path)
+TASKS["cycle"] = Task(_cycle, _check_cycle)
+TASKS["balance"] = Task(_balance, _check_balance)

@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from optlink.problem.limit_terms import Moved, stated
-from optlink.problem.limits import Limits
+from optlink.problem.limits import Limits, Moved, stated
 from optlink.problem.quantity import Interval, Quantity
 
 POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and extremes are refined
@@ -91,7 +90,7 @@ def limit_checks(name: str, value: float, interval: Interval, tolerance: float, 
 
 
 def registered_checks(moved: Moved, limits: Limits, size: float) -> Iterator[Check]:
-    """Yield the checks of the limits of `optlink.problem.limit_terms` that a file states.
+    """Yield the checks of the limits of `optlink.problem.limits` that a file states.
 
     Parameters
     ----------

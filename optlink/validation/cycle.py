@@ -21,7 +21,7 @@ from optlink.linkage.vector2d import Value, turn
 from optlink.problem.cycle import Bound, CycleProblem
 from optlink.problem.cycle_quantities import guide_of
 from optlink.problem.cycle_terms import Term, output_of
-from optlink.problem.limit_terms import stroke_ratio
+from optlink.problem.limits import stroke_ratio
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
 from optlink.units import KINDS, factor

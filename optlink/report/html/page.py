@@ -11,10 +11,11 @@ from optlink.report.html.charts import charts, readouts, tornado
 from optlink.report.html.moving_linkage import Moving, crank_stops
 from optlink.report.html.shell import LARGEST, Section, Sheet, fitted, write
 from optlink.report.html.sources import closing
+from optlink.report.registry import table_of
 from optlink.report.report_model import Outcome, ReportModel
 from optlink.report.scene import scene
 from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
-from optlink.report.views import analysis_tables, cycle_tables, function_tables, path_tables, study_tables
+from optlink.report.views import function_tables, path_tables, study_tables
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
@@ -145,14 +146,8 @@ def _failed(subject: ReportModel) -> str:
 
 def told(subject: ReportModel) -> Summary:
     """Return the summary of the result."""
-    outcome = subject.outcome
-    if isinstance(outcome, FunctionResult):
-        return function_tables.result(outcome)
-    if isinstance(outcome, PathResult):
-        return path_tables.generation(outcome)
-    if isinstance(outcome, CycleResult):
-        return cycle_tables.machine_design(outcome)
-    return analysis_tables.analysis(outcome)
+    kind = "analysis" if isinstance(subject.outcome, Analysis) else subject.problem.task
+    return table_of(kind)(subject.outcome)
 
 
 def _with_recorded_limits(subject: ReportModel, shown: Summary) -> list[Part]:

@@ -1,0 +1,127 @@
+"""Faults of a problem file from the errors of its models, each with file, key, value and remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import pydantic
+
+from optlink.errors import Fault
+from optlink.problem.cycle import CycleLimits, CycleProblem
+from optlink.problem.cycle_terms import Limit
+from optlink.problem.function import DesignProblem
+from optlink.problem.machine.model import Problem
+from optlink.problem.path import PathProblem
+from optlink.problem.path_checks import inapplicable_keys
+from optlink.problem.quantity import Unusable, nearest
+from optlink.registry import Registry
+
+SECTIONS: Registry[type[Problem]] = Registry()
+"""Models of further kinds of problems by the section that marks them; their property `task` is the name of the kind."""
+
+
+def of_dyads(raw: Mapping[str, Any]) -> bool:
+    """Return whether the linkage is defined by links and guides."""
+    return isinstance(raw.get("mechanism"), dict) and raw["mechanism"].get("type") == "dyads"
+
+
+def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
+    """Return the keys that models of these kinds (default: any kind) have at a path of sections."""
+    models: list[Any] = list(kinds) or [DesignProblem, PathProblem, CycleProblem, Problem, *SECTIONS.values()]
+    for step in path:
+        fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
+        if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same
+            models = [model for f in fields for model in _models(f.annotation)]
+        if not models:
+            return ["start", "bounds"]
+    return list(dict.fromkeys(field.alias or name for model in models for name, field in model.model_fields.items()))
+
+
+def _models(annotation: Any) -> Iterator[Any]:
+    """Yield the sections that a key can contain; for the limits of a cycle also the named limits."""
+    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+        yield annotation
+        if annotation is CycleLimits:
+            yield Limit
+    for inner in getattr(annotation, "__args__", ()):
+        yield from _models(inner)
+
+
+def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
+    """Return the keys at a path of sections that are valid for the task of the file."""
+    known = known_keys(path, model)
+    if model is PathProblem and len(path) == 1:
+        others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not of_dyads(raw))
+        known = [key for key in known if key not in others]
+    return known
+
+
+def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
+    """Yield one fault per error of a model.
+
+    Parameters
+    ----------
+    error : pydantic.ValidationError
+    model : type
+        Model of the file.
+    raw : mapping
+        Nested tables of the file.
+    file : str
+        Name of the file.
+    """
+    for item in error.errors(include_url=False):
+        path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
+        path = [step for step in path if step != "[key]"]
+        if path[:1] == ["mechanism"] and path[1:2] in (["four-bar"], ["dyads"]):
+            del path[1]  # the tag of the union type
+        key = ".".join(str(step) for step in path)
+        value, kind, context = item["input"], item["type"], item.get("ctx", {})
+        problem = context.get("error")
+        if isinstance(problem, Unusable):
+            below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
+            yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
+        elif kind == "extra_forbidden":
+            yield Fault("unknown key", nearest(str(path[-1]), _fitting(tuple(path[:-1]), model, raw)), file, key)
+        elif kind == "union_tag_invalid":
+            given = raw["mechanism"].get("type")
+            yield Fault("not a type of linkage", nearest(str(given), ("four-bar", "dyads")), file, f"{key}.type", _plain(given))
+        elif kind == "missing":
+            yield Fault("this key is missing", _example(key), file, key)
+        elif kind == "literal_error":
+            options = str(context.get("expected", "")).replace("'", '"').replace(" or ", ", ").split(", ")
+            yield Fault("not one of the choices", nearest(str(value), [o.strip('"') for o in options]), file, key, _plain(value))
+        elif kind in ("model_type", "model_attributes_type"):
+            yield Fault("expected a table", f"Begin it with [{key}]" if key else "Write the sections", file, key, _plain(value))
+        else:
+            message = item["msg"][0].lower() + item["msg"][1:]
+            yield Fault(message, _example(key), file, key, _plain(value))
+
+
+def _plain(value: object) -> object:
+    return value if isinstance(value, str | int | float | list | dict) else type(value).__name__
+
+
+_EXAMPLES = {
+    "title": 'Add title = "..."',
+    "mechanism": "Add the section [mechanism]",
+    "requirement": "Add the section [requirement]",
+    "requirement.law": 'Add law = "psi0 + 0.5*(phi - phi0)"',
+    "requirement.points": "Give a whole number from 1 to 10000, for example points = 30",
+    "expected.source": "Say where the expected values come from",
+}
+
+
+def _example(key: str) -> str:
+    section, _, last = key.partition(".")[0], *key.rpartition(".")[1:]
+    if section == "bodies" and last == "mass":
+        return 'Add mass = "1.2 kg"'
+    if last == "joints":
+        return 'Add joints = ["B", "C"], or joints = ["E"] for a body that a guide carries'
+    if key.startswith(
+        ("mechanism.links", "mechanism.guides", "mechanism.ground", "bodies", "joints", "loads", "drive", "gravity")
+    ):
+        return "See `optlink show six-bar --toml` for an example"
+    if key.startswith("mechanism."):
+        return f'Add {key.split(".")[1]} = "100 mm", or {{ start = "400 mm", bounds = ["100 mm", "900 mm"] }}'
+    return _EXAMPLES.get(key, "See `optlink show crank-rocker --toml` for an example")
