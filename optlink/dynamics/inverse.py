@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from optlink.dynamics.dyad_balances import BALANCES, GroupForces
 from optlink.dynamics.inertia import UNITS, Wrench, wrench
 from optlink.dynamics.machine import Machine, Moving
-from optlink.linkage.dyad_types import PRP, RPP, RPR, RRP, RRR
 from optlink.linkage.mechanism import FRAME, Group, Guide, Link
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus
 
@@ -87,7 +87,7 @@ def reported_on(machine: Machine) -> dict[str, str]:
     mechanism = machine.mechanism
     found = {mechanism.crank.start: mechanism.crank.body}
     for group in mechanism.groups:
-        for body, pin in _outer_pins(group):
+        for body, pin in group.outer_pins:
             found.setdefault(pin, body)
         if group.joint in mechanism.pins:
             found[group.joint] = group.links[0].body
@@ -101,16 +101,6 @@ def acting_on(machine: Machine) -> dict[str, tuple[str, str]]:
         others = [body for body in bodies if body != on[point]]
         found[point] = (others[0] if len(others) == 1 else "pin", on[point])
     return found
-
-
-def _outer_pins(group: Group) -> list[tuple[str, str]]:
-    if isinstance(group, RRR):
-        return list(zip((link.body for link in group.links), group.pins, strict=True))
-    if isinstance(group, RPR):
-        return list(zip((link.body for link in group.links), group.outer, strict=True))
-    if isinstance(group, RRP | RPP):
-        return [(group.first.body, group.outer)]
-    return []
 
 
 def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = True, loads: bool = True) -> dict[str, Wrench]:
@@ -158,7 +148,7 @@ def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Rea
     """
     wrenches = required_wrench(moving) if needed is None else needed
     with np.errstate(all="ignore"):
-        found = _Balance(moving, wrenches).solve()
+        found = Balance(moving, wrenches).solve()
         if moving.machine.mechanism.followed and not moving.machine.friction:  # finite where reactions are not
             found.torque = virtual_torque(wrenches, moving)
         return found
@@ -180,33 +170,7 @@ def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
     return power / source.motion.speed
 
 
-def solve_two_by_two(row: Vector, right: Value, other: Vector, other_right: Value) -> Vector:
-    """Solve row . x = right, other . x = other_right for the vector x.
-
-    Parameters
-    ----------
-    row, other : pair of Value
-    right, other_right : Value
-    """
-    inverse = 1.0 / cross(row, other)
-    return (right * other[1] - other_right * row[1]) * inverse, (row[0] * other_right - other[0] * right) * inverse
-
-
-def _moment_row(lever: Vector) -> Vector:
-    """Row vector with row . force = moment of the force at the lever."""
-    return -lever[1], lever[0]
-
-
-@dataclass
-class _Solved:
-    """Forces of one group: on `body` at a pin, and by a guide on a body (force, moment about the slider's point)."""
-
-    pins: list[tuple[str, str, Vector]] = field(default_factory=list)
-    guides: list[tuple[Guide, str, Vector, Value]] = field(default_factory=list)
-    rows: tuple[Vector, Vector] = ((1.0, 0.0), (0.0, 1.0))
-
-
-class _Balance:
+class Balance:
     """The remaining wrenches, solved group by group."""
 
     def __init__(self, moving: Moving, needed: Mapping[str, Wrench]) -> None:
@@ -219,6 +183,7 @@ class _Balance:
         self.order = {body: k for k, body in enumerate((FRAME, *self.mechanism.bodies))}
 
     def solve(self) -> Reactions:
+        """Solve all groups, the last one first."""
         for group in reversed(self.mechanism.groups):
             self.commit(group, self.with_friction(group))
         crank = self.mechanism.crank
@@ -228,10 +193,10 @@ class _Balance:
 
     # --- one group -------------------------------------------------------------------------------------------------
 
-    def with_friction(self, group: Group) -> _Solved:
+    def with_friction(self, group: Group) -> GroupForces:
         """Solve a group; with guide friction, for the consistent signs of the normal forces."""
-        solver: Callable[..., _Solved] = _SOLVERS[type(group)]
-        rough = [guide for guide in _guides(group) if guide.name in self.moving.machine.friction]
+        solver = BALANCES[group.kind]
+        rough = [guide for guide in group.prismatic if guide.name in self.moving.machine.friction]
         if not rough:
             return solver(self, group, {})
         senses = {guide.name: self._slip(guide) for guide in rough}
@@ -261,7 +226,7 @@ class _Balance:
         self.jammed = np.logical_or(self.jammed, np.logical_not(good))
         return chosen if np.all(good) else _each(chosen, lambda x: np.where(good, x, np.nan))
 
-    def _normal(self, solved: _Solved, guide: Guide) -> Value:
+    def _normal(self, solved: GroupForces, guide: Guide) -> Value:
         """Normal force of a guide on its slider."""
         _, body, force, _ = next(entry for entry in solved.guides if entry[0] is guide)
         return cross(self.moving.line(guide.name), force) * (1.0 if body == guide.slider else -1.0)
@@ -294,7 +259,7 @@ class _Balance:
 
     # --- transmitted forces ----------------------------------------------------------------------------------------
 
-    def commit(self, group: Group, solved: _Solved) -> None:
+    def commit(self, group: Group, solved: GroupForces) -> None:
         """Store the forces of a group and apply their counterparts to the bodies that carry it."""
         first, second = (link.body for link in group.links)
         for point, body, force in solved.pins:
@@ -331,119 +296,30 @@ class _Balance:
             self.needed[body] = self.needed[body] + Wrench(force, moment + cross(minus(point, start), force))
 
 
-def _guides(group: Group) -> tuple[Guide, ...]:
-    if isinstance(group, RRP | RPR):
-        return (group.guide,)
-    if isinstance(group, RPP):
-        return group.guide, group.rail
-    return group.guides if isinstance(group, PRP) else ()
-
-
-def _each(solved: _Solved, change: Callable[[Value], Value]) -> _Solved:
+def _each(solved: GroupForces, change: Callable[[Value], Value]) -> GroupForces:
     (a, b), (c, d) = solved.rows
-    return _Solved(
+    return GroupForces(
         [(point, body, (change(x), change(y))) for point, body, (x, y) in solved.pins],
         [(guide, body, (change(x), change(y)), change(m)) for guide, body, (x, y), m in solved.guides],
         ((change(a), change(b)), (change(c), change(d))),
     )
 
 
-def _either(which: Value, one: _Solved, other: _Solved) -> _Solved:
+def _either(which: Value, one: GroupForces, other: GroupForces) -> GroupForces:
     """Elementwise choice between two solutions of one group."""
     leaves = iter(_leaves(other))
     return _each(one, lambda x: np.where(which, x, next(leaves)))
 
 
-def _forces(solved: _Solved) -> list[Value]:
+def _forces(solved: GroupForces) -> list[Value]:
     """Components of all forces of a group."""
     return [part for *_, force in solved.pins for part in force] + [part for _, _, force, _ in solved.guides for part in force]
 
 
-def _leaves(solved: _Solved) -> list[Value]:
+def _leaves(solved: GroupForces) -> list[Value]:
     found: list[Value] = []
     _each(solved, lambda x: found.append(x) or x)  # type: ignore[func-returns-value]
     return found
-
-
-# --- the balances of each dyad ----------------------------------------------------------------------------------------
-
-
-def _rrr(balance: _Balance, group: RRR, tilts: Mapping[str, Value]) -> _Solved:
-    """Moments of the first link about the inner joint, of both about the other outer joint."""
-    first, second = group.links
-    p, q, j = (balance.moving.position(name) for name in (*group.pins, group.joint))
-    one, other = minus(p, j), minus(q, j)
-    right = balance.about(first, q) + balance.about(second, q)
-    outer = solve_two_by_two(_moment_row(one), balance.about(first, j), _moment_row(minus(p, q)), right)
-    inner = minus(balance.needed[first.body].force, outer)
-    pins = [(group.pins[0], first.body, outer), (group.joint, first.body, inner)]
-    return _Solved([*pins, (group.pins[1], second.body, plus(balance.needed[second.body].force, inner))], [], (one, other))
-
-
-def _rrp(balance: _Balance, group: RRP, tilts: Mapping[str, Value]) -> _Solved:
-    """Moment of the link about the joint, force of both along the guide."""
-    link, slider = group.links
-    p, j, across = balance.moving.position(group.outer), balance.moving.position(group.joint), balance.across(group.guide, tilts)
-    total = balance.total(group)
-    lever = _moment_row(minus(p, j))
-    outer = solve_two_by_two(lever, balance.about(link, j), across, dot(across, total))
-    inner = minus(balance.needed[link.body].force, outer)  # on the link
-    at = balance.at(group.guide)
-    moment = balance.about(slider, at) + cross(minus(j, at), inner)
-    return _Solved(
-        [(group.outer, link.body, outer), (group.joint, link.body, inner)],
-        [(group.guide, slider.body, minus(total, outer), moment)],
-        (lever, across),
-    )
-
-
-def _rpr(balance: _Balance, group: RPR, tilts: Mapping[str, Value]) -> _Solved:
-    """Force of the slider along the guide, moment of both about the other outer joint."""
-    slider, second = group.links
-    p, q = (balance.moving.position(name) for name in group.outer)
-    across, needed = balance.across(group.guide, tilts), balance.needed[slider.body].force
-    lever = _moment_row(minus(p, q))
-    outer = solve_two_by_two(lever, balance.about(slider, q) + balance.about(second, q), across, dot(across, needed))
-    inner, at = minus(needed, outer), balance.at(group.guide)
-    moment = balance.about(slider, at) - cross(minus(p, at), outer)
-    return _Solved(
-        [(group.outer[0], slider.body, outer), (group.outer[1], second.body, minus(balance.total(group), outer))],
-        [(group.guide, slider.body, inner, moment)],
-        (lever, across),
-    )
-
-
-def _rpp(balance: _Balance, group: RPP, tilts: Mapping[str, Value]) -> _Solved:
-    """Force of the first body along its guide, of both along the rail."""
-    first, yoke = group.links
-    p, needed, total = balance.moving.position(group.outer), balance.needed[first.body].force, balance.total(group)
-    across, rail = (balance.across(guide, tilts) for guide in (group.guide, group.rail))
-    outer = solve_two_by_two(across, dot(across, needed), rail, dot(rail, total))
-    inner, at, rest = minus(needed, outer), balance.at(group.guide), balance.at(group.rail)
-    moment = balance.about(first, at) - cross(minus(p, at), outer)
-    held = balance.about(yoke, rest) + cross(minus(at, rest), inner) + moment
-    return _Solved(
-        [(group.outer, first.body, outer)],
-        [(group.guide, first.body, inner, moment), (group.rail, yoke.body, minus(total, outer), held)],
-        (across, rail),
-    )
-
-
-def _prp(balance: _Balance, group: PRP, tilts: Mapping[str, Value]) -> _Solved:
-    """Forces of both sliders along their guides determine the pin between them."""
-    first, second = group.links
-    j = balance.moving.position(group.joint)
-    one, other = (balance.needed[link.body].force for link in group.links)
-    along, across = (balance.across(guide, tilts) for guide in group.guides)
-    inner = solve_two_by_two(along, dot(along, one), across, -dot(across, other))  # on the first
-    guides = []
-    for link, guide, needed, sign in ((first, group.guides[0], one, 1.0), (second, group.guides[1], other, -1.0)):
-        at, pin = balance.at(guide), (sign * inner[0], sign * inner[1])
-        guides.append((guide, link.body, minus(needed, pin), balance.about(link, at) - cross(minus(j, at), pin)))
-    return _Solved([(group.joint, first.body, inner)], guides, (along, across))
-
-
-_SOLVERS: dict[type, Callable[..., _Solved]] = {RRR: _rrr, RRP: _rrp, RPR: _rpr, RPP: _rpp, PRP: _prp}
 
 
 # --- derived quantities ------------------------------------------------------------------------------------------------

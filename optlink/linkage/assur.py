@@ -8,15 +8,16 @@ L. V. Assur (1914): classification of mechanisms; a mechanism is a driving crank
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, partial
 from itertools import combinations
+from typing import Any
 
-from optlink.linkage.dyad_types import PRP, RPP, RPR, RRP, RRR
+from optlink.linkage.dyad_types import FORWARD, PRP, RPP, RPR, RRP, RRR
 from optlink.linkage.mechanism import FRAME, BodyPoint, Ground, Group, Guide, Link, Mechanism
+from optlink.registry import Registry
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
-FORWARD = {"forward": 1, "backward": -1}
 CONTINUE = "continue"
 """Follow the motion smoothly through change points; alone, or behind the assembly mode at the start: "left of B-D, continue"."""
 
@@ -66,15 +67,7 @@ def assemble(
     StructureError
         The bodies do not form such a chain; the message names the bodies that are left.
     """
-    return _Assembly(ground, links, points, guides, driver, modes).mechanism(name)
-
-
-def modes_of(group: Group) -> tuple[str, ...]:
-    """Return the assembly modes of a group, in the notation of the problem file."""
-    if isinstance(group, RRR):
-        p, q = group.pins
-        return f"left of {p}-{q}", f"right of {p}-{q}"
-    return tuple(FORWARD) if isinstance(group, RRP | RPR) else ()
+    return Assembly(ground, links, points, guides, driver, modes).mechanism(name)
 
 
 def _split(words: str) -> tuple[str, bool]:
@@ -88,7 +81,7 @@ def _list(names: Iterable[str]) -> str:
     return f"{', '.join(first)} and {last}" if first else last
 
 
-class _Assembly:
+class Assembly:
     """State of the decomposition: the bodies placed and the groups identified so far."""
 
     def __init__(
@@ -161,6 +154,7 @@ class _Assembly:
     # --- the search ------------------------------------------------------------------------------------------------
 
     def mechanism(self, name: str) -> Mechanism:
+        """Return the decomposed mechanism."""
         self.check_joints()
         reached = {body for one in (FRAME, self.driver) for body in self.neighbours(one)}
         while len(self.placed) <= len(self.links):
@@ -173,7 +167,7 @@ class _Assembly:
             reached -= self.placed
         for joint in self.modes:
             if joint not in self.used:
-                known = [group.joint for group in self.groups if group.kind in ("RRR", "RRP", "RPR")]
+                known = [group.joint for group in self.groups if group.modes]
                 remedy = f"Joints with an assembly mode: {', '.join(known) or 'none'}"
                 raise StructureError("no group has its inner joint there, or it has one mode only", remedy, f"assembly.{joint}")
         return Mechanism(name, self.ground, self.links[self.driver], tuple(self.groups), self.points, self.guides)
@@ -187,6 +181,7 @@ class _Assembly:
         return None
 
     def check_joints(self) -> None:
+        """Refuse a driven body off the frame or fixed to it, and bodies without a joint."""
         crank = self.links[self.driver]
         if FRAME not in self.members[crank.start]:
             ends = self.members.get(crank.end, [])
@@ -222,27 +217,13 @@ class _Assembly:
             return None
         joint = inner[0]
         a, b = outer[0][0], outer[1][0]
-        one, two = self.links[first], self.links[second]
         if a == b and isinstance(a, str):
             raise self.one_body(first, second, [a, joint if isinstance(joint, str) else joint.name])
-        if isinstance(joint, str):
-            if isinstance(a, str) and isinstance(b, str):
-                return RRR(one, two, self.side(joint, a, b), (a, b), joint, follow=self.follows(joint))
-            if isinstance(a, Guide) and isinstance(b, Guide):
-                return PRP(one, two, (a, b), joint)
-            if isinstance(a, str) and isinstance(b, Guide):
-                return RRP(one, two, b, a, joint, self.way(joint, b), follow=self.follows(joint))
-            if isinstance(a, Guide) and isinstance(b, str):
-                return RRP(two, one, a, b, joint, self.way(joint, a), follow=self.follows(joint))
-        elif isinstance(a, str) and isinstance(b, str):
-            way, follow = self.way(joint.name, joint), self.follows(joint.name)
-            if joint.slider == first:
-                return RPR(one, two, joint, (a, b), way, follow=follow)
-            return RPR(two, one, joint, (b, a), way, follow=follow)
-        elif isinstance(a, str) and isinstance(b, Guide):
-            return RPP(one, two, joint, a, b)
-        elif isinstance(a, Guide) and isinstance(b, str):
-            return RPP(two, one, joint, b, a)
+        letters = "".join("R" if isinstance(each, str) else "P" for each in (a, joint, b))
+        if letters in DYADS:
+            return DYADS[letters](self, self.links[first], self.links[second], a, joint, b)
+        if letters[::-1] in DYADS:
+            return DYADS[letters[::-1]](self, self.links[second], self.links[first], b, joint, a)
         return None  # three prismatic joints determine no position
 
     def follows(self, joint: str) -> bool:
@@ -271,6 +252,15 @@ class _Assembly:
         return FORWARD[words]
 
     def mode(self, joint: str, options: str) -> str:
+        """Return the assembly mode that the file states for a group.
+
+        Parameters
+        ----------
+        joint : str
+            Name of the group.
+        options : str
+            Assignments that the file can contain, for the error.
+        """
         self.used.add(joint)
         if joint not in self.modes:
             raise StructureError(
@@ -338,3 +328,40 @@ class _Assembly:
             "Drive another body, or change the structure so that the bodies can be placed two at a time",
             f"links.{left[0]}",
         )
+
+
+# --- the types of dyads --------------------------------------------------------------------------------------------------
+
+Former = Callable[[Assembly, Link, Link, Any, Any, Any], Group]
+"""(assembly, first body, second body, outer joint of the first, inner joint, outer joint of the second) -> group"""
+
+DYADS: Registry[Former] = Registry()
+"""Types of dyads by their outer joint, inner joint and other outer joint: R, given by the name of a pin, or P, a Guide."""
+
+
+@partial(DYADS.add, "RRR")
+def _rrr(assembly: Assembly, first: Link, second: Link, p: str, joint: str, q: str) -> Group:
+    return RRR(first, second, assembly.side(joint, p, q), (p, q), joint, follow=assembly.follows(joint))
+
+
+@partial(DYADS.add, "RRP")
+def _rrp(assembly: Assembly, first: Link, second: Link, p: str, joint: str, guide: Guide) -> Group:
+    return RRP(first, second, guide, p, joint, assembly.way(joint, guide), follow=assembly.follows(joint))
+
+
+@partial(DYADS.add, "RPR")
+def _rpr(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, q: str) -> Group:
+    way, follow = assembly.way(guide.name, guide), assembly.follows(guide.name)
+    if guide.slider != first.body:
+        first, second, p, q = second, first, q, p
+    return RPR(first, second, guide, (p, q), way, follow=follow)
+
+
+@partial(DYADS.add, "RPP")
+def _rpp(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, rail: Guide) -> Group:
+    return RPP(first, second, guide, p, rail)
+
+
+@partial(DYADS.add, "PRP")
+def _prp(assembly: Assembly, first: Link, second: Link, guide: Guide, joint: str, other: Guide) -> Group:
+    return PRP(first, second, (guide, other), joint)

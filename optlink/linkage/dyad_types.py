@@ -11,6 +11,8 @@ from optlink.linkage.mechanism import Guide, Link, Pose
 from optlink.linkage.passage import GroupPassages
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus, turn, turn_back
 
+FORWARD = {"forward": 1, "backward": -1}
+"""Assembly modes of a dyad with one slider."""
 PARALLEL = 1e-12
 """Squared sine of the angle between two lines below which they count as parallel and meet nowhere."""
 
@@ -27,6 +29,21 @@ class _Pair:
         """The bodies that the group adds."""
         return self.first, self.second
 
+    @property
+    def outer_pins(self) -> tuple[tuple[str, str], ...]:
+        """Bodies of the group with their pins to bodies placed before."""
+        return ()
+
+    @property
+    def prismatic(self) -> tuple[Guide, ...]:
+        """Guides of the group."""
+        return ()
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Assembly modes, in the notation of the problem file."""
+        return ()
+
 
 @dataclass(frozen=True)
 class _Modal(_Pair):
@@ -40,6 +57,11 @@ class _Modal(_Pair):
     follow: bool = field(default=False, kw_only=True)
     holds_at: float | None = field(default=None, kw_only=True)
     course: GroupPassages | None = field(default=None, kw_only=True, compare=False)
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Assembly modes, in the notation of the problem file."""
+        return tuple(FORWARD)
 
     def mode(self, pose: Pose) -> Value:
         """Return the assembly mode at the crank angles of a pose."""
@@ -82,6 +104,17 @@ class RRR(_Modal):
     def pins(self) -> tuple[str, str]:
         """The outer joints, of the first and of the second link."""
         return self.outer[0] or self.first.start, self.outer[1] or self.second.start
+
+    @property
+    def outer_pins(self) -> tuple[tuple[str, str], ...]:
+        """Bodies of the group with their pins to bodies placed before."""
+        return (self.first.body, self.pins[0]), (self.second.body, self.pins[1])
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Assembly modes, in the notation of the problem file."""
+        p, q = self.pins
+        return f"left of {p}-{q}", f"right of {p}-{q}"
 
     def solve(self, pose: Pose) -> Value:
         """Add the new joint and both links; return the assembly margin."""
@@ -134,6 +167,16 @@ class RRP(_Modal):
         """Name of the joint between link and slider."""
         return self.inner
 
+    @property
+    def outer_pins(self) -> tuple[tuple[str, str], ...]:
+        """Bodies of the group with their pins to bodies placed before."""
+        return ((self.first.body, self.outer),)
+
+    @property
+    def prismatic(self) -> tuple[Guide, ...]:
+        """Guides of the group."""
+        return (self.guide,)
+
     def solve(self, pose: Pose) -> Value:
         """Add the joint, the link and the slider; return the assembly margin."""
         begin, line = pose.line(self.guide, self.guide.other(self.second.body))
@@ -171,6 +214,16 @@ class RPR(_Modal):
     def joint(self) -> str:
         """Name of the guide between the two."""
         return self.guide.name
+
+    @property
+    def outer_pins(self) -> tuple[tuple[str, str], ...]:
+        """Bodies of the group with their pins to bodies placed before."""
+        return (self.first.body, self.outer[0]), (self.second.body, self.outer[1])
+
+    @property
+    def prismatic(self) -> tuple[Guide, ...]:
+        """Guides of the group."""
+        return (self.guide,)
 
     def solve(self, pose: Pose) -> Value:
         """Add both bodies; return the assembly margin."""
@@ -216,6 +269,16 @@ class RPP(_Pair):
         """Name of the guide between the two."""
         return self.guide.name
 
+    @property
+    def outer_pins(self) -> tuple[tuple[str, str], ...]:
+        """Bodies of the group with their pins to bodies placed before."""
+        return ((self.first.body, self.outer),)
+
+    @property
+    def prismatic(self) -> tuple[Guide, ...]:
+        """Guides of the group."""
+        return self.guide, self.rail
+
     def solve(self, pose: Pose) -> Value:
         """Add both bodies; return the squared sine of the angle between the two lines."""
         yoke = self.second.body
@@ -255,6 +318,11 @@ class PRP(_Pair):
     def joint(self) -> str:
         """Name of the pin between the two."""
         return self.inner
+
+    @property
+    def prismatic(self) -> tuple[Guide, ...]:
+        """Guides of the group."""
+        return self.guides
 
     def solve(self, pose: Pose) -> Value:
         """Add the pin and both sliders; return the squared sine of the angle between the two lines."""

@@ -110,6 +110,21 @@ class Group(Protocol):
         """The two bodies that the group adds."""
         ...
 
+    @property
+    def outer_pins(self) -> tuple[tuple[str, str], ...]:
+        """Bodies of the group with their pins to bodies placed before."""
+        ...
+
+    @property
+    def prismatic(self) -> tuple[Guide, ...]:
+        """Guides of the group."""
+        ...
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Assembly modes, in the notation of the problem file."""
+        ...
+
     def solve(self, pose: Pose) -> Value:
         """Add the points and bodies of the group to `pose`; return the assembly margin."""
         ...

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from optlink.linkage.assur import CONTINUE, EITHER, StructureError, assemble, modes_of
+from optlink.linkage.assur import CONTINUE, EITHER, StructureError, assemble
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
 from optlink.problem.base_model import RESERVED, Name, Section
@@ -250,7 +250,7 @@ class DyadsSection(Section):
         found: list[dict[str, str]] = [{}]
         for group in mechanism.groups:
             if self.assembly.get(group.joint) == EITHER:
-                found = [{**known, f"mechanism.assembly.{group.joint}": mode} for known in found for mode in modes_of(group)]
+                found = [{**known, f"mechanism.assembly.{group.joint}": mode} for known in found for mode in group.modes]
         return found
 
     def linkage(self, name: str, driver: str | None) -> Mechanism:

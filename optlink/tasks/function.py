@@ -236,8 +236,9 @@ def solve(
     from optlink.solvers import multistart
     from optlink.tasks.function_search import FunctionSearch, start_sequence
 
+    spec = problem.spec  # refuses a problem without a requirement
     names = back_ends(problem, backend, starts, seed, MAX_STARTS)
-    if problem.spec.mechanism.assembly == EITHER:
+    if spec.mechanism.assembly == EITHER:
         found: list[FunctionResult] = []
         variants = _variants(problem)
         for k, variant in enumerate(variants):
@@ -246,13 +247,13 @@ def solve(
                 break
         return _merged(found)
     clock = [time.perf_counter()]
-    nlp = build(problem.spec)
+    nlp = build(spec)
     for name in names:
         multistart.prepare(nlp, name)
     clock.append(time.perf_counter())
-    points = start_sequence(problem.spec, nlp, seed, begin)
+    points = start_sequence(spec, nlp, seed, begin)
     reason = functools.cache(lambda: _explained(nlp, seed))
-    searches = {name: FunctionSearch(problem.spec, nlp, name, track=track) for name in names}
+    searches = {name: FunctionSearch(spec, nlp, name, track=track) for name in names}
     count, interrupted = starts, False
     for k, one in enumerate(searches.values()):
         if one.run(points, count, lambda: reason()[0], part(progress, k, len(searches))):
@@ -286,7 +287,7 @@ def solve(
         starts=chosen.starts,
         solution=winner.solution,
         backends=backends if backend == "both" else {},
-        optima=chosen.listed(problem.spec.mechanism.assembly) if begin is None else (),
+        optima=chosen.listed(spec.mechanism.assembly) if begin is None else (),
         counts=tuple(chosen.counts) if chosen.drawn else (),
         interrupted=interrupted,
         conflict=conflict[0],

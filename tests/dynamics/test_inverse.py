@@ -15,6 +15,7 @@ import casadi
 import numpy as np
 import pytest
 
+from optlink.dynamics import dyad_balances
 from optlink.dynamics import inverse as reactions_module
 from optlink.dynamics.inertia import Inertia, Parameters, Wrench
 from optlink.dynamics.inverse import Reactions, acting_on, reactions, regressor, reported_on, shaking, torque_parts
@@ -1195,7 +1196,7 @@ def test_checks_see_a_wrong_wrench(name, defect, monkeypatch):
 def test_checks_see_a_sign_in_a_balance(name, monkeypatch):
     moving = machine_of(name).moving(PHI, 7.0, 3.0)
     k, wanted = kinematics(moving), expected(moving)
-    monkeypatch.setattr(reactions_module, "_moment_row", other_lever)
+    monkeypatch.setattr(dyad_balances, "moment_row", other_lever)
     assert all(verdicts(moving, k, wanted).values())
 
 
