@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
-from optlink.report.chart_spec import Axis, Band, Bars, ChartSpec, Curve, HeatMap, Line, Mark, Panel, Trace, cells
+from optlink.report.chart_spec import INK, Axis, Band, Bars, ChartSpec, Curve, HeatMap, Line, Mark, Panel, Trace, cells
 from optlink.report.labels import Label, place_labels
-from optlink.report.style import HALO, QUIET, figure, heading, styled
+from optlink.report.style import HALO, LIMIT, QUIET, figure, heading, styled
 
 DASHES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 MARKERS = {
@@ -83,7 +83,7 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
                 labels += _chart(place, chart)
                 told = [heading(text, chart.width - 0.7, 9.5) for text in (chart.title, chart.remark) if text]
                 place.suptitle("\n".join(told), fontsize=9.5)
-    made.suptitle(title, fontsize=TITLE)
+    made.suptitle(title, fontsize=TITLE, color=LIMIT if first.warning else INK)
     if labels:
         place_labels(made, labels)
     return made
@@ -113,21 +113,23 @@ def _chart(place: Figure | SubFigure, chart: ChartSpec) -> list[Label]:
     return labels
 
 
-def into(axes: Axes, spec: ChartSpec) -> list[Label]:
+def into(axes: Axes, spec: ChartSpec, *, legend: bool = True) -> list[Label]:
     """Draw the first panel of a chart into axes and return the labels still to place.
 
     Parameters
     ----------
     axes : Axes
     spec : ChartSpec
+    legend : bool, optional
+        Draw a legend.
     """
-    labels = _panel(axes, spec, spec.panels[0])
+    labels = _panel(axes, spec, spec.panels[0], legend=legend)
     _across(axes, spec)
     return labels
 
 
 def _across(axes: Axes, chart: ChartSpec) -> None:
-    _scaled(axes, "x", chart.x, chart.x.limits or (chart.reach if _tight(chart) else None), equal=chart.equal)
+    _scaled(axes, "x", chart.x, chart.x.limits or (chart.reach if _tight(chart) else None), chart.width - 1.0, equal=chart.equal)
 
 
 def _tight(chart: ChartSpec) -> bool:
@@ -136,7 +138,7 @@ def _tight(chart: ChartSpec) -> bool:
     return not chart.equal and all(isinstance(t, Band) or (isinstance(t, Curve) and t.mode != "markers") for t in traces[:1])
 
 
-def _panel(axes: Axes, chart: ChartSpec, panel: Panel) -> list[Label]:
+def _panel(axes: Axes, chart: ChartSpec, panel: Panel, *, legend: bool = True) -> list[Label]:
     for trace in panel.traces:
         _trace(axes, trace, chart, panel)
     for line in panel.lines:
@@ -150,7 +152,7 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel) -> list[Label]:
     flat = any(isinstance(trace, HeatMap) for trace in panel.traces)
     if not flat and not chart.equal:
         axes.margins(y=0.16 if panel.marks else 0.06)
-    _scaled(axes, "y", panel.y, panel.y.limits, equal=chart.equal)
+    _scaled(axes, "y", panel.y, panel.y.limits, 0.85 * PANEL * panel.height, equal=chart.equal)
     low, high = sorted(axes.get_ylim())
     for mark in panel.marks:
         _mark(axes, mark, inside=chart.equal)
@@ -164,7 +166,8 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel) -> list[Label]:
                 _cut(axes, trace)
     if panel.note:
         axes.text(0.99, 0.03, panel.note, transform=axes.transAxes, ha="right", va="bottom", fontsize=FONT)
-    _legend(axes, chart.width)
+    if legend:
+        _legend(axes, chart.width)
     return [Label(axes, (m.x, m.y), m.text, m.colour, m.font, 0.6 * m.size, m.prefer) for m in panel.marks if m.text]
 
 
@@ -200,7 +203,8 @@ def _curve(axes: Axes, trace: Curve) -> None:
         style |= {"color": "none", "label": None}  # unseen, so that labels keep clear of the points
     line = DASHES[trace.dash] if "lines" in trace.mode else "none"
     marker = MARKERS[trace.symbol] if "markers" in trace.mode else ""
-    open_: dict[str, Any] = {"markerfacecolor": "none", "markeredgewidth": 1.2} if trace.symbol == "open circle" else {}
+    edge = 0.0 if trace.symbol == "circle" else 1.2
+    open_: dict[str, Any] = {"markerfacecolor": "none"} if trace.symbol == "open circle" else {}
     axes.plot(
         trace.x,
         trace.y,
@@ -208,6 +212,7 @@ def _curve(axes: Axes, trace: Curve) -> None:
         linewidth=trace.width,
         marker=marker,
         markersize=trace.size,
+        markeredgewidth=edge,
         gid=None if trace.shade is not None else trace.gid or None,
         **style,
         **open_,
@@ -248,13 +253,17 @@ def _mark(axes: Axes, mark: Mark, *, inside: bool) -> None:
     look: Any = (3, 0, mark.angle) if mark.symbol == "triangle" else MARKERS[mark.symbol]
     drawn.set_marker(look)
     drawn.set_markerfacecolor("none" if mark.symbol == "open circle" else mark.colour)
+    drawn.set_markeredgewidth(0.0 if mark.symbol == "circle" else 1.0)
     drawn.set_gid(mark.gid or None)
 
 
-def _scaled(axes: Axes, way: str, axis: Axis, limits: tuple[float, float] | None, *, equal: bool) -> None:
-    """Set name, scale, limits, direction and ticks of an axis; on equal scales the limits may be widened to fill the panel."""
+def _scaled(axes: Axes, way: str, axis: Axis, limits: tuple[float, float] | None, room: float, *, equal: bool) -> None:
+    """Set name, scale, limits, direction and ticks of an axis that is `room` long [inch].
+
+    On equal scales the limits may be widened to fill the panel.
+    """
     own = axes.xaxis if way == "x" else axes.yaxis
-    own.set_label_text(axis.name if "\n" in axis.name else heading(axis.name, 5.0 if way == "x" else 2.4, 10.0))
+    own.set_label_text(axis.name if "\n" in axis.name else heading(axis.name, room, 10.0))
     if axis.scale == "log":
         (axes.set_xscale if way == "x" else axes.set_yscale)("log")
         low, high = limits or own.get_view_interval()

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,11 @@ class Curve:
     shade: Array | None = None
     shade_name: str = ""
     gid: str = ""
+
+    @classmethod
+    def through(cls, places: Array, name: str = "", colour: str = INK, width: float = 1.6, **more: Any) -> Curve:
+        """Return a curve through places (n, 2); `more` are further attributes."""
+        return cls(places[:, 0], places[:, 1], name, colour, width, **more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,9 +220,9 @@ class ChartSpec:
     """A chart: stacked panels over one x axis, with vertical lines and shaded ranges across all of them.
 
     `file` names the picture and `title` is the caption on the page and of its part of a picture. `heading` is the title of the
-    picture (default: `title`); the first chart of a picture supplies it. `remark` is a sentence below the title. `equal` draws x
-    and y on one scale. `cursor` lets the page mark the position of the slider, whose unit is that of the x axis. `width` [inch]
-    is that in the picture.
+    picture (default: `title`), in red with `warning`; the first chart of a picture supplies it. `remark` is a sentence below the
+    title. `equal` draws x and y on one scale. `cursor` lets the page mark the position of the slider, whose unit is that of the x
+    axis. `width` [inch] is that in the picture.
     """
 
     file: str
@@ -229,6 +234,7 @@ class ChartSpec:
     lines: Sequence[Line] = ()
     spans: Sequence[Span] = ()
     equal: bool = False
+    warning: bool = False
     picks: Picks | None = None
     cursor: bool = True
     page: bool = True

@@ -106,13 +106,13 @@ def files_of(kind: str) -> Callable[[Any, Path], object]:
     """
     match kind:
         case "function":
-            from optlink.report.views.function_pictures import write_all as function_files
+            from optlink.report.views.function import VIEW as FUNCTION
 
-            return function_files
+            return partial(write_files, FUNCTION)
         case "path":
-            from optlink.report.views.path_pictures import write_all as path_files
+            from optlink.report.views.path import VIEW as PATH
 
-            return path_files
+            return partial(write_files, PATH)
         case "cycle":
             from optlink.report.views.cycle import VIEW as CYCLE
 

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.report import chart_mpl
-from optlink.report.views import function_pictures, path_pictures
+from optlink.report.view import View
+from optlink.report.views import balance, cycle, function, path
 
 FREE = {"bounds": ["5 mm", "150 mm"]}
 PLACE = {"bounds": ["-150 mm", "150 mm"]}
@@ -222,11 +222,9 @@ KINDS = ["law", "function", "path", "timed path", "motion", "transmission", "six
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_design_file_of_every_kind_of_answer_is_a_machine(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chart_mpl, "pictures", lambda _: {})
-    for module in (function_pictures, path_pictures):
-        monkeypatch.setattr(module, "PICTURES", {})
-    for module in (function_pictures, path_pictures):
-        monkeypatch.setattr(module, "frames", lambda _: [])
+    for module in (function, path, cycle, balance):
+        plain = View(tables=module.VIEW.tables, design=module.VIEW.design)
+        monkeypatch.setattr(module, "VIEW", plain)
     source, elsewhere, moved = tmp_path / "source", tmp_path / "elsewhere", tmp_path / "elsewhere" / "kept"
     source.mkdir()
     elsewhere.mkdir()

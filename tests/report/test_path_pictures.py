@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from PIL import Image
 from rich.console import Console
@@ -21,8 +20,11 @@ from rich.console import Console
 import optlink
 from optlink.errors import Status
 from optlink.report import terminal
+from optlink.report.chart_mpl import pictures
+from optlink.report.registry import files_of
 from optlink.report.style import LIMIT
-from optlink.report.views import path_outputs, path_pictures, path_residuals
+from optlink.report.views import path as view
+from optlink.report.views import path_outputs
 from optlink.report.views import path_tables as tables
 from optlink.report.views.path_closeup import Close
 from optlink.report.views.path_view import Track
@@ -183,9 +185,14 @@ POINTED = ("path", "tolerances", "lift", "exact", "two poses", "poses", "slider"
 
 @functools.cache
 def picture(name: str, kind: str) -> Figure:
-    drawn = path_pictures.PICTURES[kind](result(name))
+    drawn = drawings(result(name))[kind]
     assert drawn is not None
     return drawn
+
+
+def drawings(found: PathResult) -> dict[str, Figure | None]:
+    """Every picture of a result by its file name."""
+    return {name: draw(found) for name, draw in view.VIEW.drawings.items()} | pictures(view.charts(found))
 
 
 def line(axes, gid: str) -> np.ndarray:
@@ -251,11 +258,11 @@ def test_lines_lead_from_wanted_to_generated(name):
 
 def test_tolerances_are_circles_with_their_radius():
     axes = picture("tolerances", "path").axes[1]
-    (circles,) = (each for each in axes.collections if isinstance(each, EllipseCollection))
     known = np.isfinite(TOLERANCES)
-    np.testing.assert_allclose(circles.get_widths(), 2.0 * fold(axes) * TOLERANCES[known])
-    np.testing.assert_allclose(circles.get_offsets(), (PLACED + MISS)[known], atol=1e-9)
-    assert not [each for each in picture("path", "path").axes[1].collections if isinstance(each, EllipseCollection)]
+    circles = line(axes, "tolerances").reshape(np.count_nonzero(known), -1, 2)[:, :-1]  # without the gap behind each
+    away = np.linalg.norm(circles - (PLACED + MISS)[known][:, None], axis=-1)
+    np.testing.assert_allclose(away, np.broadcast_to(fold(axes) * TOLERANCES[known][:, None], away.shape))
+    assert not [each for each in picture("path", "path").axes[1].get_lines() if each.get_gid() == "tolerances"]
 
 
 @pytest.mark.slow
@@ -380,8 +387,7 @@ def test_transmission_angles_are_those_of_the_cosine_law():
     legend = picture("transmission", "curve").axes[0].get_legend().get_texts()[0].get_text()
     assert legend == f"at C: {drawn[:, 1].min():.2f}° to {drawn[:, 1].max():.2f}°"
     assert "largest cosine of a transmission angle" in picture("transmission", "mechanism").get_suptitle()
-    assert path_pictures.path(result("transmission")) is None
-    assert path_residuals.errors(result("transmission")) is None
+    assert not {"path", "errors"} & {name for name, drawn in drawings(result("transmission")).items() if drawn}
 
 
 def test_output_of_a_function_beside_the_law():
@@ -414,7 +420,7 @@ def test_designs_stand_side_by_side_and_cognates_are_named():
     assert [title.split(":")[0] for title in titles] == ["1", "2", "3"]
     assert np.ptp([np.ptp(axes.get_xlim()) for axes in panels]) < 1e-9  # one scale
     assert "3 distinct designs" in picture("cognates", "designs").get_suptitle()
-    assert path_pictures.designs(result("path")) is None
+    assert view.designs(result("path")) is None
 
 
 @pytest.mark.parametrize("change", [{"P.across": -1.0}, {"direction": 0.9}, {"P.along": 1.5}, {"A.y": 0.9}])
@@ -435,23 +441,21 @@ def test_what_is_not_valid_says_so_everywhere(tmp_path, monkeypatch):
         assert figure._suptitle.get_color() == LIMIT
         assert "NOT VALID" not in picture("path", kind).get_suptitle()
     caught = []
-    monkeypatch.setattr(
-        path_pictures, "film", lambda sketch, steps, curve, marks, title, *, more=None: caught.append(title) or []
-    )
-    path_pictures.frames(result("miss"), 4)
+    monkeypatch.setattr(view, "film", lambda sketch, steps, curve, marks, title, *, more=None: caught.append(title) or [])
+    view.frames(result("miss"), 4)
     assert caught == ["NOT VALID: A path"]
-    written = path_pictures.write_all(result("miss"), tmp_path)
+    written = files_of("path")(result("miss"), tmp_path)
     assert [path.name for path in written] == ["result.json", "points.csv", "design.toml", "path.png", "errors.png"]
     assert (tmp_path / "design.toml").read_text(encoding="utf-8").startswith("# NOT VALID: fails points met")
 
 
 def test_no_design_no_pictures(tmp_path):
     nothing = PathResult(result("path").problem, (), None, "ipopt", 0, 100, evidence([]), {})
-    assert [path.name for path in path_pictures.write_all(nothing, tmp_path)] == ["result.json"]
+    assert [path.name for path in files_of("path")(nothing, tmp_path)] == ["result.json"]
     assert {path.name for path in tmp_path.iterdir()} == {"result.json"}
     assert not json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["valid"]
-    assert all(draw(nothing) is None for draw in path_pictures.PICTURES.values())
-    assert path_pictures.frames(nothing) == []
+    assert not any(drawings(nothing).values())
+    assert view.frames(nothing) == []
     assert "no linkage found" in told(nothing, 80)
 
 
@@ -459,9 +463,9 @@ def test_a_design_that_never_assembles_is_not_drawn(tmp_path):
     apart = made(path_raw(PLACED), {**values_of(PLANTED), "frame": 0.290}, ROUND)
     assert not np.any(np.isfinite(apart.measured.generated))
     lost = outcome(nearest=apart)
-    assert all(draw(lost) is None for draw in path_pictures.PICTURES.values())
-    assert path_pictures.frames(lost) == []
-    assert [path.name for path in path_pictures.write_all(lost, tmp_path)] == ["result.json", "points.csv", "design.toml"]
+    assert not any(drawings(lost).values())
+    assert view.frames(lost) == []
+    assert [path.name for path in files_of("path")(lost, tmp_path)] == ["result.json", "points.csv", "design.toml"]
     assert "not valid" in told(lost, 80)
 
 
@@ -472,7 +476,7 @@ def test_a_failing_write_leaves_nothing_half(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Figure, "savefig", half)
     with pytest.raises(optlink.InputError, match="No space left"):
-        path_pictures.write_all(result("path"), tmp_path)
+        files_of("path")(result("path"), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"result.json", "points.csv", "design.toml"}
 
 
@@ -481,12 +485,12 @@ def test_a_failing_write_leaves_nothing_half(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_everything_is_written_and_the_film_is_whole(tmp_path):
-    written = path_pictures.write_all(result("cognates"), tmp_path)
-    names = ["result.json", "points.csv", "design.toml", "path.png", "errors.png", "designs.png", "motion.gif"]
+    written = files_of("path")(result("cognates"), tmp_path)
+    names = ["result.json", "points.csv", "design.toml", "path.png", "designs.png", "errors.png", "motion.gif"]
     assert [path.name for path in written] == names
     assert {path.name for path in tmp_path.iterdir()} == set(names)
     with Image.open(tmp_path / "motion.gif") as film:
-        assert film.n_frames == path_pictures.FRAMES
+        assert film.n_frames == view.FRAMES
         assert film.info["duration"] == 40
     with (tmp_path / "points.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.reader(file))
@@ -502,15 +506,15 @@ def test_everything_is_written_and_the_film_is_whole(tmp_path):
 
 
 def test_columns_of_poses_tolerances_functions_and_transmission():
-    turned = path_pictures.columns(result("poses").best)["turned_rad"]
+    turned = view.columns(result("poses").best)["turned_rad"]
     aims = np.array(result("poses").problem.model.wanted.angles)
     np.testing.assert_allclose(turned, oracle.wrapped(oracle.planted_poses(PLANTED, PART)[:, 2] - aims), atol=1e-10)
-    np.testing.assert_allclose(path_pictures.columns(result("tolerances").best)["tolerance_m"], TOLERANCES * MM)
-    found = path_pictures.columns(result("function").best)
+    np.testing.assert_allclose(view.columns(result("tolerances").best)["tolerance_m"], TOLERANCES * MM)
+    found = view.columns(result("function").best)
     outputs_ = oracle.direct(SLIDER, found["crank_angle_rad"]).output * MM
     np.testing.assert_allclose(found["generated_m"], outputs_, atol=1e-10)
     np.testing.assert_allclose(found["distance_m"], np.abs(found["generated_m"] - found["wanted_m"]), atol=1e-12)
-    assert list(path_pictures.columns(result("transmission").best)) == ["point", "crank_angle_rad", "C.transmission_rad"]
+    assert list(view.columns(result("transmission").best)) == ["point", "crank_angle_rad", "C.transmission_rad"]
 
 
 # --- film ----------------------------------------------------------------------------------------------------------------
@@ -524,9 +528,9 @@ def test_the_mark_of_the_film_is_the_mechanism(name, monkeypatch):
         caught.update(steps=steps.crank_angle, marks=marks)
         return []
 
-    monkeypatch.setattr(path_pictures, "film", catch)
+    monkeypatch.setattr(view, "film", catch)
     monkeypatch.setattr(path_outputs, "film", catch)
-    path_pictures.frames(result(name), 24)
+    view.frames(result(name), 24)
     steps, marks = caught["steps"], caught["marks"]
     assert len(steps) == len(marks) == 24
     if name in ("function", "transmission"):
@@ -542,7 +546,7 @@ def test_the_mark_of_the_film_is_the_mechanism(name, monkeypatch):
 
 def test_points_light_up_when_they_are_passed():
     track = Track(result("path").best)
-    sketch = path_pictures.Passing(track)
+    sketch = view.Passing(track)
     from optlink.report.style import figure
 
     stage, strip = figure(6.0, 3.0).subplots(1, 2)

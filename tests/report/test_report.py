@@ -13,11 +13,13 @@ from PIL import Image
 import optlink
 from optlink.errors import InputError
 from optlink.report import files as store
-from optlink.report.views import function_pictures
+from optlink.report.chart_mpl import draw
+from optlink.report.registry import files_of
+from optlink.report.views import function
 
 
 def test_mechanism_is_drawn_in_its_telling_positions(solved):
-    figure = function_pictures.mechanism(solved)
+    figure = function.mechanism(solved)
     titles = [axes.get_title() for axes in figure.axes]
     assert len(titles) == 5
     assert any("start = outer dead centre" in title and "26.47" in title for title in titles)
@@ -29,7 +31,7 @@ def test_mechanism_is_drawn_in_its_telling_positions(solved):
 
 
 def test_letters_stand_clear_of_links_and_inside(solved):
-    figure = function_pictures.mechanism(solved)
+    figure = function.mechanism(solved)
     figure.draw_without_rendering()
     for axes in figure.axes:
         letters = {text.get_text(): text.get_window_extent() for text in axes.texts}
@@ -52,7 +54,7 @@ def test_letters_stand_clear_of_links_and_inside(solved):
 def test_a_large_four_bar_is_drawn_in_metres(crank_rocker):
     raw = {**crank_rocker.raw, "limits": {"crank": "full rotation"}}
     raw["mechanism"] = {"crank": "10 m", "frame": "50 m", "coupler": "41.3 m", "rocker": "23.2 m"}
-    figure = function_pictures.mechanism(optlink.validate(optlink.read(raw), {}))
+    figure = function.mechanism(optlink.validate(optlink.read(raw), {}))
     assert figure.axes[0].get_xlabel() == "x [m]"
     assert "crank 10.000   coupler 41.300   rocker 23.200   frame 50.000 m" in figure.get_suptitle()
     lengths = sorted(
@@ -64,26 +66,26 @@ def test_a_large_four_bar_is_drawn_in_metres(crank_rocker):
 
 
 def test_law_shows_wanted_generated_and_error(solved):
-    top, bottom = function_pictures.law(solved).axes
-    wanted, found, marks = (line.get_xydata() for line in top.get_lines())
+    top, bottom = draw(function.law(solved)).axes
+    wanted, found, marks = (line.get_xydata() for line in top.get_lines()[:3])
     start = math.degrees(solved.design["phi0"])
     assert wanted[0] == pytest.approx([start, math.degrees(solved.design["psi0"])])
     assert wanted[-1, 1] - wanted[0, 1] == pytest.approx(30.0)
     assert len(marks) == 30
-    error = bottom.get_lines()[1].get_ydata()
+    (error,) = (line.get_ydata() for line in bottom.get_lines() if line.get_gid() == "error")
     np.testing.assert_allclose(error, wanted[:, 1] - found[:, 1], atol=1e-9)
     assert np.max(np.abs(error)) == pytest.approx(2.29005, abs=1e-4)
 
 
 def test_transmission_touches_its_limit(solved):
-    axes = function_pictures.transmission(solved).axes[0]
+    axes = draw(function.transmission(solved)).axes[0]
     gamma = max((line.get_ydata() for line in axes.get_lines()), key=len)
     assert np.max(gamma) == pytest.approx(135.0, abs=1e-6)
     assert np.min(gamma) == pytest.approx(70.3792, abs=1e-3)
 
 
 def test_map_holds_the_iterations_and_the_optimum(solved):
-    axes = function_pictures.objective_map(solved).axes[0]
+    axes = function.objective_map(solved).axes[0]
     labels = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
     assert labels["design"][0] == pytest.approx([412.865416, 232.246171], abs=1e-5)
     for name in ("slsqp", "ipopt"):
@@ -94,16 +96,16 @@ def test_map_holds_the_iterations_and_the_optimum(solved):
 
 def test_map_only_for_two_free_quantities(crank_rocker):
     changed = crank_rocker.override({"mechanism.frame": {"bounds": ["450 mm", "550 mm"]}})
-    assert function_pictures.objective_map(optlink.solve(changed)) is None
+    assert function.objective_map(optlink.solve(changed)) is None
 
 
 @pytest.mark.slow
 def test_film_moves_through_the_revolution(solved, tmp_path):
-    pictures = function_pictures.frames(solved, count=12)
+    pictures = function.frames(solved, count=12)
     assert len(pictures) == 12
     arrays = [np.asarray(picture.convert("RGB")) for picture in pictures]
     assert all(np.any(a != b) for a, b in itertools.pairwise(arrays))
-    files = function_pictures.write_all(solved, tmp_path)
+    files = files_of("function")(solved, tmp_path)
     with Image.open(tmp_path / "motion.gif") as film:
         assert film.n_frames == 90
     assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
@@ -112,7 +114,7 @@ def test_film_moves_through_the_revolution(solved, tmp_path):
 def test_a_design_that_cannot_be_assembled_leaves_out_its_pictures(crank_rocker, tmp_path):
     result = optlink.validate(crank_rocker, {"coupler": 0.12, "rocker": 0.12})
     assert not result.valid
-    files = function_pictures.write_all(result, tmp_path)
+    files = files_of("function")(result, tmp_path)
     assert [file.name for file in files] == ["result.json", "design.toml"]
     assert json.loads((tmp_path / "result.json").read_text())["objective"]["value"] is None
 
@@ -127,12 +129,12 @@ def test_crank_that_only_swings_is_drawn_over_its_reachable_range(crank_rocker, 
     raw["requirement"] = {**raw["requirement"], "from": "30 deg", "span": "20 deg"}
     result = optlink.validate(optlink.read(raw), {})
     assert result.valid
-    axes = function_pictures.transmission(result).axes[0]
+    axes = draw(function.transmission(result)).axes[0]
     angles = max((line.get_xdata() for line in axes.get_lines()), key=len)
     highest = math.degrees(math.acos((0.3**2 + 0.5**2 - 0.53**2) / (2 * 0.3 * 0.5)))
     assert angles[-1] == pytest.approx(highest, abs=1e-3)
     assert angles[0] == pytest.approx(-highest, abs=1e-3)
-    function_pictures.write_all(result, tmp_path)
+    files_of("function")(result, tmp_path)
     assert (tmp_path / "motion.gif").exists()
 
 

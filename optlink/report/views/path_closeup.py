@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection
-from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
+from optlink.report.chart_mpl import into
+from optlink.report.chart_spec import Axis, ChartSpec, Curve, Mark, Panel
 from optlink.report.labels import Label
 from optlink.report.shapes import finite
 from optlink.report.style import BODIES, LIMIT, WANTED, scale
@@ -22,6 +22,7 @@ FRAMED = 40  # largest number of poses drawn as frames
 AWAY = 0.25  # distance up to which the curve is included, as a share of the extent of the points
 FRAME = 0.13  # size of a pose frame, as a share of the extent of the points
 ALLOWED = BODIES[2]
+CIRCLE = np.array([(math.cos(t), math.sin(t)) for t in np.linspace(0.0, 2.0 * math.pi, 73)] + [(math.nan, math.nan)])
 
 
 def dots(count: int) -> float:
@@ -79,6 +80,10 @@ def _listed(numbers: list[int]) -> str:
     return ", ".join(map(str, numbers))
 
 
+def _fold(magnified: float) -> str:
+    return f", drawn {magnified:g}-fold" if magnified > 1.0 else ""
+
+
 class Close:
     """Close-up of the coupler curve in its own axes: precision points, tolerances, deviations, poses."""
 
@@ -131,86 +136,80 @@ class Close:
         track = self.track
         return bool(np.ptp(track.run.crank_angle) >= np.ptp(track.motion.crank_angle) - 1e-9)
 
-    def draw(self, axes: Axes, *, sticks: bool = True) -> list[Label]:
-        """Draw the curve, points, tolerances, deviations and poses, and return the labels of the points.
+    def chart(self, magnified: float | None = 1.0, *, points: bool = True) -> ChartSpec:
+        """Return the close-up as a chart: the curve, points, tolerances, deviations and poses.
+
+        Parameters
+        ----------
+        magnified : float or None, optional
+            Magnification of tolerances and deviations; None leaves them out.
+        points : bool, optional
+            Draw the generated points.
+        """
+        track, factor, unit = self.track, self.unit.factor, self.unit.unit
+        whole, run = (track.position(motion) * factor for motion in (track.motion, track.run))
+        wanted, found = track.wanted * factor, track.generated * factor
+        traces = [
+            Curve.through(
+                whole, "" if self.once else "rest of the curve", track.colour, 1.2, opacity=0.55, hover=False, gid="curve"
+            ),
+            Curve.through(run, "generated curve", track.colour, 2.0, gid="run"),
+        ]
+        if magnified is not None:
+            traces += [*self._tolerances(magnified), *self._deviations(magnified)]
+        if self.motion:
+            aims, poses = self._poses()
+            traces.append(Curve.through(poses, "generated pose", track.colour, 2.6, opacity=0.6, hover=False, gid="poses"))
+            traces.append(Curve.through(aims, "wanted pose", WANTED, 1.1, hover=False, gid="wanted poses"))
+        numbers = [f"point {k + 1}" for k in range(len(wanted))]
+        if points:
+            traces.append(Curve.through(found, "generated", LIMIT, mode="markers", symbol="plus", size=6.0, text=numbers))
+        size = dots(len(wanted)) * (0.6 if magnified is not None and np.any(np.isfinite(track.tolerances)) else 1.0)
+        words = f"wanted point{'s' if len(wanted) <= NUMBERED else f's, {len(wanted)}'}"
+        traces.append(Curve.through(wanted, words, WANTED, mode="markers", size=size, text=numbers, gid="wanted"))
+        (x0, y0), (x1, y1) = self.limits()
+        panel = Panel(Axis(f"y [{unit}]", (y0, y1)), traces, marks=self._numbers(size))
+        return ChartSpec("", "Path", [panel], Axis(f"x [{unit}]", (x0, x1)), equal=True, cursor=False)
+
+    def draw(self, axes: Axes, magnified: float | None) -> list[Label]:
+        """Draw the close-up without a legend and return the labels of the points.
 
         Parameters
         ----------
         axes : Axes
-        sticks : bool, optional
-            Draw tolerances and deviations.
+        magnified : float or None
+            See `chart`.
         """
-        track, factor, unit = self.track, self.unit.factor, self.unit.unit
-        rest = None if self.once else "rest of the curve"
-        whole = track.position(track.motion) * factor
-        axes.plot(*whole.T, color=track.colour, linewidth=1.2, alpha=0.55, label=rest, gid="curve")
-        axes.plot(*(track.position(track.run) * factor).T, color=track.colour, linewidth=2.0, label="generated curve", gid="run")
-        if sticks:
-            self._tolerances(axes)
-            self._sticks(axes)
-        if self.motion:
-            wanted, found = self._poses()
-            axes.plot(*found.T, color=track.colour, linewidth=2.6, alpha=0.6, zorder=4.6, label="generated pose", gid="poses")
-            axes.plot(*wanted.T, color=WANTED, linewidth=1.1, zorder=4.8, label="wanted pose", gid="wanted poses")
-        points_on(axes, track.wanted * factor, 0.6 if sticks and np.any(np.isfinite(track.tolerances)) else 1.0)
-        axes.get_lines()[-1].set_label(f"wanted point{'s' if len(track.wanted) <= NUMBERED else f's, {len(track.wanted)}'}")
-        (x0, y0), (x1, y1) = self.limits()
-        axes.set(xlim=(x0, x1), ylim=(y0, y1), xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
-        axes.set_aspect("equal")
-        return self._numbers(axes)
+        labels = into(axes, self.chart(magnified, points=False), legend=False)
+        axes.set_aspect("equal", adjustable="box")
+        return labels
 
-    def _tolerances(self, axes: Axes) -> None:
+    def _tolerances(self, magnified: float) -> list[Curve]:
+        """Return the tolerances as circles."""
         track = self.track
         known = np.isfinite(track.tolerances)
-        if np.any(known):
-            widths = 2.0 * track.factor * track.tolerances[known] * self.unit.factor
-            crowded = np.count_nonzero(known) > 100
-            circles = EllipseCollection(
-                widths,
-                widths,
-                np.zeros(len(widths)),
-                units="xy",
-                offsets=track.wanted[known] * self.unit.factor,
-                offset_transform=axes.transData,
-                facecolors=(*to_rgb(ALLOWED), 0.04 if crowded else 0.13),
-                edgecolors=(*to_rgb(ALLOWED), 0.0 if crowded else 0.9),
-                linewidths=0.9,
-                zorder=1.4,
-                gid="tolerances",
-            )
-            axes.add_collection(circles)
-            axes.plot(
-                [],
-                [],
-                linestyle="none",
-                marker="o",
-                markersize=9,
-                mfc=(*to_rgb(ALLOWED), 0.13),
-                mec=ALLOWED,
-                label=f"tolerance{self._fold}",
-            )
+        if not np.any(known):
+            return []
+        circles = track.wanted[known][:, None] + magnified * track.tolerances[known][:, None, None] * CIRCLE
+        opacity = 0.9 if len(circles) <= 100 else 0.25
+        places = circles.reshape(-1, 2) * self.unit.factor
+        return [
+            Curve.through(places, f"tolerance{_fold(magnified)}", ALLOWED, 0.9, opacity=opacity, hover=False, gid="tolerances")
+        ]
 
-    def _sticks(self, axes: Axes) -> None:
+    def _deviations(self, magnified: float) -> list[Curve]:
+        """Return the deviations as lines from the prescribed points."""
         track = self.track
         if track.exact:
-            return
+            return []
+        ends = track.wanted + magnified * (track.generated - track.wanted)
         gaps = np.full_like(track.wanted, np.nan)
-        sticks = np.stack([track.wanted * self.unit.factor, self._ends(), gaps], axis=1).reshape(-1, 2)
-        axes.plot(
-            *sticks.T,
-            color=LIMIT,
-            linewidth=1.4 if len(track.wanted) <= 100 else 0.7,
-            zorder=4.2,
-            label=f"deviation{self._fold}",
-            gid="deviations",
-        )
+        sticks = np.stack([track.wanted, ends, gaps], axis=1).reshape(-1, 2) * self.unit.factor
+        width = 1.4 if len(track.wanted) <= 100 else 0.7
+        return [Curve.through(sticks, f"deviation{_fold(magnified)}", LIMIT, width, hover=False, gid="deviations")]
 
-    @property
-    def _fold(self) -> str:
-        return f", drawn {self.track.factor:g}-fold" if self.track.factor > 1.0 else ""
-
-    def _numbers(self, axes: Axes) -> list[Label]:
-        """Return labels with the numbers of the points; every fifth, tenth, ... if there are many."""
+    def _numbers(self, size: float) -> list[Mark]:
+        """Return marks with the numbers of the points; every fifth, tenth, ... if there are many."""
         places = self.track.wanted * self.unit.factor
         count = len(places)
         every = next(step for step in (1, 5, 10, 20, 50) if count <= NUMBERED * step or step == 50)
@@ -229,6 +228,6 @@ class Close:
             away = np.array([-following[k, 1], following[k, 0]])
             away = away / max(float(np.linalg.norm(away)), 1e-300)
             away = -away if float(away @ (places[k] - middle)) < 0.0 else away
-            at = (float(places[k, 0]), float(places[k, 1]))
-            found.append(Label(axes, at, _listed(numbers), WANTED, 8.0, 2.0, (float(away[0]), float(away[1]))))
+            at, prefer = (float(places[k, 0]), float(places[k, 1])), (float(away[0]), float(away[1]))
+            found.append(Mark(*at, _listed(numbers), WANTED, size=size, prefer=prefer, written=True, font=8.0))
         return found

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.linkage.dyad_types import RRR
 from optlink.problem.path import TURN, PathProblem
 from optlink.report.animation import film, there_and_back
+from optlink.report.chart_mpl import into
+from optlink.report.chart_spec import Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.labels import place_labels
 from optlink.report.style import BODIES, LIMIT, WANTED, degrees, figure, scale, styled
 from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, figures, headed, title_of, wrapped
@@ -75,49 +76,39 @@ def mechanism(result: PathResult) -> Figure | None:
     return made
 
 
-@styled
-def curve(result: PathResult) -> Figure | None:
-    """Draw the prescribed and generated output of a function with their difference, or the transmission angles."""
-    track = best(result)
-    if track is None or track.task.pointed:
-        return None
+def curve(track: Track) -> ChartSpec:
+    """Return the prescribed and generated output of a function with their difference, or the transmission angles."""
     shown = output(track)
-    two = shown.wanted is not None
-    made = figure(7.4, 5.8 if two else 4.2)
-    panels = made.subplots(1 + two, 1, sharex=True, squeeze=False, height_ratios=(1.7, 1.0) if two else None)[:, 0]
-    _outputs(panels[0], track, shown)
+    panels = [_outputs(shown)]
     if shown.wanted is not None:
         at = np.degrees(track.design.crank_angles)
         error = shown.found[:, 0] - shown.wanted
-        panels[1].plot(shown.crank, error, color=LIMIT, linewidth=1.5, gid="error")
+        traces = [Curve(shown.crank, error, "", LIMIT, 1.5, gid="error")]
         if len(at) <= 100:
-            panels[1].plot(at, np.interp(at, shown.crank, error), ".", color=LIMIT, markersize=5, gid="positions")
-        panels[1].axhline(0.0, color=WANTED, linewidth=0.8)
-        panels[1].set_ylabel(f"generated minus\nwanted [{shown.name.rpartition('[')[2]}")
-        panels[1].set_xlabel(panels[0].get_xlabel())
-        panels[0].set_xlabel("")
-    panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, frameon=False, fontsize=8.5, ncols=3)
-    title = title_of(track, 7.0, track.task.title, wrapped(figures(track), 7.0, "; "))
-    entitle(made, track, title)
-    made.align_ylabels()
-    return made
+            traces.append(Curve(at, np.interp(at, shown.crank, error), "", LIMIT, mode="markers", size=3.5, gid="positions"))
+        panels.append(Panel(Axis(f"generated minus wanted [{shown.name.rpartition('[')[2]}"), traces))
+    heading = title_of(track, 7.0, track.task.title, wrapped(figures(track), 7.0, "; "))
+    title = "Transmission angle" if shown.wanted is None else "Output over the range"
+    return ChartSpec("curve", title, panels, _crank(track, shown), heading, warning=not track.design.valid)
 
 
-def _outputs(axes: Axes, track: Track, shown: Output) -> None:
-    """Draw all curves of an output."""
+def _crank(track: Track, shown: Output) -> Axis:
+    ends = sorted((float(shown.crank[0]), float(shown.crank[-1])))
+    return crank_angle(clockwise=track.way < 0.0, limits=(ends[0], ends[1]))
+
+
+def _outputs(shown: Output) -> Panel:
+    """Return the panel of all curves of an output."""
+    traces = []
     if shown.wanted is not None:
-        axes.plot(shown.crank, shown.wanted, color=WANTED, linestyle="--", linewidth=1.4, label="wanted", zorder=3, gid="wanted")
+        traces.append(Curve(shown.crank, shown.wanted, "wanted", WANTED, 1.4, "dash", gid="wanted"))
     for k, name in enumerate(shown.curves):
-        colour = BODIES[k % len(BODIES)]
         told = name
         if shown.wanted is None:
             least, largest = float(np.nanmin(shown.found[:, k])), float(np.nanmax(shown.found[:, k]))
             told = f"at {name}: {least:.2f}° to {largest:.2f}°"
-        axes.plot(shown.crank, shown.found[:, k], color=colour, linewidth=1.9, label=told, gid=f"found {name}")
-    first, last = float(shown.crank[0]), float(shown.crank[-1])
-    if abs(last - first) > 180.0:
-        axes.xaxis.set_major_locator(MultipleLocator(60.0))
-    axes.set(xlim=(min(first, last), max(first, last)), xlabel="crank angle φ [deg]", ylabel=shown.name)
+        traces.append(Curve(shown.crank, shown.found[:, k], told, BODIES[k % len(BODIES)], 1.9, gid=f"found {name}"))
+    return Panel(Axis(shown.name), traces, 1.6)
 
 
 def output_film(track: Track, count: int) -> list[Image.Image]:
@@ -136,5 +127,6 @@ def output_film(track: Track, count: int) -> list[Image.Image]:
     order = np.argsort(shown.crank)
     height = np.interp(np.degrees(steps), shown.crank[order], shown.found[order, 0])
     marks = np.stack([np.degrees(steps), height], axis=-1)
+    strip = ChartSpec("", "", [_outputs(shown)], _crank(track, shown))
     title = track.task.title if track.design.valid else f"NOT VALID: {track.task.title}"
-    return film(track.sketch, track.sweep(steps), lambda axes: _outputs(axes, track, shown), marks, title)
+    return film(track.sketch, track.sweep(steps), partial(into, spec=strip), marks, title)

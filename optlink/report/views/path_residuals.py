@@ -1,80 +1,55 @@
-"""Figure of the deviations of a path or motion synthesis at every point."""
+"""Chart of the deviations of a path or motion synthesis at every point."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from optlink.report.style import FOUND, HALO, LIMIT, QUIET, WANTED, figure, styled
-from optlink.report.views.path_captions import entitle, figures, fitting, length, title_of, wrapped
+from optlink.report.chart_spec import Axis, Bars, ChartSpec, Curve, Line, Panel, Trace
+from optlink.report.style import FOUND, LIMIT, QUIET
+from optlink.report.views.path_captions import figures, fitting, length, title_of, wrapped
 from optlink.report.views.path_closeup import ALLOWED, NUMBERED
-from optlink.report.views.path_tables import exact_angles
-from optlink.report.views.path_view import Track, best
-from optlink.tasks.results.path import LEVEL, PathResult
+from optlink.report.views.path_tables import exact, exact_angles
+from optlink.report.views.path_view import Track
+from optlink.tasks.results.path import LEVEL
 
 Array = NDArray[np.float64]
-BARS = 40  # number of points up to which each has a bar
+BARS = 40  # number of points up to which bars beyond their tolerance are red
 CUT = 4.0  # points without tolerance are cut off beyond this multiple of the deviations with tolerance
 NOTHING = 1e-3  # components below this share of the largest deviation are not shown
 
 
-@styled
-def errors(result: PathResult) -> Figure | None:
-    """Draw the deviation at every point: distance, components, and for poses the angle."""
-    track = best(result)
-    if track is None or not track.task.pointed:
-        return None
+def errors(track: Track) -> ChartSpec:
+    """Return the deviation at every point: distance, components, and for poses the angle."""
     turned = track.design.measured.turned
-    count = 1 + (not track.exact) + (turned is not None)
-    made = figure(7.6, 1.5 + 1.95 * count)
-    panels = made.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-    _distances(panels[0], track)
+    panels = [_distances(track)]
     if not track.exact:
-        _directions(panels[1], track)
+        panels.append(_directions(track))
     if turned is not None:
-        _turned(panels[-1], track)
-    numbers = len(track.wanted)
-    panels[-1].set_xlim(0.4, numbers + 0.6)
-    every = FixedLocator(range(1, numbers + 1)) if numbers <= NUMBERED else MaxNLocator(12, integer=True)
-    panels[-1].xaxis.set_major_locator(every)
-    panels[-1].set_xlabel("pose" if turned is not None else "point")
-    title = title_of(track, 7.2, f"{track.task.title}: deviations", wrapped(figures(track), 7.2, "; "))
-    entitle(made, track, title)
-    made.align_ylabels()
-    return made
+        panels.append(_turned(track, turned))
+    count = len(track.wanted)
+    every = next(step for step in (1, 2, 5, 10, 20, 50, 100) if count <= NUMBERED * step or step == 100)
+    ticks = [(float(k), str(k)) for k in range(1, count + 1) if k % every == 0]
+    what = "point" if turned is None else "pose"
+    x = Axis(what, (0.4, count + 0.6), ticks=ticks)
+    heading = title_of(track, 7.2, f"{track.task.title}: deviations", wrapped(figures(track), 7.2, "; "))
+    title, page = f"How far the {what}s are missed", not exact(track.design)
+    return ChartSpec("errors", title, panels, x, heading, warning=not track.design.valid, cursor=False, page=page)
 
 
-def _bars(
-    axes: Axes, values: Array, colour: str, gid: str, label: str | None = None, place: float = 0.0, wide: float = 0.6
-) -> None:
-    """Draw a bar for each point, or a stepped line if there are many."""
-    numbers = np.arange(1.0, len(values) + 1.0)
-    if len(values) <= BARS:
-        drawn = axes.bar(numbers + place, values, width=wide, color=colour, label=label, zorder=2)
-        for bar in drawn:
-            bar.set_gid(gid)
-    else:
-        axes.plot(numbers, values, drawstyle="steps-mid", color=colour, linewidth=1.2, label=label, gid=gid)
+def _bars(values: Array, colours: str | list[str], gid: str, name: str = "", place: float = 0.0, wide: float = 0.6) -> Bars:
+    return Bars(np.arange(1.0, len(values) + 1.0) + place, values, name, colours, wide, gid=gid)
 
 
-def _rounding(axes: Axes, values: Array, level: float, unit: str) -> None:
-    """Draw deviations that are rounding error on a logarithmic axis, with the level of rounding."""
-    numbers = np.arange(1.0, len(values) + 1.0)
+def _rounding(name: str, values: Array, level: float, unit: str) -> Panel:
+    """Return deviations that are rounding error on a logarithmic axis, with the level of rounding."""
     low = 1e-9 * level
-    axes.plot(numbers, np.maximum(values, low), linestyle="none", marker="o", markersize=4, color=QUIET, gid="exact")
-    axes.axhline(level, color=FOUND, linewidth=1.1, linestyle="--", gid="level")
-    told = f"exact to rounding: all below {level:.1e} {unit}"
-    axes.annotate(
-        told, (0.99, level), (0, 4), xycoords=("axes fraction", "data"), textcoords="offset points", ha="right", fontsize=9
-    )
-    axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.0e}"))
-    axes.set_ylim(low / 3.0, 1e4 * level)
+    numbers = np.arange(1.0, len(values) + 1.0)
+    trace = Curve(numbers, np.maximum(values, low), "", QUIET, mode="markers", size=4.0, gid="exact")
+    line = Line(level, f"exact to rounding: all below {level:.1e} {unit}", FOUND, gid="level")
+    return Panel(Axis(f"{name} [{unit}]", (low / 3.0, 1e4 * level), "log"), [trace], lines=[line])
 
 
 def _bulk(track: Track) -> NDArray[np.bool_]:
@@ -89,62 +64,33 @@ def _bulk(track: Track) -> NDArray[np.bool_]:
     return known if float(np.nanmax(distances[~known])) > CUT * near else np.ones(len(known), dtype=bool)
 
 
-def _legend(axes: Axes) -> None:
-    """Place the legend above the axes."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, frameon=False, fontsize=8.5, ncols=2)
-
-
-def _cut(axes: Axes, values: Array, place: float = 0.0) -> None:
-    """Annotate bars that exceed the axes with their values."""
-    low, high = axes.get_ylim()
-    for k, value in enumerate(values):
-        if not low <= value <= high:
-            up = value > high
-            told = f"{'↑' if up else '↓'} {value:.4g}".replace("-", "−")
-            at = (k + 1.0 + place, high if up else low)
-            drawn = axes.annotate(told, at, (0, -3 if up else 3), textcoords="offset points", ha="center", fontsize=8.0)
-            drawn.set(va="top" if up else "bottom", path_effects=HALO, gid="cut off", zorder=5)
-
-
-def _distances(axes: Axes, track: Track) -> None:
+def _distances(track: Track) -> Panel:
     distances, tolerances = track.design.measured.distances, track.tolerances
     if track.exact:
         unit = track.sketch.scale
-        _rounding(axes, distances * unit.factor, LEVEL * track.task.size * unit.factor, unit.unit)
-        axes.set_ylabel(f"distance [{unit.unit}]")
-        return
+        return _rounding("distance", distances * unit.factor, LEVEL * track.task.size * unit.factor, unit.unit)
     largest = float(np.nanmax(distances))
     unit = fitting(largest, track.sketch.scale)
-    _bars(axes, distances * unit.factor, FOUND, "distances")
-    known = np.isfinite(tolerances)
-    bulk = _bulk(track)
+    known, bulk = np.isfinite(tolerances), _bulk(track)
+    beyond = [LIMIT if far else FOUND for far in distances > tolerances * (1.0 + 1e-6)]
+    traces: list[Trace] = [_bars(distances * unit.factor, beyond if len(beyond) <= BARS else FOUND, "distances")]
     top = float(np.nanmax(distances[bulk]))
-    for bar, distance, tolerance in zip(axes.patches, distances, tolerances, strict=False):
-        if distance > tolerance * (1.0 + 1e-6):
-            bar.set_facecolor(LIMIT)
     if np.any(known):
         seen = known & (tolerances <= 4.0 * largest)
         top = max(top, float(np.max(tolerances[seen], initial=0.0)))
         numbers = np.arange(1.0, len(distances) + 1.0)[seen]
         edges = np.stack([numbers - 0.5, numbers + 0.5, np.full_like(numbers, np.nan)], axis=1).ravel()
         heights = np.repeat(tolerances[seen] * unit.factor, 3)
-        axes.plot(edges, heights, color=ALLOWED, linewidth=1.8, label="tolerance", gid="tolerance")
+        traces.append(Curve(edges, heights, "tolerance" if np.any(seen) else "", ALLOWED, 1.8, gid="tolerance"))
         if not np.all(seen[known]):
             least = length(float(np.min(tolerances[known & ~seen])), track.sketch.scale)
-            axes.plot(
-                [],
-                [],
-                linestyle="none",
-                label=f"tolerances from {least} on lie above" if np.any(seen) else f"tolerance, {least}, lies above",
-            )
-        _legend(axes)
-    axes.set_ylim(0.0, 1.1 * top * unit.factor)
-    _cut(axes, distances * unit.factor)
-    axes.set_ylabel(f"distance [{unit.unit}]")
+            told = f"tolerances from {least} on lie above" if np.any(seen) else f"tolerance, {least}, lies above"
+            traces.append(Curve(np.full(1, np.nan), np.full(1, np.nan), told, ALLOWED))
+    return Panel(Axis(f"distance [{unit.unit}]", (0.0, 1.1 * top * unit.factor)), traces)
 
 
-def _directions(axes: Axes, track: Track) -> None:
-    """Draw the components along and across the curve, to the left of the motion; x and y where the velocity vanishes."""
+def _directions(track: Track) -> Panel:
+    """Return the components along and across the curve, to the left of the motion; x and y where the velocity vanishes."""
     miss = track.generated - track.wanted
     speed = track.way * track.at.velocity(track.task.requirement.point)
     fast = np.linalg.norm(speed, axis=1)
@@ -160,25 +106,18 @@ def _directions(axes: Axes, track: Track) -> None:
         elif float(np.max(np.abs(across))) < NOTHING * largest:
             parts = {"along the curve; across it none": along}
     two, bulk = len(parts) > 1, _bulk(track)
+    traces = []
     for k, (name, values) in enumerate(parts.items()):
         place, wide = ((k - 0.5) * 0.36, 0.34) if two else (0.0, 0.6)
-        _bars(axes, values * unit.factor, QUIET if two and k == 0 else FOUND, name, name, place, wide)
-    axes.axhline(0.0, color=WANTED, linewidth=0.8)
+        traces.append(_bars(values * unit.factor, QUIET if two and k == 0 else FOUND, name, name, place, wide))
     every = np.array([values[bulk] for values in parts.values()]) * unit.factor
     low, high = min(0.0, float(np.nanmin(every))), max(0.0, float(np.nanmax(every)))
-    axes.set_ylim(low - 0.06 * (high - low), high + 0.06 * (high - low))
-    for k, values in enumerate(parts.values()):
-        _cut(axes, values * unit.factor, (k - 0.5) * 0.36 if two else 0.0)
-    axes.set_ylabel(f"generated\nminus wanted [{unit.unit}]")
-    _legend(axes)
+    room = 0.06 * (high - low)
+    return Panel(Axis(f"generated minus wanted [{unit.unit}]", (low - room, high + room)), traces)
 
 
-def _turned(axes: Axes, track: Track) -> None:
-    turned = track.design.measured.turned
-    assert turned is not None
+def _turned(track: Track, turned: Array) -> Panel:
+    name = "generated minus wanted angle"
     if exact_angles(track.design):
-        _rounding(axes, np.degrees(np.abs(turned)), math.degrees(LEVEL), "deg")
-    else:
-        _bars(axes, np.degrees(turned), FOUND, "turned")
-        axes.axhline(0.0, color=WANTED, linewidth=0.8)
-    axes.set_ylabel("generated minus\nwanted angle [deg]")
+        return _rounding(name, np.degrees(np.abs(turned)), math.degrees(LEVEL), "deg")
+    return Panel(Axis(f"{name} [deg]"), [_bars(np.degrees(turned), FOUND, "turned")])

@@ -1,13 +1,10 @@
-"""Files, figures and animation of a path, motion, function or transmission synthesis result of any linkage.
+"""View of a path, motion, function or transmission synthesis result of any linkage.
 
 Path and motion: mechanism and curve with the precision points, deviations, alternative designs. Function and transmission:
 mechanism, output or transmission angles, alternative designs.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -19,13 +16,16 @@ from PIL import Image
 
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.motion import Motion
+from optlink.problem.file import ProblemFile
 from optlink.problem.path import TURN
 from optlink.report.animation import film, there_and_back
+from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch
-from optlink.report.files import verdict, write_csv, write_design, write_json
+from optlink.report.files import verdict
 from optlink.report.labels import place_labels
 from optlink.report.report_model import machine_found
-from optlink.report.style import CRANK, WANTED, degrees, figure, heading, save, save_film, styled
+from optlink.report.style import CRANK, WANTED, degrees, figure, heading, styled
+from optlink.report.view import View
 from optlink.report.views.path_alternatives import designs
 from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, failed, headed, wrapped
 from optlink.report.views.path_closeup import Close, dots, points_on, small_frames
@@ -40,40 +40,12 @@ FRAMES = 90
 LIT = "#ffc20a"
 
 
-def write_all(result: PathResult, folder: Path) -> list[Path]:
-    """Write result.json and, for the best design or nearest miss, points.csv, design.toml, the figures and the animation.
-
-    Parameters
-    ----------
-    result : PathResult
-    folder : Path
-        Existing folder to write to.
-
-    Returns
-    -------
-    list of Path
-        The written files.
-    """
-    written = [folder / "result.json"]
-    write_json(written[0], result.to_dict())
-    design = result.best
-    if design is None:
-        return written
-    written.append(folder / "points.csv")
-    write_csv(written[1], columns(design))
-    machine = machine_found(result)
-    assert machine is not None
-    written += write_design(folder, machine, verdict(design.status.value, design.valid, failed(design)))
-    for name, draw in PICTURES.items():
-        drawn = draw(result)
-        if drawn is not None:
-            written.append(folder / f"{name}.png")
-            save(drawn, written[-1])
-    pictures = frames(result)
-    if pictures:
-        written.append(folder / "motion.gif")
-        save_film(pictures, written[-1])
-    return written
+def charts(result: PathResult) -> list[ChartSpec]:
+    """Return the curve and the deviations at every point, or the output of a function or the transmission angles."""
+    track = best(result)
+    if track is None:
+        return []
+    return [Close(track).chart(), errors(track)] if track.task.pointed else [curve(track)]
 
 
 def columns(design: PathDesign) -> dict[str, Array]:
@@ -116,7 +88,7 @@ def path(result: PathResult) -> Figure | None:
     made = figure(width, height + 1.3 + LINE * (title.count("\n") + 1))
     entitle(made, track, title)
     left, right = made.subplots(1, 2, width_ratios=widths)
-    labels = standing(left, track) + close.draw(right)
+    labels = standing(left, track) + close.draw(right, track.factor)
     what = "pose" if close.motion else "point"
     crank = f"{what} {track.first + 1}: crank at {degrees(float(track.design.crank_angles[track.first]))}"
     left.set_title(wrapped([crank, *assembly(track.design)], widths[0] - 0.6, ", ", SMALL), fontsize=SMALL)
@@ -142,7 +114,7 @@ class Passing(Sketch):
     def lay(self, axes: Axes) -> None:
         """Draw the close-up of the curve, in which passed points are highlighted too."""
         self.strip = axes
-        self.close.draw(axes, sticks=False)
+        self.close.draw(axes, None)
 
     def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
         """Draw position `k`, the points passed so far and the pose of the guided body.
@@ -204,10 +176,17 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
     return film(sketch, motion, sketch.lay, marks, title, more=points)
 
 
-PICTURES: dict[str, Callable[[PathResult], Figure | None]] = {
-    "path": path,
-    "errors": errors,
-    "mechanism": mechanism,
-    "curve": curve,
-    "designs": designs,
-}
+def _design(result: PathResult) -> tuple[ProblemFile, str] | None:
+    design, machine = result.best, machine_found(result)
+    if design is None or machine is None:
+        return None
+    return machine, verdict(design.status.value, design.valid, failed(design))
+
+
+VIEW = View(
+    charts=charts,
+    drawings={"path": path, "mechanism": mechanism, "designs": designs},
+    tables=lambda result: {} if result.best is None else {"points": columns(result.best)},
+    design=_design,
+    frames=frames,
+)

@@ -1,0 +1,262 @@
+"""View of a function synthesis result of a four-bar: mechanism, law and error, transmission angle, objective map, animation."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Arc
+from numpy.typing import NDArray
+from PIL import Image
+
+from optlink.linkage.fourbar import dead_centre, lengths_of, reachable
+from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.stroke import TURN
+from optlink.optimization.output_derivatives import ErrorResiduals
+from optlink.problem.file import ProblemFile
+from optlink.report.animation import film, there_and_back
+from optlink.report.chart_mpl import into
+from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
+from optlink.report.drawing import Sketch
+from optlink.report.files import verdict
+from optlink.report.labels import place_labels
+from optlink.report.report_model import machine_found
+from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, heading, styled
+from optlink.report.view import View
+from optlink.report.views.function_landscape import objective_map, unit_of
+from optlink.report.views.path_captions import failed
+from optlink.tasks.function import FunctionResult
+
+Array = NDArray[np.float64]
+
+
+def _moved(result: FunctionResult, angles: Array) -> Motion:
+    return sweep(result.problem.spec.linkage, result.problem.spec.sizes(result.design), angles)
+
+
+def _start(result: FunctionResult) -> float:
+    """Return the starting angle [rad] within half a turn of zero, as the machine has it."""
+    start = result.design["phi0"]
+    return math.remainder(start, TURN) if math.isfinite(start) else math.nan
+
+
+def _clockwise(result: FunctionResult) -> bool:
+    return result.problem.spec.span < 0.0
+
+
+def _range(result: FunctionResult) -> Array:
+    """Return rising crank angles [rad] of a revolution from the starting angle, or of the reachable range that contains it."""
+    start = _start(result)
+    for low, high in reachable(*lengths_of(result.sizes)):
+        if high - low > 2.0 * np.pi - 1e-9:
+            begin = (start if math.isfinite(start) else 0.0) - (TURN if _clockwise(result) else 0.0)
+            return np.linspace(begin, begin + TURN, 721)
+        for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi):
+            if math.isfinite(start) and low + turn - 1e-9 <= start <= high + turn + 1e-9:
+                return np.linspace(low + turn + 1e-6, high + turn - 1e-6, 721)
+    return np.array([])
+
+
+def _transmission(motion: Motion) -> Array:
+    b, c, d = (motion.position(name) for name in "BCD")
+    cosine = np.sum((b - c) * (d - c), axis=-1) / (np.linalg.norm(b - c, axis=-1) * np.linalg.norm(d - c, axis=-1))
+    gamma: Array = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))  # clipped, since values beyond +-1 are rounding errors
+    return gamma
+
+
+# --- mechanism -------------------------------------------------------------------------------------------------------
+
+
+def positions(result: FunctionResult) -> dict[str, float]:
+    """Return the characteristic crank angles [rad] by name: start and end of the span, dead centres, transmission extremes."""
+    problem, sizes = result.problem.spec, result.sizes
+    found: dict[str, float] = {"start": result.design["phi0"], "end of the span": result.design["phi0"] + problem.span}
+    whole_turn = [(low, high) for low, high in reachable(*lengths_of(sizes)) if high - low > 2.0 * np.pi - 1e-9]
+    if whole_turn:
+        for name, outer in (("outer dead centre", True), ("inner dead centre", False)):
+            limit = dead_centre(*lengths_of(sizes), problem.side, outer=outer)
+            if limit.margin >= 0.0:
+                found[name] = float(limit.phi)
+        found["smallest transmission angle"], found["largest transmission angle"] = 0.0, math.pi
+    merged: dict[str, float] = {}
+    for name, phi in found.items():
+        same = next((k for k, v in merged.items() if abs(math.remainder(v - phi, 2.0 * math.pi)) < 1e-9), None)
+        if same is None:
+            merged[name] = phi
+        else:
+            merged = {f"{k} = {name}" if k == same else k: v for k, v in merged.items()}
+    return merged
+
+
+@styled
+def mechanism(result: FunctionResult) -> Figure | None:
+    """Draw the mechanism at its characteristic positions side by side, on one scale."""
+    angles = _range(result)
+    if angles.size == 0:
+        return None
+    sketch = Sketch(_moved(result, angles))
+    named = positions(result)
+    columns = 3 if len(named) > 4 else 2 if len(named) > 1 else 1
+    rows = -(-len(named) // columns)
+    drawn = figure(3.9 * columns, (3.3 * min(max(sketch.ratio, 0.45), 1.3) + 0.95) * rows + 0.55)
+    letters = []
+    for axes, (name, phi) in zip(drawn.subplots(rows, columns, squeeze=False).flat, named.items(), strict=False):
+        here = _moved(result, np.array([phi]))
+        sketch.stage(axes)
+        sketch.pose(axes, here)
+        letters += sketch.letters(axes, here)
+        gamma = float(_transmission(here)[0])
+        psi = math.degrees(float(here.body_angle("rocker").value[0]))
+        axes.set_title(f"{name}\nφ {math.degrees(phi) % 360.0:.2f}°   ψ {psi:.2f}°   γ {gamma:.2f}°", fontsize=9.5)
+    for axes in drawn.axes[len(named) :]:
+        axes.remove()
+    lengths = "   ".join(f"{name} {value * sketch.scale.factor:.3f}" for name, value in result.sizes.items())
+    title = heading(result.problem.spec.title, 3.9 * columns)
+    drawn.suptitle(f"{title}\n{heading(f'{lengths} {sketch.scale.unit}', 3.9 * columns)}", fontsize=11)
+    place_labels(drawn, letters)
+    return drawn
+
+
+# --- output ----------------------------------------------------------------------------------------------------------
+
+
+def charts(result: FunctionResult) -> list[ChartSpec]:
+    """Return the law over the span with its error, and the transmission angle over the whole motion."""
+    return [*law(result), *transmission(result)]
+
+
+def law(result: FunctionResult) -> list[ChartSpec]:
+    """Return the prescribed and the generated function over the span, with the precision points, and the error below."""
+    problem, design = result.problem.spec, result.design
+    offsets, at = problem.span * np.linspace(0.0, 1.0, 361), problem.law.offsets
+    if not math.isfinite(design["phi0"]):
+        return []
+    begin = math.degrees(_start(result))
+    crank, marked = begin + np.degrees(offsets), begin + np.degrees(at)
+    wanted, marks = (np.degrees(problem.law.curve(places, design["phi0"], design["psi0"])) for places in (offsets, at))
+    found = np.degrees(np.asarray(_moved(result, design["phi0"] + offsets).body_angle("rocker").value))
+    found = found + 360.0 * np.round((wanted[0] - found[0]) / 360.0)
+    if not np.any(np.isfinite(found)):
+        return []
+    error, at_marks = np.degrees(result.error(offsets)), np.degrees(result.error())
+    above = [
+        Curve(crank, wanted, "wanted", WANTED, 1.4, "dash", gid="wanted"),
+        Curve(crank, found, "generated", FOUND, 1.8, gid="generated"),
+        Curve(marked, marks, "design positions", WANTED, mode="markers", size=3.0, gid="positions"),
+    ]
+    robust, worst = problem.requirement.robust, int(np.nanargmax(np.abs(error)))
+    below: list[Trace] = []
+    top, words = float(error[worst]), f"largest {error[worst]:+.3f}°"
+    if robust is not None:
+        built = np.degrees(ErrorResiduals(problem).band(design, offsets))
+        below.append(Band(crank, built[0], built[1], f"built, {robust.band}", LIMIT))
+        top, words = float(built[int(error[worst] > 0.0), worst]), f"{words} as drawn"
+    below.append(Curve(crank, error, "" if robust is None else "as drawn", LIMIT, 1.5, gid="error"))
+    below.append(Curve(marked, at_marks, "", LIMIT, mode="markers", size=3.0))
+    mark = Mark(float(crank[worst]), top, words, size=1.0, prefer=(0.0, 1.0 if error[worst] > 0.0 else -1.0))
+    panels = [Panel(Axis("rocker angle ψ [deg]"), above, 1.7), Panel(Axis("wanted minus generated [deg]"), below, marks=[mark])]
+    title = f"{problem.title}: {result.measure} {result.objective:.6g} {unit_of(result)}"
+    return [ChartSpec("law", "Motion law over the span", panels, crank_angle(clockwise=_clockwise(result)), title)]
+
+
+def transmission(result: FunctionResult) -> list[ChartSpec]:
+    """Return the transmission angle over the whole motion with its limits."""
+    problem, angles = result.problem.spec, _range(result)
+    if angles.size == 0:
+        return []
+    turns = math.pi * np.arange(-4.0, 5.0)  # with the extremes of a full revolution
+    angles = np.union1d(angles, turns[(turns > angles[0]) & (turns < angles[-1])])
+    gamma, crank = _transmission(_moved(result, angles)), np.degrees(angles)
+    start, span = math.degrees(_start(result)), math.degrees(problem.span)
+    spans: list[Span] = []
+    for turn in (-360.0, 0.0, 360.0):
+        low, high = sorted((start + turn, start + turn + span))
+        low, high = max(low, float(crank[0])), min(high, float(crank[-1]))
+        if low < high - 1e-9:
+            spans.append(Span(low, high, "" if spans else "span of the requirement", FOUND, 0.08))
+    traces = [Curve(crank, gamma, "transmission angle γ", FOUND, 1.9, gid="transmission")]
+    lines = []
+    for bound, low in transmission_limits(result):
+        name = f"{'at least' if low else 'at most'} {bound:.5g}°"
+        if problem.transmission_over == "revolution":
+            lines.append(Line(bound, name, LIMIT, 1.3))
+        else:
+            traces.append(Curve(np.sort([start, start + span]), np.full(2, bound), name, LIMIT, 1.3, "dash"))
+    marks = [
+        Mark(float(crank[k]), float(gamma[k]), f"{word} {gamma[k]:.2f}°", FOUND, prefer=(0.0, way))
+        for k, word, way in ((int(np.argmin(gamma)), "least", -1.0), (int(np.argmax(gamma)), "largest", 1.0))
+    ]
+    x = crank_angle(clockwise=_clockwise(result), limits=(float(crank[0]), float(crank[-1])))
+    shown = Panel(Axis("γ [deg]"), traces, 1.4, lines, marks)
+    return [ChartSpec("transmission", "Transmission angle", [shown], x, f"{problem.title}: transmission angle", spans=spans)]
+
+
+def transmission_limits(result: FunctionResult) -> list[tuple[float, bool]]:
+    """Return the limits of the transmission angle [deg], each with whether it is the lower one."""
+    limits = result.problem.spec.limits
+    if limits.transmission_angle is not None:
+        both = (limits.transmission_angle.low, limits.transmission_angle.high)
+    elif limits.transmission_cosine is not None:
+        low, high = limits.transmission_cosine.low, limits.transmission_cosine.high
+        both = (None if high is None else math.acos(high), None if low is None else math.acos(low))
+    else:
+        return []
+    return [(math.degrees(bound), k == 0) for k, bound in enumerate(both) if bound is not None]
+
+
+# --- animation -------------------------------------------------------------------------------------------------------
+
+
+@styled
+def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
+    """Draw the frames of the animation: one revolution, or back and forth over the reachable range.
+
+    Beside the mechanism, the rocker angle is drawn.
+
+    Parameters
+    ----------
+    result : FunctionResult
+    count : int, optional
+        Number of frames.
+    """
+    angles = _range(result)
+    if angles.size == 0:
+        return []
+    full = angles[-1] - angles[0] > 2.0 * np.pi - 1e-6
+    motion = _moved(result, angles)
+    sketch = Sketch(motion)
+    once = result.design["phi0"] + np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    steps = once if full else there_and_back(float(angles[0]), float(angles[-1]), count)
+    psi, crank = np.degrees(np.asarray(motion.body_angle("rocker").value)), np.degrees(angles)
+    at = (np.degrees(steps) - crank[0]) % 360.0 + crank[0] if full else np.degrees(steps)
+    begin, span = math.degrees(result.design["phi0"]), math.degrees(result.problem.spec.span)
+
+    traces = [Curve(crank, psi, "", ROCKER)]
+    x = Axis("crank angle φ [deg]", (float(crank[0]), float(crank[-1])), step=60.0)
+    strip = ChartSpec("", "", [Panel(Axis("rocker angle ψ [deg]"), traces)], x)
+
+    def required(axes: Axes) -> None:
+        ends = {"theta1": min(begin, begin + span), "theta2": max(begin, begin + span)}
+        size = 1.1 * result.design["crank"] * sketch.scale.factor
+        axes.add_patch(Arc((0.0, 0.0), size, size, color=QUIET, linewidth=1.3, **ends))
+
+    marks = np.stack([at, np.interp(at, crank, psi)], axis=-1)
+    return film(
+        sketch, _moved(result, steps), functools.partial(into, spec=strip), marks, result.problem.spec.title, more=required
+    )
+
+
+def _design(result: FunctionResult) -> tuple[ProblemFile, str] | None:
+    machine = None if result.conflict else machine_found(result)
+    return None if machine is None else (machine, verdict(result.status.value, result.valid, failed(result)))
+
+
+VIEW = View(
+    charts=charts,
+    drawings={"mechanism": mechanism, "map": objective_map},
+    design=_design,
+    frames=frames,
+)
