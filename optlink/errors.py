@@ -89,5 +89,5 @@ _STATUS_TEXT = {
     "try another start or tighter bounds",
     Status.FEASIBLE: "a design that meets all limits but is not a local optimum: no local search from it ended at a better one; "
     "try --starts N",
-    Status.NOT_SEARCHED: "a given design was checked, nothing was searched",
+    Status.NOT_SEARCHED: "the given design was checked, not optimised",
 }

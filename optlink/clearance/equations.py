@@ -61,7 +61,7 @@ class Weightless(ValueError):
     """Error: a coordinate without inertia, whose motion no force determines; `body` names its body."""
 
     def __init__(self, body: str) -> None:
-        super().__init__(f"{body} has no inertia, so nothing governs its motion in the gap")
+        super().__init__(f"{body} has no inertia, so its motion in the gap is undefined")
         self.body = body
 
 

@@ -211,7 +211,7 @@ class Integration:
         except RuntimeError:
             if self.stop():  # a keyboard interrupt also aborts a call
                 raise KeyboardInterrupt from None
-            raise Stalled("the integrator cannot go on") from None
+            raise Stalled("the integrator cannot continue") from None
         if self.stop():
             raise KeyboardInterrupt
         if not np.all(np.isfinite(states)):
@@ -404,6 +404,4 @@ class Integration:
         depth = self._observe(self.state[None, :], 0.0)[0][0]
         for gap, delta in zip(self.equations.gaps, depth, strict=True):
             if delta > DEEPEST * gap.radius:
-                raise Stalled(
-                    f"the journal at {gap.point} is {delta:.3g} m deep in its bearing: no contact force holds the mechanism"
-                )
+                raise Stalled(f"the journal at {gap.point} is {delta:.3g} m deep in its bearing: no contact force can support it")

@@ -329,7 +329,7 @@ def _no_study(out: Path) -> None:
     problem = about.get("problem") if isinstance(about, dict) else None
     whose = f" of {problem}" if isinstance(problem, str) else ""
     what = "a front" if isinstance(about, dict) and "objectives" in about else "a sweep"
-    message = f"the folder holds {what}{whose}, and takes no other result"
+    message = f"the folder holds {what}{whose}; another result cannot be written there"
     raise InputError(Fault(message, "Choose another folder; nothing was overwritten", str(out), "--out"))
 
 

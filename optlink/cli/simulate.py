@@ -306,7 +306,7 @@ def _kept(asked: Run, resume: bool, parts: str, what: str) -> Iterator[dict[str,
         if done and place is not None:
             message += f" and kept in {place}; add --resume to continue"
         elif place is None:
-            message += "; nothing is kept without --out DIR"
+            message += "; without --out DIR no results are kept"
         print(message, file=sys.stderr)
         raise typer.Exit(130) from None
     if place is not None:

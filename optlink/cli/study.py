@@ -223,7 +223,7 @@ def sweep(
             raise InputError(Fault("designs are analysed or simulated", "Give --analyze or --simulate", key="--simulate"))
         console.refuse({} if simulate else {"--revolutions": revolutions, "--control": control}, *SIMULATED, file.file)
         if not analyze and not simulate:
-            remedy = "Add --analyze; how many values are swept is said in --vary KEY=LOW..HIGH UNIT:N"
+            remedy = "Add --analyze; the number of swept values is part of --vary KEY=LOW..HIGH UNIT:N"
             console.refuse({"--points": points}, "crank angles are those of the analysis", remedy, file.file)
         with _points() as progress, _interruptible(out):
             result = run(
@@ -409,7 +409,11 @@ def _interruptible(out: Path | None) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        kept = "nothing was kept: there is no --out" if out is None else f"what is done is kept; go on with --resume --out {out}"
+        kept = (
+            "no results were kept: --out is not given"
+            if out is None
+            else f"completed points are kept; resume with --resume --out {out}"
+        )
         typer.echo(f"Interrupted: {kept}.", err=True)
         raise typer.Exit(130) from None
 

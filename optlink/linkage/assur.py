@@ -205,7 +205,7 @@ class Assembly:
         held += [guide.name for guide in self.rails(self.driver) if FRAME in guide.bodies]
         if held:
             raise StructureError(
-                f"the driven body {self.driver} cannot turn: beside its pivot {crank.start} the frame holds it at {_list(held)}",
+                f"the driven body {self.driver} cannot turn: besides its pivot {crank.start} the frame holds it at {_list(held)}",
                 "Take that joint away",
                 f"links.{self.driver}",
             )
@@ -264,7 +264,7 @@ class Assembly:
         self.used.add(joint)
         if joint not in self.modes:
             raise StructureError(
-                "the group with this joint can be assembled in two ways, and the file does not say in which",
+                "the group with this joint can be assembled in two ways, and the file does not state which",
                 f"Add {options}",
                 f"assembly.{joint}",
             )

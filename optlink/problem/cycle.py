@@ -113,7 +113,7 @@ def cross_check_cycle(problem: CycleProblem) -> None:
     check_one_mode(problem.mechanism)
     mechanism = problem.linkage
     if problem.drive.speed.value == 0.0:
-        raise Unusable("the crank stands still", "Give the constant speed of the cycle", "drive.speed", str(problem.drive.speed))
+        raise Unusable("the crank speed is zero", "Give the constant speed of the cycle", "drive.speed", str(problem.drive.speed))
     for k, goal in enumerate(problem.goals):
         place = "objective" if problem.single else f"objective.terms.{k}"
         try:

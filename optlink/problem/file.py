@@ -312,7 +312,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     except RecursionError:
         raise InputError(Fault("brackets are nested too deep", "Simplify the file", file)) from None
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
-        raise InputError(Fault(f"not valid TOML: {error}", "Correct that line; text stands in quotes", file)) from None
+        raise InputError(Fault(f"not valid TOML: {error}", "Correct that line; text needs quotes", file)) from None
 
 
 def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:

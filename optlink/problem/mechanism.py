@@ -348,7 +348,7 @@ class DyadsSection(Section):
                     raise Unusable(f"{name} names a {seen[name]} and a {kind}", "Rename one of them", "mechanism", name)
                 seen[name] = kind
         if not self.ground:
-            raise Unusable("nothing is fixed on the ground", 'Add A = ["0 mm", "0 mm"]', "mechanism.ground")
+            raise Unusable("there is no ground pivot", 'Add A = ["0 mm", "0 mm"]', "mechanism.ground")
         if not self.links:
             raise Unusable("no link is given", 'Add crank = { joints = ["A", "B"], length = "100 mm" }', "mechanism.links")
 

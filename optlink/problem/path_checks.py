@@ -174,7 +174,7 @@ def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
         )
     if task.timing in ("given", "from start") and wanted.crank is None:
         raise Unusable(
-            "the timing is wanted, and the points have no crank angles",
+            "the timing is prescribed, but the points have no crank angles",
             'Write points = [{ x = "20 mm", y = "5 mm", crank = "30 deg" }, ...], or timing = "free"',
             "requirement.timing",
             task.timing,
@@ -188,7 +188,7 @@ def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
         )
     if task.rotation != "either" and problem.timing != "free":
         raise Unusable(
-            "the crank angles of the points say which way the crank turns",
+            "the crank angles of the points already state the direction of the crank",
             'Leave rotation out, or write timing = "free"',
             "requirement.rotation",
             task.rotation,

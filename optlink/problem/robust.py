@@ -68,7 +68,7 @@ def read_robust(raw: object) -> Robust | None:
         return Robust(text)
     match = _SIGMAS.fullmatch(text)
     if match is None:
-        raise Unusable("this says not how tolerances count", _REMEDY, "", raw)
+        raise Unusable("this does not state how tolerances are taken into account", _REMEDY, "", raw)
     sigmas = float(match[1])
     if not 0.0 <= sigmas <= MOST:
         raise Unusable("out of range", f'Give 0 to {MOST:g} standard deviations, such as "3 sigma"', "", raw)

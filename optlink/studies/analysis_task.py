@@ -191,7 +191,7 @@ def _unsound(found: Analysis) -> str:
         if angles.size:
             more = f" and {angles.size - 1} more of the table" if angles.size > 1 else ""
             return f"{what} at crank angle {math.degrees(float(angles[0])):.6g} deg{more}"
-    return "`optlink analyze` with --set at this point says why"
+    return "`optlink analyze` with --set at this point gives the reason"
 
 
 def quantity_of(problem: ProblemFile, axis: Axis) -> str:

@@ -109,7 +109,7 @@ def read_axis(assignment: str) -> Axis:
     else:
         inner = tuple(a + (b - a) * i / (number - 1) for i in range(1, number - 1))
     if not all(map(math.isfinite, inner)):
-        raise fault("the range is wider than numbers can tell", "Give ends that are nearer to each other")
+        raise fault("the range exceeds the largest number", "Give ends that are nearer to each other")
     return Axis(key, unit, (a, *inner, b))
 
 
@@ -201,7 +201,7 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
         For unknown keys, empty ranges, values that are no quantities, or too many points.
     """
     if not vary:
-        raise InputError(Fault("nothing is varied", EXAMPLE, key="--vary"))
+        raise InputError(Fault("no parameter is varied", EXAMPLE, key="--vary"))
     grid = Grid(tuple(read_axis(assignment) for assignment in vary))
     keys = [axis.key for axis in grid.axes]
     for key in keys:

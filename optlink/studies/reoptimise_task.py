@@ -48,9 +48,7 @@ def check_backend(name: str) -> None:
         If they do not.
     """
     if name == "both":
-        remedy = (
-            "Give ipopt or slsqp, each in a folder of its own to compare them; `optlink solve --backend both` does for a design"
-        )
+        remedy = "Give ipopt or slsqp, each in its own folder; `optlink solve --backend both` compares them for one design"
         raise InputError(Fault("a study searches with one back end", remedy, key="--backend", value=name))
     if name not in selectable():
         raise InputError(Fault("unknown back end of a study", nearest(name, selectable()), key="--backend", value=name))

@@ -180,8 +180,8 @@ def sensitivities(
     interrupts.check()
     if solution is None or solution.status is not Status.OPTIMAL:
         how = "infeasible" if solution is None else solution.status.value
-        remedy = "`optlink solve` tells why"
-        raise InputError(Fault(f"there is no optimum whose sensitivity could be told: {how}", remedy, problem.file))
+        remedy = "`optlink solve` gives the reason"
+        raise InputError(Fault(f"there is no optimum to analyse: {how}", remedy, problem.file))
     return of_solution(file, solution, backend, check=check, progress=progress)
 
 
@@ -258,9 +258,9 @@ def _notes(system: KKTSystem, solution: Solution) -> list[str]:
     if system.singular:
         found.append("several designs are equally good, or limits depend on one another: the smallest change is shown")
     if solution.objective == 0.0 or float(np.max(np.abs(solution.nlp.residuals(solution.x)), initial=0.0)) <= solution.nlp.exact:
-        found.append("the requirement is met exactly: nothing is left to gain, so every price is rounding")
+        found.append("the requirement is met exactly, so all shadow prices are rounding errors")
     if isinstance(solution.nlp, CycleNLP) and any(goal.sense == "maximise" for goal in solution.nlp.traced.problem.goals):
-        found.append("what shall be large counts with the other sign: the negative is made least, and told here")
+        found.append("a maximised quantity is listed with the opposite sign: its negative is minimised")
     return found
 
 

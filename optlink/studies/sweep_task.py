@@ -97,7 +97,7 @@ class SweepTask(ABC):
             raise InputError(Fault(message, "Install one version everywhere", self.file))
         problem = read(self.raw, self.name, self.file, self.folder)
         if problem.hash != self.hash:
-            raise InputError(Fault("a file that the problem reads has changed meanwhile", "Begin a new study", self.file))
+            raise InputError(Fault("a file that the problem refers to has changed", "Begin a new study", self.file))
         return problem
 
     @cached_property

@@ -278,7 +278,7 @@ def _notes(
     guilty = {name.rpartition(".")[0] for name, column in columns.items() if not np.all(np.isfinite(column))}
     loads = ", ".join(load.name for load in machine.loads if load.name in guilty) or "a load"
     for angles, what in (
-        (singular, "a group is in a singular position, no finite reaction holds it"),
+        (singular, "a group is in a singular position: its reactions are infinite"),
         (jammed, "friction jams a guide, or has no single answer,"),
         (undefined, f"{loads} has no finite value"),
     ):

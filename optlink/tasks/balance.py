@@ -51,9 +51,7 @@ class _Task:
         section = problem.model.balance
         if section is None:
             example = 'minimise = "rms shaking force" and [[balance.counterweights]] with body, thickness, density and reach'
-            raise InputError(
-                Fault("the problem has no [balance], so nothing is asked", f"Add it: {example}", problem.file, "balance")
-            )
+            raise InputError(Fault("the problem has no [balance]", f"Add it: {example}", problem.file, "balance"))
         self.problem, self.section = problem, section
         self.machine = machine_of(problem)
         self.speed = crank_speed(problem)
@@ -87,8 +85,8 @@ class _Task:
             where = ", ".join(f"{math.degrees(a):.6g}" for a in self.angles[bad][:3])
             raise InputError(
                 Fault(
-                    f"no finite reactions at crank angle {where} deg, so nothing can be balanced there",
-                    "`optlink analyze` says why; keep away from singular positions",
+                    f"no finite reactions at crank angle {where} deg, so it cannot be balanced there",
+                    "`optlink analyze` gives the reason; keep away from singular positions",
                     self.problem.file,
                     "mechanism",
                 )
@@ -253,7 +251,7 @@ def _check(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], pair: Sequ
         )
     for measure in [m for m, _ in goal] + list(pair):
         if not task.programme.before(measure) > 0.0:
-            message = f"the {measure} of the given machine is zero: nothing is left to balance"
+            message = f"the {measure} of the initial machine is zero: there is nothing to balance"
             raise InputError(
                 Fault(message, "Choose another measure, or give the bodies masses", task.problem.file, "balance.minimise")
             )
@@ -434,7 +432,7 @@ def _notes(
     if any(weight.kind == "disc" for weight in task.counterweights):
         told = "the moments of inertia of discs were relaxed to a cone, as those of a disc are no convex function"
         end = (
-            "the optimum lies on it, so no discs do better"
+            "the optimum lies on it, so no discs are better"
             if status == "optimal"
             else f"discs come within {slack:.2%} of the bound"
         )

@@ -244,7 +244,7 @@ def simulate_clearance(
     prediction = pair.prediction if pair is not None and account.count else None
     if prediction is not None and prediction.chaotic:
         notes.append(
-            f"The motion is sensitive: runs at two tolerances part after {prediction.parted:.2f} revolutions. From there on "
+            f"The motion is sensitive: runs at two tolerances diverge after {prediction.parted:.2f} revolutions. From there on "
             "single values of the trajectory mean nothing; root mean squares and other statistics still do"
         )
     kept = {} if not account.rows else {name: np.concatenate([rows[name] for rows in account.rows]) for name in account.meanings}
@@ -335,7 +335,7 @@ def _check_resume(resume: Mapping[str, Any], label: Mapping[str, Any], revolutio
     for name, value in label.items():
         if resume.get(name) != value:
             message = f"the checkpoint is that of another run: its {name} is {resume.get(name)!r}, not {value!r}"
-            raise InputError(Fault(message, "Resume with the options that the run was begun with, or begin anew", key="resume"))
+            raise InputError(Fault(message, "Resume with the original options, or start a new run", key="resume"))
     done = resume.get("revolutions")
     if not isinstance(done, int) or not all(isinstance(resume.get(part), Mapping) for part in ("plant", "account")):
         raise InputError(Fault("the checkpoint is damaged", "Begin anew, without it", key="resume"))
@@ -381,7 +381,7 @@ def _setting(
     ranges, _, _ = motion_range(problem, machine, begin)
     check_regular(problem, ranges, "clearance is not simulated there")
     if not ranges.full:
-        message = "the crank cannot turn fully, and revolutions are what is simulated with clearance"
+        message = "the crank cannot turn fully; simulation with clearance needs full revolutions"
         raise InputError(Fault(message, "Change the sizes so that it can", name, "mechanism"))
     nominal = drive.speed.value if speed is None else speed
     if not math.isfinite(nominal) or nominal == 0.0 or abs(nominal) > 1e6:
@@ -393,7 +393,7 @@ def _setting(
             raise InputError(Fault(f"control {kind} needs a drive that follows a command", remedy, name, "drive.servo"))
         if model.control is None:
             remedy = 'Add [control] with regularisation = "5 mm", proportional = 0.05, integral = 10.0'
-            raise InputError(Fault(f"control {kind} needs to know what is controlled", remedy, name, "control"))
+            raise InputError(Fault(f"control {kind} needs the controlled joint", remedy, name, "control"))
         if kind.fed_back and not any((model.control.proportional, model.control.integral, model.control.derivative)):
             raise InputError(
                 Fault("all gains of the PID are zero", "Give proportional = 0.05 or integral = 10.0", name, "control")

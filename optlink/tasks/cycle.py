@@ -159,7 +159,8 @@ def _notes(
     task = task_of(problem)
     most = max(len(order.begin.starts) for order in result.orders)
     if most < count:
-        yield f"only {most} of {count} starts: among {SAMPLES * count} random sizes no more turn fully and move alike"
+        why = f"among {SAMPLES * count} random designs no others turn fully in the same order of events"
+        yield f"only {most} of {count} starts: {why}"
     if result.usable:
         if not result.nlp.structure.like(result.orders[0].begin.structure):
             yield "its motions reverse in another order than those of the given machine"
@@ -233,7 +234,7 @@ def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: float) -> Cy
     proof = validate_cycle(task, values)
     note = (
         f"none of {SAMPLES * starts} random sizes within the bounds lets the crank turn fully: "
-        "widen the bounds, or begin from sizes that do"
+        "widen the bounds, or start from sizes that do"
     )
     times = {"build": 0.0, "solve": seconds, "validate": 0.0}
     return CycleResult(problem, Status.INFEASIBLE, "none", values, proof.objective, proof, times, seed, starts, notes=(note,))

@@ -72,8 +72,8 @@ def crank_speed(problem: ProblemFile) -> float:
     """
     speed = problem.model.drive.speed
     if speed.value == 0.0:
-        remedy = "Give another one: a revolution at constant speed is asked for"
-        raise InputError(Fault("the crank stands still", remedy, problem.file, "drive.speed", str(speed)))
+        remedy = "Give another speed: a revolution at constant speed is simulated"
+        raise InputError(Fault("the crank speed is zero", remedy, problem.file, "drive.speed", str(speed)))
     return speed.value
 
 

@@ -273,7 +273,7 @@ def _points(tested: _Tested) -> Iterator[Check]:
     whole = bool(np.all(np.isfinite(distances)))
     factor, unit = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}[tested.problem.unit]
     largest = float(np.max(distances)) * factor
-    yield Check("the linkage has a position for everything wanted", whole, largest, "finite", unit)
+    yield Check("the linkage has a position for every target", whole, largest, "finite", unit)
     if np.any(np.isfinite(tolerances)):
         used = np.max(distances / tolerances)
         yield Check("points met within their tolerances", bool(used <= 1.0 + 1e-6), float(used), "<= 1", "of the tolerance")

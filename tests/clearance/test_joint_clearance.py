@@ -1094,7 +1094,7 @@ REFUSED = {
     ),
     "radii that contradict": ({C + "journal_radius": "9.4 mm"}, C + "clearance", "differ by 0.6 mm", "Take one"),
     "clearance as large as the bearing": ({C + "clearance": "10 mm"}, C + "clearance", "no journal is left", "Check"),
-    "no radius": ({C + "bearing_radius": None}, C + "bearing_radius", "not said", "bearing_radius"),
+    "no radius": ({C + "bearing_radius": None}, C + "bearing_radius", "are missing", "bearing_radius"),
     "restitution of zero": ({C + "restitution": 0.0}, C + "restitution", "above 0", "0.9"),
     "negative restitution": ({C + "restitution": -0.1}, C + "restitution", "above 0", "0.9"),
     "restitution above one": ({C + "restitution": 1.2}, C + "restitution", "not above 1", "0.9"),
@@ -1157,7 +1157,7 @@ NOT_SIMULATED = {
     "friction in a guide": ({"mechanism.guides.G.friction": 0.1}, {}, "mechanism.guides.G.friction", "together", "or the clear"),
     "no clearance": ({"joints": None, "control": None}, {}, "joints", "no joint of the problem", "clearance"),
     "control without a servo": ({"drive.servo": None}, {"control": "pid"}, "drive.servo", "follows a command", "servo ="),
-    "control of nothing": ({"control": None}, {"control": "inverse"}, "control", "what is controlled", "[control]"),
+    "control of nothing": ({"control": None}, {"control": "inverse"}, "control", "the controlled joint", "[control]"),
     "PID without gains": (
         {"control.proportional": None, "control.integral": None},
         {"control": "pid"},

@@ -46,9 +46,9 @@ def test_a_machine_with_a_speed_of_zero_is_simulated_from_rest():
 
 def test_what_needs_a_constant_speed_says_so():
     for run in (optlink.analyze, lambda file: optlink.analyze_batch(file, {"crank.length": [0.03]})):
-        with pytest.raises(InputError, match=r"drive\.speed.*stands still"):
+        with pytest.raises(InputError, match=r"drive\.speed.*speed is zero"):
             run(machine())
     with pytest.raises(InputError, match=r"drive\.duration"):
         optlink.simulate(machine(drive__duration=None))
-    with pytest.raises(InputError, match=r"drive\.speed.*stands still"):
+    with pytest.raises(InputError, match=r"drive\.speed.*speed is zero"):
         machine(drive__torque=None)

@@ -85,7 +85,7 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
         "drive.body",
         "one of: link2, link3",
     ),
-    "crank stands still": ({"drive.speed": "0 rad/s"}, "drive.speed", "stands still"),
+    "crank stands still": ({"drive.speed": "0 rad/s"}, "drive.speed", "speed is zero"),
     "speed without a unit": ({"drive.speed": 10}, "drive.speed", "needs a unit"),
     "speed in m/s": ({"drive.speed": "10 m/s"}, "drive.speed", "not a unit of angular velocity"),
     "start in mm": ({"drive.start": "62 mm"}, "drive.start", "not a unit of angle"),
@@ -166,7 +166,7 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     "joint of another body": ({"joints.B": {"on": "slider"}}, "joints.B.on", "Known: crank, link2"),
     # loads
     "load without a size": (other(on="slider"), "loads.other", "the load has no size"),
-    "load without a body": (other(force="1 N", direction="0 deg"), "loads.other.on", "acts on nothing"),
+    "load without a body": (other(force="1 N", direction="0 deg"), "loads.other.on", "has no body to act on"),
     "load on no body": ({f"{LOAD}.on": "slyder"}, "loads.process.on", 'Did you mean "slider"'),
     "load at no point": (other(on="link5", at="B", force="1 N", direction="0 deg"), "loads.other.at", "Known: C, E"),
     "load without a direction": (other(on="link5", at="C", force="1 N"), "loads.other.direction", 'Add direction = "90 deg"'),

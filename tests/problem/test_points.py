@@ -111,8 +111,8 @@ BAD_LISTS = {
     "a text": ("curve.csv", "", "a list or a table"),
     "nothing": (None, "", "a list or a table"),
     "empty": ([], "", "no point"),
-    "empty table": ({}, "", "nothing says where"),
-    "only t": ({"t": [0, 1]}, "", "nothing says where"),
+    "empty table": ({}, "", "the points are missing"),
+    "only t": ({"t": [0, 1]}, "", "the points are missing"),
     "unknown form": ({"cvs": "a.csv"}, "cvs", "unknown key"),
     "row is a text": ([["1 mm", "2 mm"], "3 mm"], "[1]", "point 2 is neither"),
     "row of one": ([["1 mm"]], "[0]", "two values"),
@@ -135,7 +135,7 @@ BAD_LISTS = {
     "weight bool": ([{**P, "weight": True}], "[0].weight", "plain number"),
     "weight nan": ([{**P, "weight": math.nan}], "[0].weight", "plain number"),
     "weight huge": ([{**P, "weight": 10**400}], "[0].weight", "plain number"),
-    "tolerance zero": ([{**P, "tolerance": "0 mm"}], "[0].tolerance", "must be positive"),
+    "tolerance zero": ([{**P, "tolerance": "0 mm"}], "[0].tolerance", "above zero"),
     "tolerance of an angle": ([{**P, "tolerance": "1 deg"}], "[0].tolerance", "not a unit of length"),
     "coincident": ([["1 mm", "2 mm"], ["3 mm", "4 mm"], ["3 mm", "4 mm"]], "[2]", "points 2 and 3 coincide"),
     "nearly coincident": ([["0 mm", "0 mm"], ["1 m", "0 mm"], ["1 m", "0.5e-9 m"]], "[2]", "points 2 and 3 coincide"),
@@ -207,7 +207,7 @@ def test_fewer_rows_than_asked_are_all_kept(tmp_path):
     (tmp_path / "c.csv").write_text("x_mm,y_mm\n1,2\n3,4\n")
     wanted = read_points({"csv": "c.csv", "points": 60}, tmp_path)
     assert len(wanted.points) == 2
-    assert wanted.note == "c.csv has 2 points, fewer than the 60 asked for; all were kept"
+    assert wanted.note == "c.csv has 2 points, fewer than the requested 60; all of them are used"
 
 
 def test_repeated_rows_do_no_harm_where_the_curve_is_reduced(tmp_path):
@@ -494,7 +494,7 @@ def test_y_points_up(tmp_path):
     wanted = read_points(svg(tmp_path, '<path d="M10 20 L 40 50"/>', points=2), tmp_path)
     np.testing.assert_allclose(mm(wanted), [[10, -20], [40, -50]])
     assert not closed(wanted)
-    assert wanted.note.endswith("one user unit is 1 mm, as the file does not say")
+    assert wanted.note.endswith("one user unit is 1 mm, not stated in the file")
 
 
 SHAPES = {
@@ -575,7 +575,7 @@ def test_scale_of_a_drawing(tmp_path, name):
     np.testing.assert_allclose(mm(wanted), scale * np.array([[10, -20], [40, -50]]), rtol=1e-12)
     assert wanted.unit == unit
     assert f"one user unit is {scale:.6g} mm" in wanted.note
-    assert ("though the file says 0.1 mm" in wanted.note) == (name == "stated beats true")
+    assert ("though the file states 0.1 mm" in wanted.note) == (name == "stated beats true")
 
 
 def test_paths_by_id_and_number(tmp_path):

@@ -282,7 +282,7 @@ def test_results_that_cannot_be_shown(results, tmp_path):
         assert done.exit_code == 2, name
         assert words in " ".join(done.stderr.split()), name
     (tmp_path / "broken.json").write_text("{")
-    assert "it holds no JSON" in run("report", str(tmp_path / "broken.json"), "-o", str(tmp_path / "a.html")).stderr
+    assert "it is not a JSON document" in run("report", str(tmp_path / "broken.json"), "-o", str(tmp_path / "a.html")).stderr
     assert not (tmp_path / "a.html").exists()
 
 

@@ -575,8 +575,8 @@ def test_the_command_solves_reports_and_validates(problem, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (["requirement.robust=3 sigmas"], ["requirement.robust", "this says not how tolerances count"]),
-        (["requirement.robust=3"], ["this says not how tolerances count"]),
+        (["requirement.robust=3 sigmas"], ["requirement.robust", "this does not state how tolerances are taken into account"]),
+        (["requirement.robust=3"], ["this does not state how tolerances are taken into account"]),
         (["requirement.robust=-1 sigma"], ["out of range"]),
         (["requirement.robust=1e9 sigma"], ["out of range"]),
         (["requirement.robust=expected value"], ['does not go with measure = "max"', 'measure = "sum of squares"']),

@@ -116,7 +116,7 @@ def test_a_million_million_points_are_refused_with_their_size():
 
 
 def test_nothing_and_twice_are_no_grids():
-    with pytest.raises(InputError, match="nothing is varied"):
+    with pytest.raises(InputError, match="no parameter is varied"):
         read_grid(problem(), [])
     with pytest.raises(InputError, match="varied twice"):
         read_grid(problem(), [f"{FRAME}:3", "mechanism.frame=1 m, 2 m"])
@@ -360,7 +360,7 @@ def test_a_finished_table_that_was_changed_is_not_believed(tmp_path, damage):
     sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
     table = tmp_path / "sweep.csv"
     table.write_bytes(damage(table.read_bytes()))
-    with pytest.raises(InputError, match=r"changed or cut short.*begin again"):
+    with pytest.raises(InputError, match=r"changed or truncated.*begin again"):
         sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
 
 
@@ -505,7 +505,7 @@ def test_the_same_study_is_not_begun_twice_without_a_word(tmp_path):
     sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
     with pytest.raises(InputError, match="--resume"):
         sweep(problem(), [f"{FRAME}:3"], tmp_path)
-    with pytest.raises(InputError, match="no study to go on with"):
+    with pytest.raises(InputError, match="no study to resume"):
         sweep(problem(), [f"{FRAME}:3"], tmp_path / "empty", resume=True)
 
 
@@ -792,7 +792,7 @@ def test_pictures_over_one_two_and_three_parameters(name, arguments, panels, leg
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "nothing is varied"),
+        ([], "no parameter is varied"),
         (["--vary", f"{FRAME}:3", "--resume"], "needs the folder of the run"),
         (["--vary", f"{FRAME}:3", "--column", "input.torque_Nm"], "Add --analyze"),
         (["--vary", f"{FRAME}:3", "--design", "coupler=412 mm", "--design", "rocker=232 mm"], "add --analyze"),
@@ -840,8 +840,8 @@ def test_storage_is_whole_or_not_there(tmp_path):
         ("50..70 mm step 1e-320", "makes more points than a sweep takes"),  # their number is infinite
         ("50..70 mm step 1e-9", "makes more points than a sweep takes"),
         ("1e400 mm, 60 mm", "finite numbers"),
-        ("-1e308..1e308 mm:3", "wider than numbers can tell"),
-        ("1e-308..1e308 mm:3 log", "wider than numbers can tell"),
+        ("-1e308..1e308 mm:3", "exceeds the largest number"),
+        ("1e-308..1e308 mm:3 log", "exceeds the largest number"),
     ],
 )
 def test_ends_and_steps_that_no_number_holds_are_refused(values, words):

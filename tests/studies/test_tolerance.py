@@ -471,7 +471,7 @@ def test_the_command_writes_everything(tmp_path):
         (["--tolerance", "C.clearence=0.1 mm"], ["unknown size", "C.clearance"]),
         (["--tolerance", "coupler=1 mm", "--output", "roker"], ["unknown output", '"rocker"']),
         (["--tolerance", "coupler=1 mm", "--limit", "1 mm"], ["not a unit of angle"]),
-        (["--tolerance", "coupler=1 mm", "--limit", "0 deg"], ["above zero"]),
+        (["--tolerance", "coupler=1 mm", "--limit", "0 deg"], ["must be positive"]),
         (["--tolerance", "coupler=1 mm", "--angles", "0, 60 deg"], ["span of the law"]),
         (["--tolerance", "coupler=1 mm", "--allocate", "99 %"], ["a yield needs a limit"]),
         (["--tolerance", "coupler=1 mm", "--allocate", "120 %", "--limit", "1 deg"], ["no yield"]),

@@ -813,22 +813,22 @@ BAD = {
     "free radius": (WEIGHT.format('radius = ["10 mm", "40 mm"], reach = "60 mm"'), "no convex function"),
     "no size": (WEIGHT.format('reach = "60 mm"'), "thickness"),
     "no density": (WEIGHT.format('thickness = "10 mm", reach = "60 mm"'), "density"),
-    "no place": (WEIGHT.format('thickness = "10 mm", density = "7850 kg/m^3"'), "ever further out"),
-    "no mass": (WEIGHT.format('kind = "free", reach = "60 mm"'), "bounds its mass"),
+    "no place": (WEIGHT.format('thickness = "10 mm", density = "7850 kg/m^3"'), "ever larger radius"),
+    "no mass": (WEIGHT.format('kind = "free", reach = "60 mm"'), "mass is unbounded"),
     "free disc": (WEIGHT.format('kind = "free", thickness = "10 mm", reach = "60 mm"'), "any shape"),
     "too large": (WEIGHT.format('radius = "50 mm", extent = "20 mm"'), "larger than its extent"),
     "unknown kind": (WEIGHT.format('kind = "cube", reach = "60 mm"'), "disc"),
     "unknown key": (WEIGHT.format('kind = "free", reech = "60 mm"'), "reach"),
     "no unit": (WEIGHT.format('kind = "free", reach = 60'), "unit"),
     "twice": (f"balance.counterweights=[{TWICE}, {TWICE}]", "two"),
-    "nothing": ("balance.counterweights=[]", "nothing may be added"),
+    "nothing": ("balance.counterweights=[]", "are permitted"),
     "no list": ('balance.counterweights={ body = "crank" }', "list of tables"),
     "no measure": ('balance.minimise="weight"', "rms shaking force"),
     "maximise": ('balance.minimise="maximise force"', "convex"),
-    "negative weight": ('balance.minimise={ "rms force" = -1.0 }', "non-convex"),
+    "negative weight": ('balance.minimise={ "rms force" = -1.0 }', "must be positive"),
     "no joint": ('balance.minimise="reaction at Z"', "no such joint"),
     "no point": ('balance.about="Q"', "not a point of the frame"),
-    "negative limit": ('balance.limits={ "rms force" = "-1 N" }', "not negative"),
+    "negative limit": ('balance.limits={ "rms force" = "-1 N" }', "never negative"),
     "wrong unit": ('balance.limits={ "rms force" = "5 mm" }', "force"),
     "no share": ('balance.limits={ "rms force" = "x %" }', "80 %"),
     "few positions": ("balance.positions=2", "8"),
@@ -877,7 +877,7 @@ def test_friction_is_refused_where_it_is_not_linear():
 
 def test_nothing_to_balance_is_said():
     file = optlink.load("balance-four-bar", {"bodies": {"coupler": {"mass": "0 kg"}}})
-    with pytest.raises(optlink.InputError, match="zero: nothing is left"):
+    with pytest.raises(optlink.InputError, match="zero: there is nothing"):
         optlink.balance(file)
 
 

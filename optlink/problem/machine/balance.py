@@ -109,7 +109,7 @@ def _read_goal(raw: object) -> tuple[tuple[BalanceMeasure, float], ...]:
         if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
             raise Unusable("expected the weight of the measure", f'Write {{ "{text}" = 1.0 }}', "", weight)
         if weight <= 0.0:
-            message = "a weight that is not positive makes the problem non-convex, or says nothing"
+            message = "a weight must be positive"
             raise Unusable(message, "Give a positive one, or take the measure out", "", f"{text} = {weight}")
         found.append((measure, float(weight)))
     return tuple(found)
@@ -156,7 +156,7 @@ def read_measure_limit(name: str, raw: object) -> MeasureLimit:
         return MeasureLimit(measure, None, share, text)
     value, _ = read_scalar(raw, "force" if measure.unit == "N" else "torque", name)
     if value < 0.0:
-        raise Unusable("an amount is not negative, so nothing can meet this limit", "Give zero or more", name, raw)
+        raise Unusable("the amount is never negative, so this limit cannot be met", "Give zero or more", name, raw)
     return MeasureLimit(measure, value, None, text)
 
 
@@ -200,7 +200,7 @@ class CounterweightSection(Section):
     @classmethod
     def _positive(cls, mass: Interval | None) -> Interval | None:
         if mass is not None and ((mass.low or 0.0) < 0.0 or (mass.high is not None and mass.high < 0.0)):
-            message = "a counterweight has no negative mass: what is taken away from a body is no convex request"
+            message = "a counterweight cannot have negative mass: removing material from a body is not a convex problem"
             raise Unusable(message, "Give zero or more, and take material away in [bodies]", "", str(mass))
         return mass
 
@@ -235,7 +235,7 @@ class CounterweightSection(Section):
                 "the disc is larger than its extent", "Give a smaller radius, or a larger extent", "extent", str(self.extent)
             )
         if self.at is None and self.reach is None and self.extent is None:
-            message = "nothing bounds its place: ever less mass could be put ever further out"
+            message = "its position is unbounded: ever less mass at an ever larger radius would be optimal"
             raise Unusable(message, 'Add reach = "100 mm" (of its centre), extent (of its edge), or at (its place)', "reach")
         return Counterweight(
             self.body,
@@ -408,7 +408,11 @@ class BalanceSection(Section):
         """
         if not self.counterweights and not self.springs:
             example = '[[balance.counterweights]] with body = "crank", thickness = "10 mm", density = "7850 kg/m^3"'
-            raise Unusable("nothing may be added, so nothing can be balanced", f"Add {example}", "counterweights")
+            raise Unusable(
+                "no counterweights or springs are permitted, so balancing has no design variables",
+                f"Add {example}",
+                "counterweights",
+            )
         weights, springs = [], []
         for k, section in enumerate(self.counterweights):
             try:
@@ -418,7 +422,7 @@ class BalanceSection(Section):
                 raise
         for k, weight in enumerate(weights):
             if weight.kind == "free" and math.isinf(weight.mass[1]) and (self.mass is None or self.mass.high is None):
-                message = "nothing bounds its mass: ever more of it could have ever less moment of inertia"
+                message = "its mass is unbounded: ever more mass with ever less moment of inertia would be optimal"
                 raise Unusable(message, 'Add mass = { max = "2 kg" }, to it or to [balance]', f"counterweights.{k}.mass")
         bodies = [weight.body for weight in weights]
         for k, body in enumerate(bodies):

@@ -155,7 +155,7 @@ class DriveSection(Section):
     def _turns(self) -> Self:
         if self.speed.value == 0.0 and self.torque is None:
             remedy = 'Give a speed, for statics a low one such as "0.01 rpm"; from rest the drive needs a torque'
-            raise Unusable("the crank stands still", remedy, "speed", str(self.speed))
+            raise Unusable("the crank speed is zero", remedy, "speed", str(self.speed))
         return self
 
 

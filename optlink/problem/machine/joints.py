@@ -159,7 +159,7 @@ class JointSection(Section):
                 message = f"the journal ({journal}) is not smaller than the bearing ({bearing})"
                 raise Unusable(message, "Exchange the radii, or make the bearing larger", "journal_radius", str(journal))
             if clearance is not None and abs(found - clearance.value) > RADII_AGREE * found:
-                message = f"the radii differ by {found * 1e3:.6g} mm, the clearance is said to be {clearance}"
+                message = f"the radii differ by {found * 1e3:.6g} mm, but the clearance is stated as {clearance}"
                 raise Unusable(message, "Take one of the three out", "clearance", str(clearance))
             return found, journal.value
         if clearance is None:
@@ -170,7 +170,7 @@ class JointSection(Section):
                 raise Unusable(message, "Check both", "clearance", str(clearance))
             return clearance.value, bearing.value - clearance.value
         if journal is None:
-            message = "how large journal and bearing are is not said"
+            message = "the sizes of journal and bearing are missing"
             raise Unusable(message, 'Add bearing_radius = "10 mm" (or journal_radius)', "bearing_radius")
         return clearance.value, journal.value
 

@@ -191,7 +191,7 @@ class LoadSection(Section):
         if kind == "between" and not {"stiffness", "damping"} & given:
             raise Unusable("a spring needs a stiffness", 'Add stiffness = "500 N/m" or damping = "20 N*s/m"', "stiffness")
         if kind != "between" and "on" not in given:
-            raise Unusable("the load acts on nothing", 'Name a body: on = "slider"', "on")
+            raise Unusable("the load has no body to act on", 'Name a body: on = "slider"', "on")
 
     def _body(self, mechanism: Mechanism, body: str | None, key: str) -> str:
         if body not in mechanism.bodies:

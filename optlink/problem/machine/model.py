@@ -156,7 +156,7 @@ class Problem(Section):
                 if name not in names:
                     what = "no such body" if section == "bodies" else "no such pin joint"
                     if section == "joints" and name in [guide.name for guide in mechanism.guides]:
-                        what = "a guide, which is a sliding joint: clearance and reactions are told of pins"
+                        what = "a guide is a sliding joint; clearance is supported in pin joints"
                     raise Unusable(what, nearest(name, names), f"{section}.{name}")
         for name, joint in self.joints.items():
             if joint.on is not None and joint.on not in mechanism.pins[name]:

@@ -54,7 +54,7 @@ def read_points(raw: object, folder: Path) -> TargetPoints:
         for key in raw:
             if key not in known:
                 raise Unusable("unknown key", nearest(str(key), sorted(known)), str(key))
-        raise Unusable("nothing says where the points are", _FORMS, "", raw)
+        raise Unusable("the points are missing", _FORMS, "", raw)
     if len(forms) > 1:
         raise Unusable(f"the points are given twice, by {' and by '.join(forms)}", "Keep one of them", forms[1], raw[forms[1]])
     for key in raw:

@@ -150,7 +150,7 @@ def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _E
     listing = ", ".join(f"{number} {shape}" for number, shape in enumerate(numbered[:8], start=1))
     remedy = f"It has, by number: {listing}{', ...' if len(numbered) > 8 else ''}"
     if "path" not in raw and len(numbered) != 1:
-        raise Unusable(f"{name} has {len(numbered)} paths, so the wanted one must be named", remedy, "path")
+        raise Unusable(f"{name} has {len(numbered)} paths; name one of them", remedy, "path")
     number = asked if isinstance(asked, int) else int(asked) if re.fullmatch("[0-9]{1,7}", asked) else 0
     if not 1 <= number <= len(numbered):
         raise Unusable(f"{name} has no such path", remedy, "path", shortened(asked))
@@ -232,7 +232,7 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
         return None
     if "viewBox" not in root.attributes:
         return _PIXEL
-    box, add = root.attributes["viewBox"], 'Correct it, or say how long a user unit is: unit = "mm"'
+    box, add = root.attributes["viewBox"], 'Correct it, or state the length of a user unit: unit = "mm"'
     values = [float(number) for number in re.findall(_N, box)] if re.fullmatch(rf"{_S}(?:{_N}{_C}){{4}}", box) else []
     scales = [side / whole for side, whole in zip(sides, values[2:], strict=False) if side is not None and whole > 0.0]
     clear = bool(values and scales) and all(math.isfinite(scale) and scale > 0.0 for scale in scales)
@@ -280,9 +280,9 @@ def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
         key = error.key or "path"
         raise Unusable(f"{shape} of {name}: {error.message}", error.remedy, key, error.value) from None
     unit = raw.get("unit", "mm")
-    said = "as stated" if stated else "as the file says" if own else "as the file does not say"
+    said = "as stated" if stated else "as stated in the file" if own else "not stated in the file"
     if stated and own and not math.isclose(stated, own, rel_tol=1e-6):
-        said = f"as stated, though the file says {own:.6g} mm"
+        said = f"as stated, though the file states {own:.6g} mm"
     note = f"{shape} of {name}, {show(length, 'length', unit)} long, sampled at {count} points evenly by arc length"
     return sampled_targets(points, unit, loop, f"{note}; one user unit is {scale:.6g} mm, {said}")
 

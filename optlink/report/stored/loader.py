@@ -57,7 +57,7 @@ def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -
     folder = os.path.isdir(text)
     path = Path(text) / RESULT if folder else Path(text)
     if folder and not path.exists():
-        remedy = "Give a folder that --out wrote; a study that ended early goes on with --resume"
+        remedy = "Give a folder that --out wrote; resume an interrupted study with --resume"
         raise InputError(Fault(f"the folder holds no {RESULT}", remedy, text))
     record = read(path)
     schema = record.document.get("schema")

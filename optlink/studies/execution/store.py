@@ -86,7 +86,7 @@ class Store:
         if known is not None:
             self._compare(known, about)
             if not resume:
-                remedy = "Add --resume to go on with it (what is done is kept), or choose another folder"
+                remedy = "Add --resume to continue it (completed points are kept), or choose another folder"
                 raise InputError(Fault("this very study is in the folder already", remedy, str(path), "--out"))
         self._mine: list[Path] = []  # files written by this run; the first is the definition if it began the study
         self._begun = known is None
@@ -127,7 +127,9 @@ class Store:
             return None
         found = _read(path)
         if found is None:
-            raise InputError(Fault("what study the folder holds cannot be read", "Choose another folder", str(path), "--out"))
+            raise InputError(
+                Fault("the description of the study in the folder cannot be read", "Choose another folder", str(path), "--out")
+            )
         return found
 
     def _compare(self, known: dict[str, Any], about: dict[str, Any]) -> None:
@@ -257,7 +259,7 @@ class Store:
             lines = self._lines(index)
             if lines is None:
                 remedy = "Go on with --resume: it is done again"
-                raise InputError(Fault("a chunk was changed meanwhile", remedy, str(self._file(index)), "--out"))
+                raise InputError(Fault("a chunk has been changed", remedy, str(self._file(index)), "--out"))
             yield from csv.reader(io.StringIO(lines, newline=""))
 
     def finish(self, columns: list[str], rows: Rows) -> None:
@@ -299,11 +301,11 @@ class Store:
                 if number == wanted:
                     return
         remedy = "Remove the folder and begin again, or choose another one"
-        raise InputError(Fault("the finished table was changed or cut short meanwhile", remedy, str(self.table), "--out"))
+        raise InputError(Fault("the finished table has been changed or truncated", remedy, str(self.table), "--out"))
 
 
 def _nothing(path: Path) -> InputError:
-    return InputError(Fault("there is no study to go on with", "Begin without --resume", str(path), "--resume"))
+    return InputError(Fault("there is no study to resume", "Begin without --resume", str(path), "--resume"))
 
 
 def _read(path: Path) -> dict[str, Any] | None:

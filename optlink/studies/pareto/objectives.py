@@ -58,7 +58,7 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
         if any(aim.name == other.name for other in aims[:k]):
             raise InputError(Fault("the same objective twice", "Give each once", problem.file, OPTION, aim.said))
     if problem.task != "cycle" and all(aim.key for aim in aims):
-        remedy = f'One of them is what is minimised: write "{ERROR}, {aims[0].said}"'
+        remedy = f'One objective must be minimised directly: write "{ERROR}, {aims[0].said}"'
         raise InputError(Fault("limits alone are no trade-off", remedy, problem.file, OPTION, objectives))
     return aims
 
@@ -72,8 +72,8 @@ def _no_front(problem: ProblemFile) -> InputError:
         return InputError(Fault(f"{wanted} prescribed here", f"{whose}; {instead}", problem.file))
     if getattr(problem.model, "balance", None) is not None:
         instead = f"that of two measures of balancing: optlink balance {problem.name} --trade force,torque"
-        return InputError(Fault("nothing is to be designed here", f"{whose}; {instead}", problem.file))
-    return InputError(Fault("nothing is to be designed here", f"{whose}; add an [objective] and free sizes", problem.file))
+        return InputError(Fault("the problem has nothing to design", f"{whose}; {instead}", problem.file))
+    return InputError(Fault("the problem has nothing to design", f"{whose}; add an [objective] and free sizes", problem.file))
 
 
 def _ranged(problem: ProblemFile, part: str, number: int) -> ParetoObjective:
@@ -82,9 +82,7 @@ def _ranged(problem: ProblemFile, part: str, number: int) -> ParetoObjective:
         raise InputError(Fault("the range is empty", "Write NAME=LOW..HIGH UNIT", problem.file, OPTION, part))
     aim = cycle_objective(problem, name, number) if problem.task == "cycle" else law_objective(problem, name)
     if span and not aim.key:
-        raise InputError(
-            Fault(f"{name} has no range: it is what is minimised", "Leave the range out", problem.file, OPTION, part)
-        )
+        raise InputError(Fault(f"{name} has no range: it is minimised", "Leave the range out", problem.file, OPTION, part))
     aim = replace(aim, span=span)
     if aim.key.startswith("mechanism."):
         _check_bounds(problem, aim)

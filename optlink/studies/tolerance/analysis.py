@@ -287,5 +287,7 @@ def _limit(text: str | None, *, angular: bool) -> float | None:
     except UnitProblem as error:
         raise InputError(Fault(error.message, error.remedy, key="--limit", value=text)) from None
     if not value > 0.0:
-        raise InputError(Fault("a limit is above zero: it holds to both sides", "Give a larger one", key="--limit", value=text))
+        raise InputError(
+            Fault("the limit must be positive; it applies to both sides", "Give a larger one", key="--limit", value=text)
+        )
     return value

@@ -110,7 +110,7 @@ def nominal_design(
     known = [*([ERROR] if law else []), *output_names(mechanism)]
     chosen = ERROR if output is None and law else output
     if chosen is None:
-        raise InputError(Fault("which output is judged is not said", f"One of: {', '.join(known)}", problem.file, "--output"))
+        raise InputError(Fault("the output to analyse is missing", f"One of: {', '.join(known)}", problem.file, "--output"))
     if chosen not in known:
         raise InputError(Fault("unknown output", nearest(chosen, known), problem.file, "--output", chosen))
     if isinstance(file.model, DesignProblem) and chosen == ERROR:
@@ -175,7 +175,7 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
             raise _nothing(problem)
         return result.problem, dict(result.design), None
     if model.free and given is None:
-        raise InputError(Fault("sizes are free and nothing is asked of them", "Add --design", problem.file, "mechanism"))
+        raise InputError(Fault("the problem has design variables but no requirement", "Add --design", problem.file, "mechanism"))
     return problem, {**sizes_of(model.quantities), **(given or {})}, None
 
 
