@@ -188,7 +188,7 @@ class Objective(TermSection):
         if self.terms and own:
             raise Unusable("the objective is one term or a sum of terms", "Put all of them under [[objective.terms]]", own[0])
         if not self.terms and self.quantity is None:
-            raise Unusable("nothing is to be minimised", f'Add quantity = "torque"; known: {", ".join(QUANTITIES)}', "quantity")
+            raise Unusable("there is no objective", f'Add quantity = "torque"; known: {", ".join(QUANTITIES)}', "quantity")
         if not self.terms:
             _ = self.goals  # runs its checks
         for k, goal in enumerate(self.terms):
@@ -238,7 +238,7 @@ class Limit(Term):
     @model_validator(mode="after")
     def _bounded(self) -> Self:
         if self.min is None and self.max is None and self.exactly is None:
-            raise Unusable("the limit limits nothing", f"Add max = {self._example}, min or exactly", "max")
+            raise Unusable("the limit has no value", f"Add max = {self._example}, min or exactly", "max")
         if self.exactly is not None and (self.min is not None or self.max is not None):
             raise Unusable("exactly leaves no room for min and max", "Give the one or the others", "exactly", self.exactly)
         if self.extreme:

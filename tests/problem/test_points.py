@@ -207,7 +207,7 @@ def test_fewer_rows_than_asked_are_all_kept(tmp_path):
     (tmp_path / "c.csv").write_text("x_mm,y_mm\n1,2\n3,4\n")
     wanted = read_points({"csv": "c.csv", "points": 60}, tmp_path)
     assert len(wanted.points) == 2
-    assert wanted.note == "c.csv has 2 points, fewer than the requested 60; all of them are used"
+    assert wanted.note == "c.csv has 2 points, fewer than the requested requested 60; all of them are used"
 
 
 def test_repeated_rows_do_no_harm_where_the_curve_is_reduced(tmp_path):

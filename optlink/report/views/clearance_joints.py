@@ -267,7 +267,7 @@ def _verdict(turns: Turns) -> str:
         after = "every revolution" if found[0] == 1 else f"every {found[0]} revolutions"
         told = f"periodic: the journals' places repeat {after} within {max(found[1], 1e-9):.1g} of the clearance"
     if predicted is not None and predicted.chaotic:
-        told += f"; sensitive: runs at two tolerances part after {predicted.parted:.2g} revolutions"
+        told += f"; sensitive: runs at two tolerances diverge after {predicted.parted:.2g} revolutions"
     elif predicted is not None and predicted.watched:
         turned = "revolution" if predicted.watched == 1 else f"{predicted.watched} revolutions"
         told += f"; runs at two tolerances keep together for the {turned} watched"
