@@ -135,7 +135,7 @@ BAD_LISTS = {
     "weight bool": ([{**P, "weight": True}], "[0].weight", "plain number"),
     "weight nan": ([{**P, "weight": math.nan}], "[0].weight", "plain number"),
     "weight huge": ([{**P, "weight": 10**400}], "[0].weight", "plain number"),
-    "tolerance zero": ([{**P, "tolerance": "0 mm"}], "[0].tolerance", "above zero"),
+    "tolerance zero": ([{**P, "tolerance": "0 mm"}], "[0].tolerance", "must be positive"),
     "tolerance of an angle": ([{**P, "tolerance": "1 deg"}], "[0].tolerance", "not a unit of length"),
     "coincident": ([["1 mm", "2 mm"], ["3 mm", "4 mm"], ["3 mm", "4 mm"]], "[2]", "points 2 and 3 coincide"),
     "nearly coincident": ([["0 mm", "0 mm"], ["1 m", "0 mm"], ["1 m", "0.5e-9 m"]], "[2]", "points 2 and 3 coincide"),
@@ -207,7 +207,7 @@ def test_fewer_rows_than_asked_are_all_kept(tmp_path):
     (tmp_path / "c.csv").write_text("x_mm,y_mm\n1,2\n3,4\n")
     wanted = read_points({"csv": "c.csv", "points": 60}, tmp_path)
     assert len(wanted.points) == 2
-    assert wanted.note == "c.csv has 2 points, fewer than the requested requested 60; all of them are used"
+    assert wanted.note == "c.csv has 2 points, fewer than the requested 60; all of them are used"
 
 
 def test_repeated_rows_do_no_harm_where_the_curve_is_reduced(tmp_path):

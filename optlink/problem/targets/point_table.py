@@ -281,7 +281,7 @@ def check_and_reduce(rows: PointRows, asked: int | None) -> TargetPoints:
         columns = {name: column[picked] for name, column in columns.items()}
         note = _reduced(rows, most, "rows")
     elif asked and found < asked:
-        note = f"{rows.file} has {found:,} points, fewer than the requested requested {asked}; all of them are used"
+        note = f"{rows.file} has {found:,} points, fewer than the requested {asked}; all of them are used"
     crank, angles, weights, tolerances = (
         tuple(columns[name].tolist()) if name in columns else None for name in ("crank", "angle", "weight", "tolerance")
     )
