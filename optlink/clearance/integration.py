@@ -143,7 +143,7 @@ class Integration:
     @property
     def time(self) -> float:
         """Current time [s]."""
-        return self.row * self.step + self.ahead
+        return float(self.row * self.step + self.ahead)
 
     def parameters(self, span: float, time: float) -> Array:
         """Return the constants of a call of the integrator.
