@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.balancing import optimum as search
-from optlink.balancing.socp import GAP, NOTHING, BalancingProgramme, Limits, Price, version
+from optlink.balancing.socp import GAP, NOTHING, BalancingProgramme, Bound, Limits, Price, version
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Affine, BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
@@ -44,6 +44,30 @@ Progress = Callable[[float], None]
 # --- the problem ------------------------------------------------------------------------------------------------------------
 
 
+def positions(problem: ProblemFile, machine: Machine, speed: float) -> Array:
+    """Return the crank angles [rad] at which a machine is balanced; a revolution without its last, which equals the first.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With a section [balance].
+    machine : Machine
+    speed : float [rad/s]
+        Crank speed.
+
+    Raises
+    ------
+    InputError
+        If the mechanism has singular positions.
+    """
+    section, start = problem.model.balance, problem.model.drive.start.value
+    assert section is not None
+    ranges, low, high = motion_range(problem, machine, start)
+    check_regular(problem, ranges, "nothing can be balanced")
+    angles = table_angles(start, low, high, speed, ranges.full, section.positions, None)
+    return angles[:-1] if ranges.full else angles
+
+
 class _Task:
     """A prepared problem: the machine at its positions, the possible counterweights and springs, the convex programme."""
 
@@ -55,7 +79,7 @@ class _Task:
         self.problem, self.section = problem, section
         self.machine = machine_of(problem)
         self.speed = crank_speed(problem)
-        self.angles = self._angles()
+        self.angles = positions(problem, self.machine, self.speed)
         self.counterweights, self.springs = section.build(self.machine)
         self.about = section.place(self.machine)
         self.moving = self.machine.moving(self.angles, self.speed)
@@ -70,13 +94,6 @@ class _Task:
         self.programme = BalancingProgramme(
             self.effects, self.counterweights, self.springs, self.limits, masses or 1.0, float(self.machine.size)
         )
-
-    def _angles(self) -> Array:
-        start, count = self.problem.model.drive.start.value, self.section.positions
-        ranges, low, high = motion_range(self.problem, self.machine, start)
-        check_regular(self.problem, ranges, "nothing can be balanced")
-        angles = table_angles(start, low, high, self.speed, ranges.full, count, None)
-        return angles[:-1] if ranges.full else angles  # the last position of a revolution equals the first
 
     def _check_finite(self) -> None:
         record = MotionColumns(self.moving, ())
@@ -173,14 +190,13 @@ def balance(
     found = search.optimum(programme, goal)
     seconds["optimum"] = time.perf_counter() - begin
     before = _before(task, goal)
-    common = (problem, tuple(goal))
-    shared: dict[str, Any] = {"solver": version(), "iterations": found.certificate.iterations, "seconds": seconds}
+    common: dict[str, Any] = {name: getattr(task, name) for name in ("problem", "machine", "angles", "speed", "about")}
+    common |= {"goal": tuple(goal), "before": before, "solver": version(), "seconds": seconds}
+    common["iterations"] = found.certificate.iterations
     if found.certificate.status == "infeasible":
-        return Balance(
-            *common, "infeasible", task.machine, task.angles, task.speed, task.about, before, conflict=_conflict(task), **shared
-        )
+        return Balance(status="infeasible", conflict=_conflict(task), **common)
     if found.certificate.status != "optimal":
-        return Balance(*common, "stalled", task.machine, task.angles, task.speed, task.about, before, **shared)
+        return Balance(status="stalled", **common)
     best = search.realised_discs(programme, goal, found.x)
     added, springs = task.parts(best)
     after = search.evaluate(programme, goal, best)
@@ -197,29 +213,23 @@ def balance(
         curve = _trade(task, pair[0], pair[1], points, progress)
         seconds["trade"] = time.perf_counter() - begin
     return Balance(
-        *common,
-        status,
-        task.machine,
-        task.angles,
-        task.speed,
-        task.about,
-        before,
-        after * scale,
-        found.lower * scale,
-        gap,
-        slack,
-        added,
-        springs,
-        balanced,
-        heavier,
-        rows,
-        disagreement,
-        tuple(_held(price, after, scale) for price in found.prices),
+        status=status,
+        objective=after * scale,
+        lower=found.lower * scale,
+        gap=gap,
+        slack=slack,
+        added=added,
+        springs=springs,
+        balanced=balanced,
+        heavier=heavier,
+        rows=rows,
+        disagreement=disagreement,
+        limits=tuple(_held(price, after, scale) for price in found.prices),
         trade=curve,
         notes=tuple(_notes(task, goal, status, slack, heavier, added)),
         exact=found.exact,
         excess=programme.excess(best),
-        **shared,
+        **common,
     )
 
 
@@ -306,12 +316,23 @@ def _verified(
     asked = quantities(task.machine)
     given = quantities_of(task.moving, asked, task.about)
     now = quantities_of(machine.moving(task.angles, task.speed), asked, task.about)
-    rows = []
-    for quantity, old, new in zip(asked, given, now, strict=True):
-        for how in ("rms", "largest"):
-            measure = BalanceMeasure(quantity.kind, how, quantity.joint, quantity.on)
-            rows.append(MeasureChange(measure, measure.value(old), measure.value(new)))
-    return balanced, machine, tuple(rows), _disagreement(task, asked, now, task.parameters(added, springs))
+    disagreement = _disagreement(task, asked, now, task.parameters(added, springs))
+    return balanced, machine, measure_changes(asked, given, now), disagreement
+
+
+def measure_changes(asked: Sequence[BalanceMeasure], given: Sequence[Array], now: Sequence[Array]) -> tuple[MeasureChange, ...]:
+    """Return the root mean square and the largest value of quantities before and after balancing.
+
+    Parameters
+    ----------
+    asked : sequence of BalanceMeasure
+        Quantities.
+    given, now : sequence of array (positions, 1 or 2) [SI]
+        Their values before and after.
+    """
+    measures = ([BalanceMeasure(one.kind, how, one.joint, one.on) for how in ("rms", "largest")] for one in asked)
+    every = zip(measures, given, now, strict=True)
+    return tuple(MeasureChange(one, one.value(old), one.value(new)) for pair, old, new in every for one in pair)
 
 
 def _disagreement(task: _Task, asked: Sequence[BalanceMeasure], now: Sequence[Array], parameters: Array) -> float:
@@ -337,38 +358,35 @@ SHOWN: dict[str, tuple[str, float, float]] = {
 """Kinds of limits: the display unit, how many are one in SI, the step that is told [SI]; zero: one per cent of the limit."""
 
 
+def _shown(limit: Price | Bound) -> tuple[str, str, float, float]:
+    """Return sense, display unit, display value of one in SI, and step [SI] of a limit."""
+    unit, factor, step = SHOWN[limit.kind]
+    if limit.kind == "measure":
+        unit = "N m" if "moment" in limit.name or "torque" in limit.name else "N"
+    return "at most" if limit.sense > 0 else "at least", unit, factor, step or 0.01 * abs(limit.bound)
+
+
 def _held(price: Price, after: float, scale: float) -> ActiveLimit:
-    unit, factor, step = SHOWN[price.kind]
-    if price.kind == "measure":
-        unit = "N m" if "moment" in price.name or "torque" in price.name else "N"
-    step = step or 0.01 * abs(price.bound)
-    off = abs(price.bound - price.value)
-    active = off <= ACTIVE * max(abs(price.bound), 1e-12)
-    buys = price.price * step / after if after > NOTHING else 0.0
-    sense = "at most" if price.sense > 0 else "at least"
+    sense, unit, factor, step = _shown(price)
     return ActiveLimit(
         price.name,
         sense,
         price.bound * factor,
         price.value * factor,
         unit,
-        active,
+        abs(price.bound - price.value) <= ACTIVE * max(abs(price.bound), 1e-12),
         price.price * scale / factor,
         step * factor,
-        buys,
+        price.price * step / after if after > NOTHING else 0.0,
     )
 
 
 def _conflict(task: _Task) -> tuple[RelaxedLimit, ...]:
     found = []
     for item in search.conflict(task.programme):
-        unit, factor, _ = SHOWN[item.bound.kind]
-        if item.bound.kind == "measure":
-            unit = "N m" if "moment" in item.bound.name or "torque" in item.bound.name else "N"
-        sense = "at most" if item.bound.sense > 0 else "at least"
-        found.append(
-            RelaxedLimit(item.bound.name, sense, item.bound.bound * factor, item.alone * factor, item.together * factor, unit)
-        )
+        sense, unit, factor, _ = _shown(item.bound)
+        bound, alone, together = (value * factor for value in (item.bound.bound, item.alone, item.together))
+        found.append(RelaxedLimit(item.bound.name, sense, bound, alone, together, unit))
     return tuple(found)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from optlink.tasks.parallel_runs import RunOutcome, job_of, run_jobs
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 SCHEMA = "optlink/compensation/1"
 TRIALS = "optlink/trials/1"
 TUNING = "optlink/tuning/1"
@@ -174,17 +175,13 @@ def compare(
         On interruption; the last checkpoint contains all complete runs.
     """
     angles = random_crank_angles(starts, seed)
-    common: dict[str, Any] = {
-        "revolutions": revolutions,
-        "points": points,
-        "tolerance": tolerance,
-        "speed": speed,
-        "design": design,
-    }
+    common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
     label = {**common, "schema": TRIALS, "problem_hash": problem.hash, "kinds": list(kinds), "starts": starts, "seed": seed}
     label["design"] = None if design is None else dict(design)
-    _check_options(problem, kinds, common)
-    kept = {} if resume is None else _kept(resume, label)
+    common["design"] = design
+    for kind in kinds:  # refuse options that no run accepts, before any process starts
+        checked_output(problem, control=kind, **common)
+    kept = {} if resume is None else _resumed(resume, label, _runs)
     # ordered by start, so that the progress predicts the remaining time; figures need the whole first run of each kind
     order = [(kind, k) for k in range(starts) for kind in kinds]
     runs: dict[tuple[str, int], RunOutcome] = {key: kept[key] for key in order if key in kept and key[1] > 0}
@@ -195,14 +192,8 @@ def compare(
     for index, ran in run_jobs(jobs, workers):
         runs[todo[index]] = kept[todo[index]] = ran
         if checkpoint is not None:
-            checkpoint(
-                {
-                    **label,
-                    "complete": len(kept),
-                    "of": len(order),
-                    "runs": [_document(key, kept[key]) for key in order if key in kept],
-                }
-            )
+            finished = [_document(key, kept[key]) for key in order if key in kept]
+            checkpoint({**label, "complete": len(kept), "of": len(order), "runs": finished})
         if progress is not None:
             progress(len(runs) / len(order))
     every = {kind: _trials([runs[kind, k] for k in range(starts)]) for kind in kinds}
@@ -210,48 +201,45 @@ def compare(
     return Comparison(problem, every, angles, seed, revolutions, examples, runs[kinds[0], 0].unit)
 
 
-def _check_options(problem: ProblemFile, kinds: Sequence[str], options: Mapping[str, Any]) -> None:
-    """Refuse options that no run accepts, before any process starts."""
-    for kind in kinds:
-        checked_output(problem, control=kind, **options)
-
-
 def _document(key: tuple[str, int], ran: RunOutcome) -> dict[str, Any]:
     figures = {name: value for name, value in ran.figures.items() if np.isfinite(value)}
     return {"control": key[0], "start": key[1], "unit": ran.unit, "finished": ran.finished, "figures": figures}
 
 
-def _kept(resume: Mapping[str, Any], label: Mapping[str, Any]) -> dict[tuple[str, int], RunOutcome]:
-    """Return the runs of a checkpoint.
+def _runs(resume: Mapping[str, Any]) -> dict[tuple[str, int], RunOutcome]:
+    """Return the runs of a checkpoint."""
+    found = {}
+    for one in resume["runs"]:
+        figures = {str(name): float(value) for name, value in one["figures"].items()}
+        ran = RunOutcome(figures, str(one["unit"]), one["finished"] is True)
+        _trials([ran])
+        found[str(one["control"]), int(one["start"])] = ran
+    return found
+
+
+def _costs(resume: Mapping[str, Any]) -> list[tuple[float, float]]:
+    """Return the costs and scatters of a checkpoint."""
+    both = [(cost, scatter) for cost, scatter in resume["costs"]]
+    return [(np.inf if a is None else float(a), np.nan if b is None else float(b)) for a, b in both]
+
+
+def _resumed(resume: Mapping[str, Any], label: Mapping[str, Any], read: Callable[[Mapping[str, Any]], T]) -> T:
+    """Return what a checkpoint contains.
 
     Raises
     ------
     InputError
         If the checkpoint is damaged or belongs to other options.
     """
-    _same(resume, label)
-    try:
-        found = {}
-        for one in resume["runs"]:
-            figures = {str(name): float(value) for name, value in one["figures"].items()}
-            ran = RunOutcome(figures, str(one["unit"]), one["finished"] is True)
-            _trials([ran])
-            found[str(one["control"]), int(one["start"])] = ran
-    except (KeyError, TypeError, ValueError, AttributeError):
-        raise _damaged() from None
-    return found
-
-
-def _same(resume: Mapping[str, Any], label: Mapping[str, Any]) -> None:
     for name, value in label.items():
         if resume.get(name) != value:
             message = f"the checkpoint is that of another command: its {name} is {resume.get(name)!r}, not {value!r}"
             remedy = "Resume with the options of the interrupted command, or choose another folder"
             raise InputError(Fault(message, remedy, key="resume"))
-
-
-def _damaged() -> InputError:
-    return InputError(Fault("the checkpoint is damaged", "Start again without --resume", key="resume"))
+    try:
+        return read(resume)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise InputError(Fault("the checkpoint is damaged", "Start again without --resume", key="resume")) from None
 
 
 RANGES: dict[str, tuple[float, float]] = {
@@ -371,17 +359,12 @@ def tune(
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))
     generator = np.random.default_rng(seed)
     sobol = qmc.Sobol(len(names), seed=seed).random(1 << int(np.ceil(np.log2(max(2, evaluations // 2)))))
-    common: dict[str, Any] = {
-        "revolutions": revolutions,
-        "points": points,
-        "tolerance": tolerance,
-        "speed": speed,
-        "design": design,
-    }
+    common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
+    common["design"] = design
     output = checked_output(problem, control=control, **common)
     label = {**common, "schema": TUNING, "problem_hash": problem.hash, "control": control, "names": list(names)}
     label |= {"evaluations": evaluations, "starts": starts, "seed": seed, "design": None if design is None else dict(design)}
-    kept = [] if resume is None else _kept_costs(resume, label)
+    kept = [] if resume is None else _resumed(resume, label, _costs)
     done: list[tuple[float, float]] = []  # cost and scatter: of the parameters of the problem, then of every evaluation
 
     def cost(changed: ProblemFile) -> float:
@@ -395,9 +378,8 @@ def tune(
             found = None if useless else _trials([runs[k] for k in range(starts)])
             done.append((np.inf, np.nan) if found is None else (found.mean, found.scatter))
             if checkpoint is not None:
-                checkpoint(
-                    {**label, "complete": len(done) - 1, "of": evaluations, "costs": [[finite(x) for x in one] for one in done]}
-                )
+                costs = [[finite(x) for x in one] for one in done]
+                checkpoint({**label, "complete": len(done) - 1, "of": evaluations, "costs": costs})
         if progress is not None:
             progress(len(done) / (evaluations + 1))
         return done[-1][0]
@@ -417,11 +399,12 @@ def tune(
     best = int(np.argmin(costs))
     better = costs[best] < before
     chosen = _values(names, np.exp(low + tried[best] * (high - low)), size, output.unit) if better else {}
+    cost_of_best, scatter = done[best + 1 if better else 0]
     return Tuning(
         problem.override(chosen) if better else problem,
         {key.partition(".")[2]: value for key, value in chosen.items()},
-        done[best + 1 if better else 0][0],
-        done[best + 1 if better else 0][1],
+        cost_of_best,
+        scatter,
         before,
         dict(zip(names, values.T, strict=True)),
         np.array(costs),
@@ -432,18 +415,6 @@ def tune(
         revolutions,
         output.unit,
     )
-
-
-def _kept_costs(resume: Mapping[str, Any], label: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Return the costs and scatters of a checkpoint."""
-    _same(resume, label)
-    try:
-        return [
-            (np.inf if cost is None else float(cost), np.nan if scatter is None else float(scatter))
-            for cost, scatter in resume["costs"]
-        ]
-    except (KeyError, TypeError, ValueError):
-        raise _damaged() from None
 
 
 def _sizes(problem: ProblemFile, output: Output, design: Mapping[str, float] | None) -> dict[str, float]:
