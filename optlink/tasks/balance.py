@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.balancing import optimum as search
-from optlink.balancing.socp import GAP, NOTHING, BalancingProgramme, Bound, Limits, Price, version
+from optlink.balancing.socp import GAP, NOTHING, BalancingProgramme, Limits, version
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Affine, BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
@@ -26,16 +26,14 @@ from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
 from optlink.tasks.machine import check_regular, crank_speed, machine_of, motion_range, table_angles
 from optlink.tasks.results.balance import (
-    ACTIVE,
-    ActiveLimit,
     AddedCounterweight,
     Balance,
     FittedSpring,
     MeasureChange,
-    RelaxedLimit,
     TradeOff,
     TradePoint,
 )
+from optlink.tasks.results.balance_limits import active_limit, relaxed_limit
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -194,7 +192,9 @@ def balance(
     common |= {"goal": tuple(goal), "before": before, "solver": version(), "seconds": seconds}
     common["iterations"] = found.certificate.iterations
     if found.certificate.status == "infeasible":
-        return Balance(status="infeasible", conflict=_conflict(task), **common)
+        return Balance(
+            status="infeasible", conflict=tuple(relaxed_limit(item) for item in search.conflict(task.programme)), **common
+        )
     if found.certificate.status != "optimal":
         return Balance(status="stalled", **common)
     best = search.realised_discs(programme, goal, found.x)
@@ -224,7 +224,7 @@ def balance(
         heavier=heavier,
         rows=rows,
         disagreement=disagreement,
-        limits=tuple(_held(price, after, scale) for price in found.prices),
+        limits=tuple(active_limit(price, after, scale) for price in found.prices),
         trade=curve,
         notes=tuple(_notes(task, goal, status, slack, heavier, added)),
         exact=found.exact,
@@ -344,50 +344,6 @@ def _disagreement(task: _Task, asked: Sequence[BalanceMeasure], now: Sequence[Ar
         size = max(float(np.max(np.abs(affine.offset))), float(np.max(np.abs(affine.matrix * parameters), initial=0.0)), 1e-300)
         worst = max(worst, float(np.max(np.abs(said - amount))) / size)
     return worst
-
-
-# --- limits ------------------------------------------------------------------------------------------------------------------
-
-SHOWN: dict[str, tuple[str, float, float]] = {
-    "mass": ("kg", 1.0, 0.01),
-    "length": ("mm", 1e3, 1e-3),
-    "stiffness": ("N/m", 1.0, 0.0),
-    "force": ("N", 1.0, 0.0),
-    "measure": ("", 1.0, 0.0),
-}
-"""Kinds of limits: the display unit, how many are one in SI, the step that is told [SI]; zero: one per cent of the limit."""
-
-
-def _shown(limit: Price | Bound) -> tuple[str, str, float, float]:
-    """Return sense, display unit, display value of one in SI, and step [SI] of a limit."""
-    unit, factor, step = SHOWN[limit.kind]
-    if limit.kind == "measure":
-        unit = "N m" if "moment" in limit.name or "torque" in limit.name else "N"
-    return "at most" if limit.sense > 0 else "at least", unit, factor, step or 0.01 * abs(limit.bound)
-
-
-def _held(price: Price, after: float, scale: float) -> ActiveLimit:
-    sense, unit, factor, step = _shown(price)
-    return ActiveLimit(
-        price.name,
-        sense,
-        price.bound * factor,
-        price.value * factor,
-        unit,
-        abs(price.bound - price.value) <= ACTIVE * max(abs(price.bound), 1e-12),
-        price.price * scale / factor,
-        step * factor,
-        price.price * step / after if after > NOTHING else 0.0,
-    )
-
-
-def _conflict(task: _Task) -> tuple[RelaxedLimit, ...]:
-    found = []
-    for item in search.conflict(task.programme):
-        sense, unit, factor, _ = _shown(item.bound)
-        bound, alone, together = (value * factor for value in (item.bound.bound, item.alone, item.together))
-        found.append(RelaxedLimit(item.bound.name, sense, bound, alone, together, unit))
-    return tuple(found)
 
 
 # --- the trade-off -----------------------------------------------------------------------------------------------------------
