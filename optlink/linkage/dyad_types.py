@@ -18,7 +18,7 @@ PARALLEL = 1e-12
 
 
 @dataclass(frozen=True)
-class _Pair:
+class Dyad:
     """Base class of all dyads: two bodies."""
 
     first: Link
@@ -46,7 +46,7 @@ class _Pair:
 
 
 @dataclass(frozen=True)
-class _Modal(_Pair):
+class ModalDyad(Dyad):
     """A dyad with two assembly modes; `side` is one of them.
 
     `follow`: continue it smoothly through its singular positions, starting in the mode `side`, which applies at the crank angle
@@ -82,7 +82,7 @@ class _Modal(_Pair):
 
 
 @dataclass(frozen=True)
-class RRR(_Modal):
+class RRR(ModalDyad):
     """Two links pinned to known joints and to each other.
 
     By default the outer joints are the starts of the links and the inner joint is their common end.
@@ -151,7 +151,7 @@ class RRR(_Modal):
 
 
 @dataclass(frozen=True)
-class RRP(_Modal):
+class RRP(ModalDyad):
     """A link pinned to a known joint and to a slider on a known line."""
 
     guide: Guide
@@ -200,7 +200,7 @@ class RRP(_Modal):
 
 
 @dataclass(frozen=True)
-class RPR(_Modal):
+class RPR(ModalDyad):
     """A slider (first) and the body that carries its line (second), each pinned to a known joint."""
 
     guide: Guide
@@ -253,7 +253,7 @@ class RPR(_Modal):
 
 
 @dataclass(frozen=True)
-class RPP(_Pair):
+class RPP(Dyad):
     """A slider (first) pinned to a known joint, on a yoke (second) that slides on a known line."""
 
     guide: Guide  # between the two
@@ -304,7 +304,7 @@ class RPP(_Pair):
 
 
 @dataclass(frozen=True)
-class PRP(_Pair):
+class PRP(Dyad):
     """Two sliders on known lines, pinned to each other."""
 
     guides: tuple[Guide, Guide]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -15,9 +16,11 @@ from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.report.style import LIMIT, WANTED, heading, styled
 from optlink.report.style import figure as new_figure
+from optlink.solvers.contract import selectable
 from optlink.tasks.function import FunctionResult
 
 Array = NDArray[np.float64]
+COLOURS = ("#e67e22", "#8e44ad", "#16a085", "#c0392b")  # of back ends, by their position in the registry
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -86,7 +89,7 @@ def objective_map(result: FunctionResult) -> Figure | None:
 
 
 def _iterations(axes: Axes, result: FunctionResult, scale_x: float, scale_y: float) -> None:
-    colors = {"slsqp": "#e67e22", "ipopt": "#8e44ad"}
+    colors = dict(zip(selectable(), itertools.cycle(COLOURS), strict=False))
     found = result.backends or ({result.backend: result.solution} if result.solution else {})
     sizes = [result.problem.spec.quantities["frame"].value if n in LENGTHS else 1.0 for n in result.problem.spec.free]
     for name, solution in found.items():

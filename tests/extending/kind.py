@@ -1,0 +1,60 @@
+"""A kind of problem and result: how near a point gets to the crank pivot, `[clearing] point = "C"`, `least = "300 mm"`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optlink.errors import Status
+from optlink.io import head
+from optlink.linkage.extrema import extremes
+from optlink.linkage.motion import sweep
+from optlink.problem.base_model import Section
+from optlink.problem.file_errors import SECTIONS
+from optlink.problem.machine.model import Problem
+from optlink.problem.mechanism import sizes_of
+from optlink.problem.quantity import FixedLength
+from optlink.tasks.run import TASKS, Task
+from optlink.validation.check import Check, Validation
+
+
+class Clearing(Section):
+    point: str
+    least: FixedLength
+
+
+class ClearingProblem(Problem):
+    clearing: Clearing
+    task = property(lambda self: "clearing")
+
+
+@dataclass(frozen=True)
+class ClearingResult:
+    problem: object
+    objective: float
+    validation: Validation
+    status, backend, interrupted, starts, seed = Status.NOT_SEARCHED, "none", False, 0, 0
+    valid = property(lambda self: self.validation.valid)
+    machine = property(lambda self: self.problem)
+
+    def to_dict(self):
+        return head("example/clearing/1", self.problem, str(self.status)) | {"valid": self.valid, "distance_m": self.objective}
+
+
+def distances(problem, angles):
+    motion = sweep(problem.model.linkage, sizes_of(problem.model.quantities), angles)
+    pivot, point = motion.mechanism.crank.start, problem.model.clearing.point
+    return np.linalg.norm(motion.position(point) - motion.position(pivot), axis=1)
+
+
+def solve(problem, search=None):
+    found = float(extremes(lambda at: distances(problem, at)[None, :], np.linspace(0.0, 2.0 * np.pi, 361))[1][0, 0])
+    swept, least = float(np.min(distances(problem, np.linspace(0.0, 2.0 * np.pi, 20001)))), problem.model.clearing.least.value
+    checks = (
+        Check("least distance", found >= least, found * 1e3, f">= {least * 1e3:.6g}", "mm"),
+        Check("agrees with a sweep", abs(found - swept) <= 1e-6 * swept, abs(found - swept) * 1e3, "<= 1e-06", ""),
+    )
+    return ClearingResult(problem, found, Validation(checks, swept))
+
+
+SECTIONS.add("clearing", ClearingProblem)
+TASKS.add("clearing", Task(solve, lambda problem, design: solve(problem)))

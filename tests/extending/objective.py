@@ -1,0 +1,18 @@
+"""The angular velocity of a body over the cycle of a machine: `quantity = "turning"`, `of = "rocker"`."""
+
+from optlink.problem.cycle_quantities import QUANTITIES, Element, QuantityType
+
+BODY = Element(lambda mechanism: mechanism.bodies, "no such body")
+
+
+def signal(moving, reactions, term):
+    """Return the formula of the optimiser at one crank angle [rad/s]."""
+    return (moving.state(term.of).omega,)
+
+
+def course(record, term):
+    """Return the column that the validator reads [rad/s]."""
+    return record[f"{term.of}.omega_rad_s"]
+
+
+QUANTITIES.add("turning", QuantityType("angular velocity", ("peak", "rms", "largest", "least"), "body", BODY, signal, course))

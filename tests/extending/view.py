@@ -1,0 +1,20 @@
+"""What is shown of the kind of result of `kind.py`: a table in the terminal and on the page, and the files of --out."""
+
+from optlink.io import write_json
+from optlink.report.registry import REGISTERED, View
+from optlink.report.table_spec import summary
+from optlink.report.views.function_tables import checks
+
+
+def table(result):
+    """Return title, status and tables."""
+    status = ["valid" if result.valid else "not valid", f"least distance {result.objective * 1e3:.6g} mm"]
+    return summary("Clearing", status, checks(result.validation.checks))
+
+
+def files(result, folder):
+    """Write the result."""
+    write_json(folder / "result.json", result.to_dict())
+
+
+REGISTERED["clearing"] = View(table, files)

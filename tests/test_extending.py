@@ -1,0 +1,225 @@
+"""The recipes of CONTRIBUTING.md, each in one module outside the package: through command line, page and validation."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.dynamics.dyad_balances import BALANCES
+from optlink.errors import InputError
+from optlink.linkage.assur import DYADS
+from optlink.problem.cycle_quantities import QUANTITIES
+from optlink.problem.file_errors import SECTIONS
+from optlink.problem.function import DesignProblem
+from optlink.problem.limits import LIMITS, Limits
+from optlink.problem.path import PathLimits, PathProblem
+from optlink.report.registry import REGISTERED
+from optlink.solvers.contract import SOLVERS
+from optlink.tasks.run import TASKS
+
+FOLDER = Path(__file__).parent / "extending"
+REGISTRIES = (LIMITS, QUANTITIES, SOLVERS, DYADS, BALANCES, SECTIONS, TASKS, REGISTERED)
+MODELS = (Limits, PathLimits, DesignProblem, PathProblem)
+LONGEST = 60  # lines of an extension
+
+
+@pytest.fixture
+def extended():
+    """A function that registers an extension until the end of the test."""
+    before = [dict(registry) for registry in REGISTRIES]
+    fields = [dict(model.model_fields) for model in MODELS]
+    modules: list[str] = []
+
+    def register(name: str) -> None:
+        modules.append(f"tests.extending.{name}")
+        importlib.import_module(modules[-1])
+
+    yield register
+    for registry, items in zip(REGISTRIES, before, strict=True):
+        registry.clear()
+        registry.update(items)
+    for model, own in zip(MODELS, fields, strict=True):
+        model.model_fields.clear()
+        model.model_fields.update(own)
+    for model in MODELS:
+        model.model_rebuild(force=True)
+    for module in modules:
+        sys.modules.pop(module, None)
+
+
+def run(*arguments: str, code: int = 0):
+    """Run a command in this process and return its output."""
+    done = CliRunner().invoke(app, list(arguments))
+    assert done.exit_code == code, done.output
+    return done.stdout if code == 0 else done.stderr
+
+
+def solved(*arguments: str, code: int = 0):
+    done = CliRunner().invoke(app, [*arguments, "--json"])
+    assert done.exit_code == code, done.output
+    return json.loads(done.stdout)
+
+
+def page(tmp_path: Path, *arguments: str) -> str:
+    run("report", *arguments, "-o", str(tmp_path / "page.html"))
+    return (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("[a-z]*.py")), ids=lambda path: path.stem)
+def test_an_extension_is_short(path):
+    assert len(path.read_text().splitlines()) <= LONGEST
+
+
+def test_a_new_constraint(extended, tmp_path):
+    changes = ("--set", "limits.coupler_ratio=[0.1, 2.5]")
+    assert "unknown key" in run("solve", "crank-rocker", *changes, code=2)
+    extended("constraint")
+    document = solved("solve", "crank-rocker", *changes)
+    assert document["design"]["coupler_mm"] / document["design"]["crank_mm"] == pytest.approx(2.5, rel=1e-6)
+    own = next(limit for limit in document["limits"] if limit["key"] == "limits.coupler_ratio" and limit["active"])
+    assert own["bound"] == 2.5
+    step = 1e-4
+    further = solved("solve", "crank-rocker", "--set", f"limits.coupler_ratio=[0.1, {2.5 + step}]")
+    price = (further["objective"]["value"] - document["objective"]["value"]) / step
+    assert own["multiplier"] == pytest.approx(price, rel=1e-2)
+    names = {check["name"]: check["passed"] for check in document["validation"]}
+    assert names["coupler / crank, largest"]
+    assert "coupler / crank" in page(tmp_path, "crank-rocker", *changes)
+    assert "coupler_ratio" in run("show", "crank-rocker", *changes)
+    assert "out of the range" in run("solve", "crank-rocker", "--set", "limits.coupler_ratio=[-1.0, 2.0]", code=2)
+
+
+def test_the_validator_measures_a_new_constraint_itself(extended):
+    extended("constraint")
+    free = optlink.solve(optlink.load("crank-rocker"))
+    tight = optlink.load("crank-rocker", {"limits.coupler_ratio": [0.1, 2.5]})
+    failed = [check.name for check in optlink.validate(tight, free.design).validation.checks if not check.passed]
+    assert failed == ["coupler / crank, largest"]
+
+
+def test_a_new_constraint_of_a_path(extended):
+    extended("constraint")
+    problem = optlink.load("path-arc5", {"limits.coupler_ratio": [0.5, 2.0]})
+    best = optlink.solve(problem, starts=1, designs=1).best
+    assert best is not None
+    assert best.valid
+    assert 0.5 - 1e-6 <= best.values["coupler"] / best.values["crank"] <= 2.0 + 1e-6
+
+
+TURNING = {"objective": {"quantity": "turning", "of": "rocker", "measure": "peak"}}
+
+
+def test_a_new_objective(extended, tmp_path):
+    raw = {
+        "title": "Slow rocker",
+        "mechanism": {
+            "type": "four-bar",
+            "crank": "100 mm",
+            "coupler": {"start": "300 mm", "bounds": ["250 mm", "450 mm"]},
+            "rocker": {"start": "250 mm", "bounds": ["200 mm", "320 mm"]},
+            "frame": "350 mm",
+        },
+        "drive": {"body": "crank", "speed": "60 rpm"},
+        "limits": {"swing": {"quantity": "stroke", "of": "rocker", "exactly": "50 deg"}},
+        **TURNING,
+    }
+    with pytest.raises(InputError, match="not one of the choices"):
+        optlink.read(raw)
+    extended("objective")
+    file = tmp_path / "slow.toml"
+    file.write_text(optlink.problem.file.dump(optlink.read({**raw, **TURNING})))
+    assert solved("solve", str(file), "--starts", "1")["valid"]
+    result = optlink.solve(optlink.load(file), starts=1)
+    motion = optlink.analyze(result.machine, points=3600)
+    assert result.objective == pytest.approx(np.max(np.abs(motion.columns["rocker.omega_rad_s"])), rel=1e-5)
+    assert "peak turning of rocker" in page(tmp_path, str(file), "--starts", "1")
+    assert "no such body" in run("solve", str(file), "--set", "objective.of=roker", code=2)
+    limited = optlink.read(
+        {**raw, "objective": {"quantity": "stroke", "of": "rocker"}, "limits": {"top": TURNING["objective"] | {"max": "30 rpm"}}}
+    )
+    assert optlink.solve(limited, starts=1).valid
+
+
+def test_a_new_back_end(extended, tmp_path):
+    assert "trust-constr" in run("solve", "crank-rocker", "--backend", "trust-constr", code=2)
+    extended("back_end")
+    document = solved("solve", "crank-rocker", "--backend", "trust-constr", "--out", str(tmp_path))
+    reference = solved("solve", "crank-rocker")
+    assert document["backend"] == "trust-constr"
+    assert document["valid"]
+    assert document["objective"]["value"] == pytest.approx(reference["objective"]["value"], rel=1e-6)
+    assert len(list(tmp_path.glob("*.png"))) > 3
+    assert "trust-constr" in page(tmp_path, "crank-rocker", "--backend", "trust-constr")
+    assert solved("solve", "crank-rocker", "--backend", "both")["valid"]
+
+
+def test_a_new_dyad(extended, tmp_path):
+    reference = optlink.analyze(optlink.load("scotch-yoke"), points=180)
+    built_in = DYADS.pop("RPP")
+    with pytest.raises(InputError):
+        optlink.load("scotch-yoke")
+    extended("dyad")
+    problem = optlink.load("scotch-yoke")
+    assert [group.kind for group in problem.model.linkage.groups] == ["yoke"]
+    own = optlink.analyze(problem, points=180)
+    for name, column in reference.columns.items():
+        assert np.allclose(own.columns[name], column, rtol=1e-9, atol=1e-9 * max(1.0, float(np.max(np.abs(column))))), name
+    assert DYADS["RPP"] is not built_in
+    assert solved("analyze", "scotch-yoke")["groups"][0]["kind"] == "yoke"
+    assert np.max(own.columns["input.torque_Nm"]) == pytest.approx(57.129, rel=1e-3)
+    assert "Scotch yoke" in page(tmp_path, "scotch-yoke")
+
+
+def test_a_new_kind_of_result_and_its_view(extended, tmp_path):
+    raw = dict(optlink.load("six-bar").raw)
+    raw.pop("expected", None)
+    stated = {**raw, "clearing": {"point": "C", "least": "10 mm"}}
+    with pytest.raises(InputError, match="unknown key"):
+        optlink.read(stated)
+    extended("kind")
+    extended("view")
+    file = tmp_path / "clearing.toml"
+    file.write_text(optlink.problem.file.dump(optlink.read(stated)))
+    document = solved("solve", str(file), "--out", str(tmp_path / "out"))
+    assert document["valid"]
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["distance_m"] == document["distance_m"]
+    assert "least distance" in run("solve", str(file))
+    shown = page(tmp_path, str(file))
+    assert "agrees with a sweep" in shown
+    assert "Linkage in motion" in shown
+    assert solved("solve", str(file), "--set", "clearing.least=10 m", code=1)["valid"] is False
+    assert "unknown key" in run("solve", str(file), "--set", "clearing.poit=B", code=2)
+
+
+def test_a_name_is_registered_once(extended):
+    extended("objective")
+    with pytest.raises(ValueError, match="already registered"):
+        QUANTITIES.add("turning", QUANTITIES["torque"])
+    extended("constraint")
+    with pytest.raises(ValueError, match="already registered"):
+        importlib.reload(sys.modules["tests.extending.constraint"])
+
+
+@pytest.mark.parametrize("module", ["tests.extending.back_end", "tests.extending.missing"])
+def test_an_installed_package_extends_the_command_line(tmp_path, module):
+    package = tmp_path / "example-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: example\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text(f"[optlink.extensions]\nexample = {module}\n")
+    root = Path(__file__).parents[1]
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{root}", "COLUMNS": "100"}
+    done = subprocess.run(
+        [sys.executable, "-m", "optlink", "solve", "--help"], capture_output=True, text=True, env=environment, check=True
+    )
+    assert ("trust-constr" in done.stdout) == (module == "tests.extending.back_end")
+    assert ("Warning: the extension example" in done.stderr) == (module == "tests.extending.missing")
