@@ -13,18 +13,20 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import FancyArrowPatch, Polygon
+from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from optlink.dynamics.loads import Spring
 from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion
+from optlink.linkage.stroke import TURN
 from optlink.linkage.vector2d import Vector
 from optlink.report.labels import Label
 from optlink.report.shapes import Part, finite, hatching, hull, rectangle, spread, stem
-from optlink.report.style import BODIES, CRANK, GROUND, QUIET, WANTED, Scale, scale
+from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, scale
 
 Array = NDArray[np.float64]
 FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
@@ -356,6 +358,35 @@ class Sketch:
             for x, y in self.position(motion, name)[k : k + 1]
         ]
 
+    def show(self, axes: Axes, motion: Motion, *, traces: bool = True) -> list[Label]:
+        """Draw the fixed parts and the first position of a motion, and return the labels of its points.
+
+        Parameters
+        ----------
+        axes : Axes
+        motion : Motion
+        traces : bool, optional
+            Draw the traces.
+        """
+        self.stage(axes, traces=traces)
+        self.pose(axes, motion)
+        return self.letters(axes, motion)
+
+    def add_legend(self, made: Figure, columns: int = 9, **more: Artist) -> None:
+        """Draw the legend below a figure.
+
+        Parameters
+        ----------
+        made : Figure
+        columns : int, optional
+            Largest number of columns.
+        **more : Artist
+            Further entries; underscores in their names stand for spaces.
+        """
+        handles, words = self.legend()
+        handles, words = [*handles, *more.values()], [*words, *(name.replace("_", " ") for name in more)]
+        made.legend(handles, words, loc="outside lower center", ncols=min(len(handles), columns), frameon=False, fontsize=8.5)
+
     def arrows(self, motion: Motion, k: int, names: Sequence[str], longest: float) -> dict[str, tuple[Array, Array]]:
         """Return velocity arrows (begin, end) by point name; slow points are left out.
 
@@ -379,25 +410,21 @@ class Sketch:
         return found
 
 
-def arrow(axes: Axes, begin: Array, end: Array, colour: str = WANTED, gid: str = "") -> FancyArrowPatch:
-    """Draw an arrow.
+def merged_positions(positions: Iterable[tuple[str, float]], *, periodic: bool = True) -> dict[str, float]:
+    """Return named crank angles, where equal angles share a name.
 
     Parameters
     ----------
-    axes : Axes
-    begin : array (2,)
-        In the unit of the axes.
-    end : array (2,)
-        In the unit of the axes.
-    colour : str, optional
-    gid : str, optional
-        Identifier of the artist.
+    positions : iterable of (str, float)
+        Names and crank angles [rad].
+    periodic : bool, optional
+        Whether angles that differ by whole turns are equal.
     """
-    ends = (float(begin[0]), float(begin[1])), (float(end[0]), float(end[1]))
-    drawn = FancyArrowPatch(*ends, arrowstyle="-|>", mutation_scale=9.0, linewidth=1.4, color=colour, shrinkA=0.0, shrinkB=0.0)
-    drawn.set(zorder=6, gid=gid)
-    axes.add_patch(drawn)
-    return drawn
+    merged: dict[str, float] = {}
+    for name, at in positions:
+        same = next((k for k, v in merged.items() if abs(math.remainder(v - at, TURN) if periodic else v - at) < 1e-6), name)
+        merged = {f"{k} = {name}" if k == same else k: v for k, v in merged.items()} if same in merged else {**merged, name: at}
+    return merged
 
 
 def _centroid(colour: str) -> list[Line2D]:

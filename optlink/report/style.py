@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar
 import matplotlib as mpl
 import numpy as np
 from matplotlib import font_manager, patheffects
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -74,6 +75,24 @@ def figure(width: float, height: float) -> Figure:
     made = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(made)
     return made
+
+
+def panels(made: Figure, count: int, columns: int, **options: Any) -> list[Axes]:
+    """Return axes in rows; those of the last row that are not needed are left out.
+
+    Parameters
+    ----------
+    made : Figure
+    count : int
+    columns : int
+        Number of axes in a row.
+    **options
+        As in `Figure.subplots`.
+    """
+    every = list(made.subplots(-(-count // columns), columns, squeeze=False, **options).flat)
+    for axes in every[count:]:
+        axes.remove()
+    return every[:count]
 
 
 def heading(text: str, width: float, size: float = 11.0) -> str:

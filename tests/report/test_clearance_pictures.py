@@ -394,7 +394,7 @@ def test_section_tells_whether_the_motion_repeats() -> None:
     assert len(by_gid(made, "early")[0].get_xdata()) == 5
     told = words(shown("chaotic", "section"))
     assert "not periodic" in told
-    assert "sensitive: runs at two tolerances part after" in told
+    assert "sensitive: runs at two tolerances diverge after" in told
     assert "too few revolutions" in words(shown("fast", "section"))
     assert "nominal periods" in words(shown("torque", "section"))
     assert len(shown("three gaps", "section").axes) == 4

@@ -8,6 +8,8 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch
+from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.linkage.mechanism import FRAME
@@ -16,9 +18,9 @@ from optlink.linkage.stroke import TURN
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import ChartSpec
-from optlink.report.drawing import Sketch, arrow
+from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.labels import Label, place_labels
-from optlink.report.style import CRANK, degrees, figure, heading, scale, styled
+from optlink.report.style import CRANK, WANTED, degrees, figure, heading, panels, scale, styled
 from optlink.report.view import View
 from optlink.report.views import analysis_charts, analysis_forces
 from optlink.report.views.analysis_charts import output
@@ -53,14 +55,7 @@ def positions(course: Course) -> dict[str, float]:
     torque = result.extremes.get("input.torque_Nm")
     if torque and course.has("input.torque_Nm") and torque.largest - torque.least > NOTHING * course.peak("input.torque_Nm"):
         found += [("largest torque", course.inside(torque.largest_at)), ("least torque", course.inside(torque.least_at))]
-    merged: dict[str, float] = {}
-    for name, at in found:
-        same = next((k for k, v in merged.items() if abs(math.remainder(v - at, TURN) if result.full else v - at) < 1e-6), None)
-        if same is None:
-            merged[name] = at
-        else:
-            merged = {f"{k} = {name}" if k == same else k: v for k, v in merged.items()}
-    return merged
+    return merged_positions(found, periodic=result.full)
 
 
 @styled
@@ -88,33 +83,24 @@ def mechanism(course: Course) -> Figure:
     panel = 3.3 if tall else 4.0
     width = panel * columns
     made = figure(width, ((panel - 0.6) * min(max(sketch.ratio, 0.3), 1.6) + 0.95) * rows + 0.8)
-    panels = list(made.subplots(rows, columns, squeeze=False).flat)
+    every = panels(made, count, columns)
     labels: list[Label] = []
-    for axes, (name, at) in zip(panels, named.items(), strict=False):
-        sketch.stage(axes)
-        sketch.pose(axes, here[name])
-        labels += sketch.letters(axes, here[name])
+    for axes, (name, at) in zip(every, named.items(), strict=False):
+        labels += sketch.show(axes, here[name])
         axes.set_title(f"{heading(name, panel, 9.5)}\n{_state(course, at)}", fontsize=9.5)
     if drawn_arrows:
-        axes = panels[len(named)]
-        sketch.stage(axes, traces=False)
-        sketch.pose(axes, here[chosen])
+        axes = every[-1]
+        labels += sketch.show(axes, here[chosen], traces=False)
         axes.set_xlabel(axes.get_xlabel(), loc="left")  # the scale of the arrows is drawn on the right
-        labels += sketch.letters(axes, here[chosen])
         for point, (begin, end) in drawn_arrows.items():
-            arrow(axes, begin, end, gid=f"velocity {point}")
+            _arrow(axes, begin, end, gid=f"velocity {point}")
         axes.set_title(f"velocities of the joints, φ {degrees(named[chosen])}\n{heading(chosen, panel, 9.5)}", fontsize=9.5)
-    for axes in panels[count:]:
-        axes.remove()
     made.suptitle(heading(result.problem.model.title, width), fontsize=11)
-    handles, words = sketch.legend()
-    made.legend(
-        handles, words, loc="outside lower center", ncols=min(len(handles), int(1.1 * width)), frameon=False, fontsize=8.5
-    )
+    sketch.add_legend(made, int(1.1 * width))
     place_labels(made, labels)
     if drawn_arrows:
         top = max(float(np.linalg.norm(here[chosen].velocity(point)[0])) for point in drawn_arrows)
-        _scale_arrow(panels[len(named)], top, longest)
+        _scale_arrow(every[-1], top, longest)
     return made
 
 
@@ -127,9 +113,18 @@ def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
     (_, low), (right, _) = axes.get_window_extent().get_points()
     x, y = axes.transData.inverted().transform((right, low - 27.0 / 72.0 * drawn.dpi))
     length = longest * shown / (top * unit.factor)
-    arrow(axes, np.array([x - length, y]), np.array([x, y]), gid="scale").set_clip_on(False)
+    _arrow(axes, np.array([x - length, y]), np.array([x, y]), gid="scale").set_clip_on(False)
     room = 0.015 * float(np.ptp(axes.get_xlim()))
     axes.text(x - length - room, y, f"{shown:g} {unit.unit}", ha="right", va="center", fontsize=8.5, in_layout=False)
+
+
+def _arrow(axes: Axes, begin: NDArray[np.float64], end: NDArray[np.float64], gid: str) -> FancyArrowPatch:
+    """Draw an arrow between two points (2,)."""
+    ends = (float(begin[0]), float(begin[1])), (float(end[0]), float(end[1]))
+    drawn = FancyArrowPatch(*ends, arrowstyle="-|>", mutation_scale=9.0, linewidth=1.4, color=WANTED, shrinkA=0.0, shrinkB=0.0)
+    drawn.set(zorder=6, gid=gid)
+    axes.add_patch(drawn)
+    return drawn
 
 
 def _state(course: Course, at: float) -> str:

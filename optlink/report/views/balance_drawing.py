@@ -39,25 +39,20 @@ def mechanism(result: Balance) -> Figure | None:
     panel = 5.2
     made = figure(2.0 * panel, (panel - 0.7) * min(max(sketch.ratio, 0.35), 1.4) + 1.4)
     labels: list[Label] = []
-    panels = list(made.subplots(1, 2, sharey=True))
-    for axes in panels:
-        sketch.stage(axes)
-    for axes, at in zip(panels, places, strict=True):
+    shown = []
+    for axes, at in zip(made.subplots(1, 2, sharey=True), places, strict=True):
         here = sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed)
+        labels += sketch.show(axes, here)
         for one in result.added:
-            _disc(axes, sketch, one, sketch.placed(here, one.body, _centre(one, sketch))[0, 0])
+            shown.append((axes, one, sketch.placed(here, one.body, _centre(one, sketch))[0, 0]))
+            _disc(axes, sketch, one, shown[-1][2])
             track = sketch.placed(sketch.motion, one.body, _centre(one, sketch))[:, 0]
             axes.plot(*track.T, color=sketch.colours[one.body], linewidth=0.8, linestyle=":", zorder=1, gid=f"track {one.body}")
-        sketch.pose(axes, here)
-        labels += sketch.letters(axes, here)
         axes.set_title(f"φ {math.degrees(at) % 360.0:.4g}°", fontsize=9.5)
-    handles, words = sketch.legend()
-    made.legend(handles, words, loc="outside lower center", ncols=min(len(handles), 9), frameon=False, fontsize=8.5)
+    sketch.add_legend(made)
     made.suptitle(heading(f"{result.problem.model.title}: counterweights to scale", 2.0 * panel), fontsize=11)
     made.draw_without_rendering()  # computes the layout, so that sizes in the figure are known
-    for axes, at in zip(panels, places, strict=True):
-        here = sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed)
-        labels += [_told(axes, sketch, one, sketch.placed(here, one.body, _centre(one, sketch))[0, 0]) for one in result.added]
+    labels += [_told(axes, sketch, one, centre) for axes, one, centre in shown]
     place_labels(made, labels)
     return made
 

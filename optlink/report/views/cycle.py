@@ -144,12 +144,9 @@ def mechanisms(result: CycleResult) -> Figure | None:
     axes = drawn.subplots()
     if given is not None:
         _ghost(axes, given, main.scale, at)
-    main.stage(axes)
-    main.pose(axes, sweep(found.machine.mechanism, found.machine.sizes, at))
-    handles, labels = main.legend()
-    if given is not None:
-        handles, labels = [*handles, Line2D([], [], color=GIVEN, linewidth=3.0)], [*labels, "given machine"]
-    drawn.legend(handles, labels, frameon=False, fontsize=8.5, loc="outside lower center", ncols=5)
+    main.show(axes, sweep(found.machine.mechanism, found.machine.sizes, at))
+    grey = {} if given is None else {"given_machine": Line2D([], [], color=GIVEN, linewidth=3.0)}
+    main.add_legend(drawn, 5, **grey)
     drawn.suptitle(heading(f"{result.task.title}: at crank angle {math.degrees(float(at[0])):.1f}°", width))
     return drawn
 

@@ -20,11 +20,11 @@ from optlink.problem.file import ProblemFile
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
-from optlink.report.drawing import Sketch
+from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.files import verdict
 from optlink.report.labels import place_labels
 from optlink.report.report_model import machine_found
-from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, heading, styled
+from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, heading, panels, styled
 from optlink.report.view import View
 from optlink.report.views.function_landscape import objective_map, unit_of
 from optlink.report.views.path_captions import failed
@@ -81,14 +81,7 @@ def positions(result: FunctionResult) -> dict[str, float]:
             if limit.margin >= 0.0:
                 found[name] = float(limit.phi)
         found["smallest transmission angle"], found["largest transmission angle"] = 0.0, math.pi
-    merged: dict[str, float] = {}
-    for name, phi in found.items():
-        same = next((k for k, v in merged.items() if abs(math.remainder(v - phi, 2.0 * math.pi)) < 1e-9), None)
-        if same is None:
-            merged[name] = phi
-        else:
-            merged = {f"{k} = {name}" if k == same else k: v for k, v in merged.items()}
-    return merged
+    return merged_positions(found.items())
 
 
 @styled
@@ -103,16 +96,12 @@ def mechanism(result: FunctionResult) -> Figure | None:
     rows = -(-len(named) // columns)
     drawn = figure(3.9 * columns, (3.3 * min(max(sketch.ratio, 0.45), 1.3) + 0.95) * rows + 0.55)
     letters = []
-    for axes, (name, phi) in zip(drawn.subplots(rows, columns, squeeze=False).flat, named.items(), strict=False):
+    for axes, (name, phi) in zip(panels(drawn, len(named), columns), named.items(), strict=True):
         here = _moved(result, np.array([phi]))
-        sketch.stage(axes)
-        sketch.pose(axes, here)
-        letters += sketch.letters(axes, here)
+        letters += sketch.show(axes, here)
         gamma = float(_transmission(here)[0])
         psi = math.degrees(float(here.body_angle("rocker").value[0]))
         axes.set_title(f"{name}\nφ {math.degrees(phi) % 360.0:.2f}°   ψ {psi:.2f}°   γ {gamma:.2f}°", fontsize=9.5)
-    for axes in drawn.axes[len(named) :]:
-        axes.remove()
     lengths = "   ".join(f"{name} {value * sketch.scale.factor:.3f}" for name, value in result.sizes.items())
     title = heading(result.problem.spec.title, 3.9 * columns)
     drawn.suptitle(f"{title}\n{heading(f'{lengths} {sketch.scale.unit}', 3.9 * columns)}", fontsize=11)

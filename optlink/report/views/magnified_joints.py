@@ -311,8 +311,7 @@ def mechanism(result: ClearanceSimulation) -> Figure | None:
         made = figure(width, max(4.4, min(5.4 * sketch.ratio + 1.6, 7.0)))
         stage, strip = made.subplots(1, 2, width_ratios=(2.0, 1.0))
     sketch.lay(strip, columns, 0)
-    sketch.stage(stage)
-    sketch.pose(stage, sketch.steps)
+    sketch.show(stage, sketch.steps)
     place = f"φ {degrees(math.radians(float(turns.angle[row]) % FULL))}, largest contact force of {turns.span(1)}"
     words = turns.title("play in the joints", place).split("\n")
     made.suptitle("\n".join(heading(line, width - 0.4, TITLE) for line in words), fontsize=TITLE)
@@ -321,8 +320,7 @@ def mechanism(result: ClearanceSimulation) -> Figure | None:
         heading("journals, their paths, contact forces on them", width if strip.get_position().x0 < 0.5 else 3.0, 9.5),
         fontsize=9.5,
     )
-    handles, words = sketch.legend()
-    made.legend(handles, words, loc="outside lower center", ncols=min(len(handles), int(width)), frameon=False, fontsize=FONT)
+    sketch.add_legend(made, int(width))
     made.draw_without_rendering()
     place_labels(made, sketch.letters(stage, sketch.steps))
     return made

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from optlink.report.labels import Label, place_labels
-from optlink.report.style import figure, heading, styled
+from optlink.report.style import figure, heading, panels, styled
 from optlink.report.views.path_captions import assembly, objective, transmission, wrapped
 from optlink.report.views.path_initial_pose import BESIDE, standing, trim
 from optlink.report.views.path_tables import kin
@@ -34,8 +34,7 @@ def designs(result: PathResult) -> Figure | None:
     tall = min(max(float(common[1] / common[0]), 0.4), 1.5)
     made = figure(panel * columns, ((panel - BESIDE) * tall + 1.35) * rows + 0.4)
     labels: list[Label] = []
-    panels = list(made.subplots(rows, columns, squeeze=False).flat)
-    for number, (axes, track) in enumerate(zip(panels, tracks, strict=False)):
+    for number, (axes, track) in enumerate(zip(panels(made, len(tracks), columns), tracks, strict=True)):
         labels += standing(axes, track)
         smaller = max(1.0, float(np.max(sizes[number] / common)))
         half = 0.5 * common * smaller * track.sketch.scale.factor
@@ -48,8 +47,6 @@ def designs(result: PathResult) -> Figure | None:
         if smaller > 1.0:
             told.append(f"drawn {smaller:.2g} times smaller than the others")
         axes.set_title("\n".join(filter(None, told)), fontsize=9.0)
-    for axes in panels[len(tracks) :]:
-        axes.remove()
     count = len(result.designs)
     many = f"{count} distinct designs, best first" + (f"; the first {PANELS}" if count > PANELS else "")
     made.suptitle(heading(f"{tracks[0].task.title}: {many}", panel * columns - 0.4, 10.5), fontsize=10.5)

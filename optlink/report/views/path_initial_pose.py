@@ -80,12 +80,11 @@ def standing(axes: Axes, track: Track) -> list[Label]:
     """
     sketch = track.sketch
     factor = sketch.scale.factor
-    sketch.stage(axes)
+    labels = sketch.show(axes, track.here)
     if track.task.pointed:
         axes.plot(*(track.position(track.run) * factor).T, color=track.colour, linewidth=2.3, zorder=1.5, gid="run")
         points_on(axes, track.wanted * factor, 1.0 if len(track.wanted) <= NUMBERED else 0.55)
     if track.task.requirement.kind == "motion":
         _ghosts(axes, track)
-    sketch.pose(axes, track.here)
     _turning(axes, track)
-    return sketch.letters(axes, track.here)
+    return labels
