@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import enum
 import json
 import math
 import os
@@ -196,6 +197,8 @@ def finite(value: Any) -> Any:
         return finite(value.tolist())
     if isinstance(value, np.generic):
         value = value.item()
+    if isinstance(value, enum.Enum):
+        return value.value
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -15,7 +15,7 @@ from optlink.report.view import write_files
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
-    from optlink.report.stored.reader import Record
+    from optlink.record import ResultRecord
     from optlink.report.stored.stored_study import Studied
     from optlink.report.table_spec import Summary
 
@@ -156,7 +156,7 @@ def files_of(kind: str) -> Callable[[Any, Path], object]:
     return REGISTERED[kind].files
 
 
-def page_of(kind: str) -> Callable[[Record, ProblemFile], Studied]:
+def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], Studied]:
     """Import the function that makes a page of a stored result of a kind.
 
     Raises
@@ -193,4 +193,44 @@ def page_of(kind: str) -> Callable[[Record, ProblemFile], Studied]:
             from optlink.report.views.pareto_page import studied as pareto_page
 
             return pareto_page
+    raise KeyError(kind)
+
+
+def record_of(kind: str) -> type[ResultRecord]:
+    """Import the record of results of a kind.
+
+    Raises
+    ------
+    KeyError
+        if there are no results of that kind.
+    """
+    match kind:
+        case "simulation":
+            from optlink.tasks.simulate import SimulationRecord
+
+            return SimulationRecord
+        case "clearance":
+            from optlink.tasks.results.clearance import ClearanceRecord
+
+            return ClearanceRecord
+        case "control comparison":
+            from optlink.tasks.control_comparison import ComparisonRecord
+
+            return ComparisonRecord
+        case "balance":
+            from optlink.tasks.results.balance import BalanceRecord
+
+            return BalanceRecord
+        case "sweep":
+            from optlink.studies.sweep import SweepRecord
+
+            return SweepRecord
+        case "tolerance":
+            from optlink.studies.tolerance.analysis import ToleranceRecord
+
+            return ToleranceRecord
+        case "pareto":
+            from optlink.studies.pareto.epsilon_constraint import ParetoRecord
+
+            return ParetoRecord
     raise KeyError(kind)

@@ -7,9 +7,11 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
+from optlink.record import Record
 from optlink.studies.toml_keys import Raw, exact_text
 
 MAX_POINTS = 10_000_000
@@ -53,6 +55,21 @@ class Axis:
     def raw(self, index: int) -> Raw:
         """Return a value as written in a problem file."""
         return exact_text(self.values[index], self.unit)
+
+
+class AxisRecord(Record):
+    """A varied parameter with the number of its values, in the unit as written."""
+
+    key: str
+    unit: str
+    first: float
+    last: float
+    values: int
+
+    @classmethod
+    def of(cls, result: Axis, **values: Any) -> Self:
+        """As `Record.of`, with the ends and the number of the values."""
+        return super().of(result, first=result.values[0], last=result.values[-1], values=len(result.values), **values)
 
 
 def read_axis(assignment: str) -> Axis:

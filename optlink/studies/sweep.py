@@ -12,25 +12,26 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from annotated_types import MinLen
 from numpy.typing import NDArray
+from pydantic import Field
 
 from optlink.errors import Fault, InputError, Status
-from optlink.io import Summary, finite, head
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.file import ProblemFile
+from optlink.record import Recorded, ResultRecord, absent
 from optlink.studies.analysis_task import MANY, AnalysisTask, quantity_of
 from optlink.studies.cycle_task import CycleTask
 from optlink.studies.execution.runner import run
 from optlink.studies.execution.store import Progress, Store
-from optlink.studies.grid import Grid, read_grid
+from optlink.studies.grid import AxisRecord, Grid, read_grid
 from optlink.studies.reoptimise_task import CHUNK, SEARCHED, SLOW_CHUNK, ReoptimiseTask, check_backend, one_programme_suffices
 from optlink.studies.simulation_task import SimulationTask, has_clearance, simulate_machine
 from optlink.studies.sweep_task import SweepTask
 
-SCHEMA = "optlink/sweep/1"
 CHANGED = "active_set_changed"
 OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
 MOST_ANGLES = 10_000  # largest number of crank angles of an analysis
@@ -73,14 +74,45 @@ class _Summary:
     changes: list[ActiveSetChange] = field(default_factory=list)
 
 
+class SweepRecord(ResultRecord):
+    """Document of a sweep; the last five keys only where designs were optimised."""
+
+    format: Literal["optlink/sweep/2"] = Field(alias="schema")
+    mode: Literal["analyse", "simulate", "optimise"]
+    axes: Annotated[tuple[AxisRecord, ...], "grid.axes", MinLen(1)]
+    points: Annotated[int, "grid.count"]
+    table: str | None
+    columns: Annotated[tuple[str, ...], "names"]
+    engine: str
+    workers: int | None
+    valid_points: Annotated[int, "valid"]
+    statuses: dict[str, int]
+    points_done_now: Annotated[int, "done"]
+    seconds: float
+    processor_seconds: Annotated[float, "cpu"]
+    infeasible_points: Annotated[int | None, "infeasible"] = absent()
+    searched_points: Annotated[int | None, "searched"] = absent()
+    active_set_changes: Annotated[int | None, "changed"] = absent()
+    changes: tuple[ActiveSetChange, ...] | None = absent()
+    best: dict[str, str] | None = absent()
+
+    @classmethod
+    def of(cls, result: Any, **values: Any) -> Self:
+        """As `Record.of`, without the figures of optima where there are none."""
+        optima = ("infeasible_points", "searched_points", "active_set_changes", "changes", "best")
+        return super().of(result, **dict.fromkeys(optima) if result.evaluated else {}, **values)
+
+
 @dataclass(frozen=True, repr=False)
-class Sweep(Summary):
+class Sweep(Recorded):
     """A finished sweep. Its table is a file that is read on demand.
 
     `valid`, `searched`, `changed`: number of points with a validated optimum (or a sound analysis), with a search instead of
     continuation from a neighbour, with an active set other than that of the preceding point; `statuses`: number of points by
     status; `cpu` [s] of all processes for the `done` points of this run.
     """
+
+    record = SweepRecord
 
     problem: ProblemFile
     grid: Grid
@@ -129,37 +161,15 @@ class Sweep(Summary):
         """Number of points without a design."""
         return self.statuses.get(Status.INFEASIBLE.value, 0)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the sweep as a JSON document."""
-        axes = [
-            {"key": a.key, "unit": a.unit, "first": a.values[0], "last": a.values[-1], "values": len(a.values)}
-            for a in self.grid.axes
-        ]
-        status = "complete" if self.complete else "not valid everywhere" if self.valid else "not valid anywhere"
-        document = head(SCHEMA, self.problem, status)
-        document |= {
-            "mode": self.mode,
-            "axes": axes,
-            "points": self.grid.count,
-            "table": None if self.keep is not None else str(self.path),
-            "columns": list(self.names),
-            "engine": self.engine,
-            "workers": self.workers,
-            "valid_points": self.valid,
-            "statuses": dict(self.statuses),
-            "points_done_now": self.done,
-            "seconds": self.seconds,
-            "processor_seconds": self.cpu,
-        }
-        if not self.evaluated:
-            document |= {
-                "infeasible_points": self.infeasible,
-                "searched_points": self.searched,
-                "active_set_changes": self.changed,
-                "changes": [vars(change) | {"at": dict(change.at)} for change in self.changes],
-                "best": None if self.best is None else dict(self.best),
-            }
-        return finite(document)  # type: ignore[no-any-return]
+    @property
+    def status(self) -> str:
+        """Whether every point is valid, in words."""
+        return "complete" if self.complete else "not valid everywhere" if self.valid else "not valid anywhere"
+
+    @property
+    def table(self) -> str | None:
+        """Path of the table; None if it is temporary."""
+        return None if self.keep is not None else str(self.path)
 
 
 def _column(name: str, values: Sequence[str]) -> NDArray[Any]:

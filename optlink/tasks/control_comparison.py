@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
+from annotated_types import MinLen
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import Fault, InputError
-from optlink.io import Summary, finite, head
+from optlink.io import finite
 from optlink.problem.file import ProblemFile
+from optlink.record import Column, Columns, Number, Record, Recorded, ResultRecord, check_length
 from optlink.tasks.clearance import checked_output
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunOutcome, job_of, run_jobs
@@ -21,7 +24,6 @@ from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-SCHEMA = "optlink/compensation/1"
 TRIALS = "optlink/trials/1"
 TUNING = "optlink/tuning/1"
 TURN = 2.0 * np.pi
@@ -35,10 +37,10 @@ class Trials:
     `correction` [rad] and `torque` [N m] are root mean squares of the control effort.
     """
 
-    rms: Array
-    peak: Array
-    correction: Array
-    torque: Array
+    rms: Column
+    peak: Column
+    correction: Column
+    torque: Column
     finished: bool
 
     @property
@@ -52,12 +54,44 @@ class Trials:
         return float(np.std(self.rms, ddof=1)) if len(self.rms) > 1 else 0.0
 
 
+class TrialsRecord(Record):
+    """One kind of control from several starts."""
+
+    rms: Column
+    peak: Column
+    correction: Column
+    torque: Column
+    finished: bool
+    mean: Number
+    scatter: Number
+
+
+class ComparisonRecord(ResultRecord):
+    """Document of a comparison of control (SI)."""
+
+    format: Literal["optlink/compensation/2"] = Field(alias="schema")
+    seed: int
+    revolutions: int
+    unit: Literal["m", "rad"]
+    starts_rad: Annotated[Column, "starts"]
+    trials: Annotated[dict[str, TrialsRecord], MinLen(1)]
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> Self:
+        for name, trials in self.trials.items():
+            for key in ("rms", "peak", "correction", "torque"):
+                check_length(getattr(trials, key), len(self.starts_rad), f"trials.{name}.{key}")
+        return self
+
+
 @dataclass(frozen=True, repr=False)
-class Comparison(Summary):
+class Comparison(Recorded):
     """Comparison of control: `trials` by kind of control, from initial crank angles `starts` (starts,) [rad].
 
     `examples`: the simulations from the first start, for figures.
     """
+
+    record = ComparisonRecord
 
     problem: ProblemFile
     trials: Mapping[str, Trials]
@@ -72,21 +106,14 @@ class Comparison(Summary):
         """Whether every run finished."""
         return all(trials.finished for trials in self.trials.values())
 
+    @property
+    def status(self) -> str:
+        """Whether every run finished, in a word."""
+        return "finished" if self.finished else "stalled"
+
     def gain(self, kind: str) -> float:
         """Return the fraction of the uncompensated error (mean over the starts) that a kind of control removes."""
         return 1.0 - self.trials[kind].mean / self.trials["none"].mean
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the comparison as a JSON document (SI)."""
-        return finite(  # type: ignore[no-any-return]
-            {
-                **head(SCHEMA, self.problem, "finished" if self.finished else "stalled", self.seed),
-                "revolutions": self.revolutions,
-                "unit": self.unit,
-                "starts_rad": self.starts,
-                "trials": {name: {**vars(one), "mean": one.mean, "scatter": one.scatter} for name, one in self.trials.items()},
-            }
-        )
 
 
 def random_crank_angles(count: int, seed: int) -> Array:
@@ -252,14 +279,35 @@ RANGES: dict[str, tuple[float, float]] = {
 """Where parameters are sought, in their logarithm; regularisation per size of the machine, bandwidth per that of the servo."""
 
 
+class TuningRecord(ResultRecord):
+    """Document of a tuning (SI)."""
+
+    format: Literal["optlink/tuning/2"] = Field(alias="schema")
+    seed: int
+    control: str
+    starts: int
+    revolutions: int
+    unit: str
+    before: Number
+    cost: Number
+    scatter: Number
+    best: dict[str, str | float]
+    tried: Columns
+    costs: Column
+    scatters: Column
+
+
 @dataclass(frozen=True, repr=False)
-class Tuning(Summary):
+class Tuning(Recorded):
     """Tuning of controller parameters: `tried` values by name (evaluations,), their costs and scatters [m, rad].
 
     `problem`: the problem with the `best` values, which are empty if its own were better. The cost is the mean rms
     error over the starts; costs that differ by less than the scatter are equivalent. It is infinite if a run
     stalled, or was stopped because its error alone raised the mean above the best so far.
     """
+
+    record = TuningRecord
+    status = "finished"
 
     problem: ProblemFile
     best: Mapping[str, str | float]
@@ -274,22 +322,6 @@ class Tuning(Summary):
     seed: int = 0
     revolutions: int = 11
     unit: str = "m"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the tuning as a JSON document (SI)."""
-        return finite(  # type: ignore[no-any-return]
-            {
-                **head(TUNING, self.problem, "finished", self.seed),
-                **{
-                    name: getattr(self, name)
-                    for name in ("control", "starts", "revolutions", "unit", "before", "cost", "scatter")
-                },
-                "best": dict(self.best),
-                "tried": dict(self.tried),
-                "costs": self.costs,
-                "scatters": self.scatters,
-            }
-        )
 
 
 def tune(

@@ -5,29 +5,64 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.forward import Ending, Run, reduced_inertia, run
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
-from optlink.io import Summary, finite, head
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.problem.file import ProblemFile
+from optlink.record import Columns, Contradiction, Number, Recorded, ResultRecord
 from optlink.tasks.machine import machine_of, motion_range, with_flywheel
 
 Array = NDArray[np.float64]
-SCHEMA = "optlink/simulation/1"
 MAX_ROWS = 1_000_000
 TURN = 2.0 * math.pi
 
 
+class SimulationRecord(ResultRecord):
+    """Document of a simulation in time: SI, or the unit that ends the key."""
+
+    format: Literal["optlink/simulation/2"] = Field(alias="schema")
+    status: Annotated[Ending, "run.ending"]
+    message: Annotated[str, "run.ending.text"]
+    finished: bool
+    driven: str
+    notes: tuple[str, ...]
+    sizes_SI: Annotated[dict[str, float], "sizes"]
+    figures: dict[str, Number]
+    mean_speed_over: Literal["time"]
+    stopped_s: Annotated[Number, "run.stopped"]
+    steps: Annotated[int, "run.steps"]
+    evaluations: Annotated[int, "run.evaluations"]
+    meanings: dict[str, str]
+    columns: Columns
+
+    @model_validator(mode="after")
+    def _check_keys(self) -> Self:
+        for name in ("end.time_s", "end.speed_rad_s", "imbalance_J", "turnover_J"):
+            if name not in self.figures:
+                raise Contradiction(f"figures.{name}", "this is missing")
+        for name in ("time_s", "crank_angle_deg"):
+            if name not in self.columns:
+                raise Contradiction(f"columns.{name}", "this is missing")
+        time, crank = self.columns["time_s"], self.columns["crank_angle_deg"]
+        if not len(time) or not np.all(np.diff(time) > 0.0) or not np.all(np.isfinite(crank)):
+            raise Contradiction("columns", "its times do not rise, or its crank angles are not known")
+        return self
+
+
 @dataclass(frozen=True, repr=False)
-class Simulation(Summary):
+class Simulation(Recorded):
     """Simulation in time: `run` as integrated, `columns` by name over the output times, and their meanings."""
+
+    record = SimulationRecord
+    mean_speed_over = "time"
 
     problem: ProblemFile
     machine: Machine
@@ -73,25 +108,10 @@ class Simulation(Summary):
         rows = np.flatnonzero(turned <= TURN)
         return rows if len(rows) > 2 and turned[0] >= TURN else None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the simulation as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
-        return finite(  # type: ignore[no-any-return]
-            {
-                **head(SCHEMA, self.problem, self.run.ending.value),
-                "message": self.run.ending.text,
-                "finished": self.finished,
-                "driven": self.driven,
-                "notes": list(self.notes),
-                "sizes_SI": {name: self.machine.sizes[name] for name in self.problem.model.mechanism.quantities},
-                "figures": self.figures,
-                "mean_speed_over": "time",
-                "stopped_s": self.run.stopped,
-                "steps": self.run.steps,
-                "evaluations": self.run.evaluations,
-                "meanings": dict(self.meanings),
-                "columns": dict(self.columns),
-            }
-        )
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Dimensions of the machine [SI]."""
+        return {name: self.machine.sizes[name] for name in self.problem.model.mechanism.quantities}
 
 
 def simulate(

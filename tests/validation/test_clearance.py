@@ -200,7 +200,7 @@ def test_runs_at_two_tolerances_part_without_friction_only():
 
 def test_result_is_a_json_document():
     told = json.loads(json.dumps(simulate(5000, 0.1, 25).to_dict(), allow_nan=False))
-    assert told["schema"] == "optlink/clearance/1"
+    assert told["schema"] == "optlink/clearance/2"
     assert (told["status"], told["finished"]) == ("finished", True)
     assert told["impacts"][0]["gap"] == "C"
     assert set(told["columns"]) == set(told["meanings"])

@@ -9,23 +9,23 @@ from pathlib import Path
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import shipped
-from optlink.report.registry import page_of
+from optlink.record import Contradiction, damaged, read_document, read_record
+from optlink.report.registry import page_of, record_of
 from optlink.report.report_model import ReportModel
 from optlink.report.stored.problem_lookup import problem_of
-from optlink.report.stored.reader import read
 from optlink.report.stored.stored_result import KNOWN, read_subject
 from optlink.report.stored.stored_study import Studied
 from optlink.version import VERSION
 
 RESULT = "result.json"
 STUDIES = {
-    "optlink/simulation/1": ("simulate", "simulation"),
-    "optlink/clearance/1": ("simulate", "clearance"),
-    "optlink/compensation/1": ("simulate --control compare", "control comparison"),
-    "optlink/balance/1": ("balance", "balance"),
-    "optlink/sweep/1": ("study sweep", "sweep"),
-    "optlink/tolerance/1": ("study tolerance", "tolerance"),
-    "optlink/pareto/1": ("study pareto", "pareto"),
+    "optlink/simulation/2": ("simulate", "simulation"),
+    "optlink/clearance/2": ("simulate", "clearance"),
+    "optlink/compensation/2": ("simulate --control compare", "control comparison"),
+    "optlink/balance/2": ("balance", "balance"),
+    "optlink/sweep/2": ("study sweep", "sweep"),
+    "optlink/tolerance/2": ("study tolerance", "tolerance"),
+    "optlink/pareto/2": ("study pareto", "pareto"),
 }
 """Schemas of results that are shown as stored: the command that writes them, and the kind of their page."""
 PAGELESS = {"optlink/output-sensitivity/1": "Slopes of an output stand in the sensitivity.csv beside it"}
@@ -59,17 +59,22 @@ def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -
     if folder and not path.exists():
         remedy = "Give a folder that --out wrote; resume an interrupted study with --resume"
         raise InputError(Fault(f"the folder holds no {RESULT}", remedy, text))
-    record = read(path)
-    schema = record.document.get("schema")
+    document = read_document(path)
+    schema = document.get("schema")
     if not isinstance(schema, str) or schema not in {**KNOWN, **STUDIES}:
         raise _unknown(schema, path)
     if schema in KNOWN:
         return read_subject(path, problem, changes)
-    file = problem_of(record, problem, changes)
-    found = page_of(STUDIES[schema][1])(record, file)
+    kind = STUDIES[schema][1]
+    record = read_record(record_of(kind), document, path)
+    file = problem_of(record.problem, record.problem_hash, path, problem, changes)
+    try:
+        found = page_of(kind)(record, file, path)
+    except Contradiction as error:
+        raise damaged(error, path) from None
     notes = [f"shown as {path.name} recorded it"]
-    if record.document.get("optlink") != VERSION:
-        notes.append(f"that file was written by optlink {record.document.get('optlink')}, this page by {VERSION}")
+    if record.optlink != VERSION:
+        notes.append(f"that file was written by optlink {record.optlink}, this page by {VERSION}")
     return replace(found, notes=tuple(notes))
 
 

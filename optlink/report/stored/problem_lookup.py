@@ -7,16 +7,18 @@ from pathlib import Path
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile, load, parse_assignment, shipped
-from optlink.report.stored.reader import Record
 from optlink.tasks.path import assembly_variants
 
 
-def problem_of(record: Record, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
+def problem_of(name: str, wanted: str, path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
     """Return the problem of a result, identified by its hash.
 
     Parameters
     ----------
-    record : Record
+    name, wanted : str
+        Name and hash of the problem.
+    path : Path
+        File of the result.
     problem : str or None, optional
         Path or name of the problem; default: searched by name among the shipped problems, beside the file and in the
         working directory.
@@ -28,7 +30,6 @@ def problem_of(record: Record, problem: str | None = None, changes: Sequence[str
     InputError
         If the problem is not found or has a different hash.
     """
-    name, wanted, path = record.text("problem"), record.text("problem_hash"), record.path
     places = [problem] if problem is not None else list(_places(name, path))
     overrides = dict(parse_assignment(text) for text in changes)
     hashes = []

@@ -70,7 +70,7 @@ def read_subject(path: Path, problem: str | None = None, changes: Sequence[str] 
         known = " or ".join(f"{name} ({command})" for name, command in KNOWN.items())
         message = "not a result that can be shown here" if isinstance(schema, str) else "not a result of optlink"
         raise InputError(Fault(message, f"Give one of {known}, or the problem itself", str(path), "schema", schema))
-    file = problem_of(record, problem, changes)
+    file = problem_of(record.text("problem"), record.text("problem_hash"), path, problem, changes)
     notes = [f"read from {path.name}; kinematics and checks are computed anew from the design in it"]
     if document.get("optlink") != VERSION:
         notes.append(f"that file was written by optlink {document.get('optlink')}, this page by {VERSION}")

@@ -4,33 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.clearance.controller import Control
 from optlink.clearance.integration import Impact
-from optlink.clearance.joint import Gap
 from optlink.clearance.output import outputs
 from optlink.clearance.statistics import Prediction
-from optlink.dynamics.forward import Ending
 from optlink.problem.file import ProblemFile
+from optlink.record import Contradiction
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, even, in_time
 from optlink.report.html.shell import Section
 from optlink.report.scene import through
-from optlink.report.stored.reader import Record
 from optlink.report.stored.stored_study import Studied, cycle_of, figures_of, still
 from optlink.report.style import Scale, scale
 from optlink.report.views import clearance, clearance_tables, control_comparison
 from optlink.report.views.revolutions import TORQUE, WINDOW, Turns
 from optlink.report.views.simulation import largest
-from optlink.tasks.control_comparison import SCHEMA as COMPARISON
-from optlink.tasks.control_comparison import Comparison, Trials
+from optlink.tasks.control_comparison import Comparison, ComparisonRecord, Trials
 from optlink.tasks.machine import machine_of
-from optlink.tasks.results.clearance import SCHEMA, ClearanceSimulation
-
-__all__ = ["COMPARISON", "SCHEMA", "compared", "studied"]
+from optlink.tasks.results.clearance import ClearanceRecord, ClearanceSimulation
 
 Array = NDArray[np.float64]
 PEAKS = ("normal_max_N", "penetration_max_m")
@@ -40,79 +36,44 @@ CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
 # --- reading -----------------------------------------------------------------------------------------------------------------
 
 
-def read(record: Record, file: ProblemFile) -> ClearanceSimulation:
-    """Read a stored simulation with clearance.
+def read(record: ClearanceRecord, file: ProblemFile) -> ClearanceSimulation:
+    """Return a stored simulation with clearance.
 
     Parameters
     ----------
-    record : Record
+    record : ClearanceRecord
     file : ProblemFile
         The problem that was simulated.
 
     Raises
     ------
-    InputError
-        If the record is damaged.
+    Contradiction
+        If the record is not that of the problem, or lacks what the report needs.
     """
     machine = machine_of(file)
-    known = outputs(machine)
-    if record.text("output") not in known:
-        raise record.fault("output", "the problem has no such output", record.text("output"))
-    gaps = tuple(_gap(one) for one in record.records("gaps"))
-    try:
-        control, ending = Control(record.text("control")), Ending(record.text("status"))
-    except ValueError as error:
-        raise record.fault("status", f"{error}") from None
-    predicted = record.record("prediction") if record.has("prediction") else None
-    found = ClearanceSimulation(
-        problem=file,
-        machine=machine,
-        gaps=gaps,
-        output=known[record.text("output")],
-        control=control,
-        speed=record.number("speed_rad_s"),
-        start=record.number("start_rad"),
-        sample_time=record.number("sample_time_s") if record.has("sample_time_s") else None,
-        columns=record.columns("columns"),
-        meanings={},
-        turns=record.columns("turns"),
-        impacts=tuple(_impact(one, gaps) for one in record.records("impacts")),
-        section=record.columns("section"),
-        figures=record.figures("figures"),
-        prediction=None if predicted is None else _prediction(predicted),
-        ending=ending,
-        stopped=record.maybe("stopped_s"),
-        message=record.text("message"),
-        notes=record.texts("notes"),
-        tolerance=record.number("tolerance"),
+    known, names = outputs(machine), [gap.point for gap in record.gaps]
+    if record.output not in known:
+        raise Contradiction("output", "the problem has no such output", record.output)
+    for k, one in enumerate(record.impacts):
+        if one.gap not in names:
+            raise Contradiction(f"impacts[{k}].gap", "no joint of that name has a clearance", one.gap)
+    impacts = [Impact(**dict(one) | {"gap": names.index(one.gap)}) for one in record.impacts]
+    told = record.prediction
+    predicted = None if told is None else Prediction(told.parted_revolutions, told.watched, math.nan)
+    output = known[record.output]
+    found = record.build(
+        ClearanceSimulation, problem=file, machine=machine, output=output, impacts=tuple(impacts), prediction=predicted
     )
-    _whole(record, found)
+    _check_keys(found)
     return found
 
 
-def _gap(record: Record) -> Gap:
-    texts = {name: record.text(name) for name in ("point", "journal", "bearing", "law")}
-    numbers = ("clearance", "radius", "stiffness", "restitution", "friction", "slip_speed", "damping")
-    return Gap(**texts, **{name: record.number(name) for name in numbers})  # type: ignore[arg-type]
-
-
-def _impact(record: Record, gaps: tuple[Gap, ...]) -> Impact:
-    names = [gap.point for gap in gaps]
-    if record.text("gap") not in names:
-        raise record.fault("gap", "no joint of that name has a clearance", record.text("gap"))
-    return Impact(names.index(record.text("gap")), *(record.maybe(name) for name in Impact._fields[1:]))
-
-
-def _prediction(record: Record) -> Prediction:
-    parted = record.number("parted_revolutions") if record.has("parted_revolutions") else None
-    return Prediction(parted, record.whole("watched"), math.nan)
-
-
-def _whole(record: Record, found: ClearanceSimulation) -> None:
-    """Check that the record contains everything that the report needs."""
+def _check_keys(found: ClearanceSimulation) -> None:
+    """Check that the tables have everything that the report needs."""
     unit = found.output.unit
     for name in ("revolutions", "settled_revolutions"):
-        record.record("figures").number(name)
+        if math.isnan(found.figures.get(name, math.nan)):
+            raise Contradiction(f"figures.{name}", "this is missing")
     if not found.revolutions:
         return
     points = [gap.point for gap in found.gaps]
@@ -147,22 +108,20 @@ def _whole(record: Record, found: ClearanceSimulation) -> None:
         held = getattr(found, table)
         for name in names:
             if name not in held or (table == "figures" and math.isnan(held[name])):
-                peak = "_max_" in name and table == "turns"
-                message = "an earlier version wrote this result, without the largest values between rows"
-                raise record.fault(f"{table}.{name}", "this is missing") if not peak else record.old(f"{table}.{name}", message)
+                raise Contradiction(f"{table}.{name}", "this is missing")
     if len(found.columns["time_s"]) < 2 or not np.all(np.diff(found.columns["time_s"]) > 0.0):
-        raise record.fault("columns.time_s", "its times do not rise")
+        raise Contradiction("columns.time_s", "its times do not rise")
 
 
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def studied(record: Record, file: ProblemFile) -> Studied:
+def studied(record: ClearanceRecord, file: ProblemFile, _: Path) -> Studied:
     """Build the report of a stored simulation with clearance.
 
     Parameters
     ----------
-    record : Record
+    record : ClearanceRecord
     file : ProblemFile
         The problem that was simulated.
 
@@ -216,12 +175,12 @@ def _moving(found: ClearanceSimulation) -> Callable[[int], Moving | None]:
 # --- control comparison ------------------------------------------------------------------------------------------------------
 
 
-def compared(record: Record, file: ProblemFile) -> Studied:
+def compared(record: ComparisonRecord, file: ProblemFile, _: Path) -> Studied:
     """Build the report of a stored control comparison.
 
     Parameters
     ----------
-    record : Record
+    record : ComparisonRecord
     file : ProblemFile
         The problem that was simulated.
 
@@ -230,14 +189,8 @@ def compared(record: Record, file: ProblemFile) -> Studied:
     InputError
         If the record is damaged.
     """
-    starts, below = record.numbers("starts_rad"), record.record("trials")
-    trials = {name: _trials(below.record(name), len(starts)) for name in below.document}
-    if not trials:
-        raise record.fault("trials", "there are none")
-    unit = record.text("unit")
-    if unit not in clearance_tables.TO_DISPLAY:
-        raise record.fault("unit", "no output has that", unit)
-    found = Comparison(file, trials, starts, record.whole("seed"), record.whole("revolutions"), {}, unit)
+    trials = {name: one.build(Trials) for name, one in record.trials.items()}
+    found = record.build(Comparison, problem=file, trials=trials, examples={})
     shown = clearance_tables.comparison(found)
     return Studied(
         problem=file,
@@ -247,10 +200,5 @@ def compared(record: Record, file: ProblemFile) -> Studied:
         status=shown.status.lines,
         sections=[*figures_of(shown.parts), Section("Chart", chart_plotly.charts(control_comparison.charts(found)))],
         moving=still,
-        by=f"event-driven integration from {len(starts)} crank angles, seed {found.seed}",
+        by=f"event-driven integration from {len(found.starts)} crank angles, seed {found.seed}",
     )
-
-
-def _trials(record: Record, count: int) -> Trials:
-    rms, peak, correction, torque = (record.numbers(name, count) for name in ("rms", "peak", "correction", "torque"))
-    return Trials(rms, peak, correction, torque, record.flag("finished"))

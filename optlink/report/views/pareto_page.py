@@ -2,114 +2,99 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from html import escape
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
+from optlink.record import Contradiction
 from optlink.report.format import number
 from optlink.report.html.chart_plotly import Chart, Picks, Trace, axis, line, mark, sheet, short
 from optlink.report.html.shell import Section
-from optlink.report.stored.reader import Record
 from optlink.report.stored.stored_study import Studied, figures_of, named_si, still, turning
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
 from optlink.report.views import pareto_tables
 from optlink.studies.grid import MAX_POINTS, Axis, Grid
-from optlink.studies.pareto.epsilon_constraint import SCHEMA, Pareto, ParetoPoint
+from optlink.studies.pareto.epsilon_constraint import Pareto, ParetoPoint, ParetoRecord
 from optlink.studies.pareto.objective import ParetoObjective
-
-__all__ = ["SCHEMA", "studied"]
 
 Array = NDArray[np.float64]
 OTHERS = {"given machine": "the given machine", "as the file asks": "what the file asks"}
 SENSES = {"minimise": 1, "maximise": -1}
 
 
-def read(record: Record, file: ProblemFile) -> Pareto:
-    """Read a stored Pareto front.
+def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
+    """Return a stored Pareto front.
 
     Parameters
     ----------
-    record : Record
+    record : ParetoRecord
     file : ProblemFile
         The problem of the study.
+    path : Path
+        File of the record.
 
     Raises
     ------
-    InputError
-        If the record is damaged.
+    Contradiction
+        If its parts do not belong together.
     """
-    aims = tuple(_aim(one) for one in record.records("objectives"))
-    if not 2 <= len(aims) <= 3:
-        raise record.fault("objectives", "a front is of two or three", len(aims))
+    aims = tuple(ParetoObjective(one.name, one.name, one.unit, SENSES[one.sense]) for one in record.objectives)
     columns = [aim.column for aim in aims]
-    if record.text("minimised") not in columns:
-        raise record.fault("minimised", "this is none of the objectives", record.text("minimised"))
-    points = tuple(_point(one, columns) for one in record.records("front"))
-    if len({tuple(point.design) for point in points}) > 1:
-        raise record.fault("front", "its designs differ in what is free")
-    places = record.record("ends")
-    ends = tuple(places.whole(name) for name in columns) if points else ()
-    bend = record.record("knee") if record.has("knee") else None
-    knee = None if bend is None else (bend.whole("point"), bend.number("distance"))
-    if any(not 0 <= k < len(points) for k in (*ends, *([knee[0]] if knee else []))):
-        raise record.fault("ends", "an end or the knee is no point of the front")
-    given = record.record("given") if record.has("given") else None
-    counts = {name: record.whole(f"{name}_points") for name in ("valid", "infeasible", "dominated")}
-    return Pareto(
+    for k, (aim, one) in enumerate(zip(aims, record.objectives, strict=True)):
+        if aim.column != one.column:
+            raise Contradiction(f"objectives[{k}].column", f"this is not the column of {aim.name} [{aim.unit}]", one.column)
+    if record.minimised not in columns:
+        raise Contradiction("minimised", "this is none of the objectives", record.minimised)
+    if len({tuple(point.design) for point in record.front}) > 1:
+        raise Contradiction("front", "its designs differ in what is free")
+    places: dict[str, Mapping[str, object]] = {"ends": record.ends if record.front else dict.fromkeys(columns, 0)}
+    places |= {f"front[{k}].objectives": point.objectives for k, point in enumerate(record.front)}
+    places |= {} if record.given is None else {"given": record.given}
+    for where, told in places.items():
+        for name in columns:
+            if not isinstance(told.get(name), int | float):
+                raise Contradiction(f"{where}.{name}", "this is missing or not a number")
+    ends = tuple(record.ends[name] for name in columns) if record.front else ()
+    knee = None if record.knee is None else (record.knee.point, record.knee.distance)
+    if any(not 0 <= k < len(record.front) for k in (*ends, *([knee[0]] if knee else []))):
+        raise Contradiction("ends", "an end or the knee is no point of the front")
+    for k, axis_ in enumerate(record.held):
+        if not 0 < axis_.values <= MAX_POINTS:
+            raise Contradiction(f"held[{k}].values", "no front has so many", axis_.values)
+    axes = tuple(Axis(one.key, one.unit, tuple(np.linspace(one.first, one.last, one.values).tolist())) for one in record.held)
+    points = [
+        ParetoPoint(tuple(one.objectives[name] for name in columns), one.design, "; ".join(one.active), one.mark or "")
+        for one in record.front
+    ]
+    given = record.given or {}
+    return record.build(
+        Pareto,
         problem=file,
         aims=aims,
-        minimised=columns.index(record.text("minimised")),
-        points=points,
+        minimised=columns.index(record.minimised),
+        points=tuple(points),
         ends=ends,
         knee=knee,
-        given=None if given is None else tuple(given.number(name) for name in columns),
-        given_words="" if given is None else given.text("what"),
-        solved=record.whole("points"),
-        grid=Grid(tuple(_axis(one) for one in record.records("held"))),
-        path=record.path,
-        done=record.whole("points_done_now"),
-        seconds=record.number("seconds"),
-        cpu=record.number("processor_seconds"),
-        engine=record.text("engine"),
-        workers=None,
-        **counts,
+        given=tuple(float(given[name]) for name in columns) if given else None,
+        given_words=str(given.get("what", "")),
+        grid=Grid(axes),
+        path=path,
     )
-
-
-def _aim(record: Record) -> ParetoObjective:
-    if record.text("sense") not in SENSES:
-        raise record.fault("sense", "this is neither minimise nor maximise", record.text("sense"))
-    aim = ParetoObjective(record.text("name"), record.text("name"), record.text("unit"), SENSES[record.text("sense")])
-    if aim.column != record.text("column"):
-        raise record.fault("column", f"this is not the column of {aim.name} [{aim.unit}]", record.text("column"))
-    return aim
-
-
-def _point(record: Record, columns: list[str]) -> ParetoPoint:
-    values, design = record.record("objectives"), record.record("design")
-    told = tuple(values.number(name) for name in columns)
-    mark_ = record.text("mark") if record.has("mark") else ""
-    return ParetoPoint(told, {name: design.number(name) for name in design.document}, "; ".join(record.texts("active")), mark_)
-
-
-def _axis(record: Record) -> Axis:
-    ends, count = (record.number("first"), record.number("last")), record.whole("values")
-    if not 0 < count <= MAX_POINTS:
-        raise record.fault("values", "no front has so many", count)
-    return Axis(record.text("limit"), record.text("unit"), tuple(np.linspace(*ends, count).tolist()))
 
 
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def studied(record: Record, file: ProblemFile) -> Studied:
+def studied(record: ParetoRecord, file: ProblemFile, path: Path) -> Studied:
     """Build the report of a stored Pareto front.
 
     Parameters
     ----------
-    record : Record
+    record : ParetoRecord
     file : ProblemFile
         The problem of the study.
 
@@ -118,7 +103,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
     InputError
         If the record is damaged.
     """
-    found = read(record, file)
+    found = read(record, file, path)
     shown = pareto_tables.front(found)
     chosen = _chosen(found)
     words = f"The design of point {chosen + 1}: {found.points[chosen].mark or 'the first'}." if chosen is not None else ""

@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.forward import Ending
 from optlink.problem.file import ProblemFile
+from optlink.record import Contradiction
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, even, in_time
 from optlink.report.html.shell import Section
 from optlink.report.scene import through
-from optlink.report.stored.reader import Record
 from optlink.report.stored.stored_study import Studied, cycle_of, figures_of, still
 from optlink.report.style import Scale, scale
 from optlink.report.table_spec import Paragraph, Part, TableSpec, quiet, table
 from optlink.report.views.simulation import History, charts, largest
 from optlink.tasks.machine import machine_of
-from optlink.tasks.simulate import SCHEMA
-
-__all__ = ["SCHEMA", "studied"]
+from optlink.tasks.simulate import SimulationRecord
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
@@ -31,12 +30,12 @@ AGREES = 1e-6  # tolerance of stored positions, as a share of the size of the ma
 VERDICTS = {Ending.FINISHED: "Finished", Ending.AT_REST: "Came to rest"}
 
 
-def studied(record: Record, file: ProblemFile) -> Studied:
+def studied(record: SimulationRecord, file: ProblemFile, _: Path) -> Studied:
     """Build the report of a stored forward dynamics simulation.
 
     Parameters
     ----------
-    record : Record
+    record : SimulationRecord
     file : ProblemFile
         The problem that was simulated.
 
@@ -45,30 +44,22 @@ def studied(record: Record, file: ProblemFile) -> Studied:
     InputError
         If the record is damaged.
     """
-    columns, figures = record.columns("columns"), record.figures("figures")
-    time, crank = record.column(columns, "time_s"), record.column(columns, "crank_angle_deg")
-    if not len(time) or not np.all(np.diff(time) > 0.0) or not np.all(np.isfinite(crank)):
-        raise record.fault("columns", "its times do not rise, or its crank angles are not known")
-    if missing := [name for name in ("end.time_s", "end.speed_rad_s", "imbalance_J", "turnover_J") if name not in figures]:
-        raise record.fault(f"figures.{missing[0]}", "this is missing")
-    try:
-        ending = Ending(record.text("status"))
-    except ValueError:
-        raise record.fault("status", "no simulation ends so", record.text("status")) from None
+    columns, figures, ending = record.columns, record.figures, record.status
+    time, crank = columns["time_s"], columns["crank_angle_deg"]
     crank_body = machine_of(file).mechanism.crank.body
-    effort = f"{record.whole('steps'):,} steps, {record.whole('evaluations'):,} evaluations"
-    run = History(file.model.title, machine_of(file), record.text("driven"), ending.value, columns, figures)
+    effort = f"{record.steps:,} steps, {record.evaluations:,} evaluations"
+    run = History(file.model.title, machine_of(file), record.driven, ending.value, columns, figures)
     curves = chart_plotly.charts(charts(run))
     tables: list[Part] = [_end(figures, crank), _account(figures), Paragraph(quiet(f"{_drift(figures)}; {effort}"))]
     return Studied(
         problem=file,
         kind="simulation in time",
         verdict=VERDICTS.get(ending, f"Not finished: {ending.value}"),
-        valid=record.flag("finished"),
-        status=[f"{ending.value}, driven by {record.text('driven')}; {record.text('message')}", *record.texts("notes")],
+        valid=record.finished,
+        status=[f"{ending.value}, driven by {record.driven}; {record.message}", *record.notes],
         sections=[*figures_of(tables), *([Section("Over time", curves)] if curves else [])],
         moving=_moving(file, columns, crank_body, _sizes(record, file)) if len(time) > 1 else still,
-        by=f"integration in time; driven by {record.text('driven')}",
+        by=f"integration in time; driven by {record.driven}",
         drawn="As the crank turned in time: the slider goes from row to row of the simulation.",
     )
 
@@ -109,15 +100,11 @@ def _drift(figures: Mapping[str, float]) -> str:
 # --- animation ---------------------------------------------------------------------------------------------------------------
 
 
-def _sizes(record: Record, file: ProblemFile) -> dict[str, float]:
-    """Return the dimensions [SI] of the simulated machine; those of the problem if none were stored."""
-    machine, names = machine_of(file), file.model.mechanism.quantities
-    if not record.has("sizes_SI"):
-        return {name: float(np.asarray(machine.sizes[name])) for name in names}
-    recorded = record.figures("sizes_SI")
-    if missing := [name for name in names if name not in recorded]:
-        raise record.fault(f"sizes_SI.{missing[0]}", "this is missing")
-    return recorded
+def _sizes(record: SimulationRecord, file: ProblemFile) -> dict[str, float]:
+    """Return the dimensions [SI] of the simulated machine."""
+    if missing := [name for name in file.model.mechanism.quantities if name not in record.sizes_SI]:
+        raise Contradiction(f"sizes_SI.{missing[0]}", "this is missing")
+    return record.sizes_SI
 
 
 def _moving(file: ProblemFile, columns: Columns, body: str, sizes: Mapping[str, float]) -> Callable[[int], Moving | None]:

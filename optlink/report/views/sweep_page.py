@@ -14,18 +14,16 @@ from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
+from optlink.record import AGAIN, LARGEST, Contradiction
 from optlink.report.format import number, points
 from optlink.report.html.chart_plotly import Chart, Panel, Picks, Trace, axis, line, mark, sheet, short, stacked
 from optlink.report.html.shell import Section
-from optlink.report.stored.reader import AGAIN, LARGEST, Record
 from optlink.report.stored.stored_study import Studied, figures_of, named_si, still, turning
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET
 from optlink.report.table_spec import TableSpec, quiet, table
 from optlink.studies.execution.store import TABLE
-from optlink.studies.grid import Axis, Grid
-from optlink.studies.sweep import CHANGED, SCHEMA
-
-__all__ = ["SCHEMA", "studied"]
+from optlink.studies.grid import Axis, AxisRecord, Grid
+from optlink.studies.sweep import CHANGED, SweepRecord
 
 Array = NDArray[np.float64]
 MOST = 4000  # largest number of points in a chart; larger sweeps are thinned evenly
@@ -67,22 +65,26 @@ class Swept:
 # --- reading -----------------------------------------------------------------------------------------------------------------
 
 
-def read(record: Record) -> Swept:
-    """Read a stored sweep and its table.
+def read(record: SweepRecord, file: Path) -> Swept:
+    """Read the table of a stored sweep, beside its file or otherwise where the record locates it.
+
+    Parameters
+    ----------
+    record : SweepRecord
+    file : Path
+        File of the record.
 
     Raises
     ------
     InputError
-        If the record is damaged, or its table is missing or belongs to another sweep.
+        If the table is missing or belongs to another sweep.
     """
-    mode = record.text("mode")
-    if mode not in ("analyse", "simulate", "optimise"):
-        raise record.fault("mode", "no sweep has that", mode)
-    path = _table_of(record)
-    names, count, told = record.texts("columns"), record.whole("points"), record.records("axes")
+    path = file.parent / TABLE
+    path = path if path.is_file() or record.table is None else Path(record.table)
+    names, count, mode = record.columns, record.points, record.mode
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = csv.reader(file)
+        with path.open(encoding="utf-8", newline="") as table_file:
+            rows = csv.reader(table_file)
             head = next(rows, [])
             columns = list(zip(*rows, strict=True))
     except (OSError, ValueError, csv.Error) as error:
@@ -94,25 +96,17 @@ def read(record: Record) -> Swept:
     for name in names:
         if name not in TEXTS + FLAGS:
             _check_numbers(path, name, table[name])
-    axes = tuple(_axis(one, table) for one in told)
+    axes = tuple(_axis(one, k, table) for k, one in enumerate(record.axes))
     whole = Grid(axes)
-    if not axes or whole.count != count:
-        raise record.fault("axes", f"their values make {whole.count if axes else 0} points, the table has {count}")
+    if whole.count != count:
+        raise Contradiction("axes", f"their values make {whole.count} points, the table has {count}")
     rest = [name for name in names[len(axes) :] if name not in TEXTS + FLAGS]
     if mode != "optimise":
         return Swept(whole, True, table, tuple(rest), ())
     objective = next((name for name in rest if name.startswith("objective")), None)
     if objective is None:
-        raise record.fault("columns", "there is no objective")
+        raise Contradiction("columns", "there is no objective")
     return Swept(whole, False, table, (objective,), tuple(rest[: rest.index(objective)]))
-
-
-def _table_of(record: Record) -> Path:
-    """Return the path of the table: beside the result file, otherwise where the record locates it."""
-    beside = record.path.parent / TABLE
-    if beside.is_file() or not record.has("table"):
-        return beside
-    return Path(record.text("table"))
 
 
 def _check_numbers(path: Path, name: str, texts: list[str]) -> None:
@@ -125,23 +119,23 @@ def _check_numbers(path: Path, name: str, texts: list[str]) -> None:
             raise InputError(Fault(f"row {row + 1} of the table holds no number", AGAIN, str(path), name, text))
 
 
-def _axis(record: Record, table: Mapping[str, list[str]]) -> Axis:
-    bare = Axis(record.text("key"), record.text("unit"), ())
+def _axis(record: AxisRecord, k: int, table: Mapping[str, list[str]]) -> Axis:
+    bare = Axis(record.key, record.unit, ())
     values = tuple(dict.fromkeys(float(text) for text in table.get(bare.column, [])))
-    if len(values) != record.whole("values"):
-        raise record.fault("values", f"the table has {len(values)} values of it", record.whole("values"))
+    if len(values) != record.values:
+        raise Contradiction(f"axes[{k}].values", f"the table has {len(values)} values of it", record.values)
     return Axis(bare.key, bare.unit, values)
 
 
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def studied(record: Record, file: ProblemFile) -> Studied:
+def studied(record: SweepRecord, file: ProblemFile, path: Path) -> Studied:
     """Build the report of a stored sweep.
 
     Parameters
     ----------
-    record : Record
+    record : SweepRecord
     file : ProblemFile
         The problem of the study.
 
@@ -150,7 +144,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
     InputError
         If the record is damaged, or its table is missing or belongs to another sweep.
     """
-    found, mode = read(record), record.text("mode")
+    found, mode = read(record, path), record.mode
     valid = int(np.sum(found.flags("valid")))
     complete = valid == found.grid.count
     every = " x ".join(f"{len(one.values):,}" for one in found.grid.axes)
@@ -160,9 +154,7 @@ def studied(record: Record, file: ProblemFile) -> Studied:
         proven = ", ".join(f"{count:,} {status}" for status, count in counts.items()) or "analysed"
     else:
         proven = "every optimum proven" if complete else f"{valid:,} proven, {found.grid.count - valid:,} not"
-    searched = (
-        "" if found.evaluated else f"; {record.whole('searched_points'):,} needed a search, the others followed a neighbour"
-    )
+    searched = "" if found.evaluated else f"; {record.searched_points or 0:,} needed a search, the others followed a neighbour"
     best = found.best
     return Studied(
         problem=file,

@@ -4,174 +4,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
+from optlink.record import Contradiction
 from optlink.report.format import number, percent
 from optlink.report.html.chart_plotly import Chart, Panel, Trace, axis, line, sheet, short, stacked
 from optlink.report.html.shell import Section
-from optlink.report.stored.reader import Record
 from optlink.report.stored.stored_study import Studied, figures_of, turning
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, WANTED
 from optlink.report.table_spec import Row, TableSpec, bad, good, quiet, strong, table
 from optlink.report.views.tolerance_tables import judged, made, proven
-from optlink.studies.tolerance.analysis import SCHEMA
+from optlink.studies.tolerance.allocation import AllocationRecord
+from optlink.studies.tolerance.analysis import DeviationRecord, ToleranceRecord
+from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
+from optlink.studies.tolerance.robust_design import RobustRecord
 from optlink.tasks.function import display_value
-
-__all__ = ["SCHEMA", "studied"]
 
 Array = NDArray[np.float64]
 COLOURS = (CRANK, *BODIES)
 NEAR = 2.5  # the limit is drawn up to this multiple of the worst-case band
 BARS = 60  # largest number of bars in a histogram
-LINEAR = ("shift", "worst_low", "worst_high", "rss", "sigma")
-SCATTERED = ("mean", "sigma", "sigma_standard_error", "least", "most")
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A deviation and its effects: change of the output per deviation and share of the variance [%], over the crank angles."""
-
-    name: str
-    size: str
-    tolerance: float
-    shape: str
-    sigma: float
-    by: Array
-    share: Array
-
-    def text(self, value: float, factor: float, unit: str) -> str:
-        """Format a symmetric tolerance.
-
-        Parameters
-        ----------
-        value : float [SI]
-        factor : float
-            Factor from SI to the display unit.
-        unit : str
-            Display unit.
-        """
-        return f"±{number(factor * value)} {unit}"
-
-
-@dataclass(frozen=True, eq=False)
-class Sampled:
-    """Monte MonteCarlo results: `arrays` over the crank angles [SI], yield statistics, and the histogram if it was stored."""
-
-    samples: int
-    seed: int
-    stuck: int
-    arrays: dict[str, Array]
-    below: dict[str, float]
-    share: float
-    interval: tuple[float, float]
-    linear: float
-    edges: Array
-    counts: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Toleranced:
-    """A stored tolerance analysis; `scale` is the factor from SI to the display unit `unit`."""
-
-    output: str
-    scale: float
-    unit: str
-    degrees: Array
-    value: Array
-    base: Array
-    limit: float
-    parts: tuple[Part, ...]
-    linear: dict[str, Array]
-    sampled: Sampled | None
-
-    @property
-    def where(self) -> int:
-        """Index of the crank angle with the largest standard deviation of the output."""
-        return int(np.argmax(self.linear["sigma"]))
-
-
-# --- reading -----------------------------------------------------------------------------------------------------------------
-
-
-def read(record: Record) -> Toleranced:
-    """Read a stored tolerance analysis.
-
-    Raises
-    ------
-    InputError
-        If the record is damaged.
-    """
-    unit = record.text("unit")
-    if unit not in ("rad", "m"):
-        raise record.fault("unit", "no output has that", unit)
-    degrees = record.numbers("crank_angles_deg")
-    count = len(degrees)
-    if not count:
-        raise record.fault("crank_angles_deg", "there are none")
-    linear = record.record("linear")
-    return Toleranced(
-        output=record.text("output"),
-        scale=math.degrees(1.0) if unit == "rad" else 1e3,
-        unit="deg" if unit == "rad" else "mm",
-        degrees=degrees,
-        value=record.numbers("value", count),
-        base=record.numbers("judged_as_drawn", count),
-        limit=record.number("limit") if record.has("limit") else math.nan,
-        parts=tuple(_part(one, count) for one in record.records("tolerances")),
-        linear={name: linear.numbers(name, count) for name in LINEAR},
-        sampled=_sampled(record.record("monte_carlo"), count) if record.has("monte_carlo") else None,
-    )
-
-
-def _part(record: Record, count: int) -> Part:
-    return Part(
-        name=record.text("name"),
-        size=record.text("adds_to"),
-        tolerance=record.number("tolerance_SI"),
-        shape=record.text("distribution"),
-        sigma=record.number("sigma_SI"),
-        by=record.numbers("per_deviation", count),
-        share=record.numbers("contribution_percent", count),
-    )
-
-
-def _sampled(record: Record, count: int) -> Sampled:
-    bars = record.record("histogram") if record.has("histogram") else None
-    edges, counts = (np.zeros(0), np.zeros(0)) if bars is None else (bars.numbers("edges"), bars.numbers("counts"))
-    if len(counts) and len(edges) != len(counts) + 1:
-        raise record.fault("histogram", "it has not one edge more than bins")
-    if record.whole("samples") <= 0:
-        raise record.fault("samples", "there are none", record.whole("samples"))
-    asked = record.has("yield")
-    interval = record.numbers("yield_interval_95_percent", 2) if asked else np.full(2, math.nan)
-    return Sampled(
-        samples=record.whole("samples"),
-        seed=record.whole("seed"),
-        stuck=record.whole("cannot_be_assembled"),
-        arrays={name: record.numbers(name, count) for name in SCATTERED},
-        below=record.figures("stays_below"),
-        share=record.number("yield") if asked else math.nan,
-        interval=(float(interval[0]), float(interval[1])),
-        linear=record.maybe("yield_by_the_linear_model"),
-        edges=edges,
-        counts=counts,
-    )
 
 
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def studied(record: Record, file: ProblemFile) -> Studied:
+def studied(found: ToleranceRecord, file: ProblemFile, _: Path) -> Studied:
     """Build the report of a stored tolerance analysis.
 
     Parameters
     ----------
-    record : Record
+    found : ToleranceRecord
     file : ProblemFile
         The problem of the study.
 
@@ -180,152 +48,156 @@ def studied(record: Record, file: ProblemFile) -> Studied:
     InputError
         If the record is damaged.
     """
-    found = read(record)
-    allocation = record.record("allocation") if record.has("allocation") else None
-    robust = record.record("robust") if record.has("robust") else None
-    valid = (allocation is None or allocation.flag("kept")) and (robust is None or robust.flag("valid"))
-    sizes = record.figures("sizes_SI")
+    allocation, robust = found.allocation, found.robust
+    valid = (allocation is None or allocation.kept) and (robust is None or robust.valid)
     tables = [_blame(file, found), _scatter(found)]
-    tables += [_told(found, found.sampled)] if found.sampled is not None else []
+    tables += [_told(found, found.monte_carlo)] if found.monte_carlo is not None else []
     tables += [_allocated(file, found, allocation)] if allocation is not None else []
     tables += [_redesigned(file, found, robust)] if robust is not None else []
     charts = [_contributions(found), _band(found)]
-    charts += [_histogram(found, found.sampled)] if found.sampled is not None and len(found.sampled.counts) else []
+    charts += (
+        [_histogram(found, found.monte_carlo)]
+        if found.monte_carlo is not None and len(found.monte_carlo.histogram.counts)
+        else []
+    )
     return Studied(
         problem=file,
         kind="study of tolerances",
-        verdict=_verdict(found, allocation, robust),
+        verdict=_verdict(found),
         valid=valid,
-        status=[f"what tolerances do to {found.output}, at {len(found.degrees)} crank angles"],
+        status=[f"what tolerances do to {found.output}, at {len(found.crank_angles_deg)} crank angles"],
         sections=[Section("Scatter", charts), *figures_of(tables)],
-        moving=turning(file, {name: value for name, value in sizes.items() if name in file.model.mechanism.quantities}),
+        moving=turning(file, {name: value for name, value in found.sizes_SI.items() if name in file.model.mechanism.quantities}),
         by=_by(found),
         drawn="The linkage as drawn.",
         after=1,
     )
 
 
-def _verdict(found: Toleranced, allocation: Record | None, robust: Record | None) -> str:
-    if allocation is not None and not allocation.flag("kept"):
+def _verdict(found: ToleranceRecord) -> str:
+    if found.allocation is not None and not found.allocation.kept:
         return "The allocated tolerances do not keep the yield"
-    if robust is not None and not robust.flag("valid"):
+    if found.robust is not None and not found.robust.valid:
         return "The robust design is not proven"
-    if found.sampled is not None and math.isfinite(found.sampled.share):
-        return f"Yield {percent(found.sampled.share)}"
+    if found.monte_carlo is not None and math.isfinite(found.monte_carlo.share):
+        return f"Yield {percent(found.monte_carlo.share)}"
     return "Done"
 
 
-def _by(found: Toleranced) -> str:
+def _by(found: ToleranceRecord) -> str:
     by = "exact derivatives at the drawing"
-    if found.sampled is not None:
-        by += f", and {found.sampled.samples:,} linkages with deviations drawn (Sobol, seed {found.sampled.seed}), moved exactly"
+    if found.monte_carlo is not None:
+        samples, seed = found.monte_carlo.samples, found.monte_carlo.seed
+        by += f", and {samples:,} linkages with deviations drawn (Sobol, seed {seed}), moved exactly"
     return by
 
 
-def _unit_of(file: ProblemFile, part: Part) -> tuple[float, str]:
+def _symmetric(value: float, factor: float, unit: str) -> str:
+    """Format a symmetric tolerance [SI] in its display unit."""
+    return f"±{number(factor * value)} {unit}"
+
+
+def _unit_of(file: ProblemFile, part: DeviationRecord) -> tuple[float, str]:
     """Return factor from SI and name of the display unit of a tolerance."""
-    quantity = file.model.mechanism.quantities.get(part.size)
+    quantity = file.model.mechanism.quantities.get(part.adds_to)
     return (math.degrees(1.0), "deg") if quantity is not None and quantity.kind == "angle" else (1e3, "mm")
 
 
-def _blame(file: ProblemFile, found: Toleranced) -> TableSpec:
+def _blame(file: ProblemFile, found: ToleranceRecord) -> TableSpec:
     at, rows = found.where, []
-    for part in sorted(found.parts, key=lambda part: -part.share[at]):
-        shape = part.shape if part.size == part.name else f"{part.shape}, adds to {part.size}"
-        per = f"{found.scale * part.by[at] * part.tolerance:+.4g}"
-        shares = strong(f"{part.share[at]:.1f} %"), f"{float(np.mean(part.share)):.1f} %"
-        rows.append((part.name, part.text(part.tolerance, *_unit_of(file, part)), quiet(shape), per, *shares))
-    columns = ["", ">tolerance", "distribution", f">change [{found.unit}]\nper tolerance"]
+    for part in sorted(found.tolerances, key=lambda part: -part.contribution_percent[at]):
+        shape = part.distribution if part.adds_to == part.name else f"{part.distribution}, adds to {part.adds_to}"
+        per = f"{found.scale * part.per_deviation[at] * part.tolerance_SI:+.4g}"
+        shares = strong(f"{part.contribution_percent[at]:.1f} %"), f"{float(np.mean(part.contribution_percent)):.1f} %"
+        rows.append((part.name, _symmetric(part.tolerance_SI, *_unit_of(file, part)), quiet(shape), per, *shares))
+    columns = ["", ">tolerance", "distribution", f">change [{found.display_unit}]\nper tolerance"]
     columns += [">share of the\nvariance", ">over all\nangles"]
-    return table(f"Variance contributions at the worst crank angle: {found.degrees[at]:.4g} deg", columns, rows)
+    return table(f"Variance contributions at the worst crank angle: {found.crank_angles_deg[at]:.4g} deg", columns, rows)
 
 
-def _scatter(found: Toleranced) -> TableSpec:
-    both = np.maximum(-found.linear["worst_low"], found.linear["worst_high"])
-    values = {"worst case": both, "root of the sum of squares": found.linear["rss"], "standard deviation": found.linear["sigma"]}
+def _scatter(found: ToleranceRecord) -> TableSpec:
+    both = np.maximum(-found.linear.worst_low, found.linear.worst_high)
+    values = {"worst case": both, "root of the sum of squares": found.linear.rss, "standard deviation": found.linear.sigma}
     rows = []
     for name, column in values.items():
         at = int(np.argmax(column))
         sign = "" if name == "standard deviation" else "±"
-        rows.append((name, sign + number(found.scale * column[at], 5), quiet(f"at {found.degrees[at]:.4g} deg")))
-    return table(f"Change of the output to first order [{found.unit}]", "<><", rows)
+        rows.append((name, sign + number(found.scale * column[at], 5), quiet(f"at {found.crank_angles_deg[at]:.4g} deg")))
+    return table(f"Change of the output to first order [{found.display_unit}]", "<><", rows)
 
 
-def _told(found: Toleranced, sampled: Sampled) -> TableSpec:
-    at, arrays = found.where, sampled.arrays
-    sigma, error = (found.scale * arrays[name][at] for name in ("sigma", "sigma_standard_error"))
-    where = quiet(f"{found.unit}, at {found.degrees[at]:.4g} deg")
+def _told(found: ToleranceRecord, sampled: MonteCarloRecord) -> TableSpec:
+    at = found.where
+    sigma, error = (found.scale * getattr(sampled, name)[at] for name in ("sigma", "sigma_standard_error"))
+    where = quiet(f"{found.display_unit}, at {found.crank_angles_deg[at]:.4g} deg")
     rows: list[Row] = [("standard deviation", f"{number(sigma, 5)} ± {number(2.0 * error, 2)}", where)]
-    for name, value in sampled.below.items():
+    for name, value in sampled.stays_below.items():
         told = number(found.scale * value, 5) if math.isfinite(value) else "beyond the histogram"
-        rows.append((f"{_judged(found)}: {name.removesuffix('_percent')} % below", told, found.unit))
-    if sampled.stuck:
-        rows.append((bad("cannot be assembled"), f"{sampled.stuck:,}", ""))
+        rows.append((f"{_judged(found)}: {name.removesuffix('_percent')} % below", told, found.display_unit))
+    if sampled.cannot_be_assembled:
+        rows.append((bad("cannot be assembled"), f"{sampled.cannot_be_assembled:,}", ""))
     if math.isfinite(sampled.share):
         low, high = sampled.interval
-        limit = f"yield, within {number(found.scale * found.limit)} {found.unit}"
+        limit = f"yield, within {number(found.scale * found.limit)} {found.display_unit}"
         rows.append((limit, strong(percent(sampled.share)), quiet(f"{percent(low)} ... {percent(high)} (95 % sure)")))
-        rows.append(("yield by the linear model", percent(sampled.linear), ""))
+        rows.append(("yield by the linear model", percent(sampled.yield_by_the_linear_model), ""))
     title = f"{sampled.samples:,} linkages with deviations drawn (Sobol, seed {sampled.seed}), moved exactly"
     return table(title, "<><", rows)
 
 
-def _judged(found: Toleranced) -> str:
-    return "largest error" if np.any(found.base) else "largest change"
+def _judged(found: ToleranceRecord) -> str:
+    return "largest error" if np.any(found.judged_as_drawn) else "largest change"
 
 
-def _allocated(file: ProblemFile, found: Toleranced, record: Record) -> TableSpec:
-    values, costs = record.figures("tolerances_SI"), record.figures("cost_coefficients")
-    idle, before = record.texts("without_effect"), record.number("cost_of_those_given")
-    if not before > 0.0:
-        raise record.fault("cost_of_those_given", "a cost is above zero", before)
-    share, rows = record.number("cost") / before, []
-    for part in found.parts:
-        if part.name not in values or part.name not in costs:
-            raise record.fault(f"tolerances_SI.{part.name}", "this is missing")
+def _allocated(file: ProblemFile, found: ToleranceRecord, allocation: AllocationRecord) -> TableSpec:
+    rows, check = [], allocation.check
+    for part in found.tolerances:
+        if part.name not in allocation.tolerances_SI or part.name not in allocation.cost_coefficients:
+            raise Contradiction(f"allocation.tolerances_SI.{part.name}", "this is missing")
         unit = _unit_of(file, part)
-        sizes = part.text(part.tolerance, *unit), strong(part.text(values[part.name], *unit))
-        rows.append((part.name, *sizes, number(costs[part.name]), "has no effect" if part.name in idle else ""))
-    check = _sampled(record.record("check"), len(found.degrees))
+        sizes = _symmetric(part.tolerance_SI, *unit), strong(_symmetric(allocation.tolerances_SI[part.name], *unit))
+        idle = "has no effect" if part.name in allocation.without_effect else ""
+        rows.append((part.name, *sizes, number(allocation.cost_coefficients[part.name]), idle))
     low, high = check.interval
     told = f"checked by {check.samples:,} others: {percent(check.share)}, {percent(low)} ... {percent(high)} (95 % sure)"
-    title = f"The loosest tolerances for a yield of {percent(record.number('wanted_yield'))}: cost {number(share)} of the given"
+    share = number(allocation.cost / allocation.cost_of_those_given)
+    title = f"The loosest tolerances for a yield of {percent(allocation.wanted_yield)}: cost {share} of the given"
     columns = ["", ">given", ">allocated", ">cost coefficient", ""]
-    return table(title, columns, rows, notes=[good(told) if record.flag("kept") else bad(told)])
+    return table(title, columns, rows, notes=[good(told) if allocation.kept else bad(told)])
 
 
-def _redesigned(file: ProblemFile, found: Toleranced, record: Record) -> TableSpec:
-    now, before = record.figures("design_SI"), record.figures("nominal_design_SI")
+def _redesigned(file: ProblemFile, found: ToleranceRecord, robust: RobustRecord) -> TableSpec:
     rows: list[Row] = []
     for name in file.model.free:
-        if name not in now or name not in before:
-            raise record.fault(f"design_SI.{name}", "this is missing")
-        old, unit = display_value(name, before[name])
-        rows.append((name, number(old, 7), strong(number(display_value(name, now[name])[0], 7)), unit))
-    values = [number(math.degrees(record.number(key)), 5) for key in ("largest_of_the_nominal_design_rad", "largest_rad")]
-    rows.append((judged(record.text("counted")), *values, "deg"))
-    if record.has("monte_carlo_of_the_nominal_design") and found.sampled is not None and math.isfinite(found.sampled.share):
-        other = _sampled(record.record("monte_carlo_of_the_nominal_design"), len(found.degrees))
-        rows.append(("yield", percent(other.share), strong(percent(found.sampled.share)), ""))
-    note = good(proven(record.text("counted"))) if record.flag("valid") else bad("not proven")
-    return table(made(record.text("counted")), ["", ">best as drawn", ">robust", ""], rows, notes=[note])
+        if name not in robust.design_SI or name not in robust.nominal_design_SI:
+            raise Contradiction(f"robust.design_SI.{name}", "this is missing")
+        old, unit = display_value(name, robust.nominal_design_SI[name])
+        rows.append((name, number(old, 7), strong(number(display_value(name, robust.design_SI[name])[0], 7)), unit))
+    values = [number(math.degrees(value), 5) for value in (robust.largest_of_the_nominal_design_rad, robust.largest_rad)]
+    rows.append((judged(robust.counted), *values, "deg"))
+    other = robust.monte_carlo_of_the_nominal_design
+    if other is not None and found.monte_carlo is not None and math.isfinite(found.monte_carlo.share):
+        rows.append(("yield", percent(other.share), strong(percent(found.monte_carlo.share)), ""))
+    note = good(proven(robust.counted)) if robust.valid else bad("not proven")
+    return table(made(robust.counted), ["", ">best as drawn", ">robust", ""], rows, notes=[note])
 
 
 # --- charts ------------------------------------------------------------------------------------------------------------------
 
 
-def _ordered(found: Toleranced) -> Iterator[tuple[Part, str]]:
+def _ordered(found: ToleranceRecord) -> Iterator[tuple[DeviationRecord, str]]:
     """Yield the deviations with their colours, by decreasing mean contribution."""
-    order = sorted(found.parts, key=lambda part: -float(np.mean(part.share)))
+    order = sorted(found.tolerances, key=lambda part: -float(np.mean(part.contribution_percent)))
     return ((part, COLOURS[k % len(COLOURS)]) for k, part in enumerate(order))
 
 
-def _contributions(found: Toleranced) -> Chart:
+def _contributions(found: ToleranceRecord) -> Chart:
     """Plot the variance contributions: stacked over the crank angle, or as bars if there is only one."""
     title = f"Variance contributions to {found.output}"
-    if len(found.degrees) > 1:
+    if len(found.crank_angles_deg) > 1:
         curves: list[Trace] = [
-            line(found.degrees, part.share, part.name, colour, width=0.6) | {"stackgroup": "shares", "fillcolor": colour}
+            line(found.crank_angles_deg, part.contribution_percent, part.name, colour, width=0.6)
+            | {"stackgroup": "shares", "fillcolor": colour}
             for part, colour in _ordered(found)
         ]
         figure = stacked([Panel("share of the variance [%]", curves, 1.4)])
@@ -333,53 +205,61 @@ def _contributions(found: Toleranced) -> Chart:
         figure["layout"]["legend"] |= {"traceorder": "normal"}
         return Chart(title, figure)
     parts = list(_ordered(found))[::-1]
-    names, shares = [escape(part.name) for part, _ in parts], short(np.array([float(part.share[0]) for part, _ in parts]))
+    names, shares = (
+        [escape(part.name) for part, _ in parts],
+        short(np.array([float(part.contribution_percent[0]) for part, _ in parts])),
+    )
     bars: Trace = {"type": "bar", "orientation": "h", "name": "share", "y": names, "x": shares}
     layout = sheet(110 + 26 * len(parts)) | {"showlegend": False, "hovermode": "closest"}
-    layout["xaxis"] = axis(f"share of the variance at {found.degrees[0]:.4g} deg [%]")
+    layout["xaxis"] = axis(f"share of the variance at {found.crank_angles_deg[0]:.4g} deg [%]")
     layout["yaxis"] = axis("") | {"type": "category"}
     return Chart(
         title, {"data": [bars | {"marker": {"color": [colour for _, colour in parts]}}], "layout": layout}, cranked=False
     )
 
 
-def _band(found: Toleranced) -> Chart:
+def _band(found: ToleranceRecord) -> Chart:
     """Plot the change of the output: worst case, three standard deviations, sample extremes, and the margin to the limit."""
-    x, k, linear = found.degrees, found.scale, found.linear
+    x, k, linear = found.crank_angles_deg, found.scale, found.linear
     mode = "lines" if len(x) > 2 else "markers"
-    low = line(x, k * linear["worst_low"], "worst case", SHADE, width=1.0)
-    high = line(x, k * linear["worst_high"], "worst case", SHADE, width=1.0)
+    low = line(x, k * linear.worst_low, "worst case", SHADE, width=1.0)
+    high = line(x, k * linear.worst_high, "worst case", SHADE, width=1.0)
     curves: list[Trace] = [low | {"showlegend": False}, high | {"fill": "tonexty", "fillcolor": SHADE}]
     for sign in (1.0, -1.0):
-        three = line(x, k * (linear["shift"] + 3.0 * sign * linear["sigma"]), "three standard deviations", FOUND, mode=mode)
+        three = line(x, k * (linear.shift + 3.0 * sign * linear.sigma), "three standard deviations", FOUND, mode=mode)
         curves.append(three | {"showlegend": sign > 0.0})
-    if found.sampled is not None:
+    if found.monte_carlo is not None:
         for name in ("most", "least"):
             reached = line(
-                x, k * found.sampled.arrays[name], f"ends of {found.sampled.samples:,} samples", WANTED, width=1.3, dash="dot"
+                x,
+                k * getattr(found.monte_carlo, name),
+                f"ends of {found.monte_carlo.samples:,} samples",
+                WANTED,
+                width=1.3,
+                dash="dot",
             )
             curves.append(reached | {"showlegend": name == "most"})
-    reach = 1.1 * k * float(np.max(np.abs([linear["worst_low"], linear["worst_high"]])))
+    reach = 1.1 * k * float(np.max(np.abs([linear.worst_low, linear.worst_high])))
     if math.isfinite(found.limit):
-        rooms = [k * (sign * found.limit - found.base) for sign in (1.0, -1.0)]
+        rooms = [k * (sign * found.limit - found.judged_as_drawn) for sign in (1.0, -1.0)]
         near = 1.1 * float(np.min(np.abs(rooms)))
         far = near > NEAR * reach
         words = "what the limit leaves (far outside)" if far else "what the limit leaves"
         curves += [line(x, room, words, LIMIT, width=1.5) | {"showlegend": room is rooms[0]} for room in rooms]
         reach = reach if far else max(reach, near)
-    figure = stacked([Panel(f"change of {found.output} [{found.unit}]", curves, 1.6)])
+    figure = stacked([Panel(f"change of {found.output} [{found.display_unit}]", curves, 1.6)])
     figure["layout"]["yaxis"] |= {"range": [-reach, reach]} if reach > 0.0 else {}
     figure["layout"]["legend"] |= {"traceorder": "normal"}
     return Chart(f"Scatter of {found.output}", figure)
 
 
-def _histogram(found: Toleranced, sampled: Sampled) -> Chart:
+def _histogram(found: ToleranceRecord, sampled: MonteCarloRecord) -> Chart:
     """Plot the histogram of the largest error or change of each sample."""
-    merged = max(1, -(-len(sampled.counts) // BARS))
-    starts = np.arange(0, len(sampled.counts), merged)
-    ends = np.minimum(starts + merged, len(sampled.counts))
-    left, right = found.scale * sampled.edges[starts], found.scale * sampled.edges[ends]
-    heights = 100.0 * np.add.reduceat(sampled.counts, starts) / sampled.samples
+    merged = max(1, -(-len(sampled.histogram.counts) // BARS))
+    starts = np.arange(0, len(sampled.histogram.counts), merged)
+    ends = np.minimum(starts + merged, len(sampled.histogram.counts))
+    left, right = found.scale * sampled.histogram.edges[starts], found.scale * sampled.histogram.edges[ends]
+    heights = 100.0 * np.add.reduceat(sampled.histogram.counts, starts) / sampled.samples
     middle, limit = 0.5 * (left + right), found.scale * found.limit
     over = middle > limit if math.isfinite(limit) else np.zeros(len(middle), dtype=bool)
     bars: list[Trace] = [
@@ -392,7 +272,7 @@ def _histogram(found: Toleranced, sampled: Sampled) -> Chart:
         if np.any(own)
     ]
     layout = sheet(380) | {"bargap": 0.0, "barmode": "overlay", "hovermode": "closest"}
-    layout["xaxis"] = axis(f"{_judged(found)} at any of the crank angles [{found.unit}]")
+    layout["xaxis"] = axis(f"{_judged(found)} at any of the crank angles [{found.display_unit}]")
     layout["yaxis"] = axis("share of the samples [%]")
     if math.isfinite(limit):
         layout["shapes"] = [

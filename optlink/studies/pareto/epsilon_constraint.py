@@ -17,21 +17,23 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from annotated_types import Len
 from numpy.typing import NDArray
+from pydantic import Field
 
 from optlink.errors import Fault, InputError, Status
-from optlink.io import Summary, finite, head
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Quantity
+from optlink.record import Record, Recorded, ResultRecord
 from optlink.studies.cycle_task import CycleTask
 from optlink.studies.execution.runner import check
 from optlink.studies.execution.store import Progress, Store
-from optlink.studies.grid import Grid
+from optlink.studies.grid import AxisRecord, Grid
 from optlink.studies.pareto.cycle_objectives import cycle_figures
 from optlink.studies.pareto.epsilon_ranges import EpsilonRanges, NoExtreme
 from optlink.studies.pareto.law_objectives import law_figure, limit_in_file, tightest_bound
@@ -46,7 +48,6 @@ from optlink.version import VERSION
 
 Array = NDArray[np.float64]
 
-SCHEMA = "optlink/pareto/1"
 POINTS = {1: 15, 2: 7}  # per constrained objective, by their number
 ENDS = "ends.json"  # results of the searches for the ends, kept in the folder
 MOST = 100_000  # largest number of points of a grid
@@ -62,14 +63,94 @@ class ParetoPoint:
     mark: str
 
 
+class ObjectiveRecord(Record):
+    """An objective of the front."""
+
+    name: str
+    column: str
+    unit: str
+    sense: Annotated[Literal["minimise", "maximise"], "way"]
+
+
+class PointRecord(Record):
+    """A design of the front: objectives and design variables by column."""
+
+    objectives: dict[str, float]
+    design: dict[str, float]
+    active: tuple[str, ...]
+    mark: str | None
+
+
+class HeldRecord(AxisRecord):
+    """A limit on an objective, varied along the front."""
+
+    key: str = Field(alias="limit")
+
+
+class KneeRecord(Record):
+    """The point farthest from the chord of the ends, and its distance."""
+
+    point: int
+    distance: float
+
+
+class ParetoRecord(ResultRecord):
+    """Document of a Pareto front."""
+
+    format: Literal["optlink/pareto/2"] = Field(alias="schema")
+    objectives: Annotated[tuple[ObjectiveRecord, ...], "aims", Len(2, 3)]
+    minimised: str
+    held: Annotated[tuple[HeldRecord, ...], "grid.axes"]
+    front: tuple[PointRecord, ...]
+    ends: dict[str, int]
+    knee: KneeRecord | None
+    given: dict[str, str | float] | None
+    points: Annotated[int, "solved"]
+    valid_points: Annotated[int, "valid"]
+    infeasible_points: Annotated[int, "infeasible"]
+    dominated_points: Annotated[int, "dominated"]
+    table: str | None
+    engine: str
+    workers: int | None
+    points_done_now: Annotated[int, "done"]
+    seconds: float
+    processor_seconds: Annotated[float, "cpu"]
+
+    @classmethod
+    def of(cls, result: Any, **values: Any) -> Self:
+        """As `Record.of`, with the objectives of every point by column."""
+        named = [aim.column for aim in result.aims]
+        front = [
+            PointRecord(
+                objectives=dict(zip(named, point.values, strict=True)),
+                design=dict(point.design),
+                active=tuple(name for name in point.active.split("; ") if name),
+                mark=point.mark or None,
+            )
+            for point in result.points
+        ]
+        given = None if result.given is None else {"what": result.given_words, **dict(zip(named, result.given, strict=True))}
+        return super().of(
+            result,
+            minimised=named[result.minimised],
+            front=tuple(front),
+            ends=dict(zip(named, result.ends, strict=True)) if front else {},
+            knee=None if result.knee is None else KneeRecord(point=result.knee[0], distance=result.knee[1]),
+            given=given,
+            **values,
+        )
+
+
 @dataclass(frozen=True, repr=False)
-class Pareto(Summary):
+class Pareto(Recorded):
     """A Pareto front, from the best of the first objective on.
 
     `ends`: index of the best point of every objective; `knee`: its index and its distance from the chord of the ends, if any;
     `given`: the objectives of the given machine, or of the optimum for the limits of the file; `solved` points of the grid, of
     which `valid` are validated, `infeasible` have no design, and `dominated` are dominated by others.
     """
+
+    record = ParetoRecord
 
     problem: ProblemFile
     aims: tuple[ParetoObjective, ...]
@@ -93,6 +174,16 @@ class Pareto(Summary):
     keep: Any = None  # keeps a temporary folder during the lifetime of the result
 
     @property
+    def table(self) -> str | None:
+        """Path of the table of all points; None if it is temporary."""
+        return None if self.keep is not None else str(self.path)
+
+    @property
+    def status(self) -> str:
+        """Whether every point is validated, in words."""
+        return "complete" if self.complete else "not valid everywhere"
+
+    @property
     def costs(self) -> Array:
         """Objectives of the points (n, k), with the sign for minimisation."""
         return np.array([point.values for point in self.points]) * [aim.sense for aim in self.aims]
@@ -108,45 +199,6 @@ class Pareto(Summary):
         found: dict[str, list[Any]] = {aim.column: [p.values[k] for p in self.points] for k, aim in enumerate(self.aims)}
         found |= {name: [p.design[name] for p in self.points] for name in (self.points[0].design if self.points else ())}
         return found | {key: [getattr(p, key) for p in self.points] for key in ("active", "mark")}
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the front as a JSON document."""
-        named = [aim.column for aim in self.aims]
-        document = head(SCHEMA, self.problem, "complete" if self.complete else "not valid everywhere")
-        document |= {
-            "objectives": [
-                {"name": a.name, "column": a.column, "unit": a.unit, "sense": "minimise" if a.sense > 0 else "maximise"}
-                for a in self.aims
-            ],
-            "minimised": self.aims[self.minimised].column,
-            "held": [
-                {"limit": a.key, "unit": a.unit, "first": a.values[0], "last": a.values[-1], "values": len(a.values)}
-                for a in self.grid.axes
-            ],
-            "front": [
-                {
-                    "objectives": dict(zip(named, point.values, strict=True)),
-                    "design": dict(point.design),
-                    "active": [name for name in point.active.split("; ") if name],
-                    "mark": point.mark or None,
-                }
-                for point in self.points
-            ],
-            "ends": dict(zip(named, self.ends, strict=True)) if self.points else {},
-            "knee": None if self.knee is None else {"point": self.knee[0], "distance": self.knee[1]},
-            "given": None if self.given is None else {"what": self.given_words, **dict(zip(named, self.given, strict=True))},
-            "points": self.solved,
-            "valid_points": self.valid,
-            "infeasible_points": self.infeasible,
-            "dominated_points": self.dominated,
-            "table": None if self.keep is not None else str(self.path),
-            "engine": self.engine,
-            "workers": self.workers,
-            "points_done_now": self.done,
-            "seconds": self.seconds,
-            "processor_seconds": self.cpu,
-        }
-        return finite(document)  # type: ignore[no-any-return]
 
 
 def pareto(

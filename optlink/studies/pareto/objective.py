@@ -40,6 +40,11 @@ class ParetoObjective:
         return f"{'least' if self.sense > 0 else 'largest'} {self.name}"
 
     @property
+    def way(self) -> str:
+        """Whether it is minimised or maximised, in a word."""
+        return "minimise" if self.sense > 0 else "maximise"
+
+    @property
     def side(self) -> str:
         """Side of the limit that constrains it."""
         return "max" if self.sense > 0 else "min"

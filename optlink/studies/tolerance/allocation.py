@@ -13,13 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from annotated_types import Gt
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, SolverError
-from optlink.studies.tolerance.monte_carlo import MonteCarlo, monte_carlo, sampled_document
+from optlink.record import Record
+from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, monte_carlo
 
 if TYPE_CHECKING:
     from optlink.studies.tolerance.analysis import Tolerance
@@ -55,19 +57,29 @@ class Allocation:
         """Whether the required yield is within or below the confidence interval of the verification."""
         return self.wanted <= self.carlo.interval[1]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the allocation as part of a JSON document."""
-        return {
-            "wanted_yield": self.wanted,
-            "tolerances_SI": dict(zip(self.names, self.tolerances.tolist(), strict=True)),
-            "cost_coefficients": dict(zip(self.names, self.costs.tolist(), strict=True)),
-            "cost": self.cost,
-            "cost_of_those_given": self.before,
-            "duality_gap": self.gap,
-            "without_effect": list(self.free),
-            "kept": self.kept,
-            "check": sampled_document(self.carlo),
-        }
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Allocated tolerances by name [SI]."""
+        return dict(zip(self.names, self.tolerances.tolist(), strict=True))
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Cost coefficients by name."""
+        return dict(zip(self.names, self.costs.tolist(), strict=True))
+
+
+class AllocationRecord(Record):
+    """Tolerances that keep a yield."""
+
+    wanted_yield: Annotated[float, "wanted"]
+    tolerances_SI: Annotated[dict[str, float], "sizes"]
+    cost_coefficients: Annotated[dict[str, float], "coefficients"]
+    cost: float
+    cost_of_those_given: Annotated[float, "before", Gt(0)]
+    duality_gap: Annotated[float, "gap"]
+    without_effect: Annotated[tuple[str, ...], "free"]
+    kept: bool
+    check: Annotated[MonteCarloRecord, "carlo"]
 
 
 def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:

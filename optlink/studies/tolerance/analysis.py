@@ -9,35 +9,132 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from optlink.errors import Fault, InputError
-from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
+from optlink.record import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length
 from optlink.studies.motion_sensitivity import output_sensitivity
-from optlink.studies.tolerance.monte_carlo import MonteCarlo, Progress, monte_carlo, sampled_document
+from optlink.studies.tolerance.allocation import Allocation, AllocationRecord
+from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, Progress, monte_carlo
 from optlink.studies.tolerance.nominal import ERROR, Nominal, display_unit, nominal_design
 from optlink.studies.tolerance.options import read_deviations
+from optlink.studies.tolerance.robust_design import RobustDesign, RobustRecord
 from optlink.units import UnitProblem, parse
 
-if TYPE_CHECKING:
-    from optlink.studies.tolerance.allocation import Allocation
-    from optlink.studies.tolerance.robust_design import RobustDesign
-
 Array = NDArray[np.float64]
-SCHEMA = "optlink/tolerance/1"
 WORST, MARGIN = "worst", "margin"
 SAMPLES, MAX_SAMPLES = 1 << 17, 100_000_000
 
 
+class DeviationRecord(Record):
+    """A tolerance and its effect, over the crank angles."""
+
+    name: str
+    adds_to: Annotated[str, "size"]
+    tolerance_SI: Annotated[float, "tolerance"]
+    distribution: Annotated[str, "shape"]
+    mean_SI: Annotated[float, "mean"]
+    sigma_SI: Annotated[float, "sigma"]
+    per_deviation: Column
+    contribution_percent: Column
+    contribution_where_it_scatters_most_percent: float
+
+
+class LinearRecord(Record):
+    """Effect of all tolerances to first order, over the crank angles [SI]."""
+
+    shift: Column
+    worst_low: Column
+    worst_high: Column
+    rss: Column
+    sigma: Column
+    scatters_most_at_deg: float
+
+
+class ToleranceRecord(ResultRecord):
+    """Document of a tolerance analysis: SI, or the unit that ends the key."""
+
+    format: Literal["optlink/tolerance/2"] = Field(alias="schema")
+    output: Annotated[str, "nominal.name"]
+    unit: Annotated[Literal["rad", "m"], "nominal.unit"]
+    sizes_SI: Annotated[dict[str, float], "nominal.sizes"]
+    crank_angles_deg: Annotated[Column, "nominal.degrees"]
+    value: Annotated[Column, "nominal.value"]
+    judged_as_drawn: Annotated[Column, "nominal.base"]
+    limit: Number
+    tolerances: tuple[DeviationRecord, ...]
+    linear: LinearRecord
+    monte_carlo: Annotated[MonteCarloRecord | None, "carlo"] = absent()
+    robust: RobustRecord | None = absent()
+    allocation: AllocationRecord | None = absent()
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> Self:
+        count = len(self.crank_angles_deg)
+        if not count:
+            raise Contradiction("crank_angles_deg", "there are none")
+        parts: dict[str, Record | None] = {"": self, "linear.": self.linear, "monte_carlo.": self.monte_carlo}
+        parts |= {f"tolerances[{k}].": one for k, one in enumerate(self.tolerances)}
+        parts["allocation.check."] = None if self.allocation is None else self.allocation.check
+        for where, part in parts.items():
+            for name, values in part or ():
+                if isinstance(values, np.ndarray):
+                    check_length(values, count, where + name)
+        return self
+
+    @classmethod
+    def of(cls, result: Tolerance, **values: Any) -> Self:
+        """As `Record.of`, with the figures of every deviation."""
+        at, (low, high) = result.where, result.worst
+        tolerances = [
+            DeviationRecord.of(
+                one,
+                per_deviation=by,
+                contribution_percent=100.0 * share,
+                contribution_where_it_scatters_most_percent=100.0 * share[at],
+            )
+            for one, by, share in zip(result.deviations, result.by, result.contributions, strict=True)
+        ]
+        linear = LinearRecord.of(
+            result, worst_low=low, worst_high=high, scatters_most_at_deg=math.degrees(result.nominal.crank_angles[at])
+        )
+        robust = result.robust
+        if robust is not None:
+            other = None if result.unrobust is None else MonteCarloRecord.of(result.unrobust)
+            beside = {"monte_carlo_of_the_nominal_design": other, "the_nominal_design_yields_more": result.beaten}
+            values["robust"] = RobustRecord.of(robust, **beside)
+        limit = math.nan if result.limit is None else result.limit
+        return super().of(result, limit=limit, tolerances=tuple(tolerances), linear=linear, **values)
+
+    @property
+    def scale(self) -> float:
+        """Factor from SI to the display unit of the output."""
+        return math.degrees(1.0) if self.unit == "rad" else 1e3
+
+    @property
+    def display_unit(self) -> str:
+        """Display unit of the output."""
+        return "deg" if self.unit == "rad" else "mm"
+
+    @property
+    def where(self) -> int:
+        """Index of the crank angle with the largest standard deviation of the output."""
+        return int(np.argmax(self.linear.sigma))
+
+
 @dataclass(frozen=True, repr=False)
-class Tolerance(Summary):
+class Tolerance(Recorded):
     """Tolerances of a design and their effect; `by` (deviations, angles): change of the judged value per deviation [SI]."""
+
+    record = ToleranceRecord
+    status = "done"
 
     problem: ProblemFile
     nominal: Nominal
@@ -48,6 +145,11 @@ class Tolerance(Summary):
     allocation: Allocation | None = None
     robust: RobustDesign | None = None  # the robust design, if requested
     unrobust: MonteCarlo | None = None  # samples of the nominal optimum beside a robust design
+
+    @property
+    def seed(self) -> int | None:
+        """Seed of the samples; None without samples."""
+        return None if self.carlo is None else self.carlo.seed
 
     @property
     def beaten(self) -> bool:
@@ -107,51 +209,6 @@ class Tolerance(Summary):
         found |= {f"{name}_{ending}": scale * column for name, column in named.items()}
         shares = {f"{d.name}_percent": 100.0 * row for d, row in zip(self.deviations, self.contributions, strict=True)}
         return found | shares
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the analysis as a JSON document: SI, or the unit that ends the key."""
-        worst, at = self.worst, self.where
-        document = head(SCHEMA, self.problem, "done", None if self.carlo is None else self.carlo.seed)
-        document |= {
-            "output": self.nominal.name,
-            "unit": self.nominal.unit,
-            "sizes_SI": dict(self.nominal.sizes),
-            "crank_angles_deg": np.degrees(self.nominal.crank_angles),
-            "value": self.nominal.value,
-            "judged_as_drawn": self.nominal.base,
-            "limit": self.limit,
-            "tolerances": [
-                {
-                    "name": d.name,
-                    "adds_to": d.size,
-                    "tolerance_SI": d.tolerance,
-                    "distribution": d.shape,
-                    "mean_SI": d.mean,
-                    "sigma_SI": d.sigma,
-                    "per_deviation": by,
-                    "contribution_percent": 100.0 * share,
-                    "contribution_where_it_scatters_most_percent": 100.0 * share[at],
-                }
-                for d, by, share in zip(self.deviations, self.by, self.contributions, strict=True)
-            ],
-            "linear": {
-                "shift": self.shift,
-                "worst_low": worst[0],
-                "worst_high": worst[1],
-                "rss": self.rss,
-                "sigma": self.sigma,
-                "scatters_most_at_deg": math.degrees(self.nominal.crank_angles[at]),
-            },
-        }
-        if self.carlo is not None:
-            document["monte_carlo"] = sampled_document(self.carlo)
-        if self.robust is not None:
-            other = None if self.unrobust is None else sampled_document(self.unrobust)
-            beside = {"monte_carlo_of_the_nominal_design": other, "the_nominal_design_yields_more": self.beaten}
-            document["robust"] = self.robust.to_dict() | beside
-        if self.allocation is not None:
-            document["allocation"] = self.allocation.to_dict()
-        return finite(document)  # type: ignore[no-any-return]
 
 
 def tolerance(

@@ -6,12 +6,15 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
+from annotated_types import Gt
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from optlink.problem.tolerances import Deviation
+from optlink.record import Column, Contradiction, Number, Record
 from optlink.studies.tolerance.nominal import Nominal
 from optlink.studies.tolerance.sampling import sample_deviations, wilson
 
@@ -69,32 +72,56 @@ class MonteCarlo:
         return float(self.edges[place + 1]) if reached[-1] and place < len(self.counts) - 1 else math.inf
 
 
-def sampled_document(carlo: MonteCarlo) -> dict[str, Any]:
-    """Return the samples as part of a JSON document."""
-    asked = carlo.good >= 0
-    return {
-        "samples": carlo.samples,
-        "seed": carlo.seed,
-        "cannot_be_assembled": carlo.stuck,
-        "mean": carlo.mean,
-        "sigma": carlo.sigma,
-        "sigma_standard_error": carlo.sigma_error,
-        "least": carlo.least,
-        "most": carlo.most,
-        "stays_below": {f"{100.0 * share:g}_percent": carlo.below(share) for share in (0.5, 0.95, 0.99, 0.999)},
-        "histogram": _histogram(carlo),
-        "yield": carlo.share if asked else None,
-        "yield_interval_95_percent": list(carlo.interval) if asked else None,
-        "yield_by_the_linear_model": carlo.linear_share if asked else None,
-        "seconds": carlo.seconds,
-    }
+class HistogramRecord(Record):
+    """The non-empty bins of the largest judged value: their edges [SI], one more than bins, and their counts."""
+
+    edges: Column
+    counts: Column
+
+    @model_validator(mode="after")
+    def _check_edges(self) -> Self:
+        if len(self.counts) and len(self.edges) != len(self.counts) + 1:
+            raise Contradiction("", "it has not one edge more than bins")
+        return self
+
+    @classmethod
+    def of(cls, result: MonteCarlo, **values: Any) -> Self:
+        """As `Record.of`, without the empty bins at both ends."""
+        held = np.flatnonzero(result.counts)
+        first, last = (int(held[0]), int(held[-1]) + 1) if len(held) else (0, 0)
+        return super().of(result, edges=result.edges[first : last + 1], counts=result.counts[first:last], **values)
 
 
-def _histogram(carlo: MonteCarlo) -> dict[str, Any]:
-    """Return the non-empty range of bins: their edges [SI], one more than bins, and their counts."""
-    held = np.flatnonzero(carlo.counts)
-    first, last = (int(held[0]), int(held[-1]) + 1) if len(held) else (0, 0)
-    return {"edges": carlo.edges[first : last + 1], "counts": carlo.counts[first:last]}
+class MonteCarloRecord(Record):
+    """The samples [SI]; the yield only with a limit."""
+
+    samples: Annotated[int, Gt(0)]
+    seed: int
+    cannot_be_assembled: Annotated[int, "stuck"]
+    mean: Column
+    sigma: Column
+    sigma_standard_error: Annotated[Column, "sigma_error"]
+    least: Column
+    most: Column
+    stays_below: dict[str, Number]
+    histogram: HistogramRecord
+    share: Number = Field(alias="yield")
+    yield_interval_95_percent: tuple[float, float] | None
+    yield_by_the_linear_model: Annotated[Number, "linear_share"]
+    seconds: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Ends of the 95 % confidence interval of the yield; NaN without a limit."""
+        return self.yield_interval_95_percent or (math.nan, math.nan)
+
+    @classmethod
+    def of(cls, result: MonteCarlo, **values: Any) -> Self:
+        """As `Record.of`, with quantiles and without bounds of a yield that has no limit."""
+        below = {f"{100.0 * share:g}_percent": result.below(share) for share in (0.5, 0.95, 0.99, 0.999)}
+        interval = result.interval if result.good >= 0 else None
+        histogram = HistogramRecord.of(result)
+        return super().of(result, stays_below=below, histogram=histogram, yield_interval_95_percent=interval, **values)
 
 
 def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | None = None) -> MonteCarlo:

@@ -52,6 +52,11 @@ class Nominal:
         return self.output in self.mechanism.bodies
 
     @property
+    def degrees(self) -> Array:
+        """Crank angles (angles,) [deg]."""
+        return np.degrees(self.crank_angles)
+
+    @property
     def unit(self) -> str:
         """SI unit of the output."""
         return "rad" if self.angular else "m"

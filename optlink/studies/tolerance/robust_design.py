@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated
 
-from optlink.errors import Fault, InputError
+from optlink.errors import Fault, InputError, Status
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.robust import MOST, WORST
 from optlink.problem.tolerances import NORMAL
+from optlink.record import Record
+from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 from optlink.studies.tolerance.options import read_tolerances
 from optlink.tasks.function import FunctionResult, solve, validate
 
@@ -64,18 +66,25 @@ class RobustDesign:
         """Design variables [SI]."""
         return {name: self.design[name] for name in self.result.problem.model.free}
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the robust design as part of a JSON document."""
-        return {
-            "counted": self.counted,
-            "status": self.result.status.value,
-            "valid": self.valid,
-            "kkt": None if self.result.solution is None else self.result.solution.kkt,
-            "design_SI": dict(self.design),
-            "nominal_design_SI": dict(self.nominal),
-            "largest_rad": self.value,
-            "largest_of_the_nominal_design_rad": self.before,
-        }
+    @property
+    def kkt(self) -> float | None:
+        """KKT residual; None without a solution."""
+        return None if self.result.solution is None else self.result.solution.kkt
+
+
+class RobustRecord(Record):
+    """A robust design beside the nominal optimum [SI]."""
+
+    counted: str
+    status: Annotated[Status, "result.status"]
+    valid: bool
+    kkt: float | None
+    design_SI: Annotated[dict[str, float], "design"]
+    nominal_design_SI: Annotated[dict[str, float], "nominal"]
+    largest_rad: Annotated[float, "value"]
+    largest_of_the_nominal_design_rad: Annotated[float, "before"]
+    monte_carlo_of_the_nominal_design: MonteCarloRecord | None
+    the_nominal_design_yields_more: bool
 
 
 def robust(

@@ -6,21 +6,26 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Literal, Self
 
 import numpy as np
+from annotated_types import Gt
 from numpy.typing import NDArray
+from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 
 from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, FreeSpring, quantities, quantities_of
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.machine import Machine
-from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
+from optlink.problem.machine.balance import read_measure
+from optlink.record import Contradiction, Never, Number, Record, Recorded, ResultRecord, absent
 
 Array = NDArray[np.float64]
-SCHEMA = "optlink/balance/1"
 AGREES = 1e-8
 """Difference between the programme and the inverse dynamics of the balanced machine, over the largest amount, that is none."""
+
+Measure = Annotated[BalanceMeasure, PlainValidator(read_measure), PlainSerializer(str), WithJsonSchema({"type": "string"})]
+"""A measure as a text, such as "rms shaking force"."""
 
 ACTIVE = 1e-6
 """Distance from a limit, relative, up to which it is active."""
@@ -44,9 +49,19 @@ class AddedCounterweight:
         return float(self.parameters.mass)
 
     @property
+    def along(self) -> float:
+        """Its centre along the body [m]."""
+        return float(self.parameters.along) / self.mass
+
+    @property
+    def across(self) -> float:
+        """Its centre across the body [m]."""
+        return float(self.parameters.across) / self.mass
+
+    @property
     def place(self) -> tuple[float, float]:
         """Its centre in the axes of the body [m]."""
-        return float(self.parameters.along) / self.mass, float(self.parameters.across) / self.mass
+        return self.along, self.across
 
     @property
     def gyration(self) -> float:
@@ -59,22 +74,32 @@ class AddedCounterweight:
         """Radius of the disc [m]; None for a free shape."""
         return self.asked.radius_of(self.mass) if self.asked.kind == "disc" else None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the counterweight as a JSON object."""
-        x, y = self.place
-        return {
-            "body": self.body,
-            "kind": self.asked.kind,
-            "mass_kg": self.mass,
-            "along_m": x,
-            "across_m": y,
-            "first_moment_along_kg_m": self.parameters.along,
-            "first_moment_across_kg_m": self.parameters.across,
-            "moment_of_inertia_about_start_kg_m2": self.parameters.moment,
-            "radius_of_gyration_m": self.gyration,
-            "radius_m": self.radius,
-            "thickness_m": self.asked.thickness_of(self.mass) if self.asked.kind == "disc" else None,
-        }
+    @property
+    def thickness(self) -> float | None:
+        """Thickness of the disc [m]; None for a free shape, or where its density is unknown."""
+        return self.asked.thickness_of(self.mass) if self.asked.kind == "disc" else None
+
+
+class CounterweightRecord(Record):
+    """A counterweight of the result, in the axes of its body [SI]."""
+
+    body: str
+    kind: Annotated[str, "asked.kind"]
+    mass_kg: Annotated[float, "mass", Gt(0)]
+    along_m: Annotated[float, "along"]
+    across_m: Annotated[float, "across"]
+    first_moment_along_kg_m: Annotated[float, "parameters.along"]
+    first_moment_across_kg_m: Annotated[float, "parameters.across"]
+    moment_of_inertia_about_start_kg_m2: Annotated[float, "parameters.moment"]
+    radius_of_gyration_m: Annotated[float, "gyration"]
+    radius_m: Annotated[float | None, "radius"]
+    thickness_m: Annotated[float | None, "thickness"]
+
+    @property
+    def parameters(self) -> Parameters:
+        """Inertia parameters in the axes of the body [SI]."""
+        first = self.first_moment_along_kg_m, self.first_moment_across_kg_m
+        return Parameters(self.mass_kg, *first, self.moment_of_inertia_about_start_kg_m2)
 
 
 @dataclass(frozen=True)
@@ -84,6 +109,20 @@ class FittedSpring:
     asked: FreeSpring
     stiffness: float
     free: float
+
+    @property
+    def between(self) -> list[str]:
+        """Points to which it is attached."""
+        return [point for _, point in self.asked.ends]
+
+
+class SpringRecord(Record):
+    """A spring of the result."""
+
+    name: Annotated[str, "asked.name"]
+    stiffness_N_m: Annotated[float, "stiffness"]
+    free_length_m: Annotated[float, "free"]
+    between: list[str]
 
 
 @dataclass(frozen=True)
@@ -98,6 +137,16 @@ class MeasureChange:
     def change(self) -> float:
         """Relative change; -0.3 is a reduction by 30 per cent."""
         return self.after / self.before - 1.0 if self.before > 0.0 else math.nan
+
+
+class MeasureRecord(Record):
+    """A measure before and after balancing [SI]."""
+
+    name: Annotated[Measure, "measure"]
+    unit: Annotated[str, "measure.unit"]
+    before: float
+    after: float
+    change: Number
 
 
 @dataclass(frozen=True)
@@ -122,7 +171,7 @@ class RelaxedLimit:
     name: str
     sense: str
     bound: float
-    alone: float
+    alone: Never
     together: float
     unit: str
 
@@ -134,7 +183,7 @@ class TradePoint:
     first: float
     second: float
     gap: float
-    rate: float
+    rate: Number
     made: tuple[float, float]
     disagreement: float
     masses: Mapping[str, float]
@@ -167,8 +216,64 @@ class TradeOff:
         return bool(np.all(np.diff(one) >= -AGREES * self.before[0]) and np.all(np.diff(other) <= AGREES * self.before[1]))
 
 
+Above = Annotated[float, Gt(0.0)]
+
+
+class TradeRecord(Record):
+    """The trade-off between two measures [SI]."""
+
+    first: Measure
+    second: Measure
+    before: tuple[Above, Above]
+    knee: int | None
+    monotone: bool
+    first_point_s: Annotated[Above, "first_seconds"]
+    further_point_s: Annotated[Number, "further_seconds"]
+    ratio: Number
+    points: tuple[TradePoint, ...]
+
+    @model_validator(mode="after")
+    def _check_points(self) -> Self:
+        if not self.points or (self.knee is not None and not 0 <= self.knee < len(self.points)):
+            raise Contradiction("points", "there are none, or the knee is none of them")
+        return self
+
+
+class BalanceRecord(ResultRecord):
+    """Document of a balanced machine (SI)."""
+
+    format: Literal["optlink/balance/2"] = Field(alias="schema")
+    status: Literal["optimal", "relaxed", "infeasible", "stalled"]
+    valid: bool
+    proven: bool
+    notes: tuple[str, ...]
+    measure: str
+    unit: str
+    before: float
+    objective: Number
+    reduction: Number
+    lower_bound: Annotated[Number, "lower"]
+    duality_gap: Annotated[Number, "gap"]
+    above_bound: Annotated[float, "slack"]
+    exact_least_squares: Annotated[bool, "exact"]
+    solver: str
+    iterations: int
+    positions: Annotated[int, "angles.size"]
+    speed_rad_s: Annotated[float, "speed"]
+    moment_about_m: Annotated[tuple[float, float], "about"]
+    counterweights: Annotated[tuple[CounterweightRecord, ...], "added"]
+    springs: tuple[SpringRecord, ...]
+    verified: bool
+    disagreement: Never
+    measures: Annotated[tuple[MeasureRecord, ...], "rows"]
+    limits: tuple[ActiveLimit, ...]
+    conflict: tuple[RelaxedLimit, ...]
+    seconds: dict[str, float]
+    trade: TradeRecord | None = absent()
+
+
 @dataclass(frozen=True, repr=False)
-class Balance(Summary):
+class Balance(Recorded):
     """A balanced machine, or the limits that conflict.
 
     `status`: "optimal", "relaxed" (discs come near the proven bound without reaching it), "infeasible" or "stalled". `objective`
@@ -176,6 +281,8 @@ class Balance(Summary):
     relative duality gap; `slack`: relative excess of the realisable design over the bound. `disagreement`: difference of the
     programme from the inverse dynamics of `balanced`, the problem with the new bodies.
     """
+
+    record = BalanceRecord
 
     problem: ProblemFile
     goal: tuple[tuple[BalanceMeasure, float], ...]
@@ -272,59 +379,3 @@ class Balance(Summary):
     def reduction(self) -> float:
         """Reduction of the objective relative to its value before balancing."""
         return 1.0 - self.objective / self.before if self.before > 0.0 else math.nan
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON document (SI)."""
-        document = {
-            **head(SCHEMA, self.problem, self.status),
-            "valid": self.valid,
-            "proven": self.proven,
-            "notes": list(self.notes),
-            "measure": self.measure,
-            "unit": self.unit,
-            "before": self.before,
-            "objective": self.objective,
-            "reduction": self.reduction,
-            "lower_bound": self.lower,
-            "duality_gap": self.gap,
-            "above_bound": self.slack,
-            "exact_least_squares": self.exact,
-            "solver": self.solver,
-            "iterations": self.iterations,
-            "positions": len(self.angles),
-            "speed_rad_s": self.speed,
-            "moment_about_m": list(self.about),
-            "counterweights": [added.to_dict() for added in self.added],
-            "springs": [
-                {
-                    "name": s.asked.name,
-                    "stiffness_N_m": s.stiffness,
-                    "free_length_m": s.free,
-                    "between": [p for _, p in s.asked.ends],
-                }
-                for s in self.springs
-            ],
-            "verified": self.verified,
-            "disagreement": self.disagreement,
-            "measures": [
-                {"name": str(r.measure), "unit": r.measure.unit, "before": r.before, "after": r.after, "change": r.change}
-                for r in self.rows
-            ],
-            "limits": [vars(limit) | {} for limit in self.limits],
-            "conflict": [vars(item) | {} for item in self.conflict],
-            "seconds": dict(self.seconds),
-        }
-        if self.trade is not None:
-            trade = self.trade
-            document["trade"] = {
-                "first": str(trade.first),
-                "second": str(trade.second),
-                "before": list(trade.before),
-                "knee": trade.knee,
-                "monotone": trade.monotone,
-                "first_point_s": trade.first_seconds,
-                "further_point_s": trade.further_seconds,
-                "ratio": trade.ratio,
-                "points": [vars(point) | {"made": list(point.made)} for point in trade.points],
-            }
-        return finite(document)  # type: ignore[no-any-return]

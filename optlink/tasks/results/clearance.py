@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from optlink.clearance.controller import Control
 from optlink.clearance.integration import Impact
@@ -16,25 +17,77 @@ from optlink.clearance.output import Output
 from optlink.clearance.statistics import Prediction
 from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import Machine
-from optlink.io import Summary, finite, head
 from optlink.problem.file import ProblemFile
+from optlink.record import Columns, Number, Record, Recorded, ResultRecord
 
 Array = NDArray[np.float64]
 
 
-SCHEMA = "optlink/clearance/1"
 SETTLED = 5
 """Revolutions at the beginning that the statistics leave out, where there are more than twice as many."""
 
 
+class ImpactRecord(Record):
+    """One contact; the joint by its name."""
+
+    gap: str
+    begin: float
+    crank_angle: float
+    approach: float
+    penetration: Number
+    end: Number
+    departure: Number
+
+
+class PredictionRecord(Record):
+    """Time for which the trajectory is predictable; null where it is so to the end."""
+
+    chaotic: bool
+    parted_revolutions: Annotated[float | None, "parted"]
+    watched: int
+
+
+class ClearanceRecord(ResultRecord):
+    """Document of a simulation with joint clearance: SI, or the unit that ends the key."""
+
+    format: Literal["optlink/clearance/2"] = Field(alias="schema")
+    status: Annotated[Ending, "ending"]
+    message: str
+    finished: bool
+    control: Control
+    output: Annotated[str, "output.name"]
+    speed_rad_s: Annotated[float, "speed"]
+    start_rad: Annotated[float, "start"]
+    sample_time_s: Annotated[float | None, "sample_time"]
+    tolerance: float
+    gaps: tuple[Gap, ...]
+    notes: tuple[str, ...]
+    figures: dict[str, Number]
+    stopped_s: Annotated[Number, "stopped"]
+    prediction: PredictionRecord | None
+    turns: Columns
+    impacts: tuple[ImpactRecord, ...]
+    section: Columns
+    meanings: dict[str, str]
+    columns: Columns
+
+    @classmethod
+    def of(cls, result: Any, **values: Any) -> Self:
+        """As `Record.of`, with the names of the joints."""
+        impacts = tuple(ImpactRecord.of(one, gap=result.gaps[one.gap].point) for one in result.impacts)
+        return super().of(result, impacts=impacts, **values)
+
+
 @dataclass(frozen=True, repr=False)
-class ClearanceSimulation(Summary):
+class ClearanceSimulation(Recorded):
     """Simulation of a machine with joint clearance.
 
     `columns` by name over the rows of the retained revolutions, `meanings` describe them; `turns`: figures of each
     revolution, (revolutions,) arrays; `impacts` ordered by their ends, those still in contact last; `section`: one row per
     revolution, at its end.
     """
+
+    record = ClearanceRecord
 
     problem: ProblemFile
     machine: Machine
@@ -69,32 +122,3 @@ class ClearanceSimulation(Summary):
     def revolutions(self) -> int:
         """Number of complete revolutions."""
         return int(self.figures["revolutions"])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the simulation as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
-        predicted = self.prediction
-        return finite(  # type: ignore[no-any-return]
-            {
-                **head(SCHEMA, self.problem, self.ending.value),
-                "message": self.message,
-                "finished": self.finished,
-                "control": str(self.control),
-                "output": self.output.name,
-                "speed_rad_s": self.speed,
-                "start_rad": self.start,
-                "sample_time_s": self.sample_time,
-                "tolerance": self.tolerance,
-                "gaps": [vars(gap) for gap in self.gaps],
-                "notes": list(self.notes),
-                "figures": dict(self.figures),
-                "stopped_s": self.stopped,
-                "prediction": None
-                if predicted is None
-                else {"chaotic": predicted.chaotic, "parted_revolutions": predicted.parted, "watched": predicted.watched},
-                "turns": dict(self.turns),
-                "impacts": [{**impact._asdict(), "gap": self.gaps[impact.gap].point} for impact in self.impacts],
-                "section": dict(self.section),
-                "meanings": dict(self.meanings),
-                "columns": dict(self.columns),
-            }
-        )
