@@ -185,10 +185,10 @@ class Balance:
     def solve(self) -> Reactions:
         """Solve all groups, the last one first."""
         for group in reversed(self.mechanism.groups):
-            self.commit(group, self.with_friction(group))
+            self._commit(group, self.with_friction(group))
         crank = self.mechanism.crank
         total = self.needed[crank.body]
-        self.exert(crank.start, crank.body, total.force, FRAME)
+        self._exert(crank.start, crank.body, total.force, FRAME)
         return Reactions(total.moment, self.pins, self.guides, self.rows, self.jammed)
 
     # --- one group -------------------------------------------------------------------------------------------------
@@ -237,7 +237,14 @@ class Balance:
         return self.moving.machine.friction[guide.name] * sense
 
     def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
-        """Return the direction in which a guide exerts no force: its line, rotated by the friction angle."""
+        """Return the direction in which a guide exerts no force: its line, rotated by the friction angle.
+
+        Parameters
+        ----------
+        guide : Guide
+        tilts : mapping of str to Value [-]
+            Tangents of the friction angles of guides with friction.
+        """
         x, y = self.moving.line(guide.name)
         if guide.name not in tilts:
             return x, y
@@ -249,7 +256,14 @@ class Balance:
         return self.moving.position(guide.at or self.mechanism.bodies[guide.slider].start)
 
     def about(self, link: Link, point: Vector) -> Value:
-        """Return the moment about a point that the joints exert on a body."""
+        """Return the moment about a point that the joints exert on a body.
+
+        Parameters
+        ----------
+        link : Link
+            Body.
+        point : pair of Value [m]
+        """
         return self.needed[link.body].about(self.moving.state(link.body).start, point)
 
     def total(self, group: Group) -> Vector:
@@ -259,37 +273,37 @@ class Balance:
 
     # --- transmitted forces ----------------------------------------------------------------------------------------
 
-    def commit(self, group: Group, solved: GroupForces) -> None:
+    def _commit(self, group: Group, solved: GroupForces) -> None:
         """Store the forces of a group and apply their counterparts to the bodies that carry it."""
         first, second = (link.body for link in group.links)
         for point, body, force in solved.pins:
             if point == group.joint:
-                self.exert(point, body, force, second if body == first else first)
+                self._exert(point, body, force, second if body == first else first)
             else:
-                carrier = self.carrier(point, (first, second))
-                self.exert(point, body, force, carrier)
-                self.carry(carrier, self.moving.position(point), force, 0.0)
+                carrier = self._carrier(point, (first, second))
+                self._exert(point, body, force, carrier)
+                self._carry(carrier, self.moving.position(point), force, 0.0)
         for guide, body, force, moment in solved.guides:
             other, at = guide.other(body), self.at(guide)
             if other not in (first, second):
-                self.carry(other, at, force, moment)
+                self._carry(other, at, force, moment)
             sign = 1.0 if body == guide.slider else -1.0
             line, on = self.moving.line(guide.name), (sign * force[0], sign * force[1])
             self.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
         self.rows[group.joint] = solved.rows
 
-    def carrier(self, point: str, own: tuple[str, str]) -> str:
+    def _carrier(self, point: str, own: tuple[str, str]) -> str:
         """Return the body placed before a group that holds one of its outer joints."""
         first = min(self.order[body] for body in own)
         return next(body for body in self.mechanism.pins[point] if self.order[body] < first)
 
-    def exert(self, point: str, body: str, force: Vector, by: str) -> None:
+    def _exert(self, point: str, body: str, force: Vector, by: str) -> None:
         """Add the force of one body on another at a pin."""
         forces = self.pins.setdefault(point, {})
         forces[body] = plus(forces[body], force) if body in forces else force
         forces[by] = minus(forces[by], force) if by in forces else (-force[0], -force[1])
 
-    def carry(self, body: str, point: Vector, force: Vector, moment: Value) -> None:
+    def _carry(self, body: str, point: Vector, force: Vector, moment: Value) -> None:
         """Add a transmitted force and moment to the wrench that a body requires."""
         if body != FRAME:
             start = self.moving.state(body).start

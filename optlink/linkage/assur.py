@@ -146,7 +146,7 @@ class Assembly:
         pins = [point for point in self.pins(body) if self.placed.intersection(self.members[point])]
         return [*pins, *(guide for guide in self.rails(body) if guide.other(body) in self.placed)]
 
-    def shared(self, first: str, second: str) -> list[str | Guide]:
+    def _shared(self, first: str, second: str) -> list[str | Guide]:
         """Return the joints between two bodies that are not yet placed."""
         pins = [p for p in self.pins(first) if second in self.members[p] and not self.placed.intersection(self.members[p])]
         return [*pins, *(guide for guide in self.rails(first) if guide.other(first) == second)]
@@ -176,7 +176,7 @@ class Assembly:
         """Return the first dyad, in the order of the file, among bodies joined to placed ones."""
         for first in reached:
             for second in self.neighbours(first):
-                if self.rank[first] < self.rank[second] and (found := self.group(first, second)):
+                if self.rank[first] < self.rank[second] and (found := self._group(first, second)):
                     return found
         return None
 
@@ -210,15 +210,15 @@ class Assembly:
                 f"links.{self.driver}",
             )
 
-    def group(self, first: str, second: str) -> Group | None:
+    def _group(self, first: str, second: str) -> Group | None:
         """Return the dyad of two bodies, if each has one joint with the placed bodies and they share one inner joint."""
-        outer, inner = [self.known(body) for body in (first, second)], self.shared(first, second)
+        outer, inner = [self.known(body) for body in (first, second)], self._shared(first, second)
         if len(outer[0]) != 1 or len(outer[1]) != 1 or len(inner) != 1:
             return None
         joint = inner[0]
         a, b = outer[0][0], outer[1][0]
         if a == b and isinstance(a, str):
-            raise self.one_body(first, second, [a, joint if isinstance(joint, str) else joint.name])
+            raise self._one_body(first, second, [a, joint if isinstance(joint, str) else joint.name])
         letters = "".join("R" if isinstance(each, str) else "P" for each in (a, joint, b))
         if letters in DYADS:
             return DYADS[letters](self, self.links[first], self.links[second], a, joint, b)
@@ -231,7 +231,15 @@ class Assembly:
         return _split(self.modes[joint])[1]
 
     def side(self, joint: str, p: str, q: str) -> int:
-        """Return the assembly mode of an RRR group."""
+        """Return the assembly mode of an RRR group.
+
+        Parameters
+        ----------
+        joint : str
+            Inner joint of the group.
+        p, q : str
+            Outer joints.
+        """
         options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
         words = self.mode(joint, options)
         if words == EITHER:
@@ -242,7 +250,14 @@ class Assembly:
         return (1 if match[1] == "left" else -1) * (1 if match[2] == p else -1)
 
     def way(self, joint: str, guide: Guide) -> int:
-        """Return the assembly mode of a group with one slider."""
+        """Return the assembly mode of a group with one slider.
+
+        Parameters
+        ----------
+        joint : str
+            Name of the group.
+        guide : Guide
+        """
         options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
         words = self.mode(joint, options).strip()
         if words == EITHER:
@@ -270,7 +285,7 @@ class Assembly:
             )
         return _split(self.modes[joint])[0]
 
-    def one_body(self, first: str, second: str, both: list[str]) -> StructureError:
+    def _one_body(self, first: str, second: str, both: list[str]) -> StructureError:
         """Return the error for two bodies that cannot move relative to each other."""
         return StructureError(
             f"{first} and {second} share the joints {_list(both)}, which makes them one body",
@@ -296,9 +311,9 @@ class Assembly:
                     f"links.{body}",
                 )
         for first, second in combinations(left, 2):
-            both = [joint if isinstance(joint, str) else joint.name for joint in self.shared(first, second)]
+            both = [joint if isinstance(joint, str) else joint.name for joint in self._shared(first, second)]
             if len(both) > 1:
-                return self.one_body(first, second, both)
+                return self._one_body(first, second, both)
         free = self.mobility()
         if free > 1:
             return StructureError(
@@ -313,7 +328,7 @@ class Assembly:
                 f"links.{left[-1]}",
             )
         for first, second in combinations(left, 2):
-            outer, inner = [self.known(body) for body in (first, second)], self.shared(first, second)
+            outer, inner = [self.known(body) for body in (first, second)], self._shared(first, second)
             if len(outer[0]) == len(outer[1]) == len(inner) == 1 and not any(
                 isinstance(j, str) for j in (*outer[0], *outer[1], *inner)
             ):

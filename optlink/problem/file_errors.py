@@ -27,7 +27,15 @@ def of_dyads(raw: Mapping[str, Any]) -> bool:
 
 
 def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
-    """Return the keys that models of these kinds (default: any kind) have at a path of sections."""
+    """Return the keys that models of these kinds (default: any kind) have at a path of sections.
+
+    Parameters
+    ----------
+    path : tuple of str or int
+        Sections, the outermost first.
+    *kinds : type
+        Models of a file.
+    """
     models: list[Any] = list(kinds) or [DesignProblem, PathProblem, CycleProblem, Problem, *SECTIONS.values()]
     for step in path:
         fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
