@@ -25,6 +25,7 @@ from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 from optlink.units import factor, parse
 from tests import synthesis_oracle as oracle
+from tests.solved import solution
 
 NAMES = sorted(optlink.shipped())
 LONG = ("function-exp", "function-log10")  # ten seconds each; the sine stands for them in a plain run
@@ -82,15 +83,10 @@ def test_expected_design_is_reached(name):
 # --- linkages for points and poses --------------------------------------------------------------------------------------------
 
 
-@cache
-def generated(name: str) -> optlink.PathResult:
-    return optlink.solve(optlink.load(name))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GENERATED)
 def test_best_known_objective_is_reached_or_beaten(name):
-    result, expected = generated(name), optlink.load(name).model.expected
+    result, expected = solution(name), optlink.load(name).model.expected
     assert result.valid
     assert expected.objective is not None
     assert expected.objective_tolerance <= 2e-6 * expected.objective or expected.objective == 0.0
@@ -129,7 +125,7 @@ def judged(design: optlink.PathDesign) -> oracle.Report:
 
 @pytest.mark.parametrize("name", [name for name in POINTED if isinstance(optlink.load(name).model.mechanism, FourBarSection)])
 def test_four_bars_are_free_of_defects_before_the_oracle(name):
-    for design in generated(name).designs:
+    for design in solution(name).designs:
         report, task = judged(design), design.task
         data, size = task.data, task.size
         assert report.free

