@@ -13,7 +13,7 @@ from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus
 from optlink.registry import Registry
 
 if TYPE_CHECKING:
-    from optlink.dynamics.inverse import Balance
+    from optlink.dynamics.inverse import ForceBalance
 
 
 def solve_two_by_two(row: Vector, right: Value, other: Vector, other_right: Value) -> Vector:
@@ -47,7 +47,7 @@ BALANCES: Registry[Callable[..., GroupForces]] = Registry()
 
 
 @partial(BALANCES.add, "RRR")
-def _rrr(balance: Balance, group: RRR, tilts: Mapping[str, Value]) -> GroupForces:
+def _rrr(balance: ForceBalance, group: RRR, tilts: Mapping[str, Value]) -> GroupForces:
     """Moments of the first link about the inner joint, of both about the other outer joint."""
     first, second = group.links
     p, q, j = (balance.moving.position(name) for name in (*group.pins, group.joint))
@@ -60,7 +60,7 @@ def _rrr(balance: Balance, group: RRR, tilts: Mapping[str, Value]) -> GroupForce
 
 
 @partial(BALANCES.add, "RRP")
-def _rrp(balance: Balance, group: RRP, tilts: Mapping[str, Value]) -> GroupForces:
+def _rrp(balance: ForceBalance, group: RRP, tilts: Mapping[str, Value]) -> GroupForces:
     """Moment of the link about the joint, force of both along the guide."""
     link, slider = group.links
     p, j, across = balance.moving.position(group.outer), balance.moving.position(group.joint), balance.across(group.guide, tilts)
@@ -78,7 +78,7 @@ def _rrp(balance: Balance, group: RRP, tilts: Mapping[str, Value]) -> GroupForce
 
 
 @partial(BALANCES.add, "RPR")
-def _rpr(balance: Balance, group: RPR, tilts: Mapping[str, Value]) -> GroupForces:
+def _rpr(balance: ForceBalance, group: RPR, tilts: Mapping[str, Value]) -> GroupForces:
     """Force of the slider along the guide, moment of both about the other outer joint."""
     slider, second = group.links
     p, q = (balance.moving.position(name) for name in group.outer)
@@ -95,7 +95,7 @@ def _rpr(balance: Balance, group: RPR, tilts: Mapping[str, Value]) -> GroupForce
 
 
 @partial(BALANCES.add, "RPP")
-def _rpp(balance: Balance, group: RPP, tilts: Mapping[str, Value]) -> GroupForces:
+def _rpp(balance: ForceBalance, group: RPP, tilts: Mapping[str, Value]) -> GroupForces:
     """Force of the first body along its guide, of both along the rail."""
     first, yoke = group.links
     p, needed, total = balance.moving.position(group.outer), balance.needed[first.body].force, balance.total(group)
@@ -112,7 +112,7 @@ def _rpp(balance: Balance, group: RPP, tilts: Mapping[str, Value]) -> GroupForce
 
 
 @partial(BALANCES.add, "PRP")
-def _prp(balance: Balance, group: PRP, tilts: Mapping[str, Value]) -> GroupForces:
+def _prp(balance: ForceBalance, group: PRP, tilts: Mapping[str, Value]) -> GroupForces:
     """Forces of both sliders along their guides determine the pin between them."""
     first, second = group.links
     j = balance.moving.position(group.joint)

@@ -148,7 +148,7 @@ def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Rea
     """
     wrenches = required_wrench(moving) if needed is None else needed
     with np.errstate(all="ignore"):
-        found = Balance(moving, wrenches).solve()
+        found = ForceBalance(moving, wrenches).solve()
         if moving.machine.mechanism.followed and not moving.machine.friction:  # finite where reactions are not
             found.torque = virtual_torque(wrenches, moving)
         return found
@@ -170,7 +170,7 @@ def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
     return power / source.motion.speed
 
 
-class Balance:
+class ForceBalance:
     """The remaining wrenches, solved group by group."""
 
     def __init__(self, moving: Moving, needed: Mapping[str, Wrench]) -> None:
