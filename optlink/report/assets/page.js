@@ -105,8 +105,8 @@
         continue;
       }
       const [low, high] = axis.range[0] < axis.range[1] ? axis.range : [axis.range[1], axis.range[0]];
-      const shown = stops.turn ? here - stops.turn * Math.floor((here - low) / stops.turn) : here;
-      const inside = shown >= low && shown <= high + 1e-9;
+      const shown = stops.turn ? here - stops.turn * Math.floor((here - low) / stops.turn + 1e-9) : here;
+      const inside = shown >= low - 1e-6 && shown <= high + 1e-6;
       cursor.style.display = inside ? "block" : "none";
       if (inside) {
         cursor.style.left = axis._offset + axis.d2p(shown) + "px";

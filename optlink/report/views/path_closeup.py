@@ -144,7 +144,7 @@ class Close:
         magnified : float or None, optional
             Magnification of tolerances and deviations; None leaves them out.
         points : bool, optional
-            Draw the generated points.
+            Draw the generated points and the whole curve instead of the surroundings of the points.
         """
         track, factor, unit = self.track, self.unit.factor, self.unit.unit
         whole, run = (track.position(motion) * factor for motion in (track.motion, track.run))
@@ -168,8 +168,8 @@ class Close:
         words = f"wanted point{'s' if len(wanted) <= NUMBERED else f's, {len(wanted)}'}"
         traces.append(Curve.through(wanted, words, WANTED, mode="markers", size=size, text=numbers, gid="wanted"))
         (x0, y0), (x1, y1) = self.limits()
-        panel = Panel(Axis(f"y [{unit}]", (y0, y1)), traces, marks=self._numbers(size))
-        return ChartSpec("", "Path", [panel], Axis(f"x [{unit}]", (x0, x1)), equal=True, cursor=False)
+        x, y = Axis(f"x [{unit}]", None if points else (x0, x1)), Axis(f"y [{unit}]", None if points else (y0, y1))
+        return ChartSpec("", "Path", [Panel(y, traces, marks=self._numbers(size))], x, equal=True, cursor=False)
 
     def draw(self, axes: Axes, magnified: float | None) -> list[Label]:
         """Draw the close-up without a legend and return the labels of the points.
