@@ -40,16 +40,6 @@ DEEPEST = 0.2
 """Share of the journal's radius: a deeper penetration is no contact any more."""
 
 
-class Switch(NamedTuple):
-    """A contact begins or ends: time [s], crank angle [rad], gap, whether it begins, rate of the penetration [m/s]."""
-
-    time: float
-    crank_angle: float
-    gap: int
-    begins: bool
-    rate: float
-
-
 class Impact(NamedTuple):
     """One contact, from its begin to its end.
 

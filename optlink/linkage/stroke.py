@@ -121,19 +121,6 @@ class Ranges:
         return None
 
 
-def assembly_margin(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Array) -> Array:
-    """Return the least assembly margin of all groups [-], array (n,); negative (never NaN) where a group fails to close.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-    sizes : mapping of parameter name to float [m, rad]
-    crank_angle : array (n,) [rad]
-    """
-    with np.errstate(all="ignore"):
-        return _closing(mechanism.at(sizes, crank_angle))
-
-
 def _closing(pose: Pose) -> Array:
     least = np.full(np.shape(pose.directions[pose.mechanism.crank.body][0]), np.inf)
     for group in pose.mechanism.groups:

@@ -15,7 +15,7 @@ from optlink.problem.cycle_terms import Goal, Limit, Objective, Term, check_term
 from optlink.problem.limits import Alignment
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import check_one_mode, sizes_of
-from optlink.problem.quantity import Interval, Unusable
+from optlink.problem.quantity import Interval, Unusable, below
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,8 @@ class CycleProblem(Problem):
         """The limits with their bounds."""
         found = []
         for name, limit in self.limits.named.items():
-            try:
+            with below(f"limits.{name}"):
                 found.append(Bound(name, limit, limit.interval(self.linkage, self.quantities)))
-            except Unusable as error:
-                error.key = f"limits.{name}.{error.key}"
-                raise
         return tuple(found)
 
     @cached_property
@@ -116,19 +113,13 @@ def cross_check_cycle(problem: CycleProblem) -> None:
         raise Unusable("the crank speed is zero", "Give the constant speed of the cycle", "drive.speed", str(problem.drive.speed))
     for k, goal in enumerate(problem.goals):
         place = "objective" if problem.single else f"objective.terms.{k}"
-        try:
+        with below(place):
             check_term(goal, mechanism, problem.quantities)
             if goal.scale is not None and read_figure(goal.scale, problem.kind(goal), "scale")[0] <= 0.0:
                 raise Unusable("a scale is positive", "Give one above zero", "scale", goal.scale)
-        except Unusable as error:
-            error.key = f"{place}.{error.key}"
-            raise
     for name, limit in problem.limits.named.items():
-        try:
+        with below(f"limits.{name}"):
             check_term(limit, mechanism, problem.quantities)
-        except Unusable as error:
-            error.key = f"limits.{name}.{error.key}"
-            raise
     _ = problem.bounds
     if problem.mechanism.friction and any(_forced(term) for term in (*problem.goals, *problem.limits.named.values())):
         guide = next(iter(problem.mechanism.friction))

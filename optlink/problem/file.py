@@ -22,7 +22,7 @@ from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem, cross_check
 from optlink.problem.path import PathProblem
 from optlink.problem.path_checks import cross_check_path, four_bar_limits
-from optlink.problem.quantity import Unusable, nearest
+from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
 from optlink.registry import load_extensions
 
@@ -207,7 +207,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
         problem = model.model_validate(raw, context={"folder": where})
     except pydantic.ValidationError as error:
         raise InputError(list(faults(error, model, raw, file))) from None
-    try:
+    with input_of(file):
         if isinstance(problem, DesignProblem):
             cross_check_design(problem)
         if isinstance(problem, PathProblem):
@@ -215,8 +215,6 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
         if isinstance(problem, CycleProblem):
             cross_check_cycle(problem)
         cross_check(problem)
-    except Unusable as error:
-        raise InputError(Fault(error.message, error.remedy, file, error.key, error.value)) from None
     return ProblemFile(name, file, where, raw, problem)
 
 

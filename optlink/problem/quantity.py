@@ -9,12 +9,14 @@ from __future__ import annotations
 import difflib
 import functools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
+from optlink.errors import Fault, InputError
 from optlink.units import KINDS, UnitProblem, parse, show
 
 SIDES = ("min", "max", "exactly")
@@ -27,6 +29,40 @@ class Unusable(ValueError):
     def __init__(self, message: str, remedy: str, key: str = "", value: object = None) -> None:
         super().__init__(f"{message}. {remedy}")
         self.message, self.remedy, self.key, self.value = message, remedy, key, value
+
+
+@contextmanager
+def below(key: str) -> Iterator[None]:
+    """Prefix a key to the one that an `Unusable` names."""
+    try:
+        yield
+    except Unusable as error:
+        error.key = f"{key}.{error.key}" if error.key else key
+        raise
+
+
+@contextmanager
+def input_of(file: str | None, key: str | None = None, value: object = None) -> Iterator[None]:
+    """Raise an `Unusable` as the error of a file or an option.
+
+    Parameters
+    ----------
+    file : str or None
+        Name of the file.
+    key : str, optional
+        Key or option. Default: the key and value of the `Unusable`.
+    value : object, optional
+
+    Raises
+    ------
+    InputError
+        in place of an `Unusable`.
+    """
+    try:
+        yield
+    except Unusable as error:
+        place = (error.key, error.value) if key is None else (key, value)
+        raise InputError(Fault(error.message, error.remedy, file, *place)) from None
 
 
 def nearest(key: str, known: Iterable[str]) -> str:

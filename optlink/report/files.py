@@ -15,7 +15,7 @@ from optlink.errors import Fault, InputError
 from optlink.io import folder, whole, write_json
 from optlink.problem.file import ProblemFile, dump
 from optlink.problem.fixed_design import with_files_beside
-from optlink.problem.quantity import Unusable
+from optlink.problem.quantity import input_of
 
 __all__ = ["Stream", "checkpoint", "folder", "stream", "whole", "write_csv", "write_design", "write_json"]
 
@@ -35,10 +35,8 @@ def write_design(directory: Path, machine: ProblemFile, comment: str) -> list[Pa
     InputError
         If a file cannot be read or written.
     """
-    try:
+    with input_of(machine.file):
         moved, files = with_files_beside(machine)
-    except Unusable as error:
-        raise InputError(Fault(error.message, error.remedy, machine.file, error.key, error.value)) from None
     texts = {"design.toml": f"# {' '.join(comment.split())}\n{dump(moved)}".encode(), **files}
     for name, data in texts.items():
         with whole(directory / name) as temporary:

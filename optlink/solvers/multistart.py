@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,69 +145,6 @@ def sobol(nlp: NLP, seed: int) -> Iterator[Array]:
     high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
     while True:
         yield from nlp.x_low + points.random(SOBOL_BLOCK) * (high - nlp.x_low)
-
-
-@dataclass(frozen=True)
-class Cluster:
-    """A distinct optimum: its best solution and the number of starts that ended there."""
-
-    solution: Solution
-    count: int
-
-
-def cluster(nlp: NLP, solutions: list[Solution]) -> list[Cluster]:
-    """Return the distinct optima of feasible solutions, best first.
-
-    Parameters
-    ----------
-    nlp : NLP
-    solutions : list of Solution
-    """
-    found: list[Cluster] = []
-    for solution in sorted((s for s in solutions if s.usable), key=lambda s: s.objective):
-        for i, known in enumerate(found):
-            if np.max(np.abs(known.solution.x - solution.x)) <= SAME_DESIGN:
-                found[i] = Cluster(known.solution, known.count + 1)
-                break
-        else:
-            found.append(Cluster(solution, 1))
-    return found
-
-
-def multistart(
-    nlp: NLP,
-    name: str,
-    begin: list[Array],
-    progress: Callable[[int], None] | None = None,
-    *,
-    track: bool = False,
-) -> list[Solution]:
-    """Return one solution per start, in the order of the starts.
-
-    An interrupt (Ctrl-C) keeps the solutions obtained so far, if there are any.
-
-    Parameters
-    ----------
-    nlp : NLP
-    name : str
-        Back end.
-    begin : list of arrays (n,)
-        Starting points, scaled.
-    progress : function of an int, optional
-        Called with the number of finished searches.
-    track : bool
-        Record the iterates of the first search.
-    """
-    solutions: list[Solution] = []
-    try:
-        for k, x in enumerate(begin):
-            solutions.append(solve_from(nlp, x, name, track=track and k == 0))
-            if progress:
-                progress(k + 1)
-    except KeyboardInterrupt:
-        if not solutions:
-            raise
-    return solutions
 
 
 def best(solutions: list[Solution]) -> Solution:

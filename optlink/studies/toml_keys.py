@@ -39,24 +39,3 @@ def value_at(problem: ProblemFile, key: str) -> Any:
             return None
         found = found[step]
     return found
-
-
-def started_at(problem: ProblemFile, design: Mapping[str, float]) -> ProblemFile:
-    """Return the problem with its design variables starting at a design, as far as the file states them.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    design : mapping of str to float [SI]
-    """
-    from optlink.solvers.solution import key_of
-    from optlink.units import KINDS
-
-    changes: dict[str, Any] = {}
-    for name, value in design.items():
-        key = key_of(name)
-        raw, quantity = value_at(problem, key), problem.spec.quantities[name]
-        if isinstance(raw, Mapping) and "bounds" in raw:
-            low, high = quantity.bounds
-            changes[key] = {**raw, "start": exact_text(min(max(value, low), high), KINDS[quantity.kind].si)}
-    return problem.override(changes) if changes else problem

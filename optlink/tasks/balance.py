@@ -23,7 +23,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.machine.balance import check_measure, read_measure
 from optlink.problem.mechanism import sizes_of
-from optlink.problem.quantity import Unusable
+from optlink.problem.quantity import input_of
 from optlink.tasks.machine import check_regular, crank_speed, machine_of, motion_range, table_angles
 from optlink.tasks.results.balance import (
     AddedCounterweight,
@@ -234,11 +234,9 @@ def balance(
 
 
 def _measure(text: str, option: str, task: _Task) -> BalanceMeasure:
-    try:
+    with input_of(task.problem.file, option, text):
         measure = read_measure(text)
         check_measure(measure, task.machine)
-    except Unusable as error:
-        raise InputError(Fault(error.message, error.remedy, task.problem.file, option, text)) from None
     return measure
 
 

@@ -28,7 +28,7 @@ from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import Unusable, nearest
+from optlink.problem.quantity import input_of, nearest
 from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
 from optlink.tasks.results.clearance import SETTLED, ClearanceSimulation
 
@@ -360,10 +360,8 @@ def _setting(
             )
         )
     machine = with_flywheel(machine_of(problem, design), flywheel)
-    try:
+    with input_of(name):
         gaps = model.gaps(machine)
-    except Unusable as error:
-        raise InputError(Fault(error.message, error.remedy, name, error.key, error.value)) from None
     if not gaps:
         pin = next(iter(machine.mechanism.pins))
         remedy = f'Add one: [joints.{pin}] clearance = "0.5 mm", bearing_radius = "10 mm", modulus = "207 GPa"'

@@ -13,7 +13,7 @@ from optlink.errors import Fault, InputError, Status
 from optlink.problem.cycle import Bound, CycleProblem
 from optlink.problem.cycle_terms import Term
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import Unusable
+from optlink.problem.quantity import input_of
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
 from optlink.tasks.results.common import Optimum, optimality
@@ -70,10 +70,8 @@ def solve(
     names = back_ends(problem, backend, starts, seed, MAX_STARTS)
     task, count = task_of(problem), STARTS if starts is None else starts
     clock = [time.perf_counter()]
-    try:
+    with input_of(problem.file):
         trace = TracedCycle(task, slow=task.slow_assumed)
-    except Unusable as error:
-        raise InputError(Fault(error.message, error.remedy, problem.file, error.key, error.value)) from None
     samples = StartSequence(trace, seed)
 
     def fits(structure: EventOrder) -> bool:

@@ -20,7 +20,7 @@ from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.file import ProblemFile, parse_assignment
-from optlink.problem.quantity import Quantity, Unusable, nearest, read_quantity
+from optlink.problem.quantity import Quantity, input_of, nearest, read_quantity
 from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Solution
@@ -401,10 +401,8 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
         if isinstance(value, dict | list):
             remedy = f'Give one value, such as {name}="{show(quantities[name].value, quantities[name].kind)}"'
             raise InputError(Fault("a given design has no bounds", remedy, problem.file, f"--design {name}", value))
-        try:
+        with input_of(problem.file, f"--design {name}", value):
             quantity: Quantity = read_quantity(value, quantities[name].kind)
-        except Unusable as error:
-            raise InputError(Fault(error.message, error.remedy, problem.file, f"--design {name}", value)) from None
         given[name] = quantity.value
     missing = [name for name in problem.model.free if name not in given and name not in varied]
     if missing:

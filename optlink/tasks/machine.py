@@ -17,7 +17,7 @@ from optlink.linkage.stroke import TURN, Ranges, failure, reachable
 from optlink.linkage.vector2d import Value
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
-from optlink.problem.quantity import Unusable
+from optlink.problem.quantity import input_of
 
 Array = NDArray[np.float64]
 
@@ -56,10 +56,8 @@ def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) 
     InputError
         If the machine cannot be built.
     """
-    try:
+    with input_of(problem.file):
         return problem.model.machine(design)
-    except Unusable as error:
-        raise InputError(Fault(error.message, error.remedy, problem.file, error.key, error.value)) from None
 
 
 def crank_speed(problem: ProblemFile) -> float:

@@ -22,6 +22,7 @@ from optlink.problem.quantity import (
     MassInterval,
     StiffnessInterval,
     Unusable,
+    below,
     nearest,
     read_fixed,
     read_scalar,
@@ -415,11 +416,8 @@ class BalanceSection(Section):
             )
         weights, springs = [], []
         for k, section in enumerate(self.counterweights):
-            try:
+            with below(f"counterweights.{k}"):
                 weights.append(section.counterweight(machine))
-            except Unusable as error:
-                error.key = f"counterweights.{k}.{error.key}"
-                raise
         for k, weight in enumerate(weights):
             if weight.kind == "free" and math.isinf(weight.mass[1]) and (self.mass is None or self.mass.high is None):
                 message = "its mass is unbounded: ever more mass with ever less moment of inertia would be optimal"
@@ -430,18 +428,12 @@ class BalanceSection(Section):
                 remedy = "Together they are one counterweight: give that its mass and reach"
                 raise Unusable("the body has two counterweights", remedy, f"counterweights.{k}.body", body)
         for k, spring in enumerate(self.springs):
-            try:
+            with below(f"springs.{k}"):
                 springs.append(spring.spring(machine))
-            except Unusable as error:
-                error.key = f"springs.{k}.{error.key}"
-                raise
         for key, measures in (("minimise", [m for m, _ in self.goal]), ("limits", [c.measure for c in self.limits.values()])):
             for measure in measures:
-                try:
+                with below(key):
                     check_measure(measure, machine)
-                except Unusable as error:
-                    error.key = key
-                    raise
         self.place(machine)
         return tuple(weights), tuple(springs)
 

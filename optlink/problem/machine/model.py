@@ -25,7 +25,7 @@ from optlink.problem.machine.control import ControlSection
 from optlink.problem.machine.joints import JointSection
 from optlink.problem.machine.loads import LoadSection
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
-from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, nearest
+from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, nearest
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
 
 Array = NDArray[np.float64]
@@ -162,11 +162,11 @@ class Problem(Section):
             if joint.on is not None and joint.on not in mechanism.pins[name]:
                 remedy = nearest(joint.on, mechanism.pins[name])
                 raise Unusable("the joint is not one of that body", remedy, f"joints.{name}.on", joint.on)
-            with _below(f"joints.{name}"):
+            with below(f"joints.{name}"):
                 joint.check_unused()
         inertias = {}
         for name, body in self.bodies.items():
-            with _below(f"bodies.{name}"):
+            with below(f"bodies.{name}"):
                 inertias[name] = body.inertia_of(name, mechanism, sizes)
         if self.mechanism.follows and all(np.ndim(size) == 0 for size in sizes.values()):
             self.mechanism.check_mode(sizes)
@@ -178,7 +178,7 @@ class Problem(Section):
                 raise Unusable(f"{name} is a reserved name", "Choose another", f"loads.{name}")
             if name in (*mechanism.bodies, *mechanism.owners, *(guide.name for guide in mechanism.guides), FRAME):
                 raise Unusable("the name of a body, point or guide", "Choose another for the load", f"loads.{name}")
-            with _below(f"loads.{name}"):
+            with below(f"loads.{name}"):
                 loads.append(section_.build(name, mechanism, motion))
         return Machine(
             mechanism,
@@ -223,25 +223,11 @@ class Problem(Section):
         found = []
         for name, joint in self.joints.items():
             if joint.has_clearance:
-                with _below(f"joints.{name}"):
+                with below(f"joints.{name}"):
                     found.append(joint.gap(name, machine.mechanism))
         if found:
             Revolution(machine).check_holds(found)
         return tuple(found)
-
-
-class _below:
-    """Context that prefixes a key to the one named by an error."""
-
-    def __init__(self, key: str) -> None:
-        self.key = key
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, Unusable):
-            error.key = f"{self.key}.{error.key}" if error.key else self.key
 
 
 class Revolution:
@@ -368,16 +354,16 @@ def cross_check(problem: Problem) -> None:
     """
     machine = problem.machine(slow=problem.slow_assumed)
     gaps = problem.gaps(machine)
-    with _below("tolerances"):
+    with below("tolerances"):
         _ = problem.deviations
     if problem.control is not None:
-        with _below("control"):
+        with below("control"):
             problem.control.check(machine, gaps)
     if problem.balance is not None:
-        with _below("balance"):
+        with below("balance"):
             problem.balance.build(machine)
     if problem.drive.servo is not None:
-        with _below("drive.servo"):
+        with below("drive.servo"):
             problem.drive.servo.check()
         if problem.drive.torque is not None:
             message = "the drive has a torque and a servo"
