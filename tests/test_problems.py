@@ -392,7 +392,7 @@ def test_power_balance_fails_with_a_planted_defect(name, monkeypatch):
     energy = Energy(analysed(name))
     problem = energy.analysis.problem
     with monkeypatch.context() as patch:
-        patch.setattr(reactions_module.ForceBalance, "carry", forgotten_lever)
+        patch.setattr(reactions_module.ForceBalance, "_carry", forgotten_lever)
         assert energy.imbalance(power_of(energy, problem)) > 1e-3
     with monkeypatch.context() as patch:
         patch.setattr(reactions_module, "wrench", without_centripetal)

@@ -1204,7 +1204,7 @@ def test_checks_see_a_sign_in_a_balance(name, monkeypatch):
 def test_checks_see_a_reaction_that_is_not_carried_on(example, monkeypatch):
     moving = machine_of(example.name).moving(PHI, 7.0, 3.0)
     k, wanted = kinematics(moving), expected(moving)
-    monkeypatch.setattr(reactions_module.ForceBalance, "carry", lambda self, body, point, force, moment: None)
+    monkeypatch.setattr(reactions_module.ForceBalance, "_carry", lambda self, body, point, force, moment: None)
     assert all(verdicts(moving, k, wanted).values())
 
 
@@ -1215,9 +1215,9 @@ def test_checks_see_a_guide_moment_that_is_not_carried_on(example, monkeypatch):
     """Of a guide on a moving body the force alone is handed on."""
     moving = machine_of(example.name).moving(PHI, 7.0, 3.0)
     k, wanted = kinematics(moving), expected(moving)
-    honest = reactions_module.ForceBalance.carry
+    honest = reactions_module.ForceBalance._carry
     monkeypatch.setattr(
-        reactions_module.ForceBalance, "carry", lambda self, body, point, force, moment: honest(self, body, point, force, 0.0)
+        reactions_module.ForceBalance, "_carry", lambda self, body, point, force, moment: honest(self, body, point, force, 0.0)
     )
     found = verdicts(moving, k, wanted)
     carried = any(
