@@ -78,8 +78,10 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
     else:
         whole = made.subfigures(len(rows), 1, height_ratios=heights, squeeze=False)[:, 0]
         for part, row in zip(whole, rows, strict=True):
-            places = part.subfigures(1, len(row), width_ratios=[chart.width for chart in row], squeeze=False)[0]
-            for place, chart in zip(places, row, strict=True):
+            widths = [chart.width for chart in row]
+            rest = [width - sum(widths)] if sum(widths) < 0.9 * width else []  # left empty, so that rows are of one measure
+            places = part.subfigures(1, len([*widths, *rest]), width_ratios=[*widths, *rest], squeeze=False)[0]
+            for place, chart in zip(places, row, strict=False):
                 labels += _chart(place, chart)
                 told = [heading(text, chart.width - 0.7, 9.5) for text in (chart.title, chart.remark) if text]
                 place.suptitle("\n".join(told), fontsize=9.5)
@@ -189,7 +191,8 @@ def _trace(axes: Axes, trace: Trace, chart: ChartSpec, panel: Panel) -> None:
         axes.set_facecolor(EMPTY)
         axes.grid(visible=False)
         shaded = axes.pcolormesh(*edges, np.ma.masked_invalid(trace.z), cmap="viridis", vmin=low, vmax=high, rasterized=True)
-        axes.figure.colorbar(shaded, ax=axes, label=trace.name)
+        if trace.name:
+            axes.figure.colorbar(shaded, ax=axes, label=trace.name)
     else:
         _bars(axes, trace)
 

@@ -128,7 +128,7 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class HeatMap:
-    """Values (m, n) over a grid of places `x` (n,) and `y` (m,), with a colour bar; NaN is left grey.
+    """Values (m, n) over a grid of places `x` (n,) and `y` (m,), with a colour bar if it has a name; NaN is left grey.
 
     `limits` are the ends of the colour scale, `picks` (m, n) the numbers of the selectable points.
     """

@@ -58,13 +58,13 @@ def verdict(status: str, valid: bool, reason: str) -> str:
     return f"{status}, valid" if valid else f"NOT VALID: {reason}"
 
 
-def write_csv(path: Path, columns: Mapping[str, Iterable[float]]) -> None:
+def write_csv(path: Path, columns: Mapping[str, Iterable[float | str]]) -> None:
     """Write columns with a header in full precision; values that are not finite give empty cells.
 
     Parameters
     ----------
     path : Path
-    columns : mapping of str to iterable of float
+    columns : mapping of str to iterable of float or str
         All of the same length.
     """
     with whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
@@ -73,9 +73,15 @@ def write_csv(path: Path, columns: Mapping[str, Iterable[float]]) -> None:
         _write_rows(writer, columns)
 
 
-def _write_rows(writer: Any, columns: Mapping[str, Iterable[float]]) -> None:
+def _write_rows(writer: Any, columns: Mapping[str, Iterable[float | str]]) -> None:
     for row in zip(*columns.values(), strict=True):
-        writer.writerow([repr(float(value)) if math.isfinite(value) else "" for value in row])
+        writer.writerow([_cell(value) for value in row])
+
+
+def _cell(value: float | str) -> str:
+    if isinstance(value, str):
+        return value
+    return repr(float(value)) if math.isfinite(value) else ""
 
 
 class Stream:

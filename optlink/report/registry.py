@@ -138,21 +138,21 @@ def files_of(kind: str) -> Callable[[Any, Path], object]:
 
             return partial(write_files, CONTROL_COMPARISON)
         case "sweep":
-            from optlink.report.views.sweep_pictures import write_all as sweep_files
+            from optlink.report.views.sweep import VIEW as SWEEP
 
-            return sweep_files
+            return partial(write_files, SWEEP)
         case "sensitivity":
-            from optlink.report.views.sensitivity_pictures import write_all as sensitivity_files
+            from optlink.report.views.sensitivity import VIEW as SENSITIVITY
 
-            return sensitivity_files
+            return partial(write_files, SENSITIVITY)
         case "tolerance":
             from optlink.report.views.tolerance_pictures import write_all as tolerance_files
 
             return tolerance_files
         case "pareto":
-            from optlink.report.views.pareto_pictures import write_all as pareto_files
+            from optlink.report.views.pareto import VIEW as PARETO
 
-            return pareto_files
+            return partial(write_files, PARETO)
     return REGISTERED[kind].files
 
 
@@ -182,7 +182,7 @@ def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], Studied]:
 
             return balance_page
         case "sweep":
-            from optlink.report.views.sweep_page import studied as sweep_page
+            from optlink.report.views.sweep import studied as sweep_page
 
             return sweep_page
         case "tolerance":
@@ -190,7 +190,7 @@ def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], Studied]:
 
             return tolerance_page
         case "pareto":
-            from optlink.report.views.pareto_page import studied as pareto_page
+            from optlink.report.views.pareto import studied as pareto_page
 
             return pareto_page
     raise KeyError(kind)

@@ -57,7 +57,7 @@ class View:
     subject: Callable[[Any], Any] = _itself
     charts: Callable[[Any], Iterable[ChartSpec]] = _none
     drawings: Mapping[str, Callable[[Any], Figure | None]] = field(default_factory=dict)
-    tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float]]]] = _no_tables
+    tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float | str]]]] = _no_tables
     design: Callable[[Any], tuple[ProblemFile, str] | None] = _no_design
     frames: Callable[[Any], list[Image.Image]] = _none
 

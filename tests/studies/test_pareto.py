@@ -23,7 +23,8 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.file import ProblemFile, load
-from optlink.report.views.pareto_pictures import picture
+from optlink.report.chart_mpl import draw
+from optlink.report.views.pareto import charts
 from optlink.studies import cycle_task
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.pareto import epsilon_ranges
@@ -494,7 +495,7 @@ def test_command_writes_table_document_and_picture(tmp_path):
 
 
 def test_picture_marks_ends_knee_and_what_was_given():
-    axes = picture(crank_rocker()).axes
+    axes = draw(charts(crank_rocker())).axes
     assert len(axes) == 1
     marked = {line.get_gid(): line.get_xydata() for line in axes[0].lines}
     front = crank_rocker()
@@ -502,7 +503,7 @@ def test_picture_marks_ends_knee_and_what_was_given():
         assert marked[name] == pytest.approx(np.array([front.points[k].values]))
     assert marked["given"] == pytest.approx(np.array([front.given]))
     three = pareto(optlink.load("crank-rocker"), f"error, {ANGLE}=100..150 deg, coupler=330..400 mm", points=4, workers=1)
-    panels = [panel for panel in picture(three).axes if panel.get_label() != "<colorbar>"]
+    panels = [panel for panel in draw(charts(three)).axes if panel.get_label() != "<colorbar>"]
     assert len(panels) == 3
     assert [panel.get_xlabel() for panel in panels] == ["error [rad²]", "error [rad²]", "largest transmission angle [deg]"]
 

@@ -22,6 +22,7 @@ Trace = dict[str, Any]
 DIGITS = 7  # significant digits of a number in a chart, far below the visible resolution
 FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
 LONG = 4000  # number of points from which a curve is thinned
+CELLS = 150  # largest number of rows and columns of a map
 DOTS = 4.0 / 3.0  # pixels per point
 SYMBOLS = {
     "circle": "circle",
@@ -232,9 +233,8 @@ def charts(specs: Iterable[ChartSpec]) -> list[Chart]:
 
 def chart(spec: ChartSpec) -> Chart:
     """Return a chart of the page."""
-    figure = stacked(
-        [Panel(panel.y.name.replace("\n", " "), _traces(spec, panel), panel.height) for panel in spec.panels], spec.x.name
-    )
+    panels = [Panel(panel.y.name.replace("\n", " "), _traces(spec, panel), panel.height) for panel in spec.panels]
+    figure = stacked(panels, spec.x.name.replace("\n", "; "))
     layout = figure["layout"]
     if spec.equal or any(isinstance(trace, HeatMap) for panel in spec.panels for trace in panel.traces):
         layout["height"] = 480
@@ -387,12 +387,13 @@ def _band(trace: Band) -> list[Trace]:
 
 def _heat_map(spec: ChartSpec, panel: chart_spec.Panel, trace: HeatMap) -> Trace:
     told = f"{escape(spec.x.name)}: %{{x:.6g}}<br>{escape(panel.y.name)}: %{{y:.6g}}<br>%{{z:.6g}}<extra></extra>"
-    drawn: Trace = {"type": "heatmap", "name": escape(trace.name), "x": short(trace.x), "y": short(trace.y)}
-    drawn |= {"z": [short(row) for row in trace.z], "colorscale": "Viridis", "hovertemplate": told}
+    rows, columns = (slice(None, None, max(1, -(-size // CELLS))) for size in trace.z.shape)
+    drawn: Trace = {"type": "heatmap", "name": escape(trace.name), "x": short(trace.x[columns]), "y": short(trace.y[rows])}
+    drawn |= {"z": [short(row) for row in trace.z[rows, columns]], "colorscale": "Viridis", "hovertemplate": told}
     drawn["colorbar"] = {"title": {"text": escape(trace.name), "side": "right"}, "thickness": 16}
     if trace.limits is not None:
         drawn |= {"zmin": trace.limits[0], "zmax": trace.limits[1]}
-    return drawn | ({"customdata": [list(row) for row in trace.picks]} if trace.picks else {})
+    return drawn | ({"customdata": [list(row)[columns] for row in trace.picks[rows]]} if trace.picks else {})
 
 
 def _bars(trace: Bars) -> Trace:
@@ -434,7 +435,8 @@ def _marks(spec: ChartSpec, panel: chart_spec.Panel) -> list[Trace]:
             ways = [one.prefer if any(one.prefer) else (middle[0] - one.x, middle[1] - one.y) for one in own]
             sides = [f"{'top' if up > 0.0 else 'bottom'} {'right' if across > 0.0 else 'left'}" for across, up in ways]
             drawn |= {"textposition": sides, "textfont": {"color": first.colour, "size": 11}}
-        found.append(drawn | ({} if first.text else {"hoverinfo": "skip", "hovertemplate": None}))
+        seen = first.text and not (first.written and spec.picks is not None)  # else the points below are pointed at
+        found.append(drawn | ({} if seen else {"hoverinfo": "skip", "hovertemplate": None}))
     return found
 
 

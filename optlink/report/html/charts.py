@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from html import escape
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,21 +9,18 @@ from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.io import finite
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.html import chart_plotly
-from optlink.report.html.chart_plotly import Chart, axis, sheet, short
+from optlink.report.html.chart_plotly import Chart
 from optlink.report.html.moving_linkage import Readout
 from optlink.report.report_model import ReportModel
-from optlink.report.style import FOUND, LIMIT, scale
+from optlink.report.style import scale
 from optlink.report.views import analysis_charts, analysis_forces, cycle, function, path
 from optlink.report.views.analysis_curves import Course
-from optlink.report.views.study_tables import step
-from optlink.studies.sensitivity import Sensitivities
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathResult
 
 Array = NDArray[np.float64]
-BARS = 16  # largest number of bars of the tornado chart
 
 
 def charts(subject: ReportModel) -> list[Chart]:
@@ -50,30 +45,6 @@ def charts(subject: ReportModel) -> list[Chart]:
         if subject.forces:
             specs += analysis_forces.forces(course, given)
     return chart_plotly.charts(specs)
-
-
-# --- sensitivities -----------------------------------------------------------------------------------------------------------
-
-
-def tornado(found: Sensitivities) -> Chart:
-    """Plot the change of the objective by one step of every parameter, largest effect on top."""
-    rows = found.moving[:BARS][::-1]
-    base = found.solution.objective
-    factor, unit = (100.0 / base, "%") if base > 0.0 else (1.0, found.unit)
-    names = [escape(f"{row.parameter.name}: {row.parameter.value:.5g} {row.parameter.unit}".rstrip()) for row in rows]
-    effects = np.array([row.effect * factor for row in rows])
-    steps = [f"{names[k]} + {step(row)}" for k, row in enumerate(rows)]
-    bars = {"type": "bar", "orientation": "h", "name": "one step more", "y": names, "x": short(effects), "text": steps}
-    colours = [LIMIT if effect > 0.0 else FOUND for effect in effects]
-    bars |= {"textposition": "none", "hovertemplate": "%{text}: %{x:+.4g} " + unit + "<extra></extra>"}
-    layout = sheet(110 + 26 * len(rows)) | {"hovermode": "closest", "showlegend": False}
-    layout["xaxis"] = axis(f"change of the objective [{unit}], to first order: left is better")
-    layout["yaxis"] = axis("") | {"type": "category"}
-    return Chart(
-        "Effect of one step more: 1 deg of an angle, else 1 %",
-        {"data": [bars | {"marker": {"color": colours}}], "layout": layout},
-        cranked=False,
-    )
 
 
 # --- quantities beside the moving linkage ------------------------------------------------------------------------------------

@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from optlink.errors import Status
-from optlink.report.html.charts import charts, readouts, tornado
+from optlink.report.html import chart_plotly
+from optlink.report.html.charts import charts, readouts
 from optlink.report.html.moving_linkage import Moving, crank_stops
 from optlink.report.html.shell import LARGEST, Section, Sheet, fitted, write
 from optlink.report.html.sources import closing
@@ -15,7 +16,7 @@ from optlink.report.registry import table_of
 from optlink.report.report_model import Outcome, ReportModel
 from optlink.report.scene import scene
 from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
-from optlink.report.views import function_tables, path_tables, study_tables
+from optlink.report.views import function_tables, path_tables, sensitivity, study_tables
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
@@ -99,7 +100,8 @@ def _sections(subject: ReportModel, shown: Summary, moving: Moving | None, answe
 
 def _matters(answers: Sensitivities) -> Section:
     """Return the section of the sensitivities."""
-    return Section("What matters", (tornado(answers), tuple(study_tables.sensitivity_parts(answers))))
+    drawn = chart_plotly.charts(sensitivity.charts(answers))
+    return Section("What matters", (*drawn, tuple(study_tables.sensitivity_parts(answers))))
 
 
 def sensitivities_of(subject: ReportModel) -> Sensitivities | None:

@@ -1,23 +1,26 @@
-"""HTML sections of a Pareto study: the front with its end points, its knee and the design of every point."""
+"""Charts and page of a Pareto front: end points, knee and the design of every point."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from html import escape
+import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
 from optlink.record import Contradiction
+from optlink.report.chart_spec import Axis, ChartSpec, Curve, Mark, Panel, Picks
 from optlink.report.format import number
-from optlink.report.html.chart_plotly import Chart, Picks, Trace, axis, line, mark, sheet, short
+from optlink.report.html import chart_plotly
 from optlink.report.html.shell import Section
 from optlink.report.stored.stored_study import Studied, figures_of, named_si, still, turning
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
+from optlink.report.view import View
 from optlink.report.views import pareto_tables
-from optlink.studies.grid import MAX_POINTS, Axis, Grid
+from optlink.studies import grid
 from optlink.studies.pareto.epsilon_constraint import Pareto, ParetoPoint, ParetoRecord
 from optlink.studies.pareto.objective import ParetoObjective
 
@@ -63,9 +66,9 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
     if any(not 0 <= k < len(record.front) for k in (*ends, *([knee[0]] if knee else []))):
         raise Contradiction("ends", "an end or the knee is no point of the front")
     for k, axis_ in enumerate(record.held):
-        if not 0 < axis_.values <= MAX_POINTS:
+        if not 0 < axis_.values <= grid.MAX_POINTS:
             raise Contradiction(f"held[{k}].values", "no front has so many", axis_.values)
-    axes = tuple(Axis(one.key, one.unit, tuple(np.linspace(one.first, one.last, one.values).tolist())) for one in record.held)
+    spans = [(one.key, one.unit, np.linspace(one.first, one.last, one.values)) for one in record.held]
     points = [
         ParetoPoint(tuple(one.objectives[name] for name in columns), one.design, "; ".join(one.active), one.mark or "")
         for one in record.front
@@ -81,7 +84,7 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
         knee=knee,
         given=tuple(float(given[name]) for name in columns) if given else None,
         given_words=str(given.get("what", "")),
-        grid=Grid(axes),
+        grid=grid.Grid(tuple(grid.Axis(key, unit, tuple(values.tolist())) for key, unit, values in spans)),
         path=path,
     )
 
@@ -107,18 +110,18 @@ def studied(record: ParetoRecord, file: ProblemFile, path: Path) -> Studied:
     shown = pareto_tables.front(found)
     chosen = _chosen(found)
     words = f"The design of point {chosen + 1}: {found.points[chosen].mark or 'the first'}." if chosen is not None else ""
-    charts = (_front(found),) if len(found.points) > 1 else ()
+    drawn = chart_plotly.charts(charts(found))
     return Studied(
         problem=file,
         kind=f"front of {len(found.aims)} objectives",
         verdict="Every point of the front is proven" if found.complete else "Not every point could be proven",
         valid=found.complete,
         status=shown.status.lines,
-        sections=[*([Section("Front", charts)] if charts else []), *figures_of(shown.parts, "Points and designs")],
+        sections=[*([Section("Front", drawn)] if drawn else []), *figures_of(shown.parts, "Points and designs")],
         moving=still if chosen is None else turning(file, named_si(file, found.points[chosen].design)),
         by="optima along limits on all objectives but one, each proven by the validator (epsilon constraint method)",
         drawn=words,
-        after=1 if charts else 0,
+        after=1 if drawn else 0,
     )
 
 
@@ -129,46 +132,84 @@ def _chosen(found: Pareto) -> int | None:
     return found.ends[0] if found.knee is None else found.knee[0]
 
 
-def _named(aim: ParetoObjective) -> str:
-    unit = f" [{aim.unit.replace('*', ' ')}]" if aim.unit else ""
-    return f"{aim.name}{unit}{'' if aim.sense > 0 else ' (more is better)'}"
+# --- charts ------------------------------------------------------------------------------------------------------------------
 
 
-def _front(found: Pareto) -> Chart:
-    """Plot two objectives as a curve, or three as points coloured by the third."""
-    values = np.array([point.values for point in found.points])
-    x, y = values[:, 0], values[:, 1]
-    picks = _picks(found, x, y)
-    numbers = list(range(len(values)))
-    layout = sheet(480) | {"hovermode": "closest"}
-    if len(found.aims) == 2:
-        curve: Trace = line(x, y, "front", FOUND, width=2.2) | {"mode": "lines+markers", "customdata": numbers}
-        ends = list(found.ends)
-        chord = line(x[ends], y[ends], "chord of the ends", QUIET, width=1.0, dash="dash") | {"hoverinfo": "skip"}
-        curves = [chord, curve]
+def charts(result: Pareto) -> list[ChartSpec]:
+    """Return the front with its end points, its knee and the reference design; of three objectives, its three projections."""
+    if len(result.points) < 2:
+        return []
+    values = np.array([point.values for point in result.points])
+    pairs = list(itertools.combinations(range(len(result.aims)), 2))
+    return [_front(result, values, x, y) for x, y in pairs]
+
+
+def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
+    """Plot two objectives as a curve, or as points coloured by the third objective."""
+    two, first = len(result.aims) == 2, (x, y) == (0, 1)
+    along, up = values[:, x], values[:, y]
+    numbers = range(len(values)) if first else ()
+    if two:
+        ends = list(result.ends)
+        traces = [
+            Curve(along, up, "front", FOUND, mode="lines+markers", picks=numbers, gid="front"),
+            Curve(along[ends], up[ends], "chord of the ends", QUIET, 1.0, "dash", hover=False, gid="chord"),
+        ]
     else:
-        cloud = line(x, y, "front", FOUND, width=9.0, mode="markers") | {"customdata": numbers}
-        bar = {"title": {"text": escape(_named(found.aims[2])), "side": "right"}, "thickness": 16}
-        curves = [cloud | {"marker": {"size": 9, "color": short(values[:, 2]), "colorscale": "Viridis", "colorbar": bar}}]
-    marked = [k for k, point in enumerate(found.points) if point.mark]
-    stars = line(x[marked], y[marked], "ends and knee", LIMIT, width=11.0, mode="markers+text") | {"customdata": marked}
-    words = [escape(found.points[k].mark) for k in marked]
-    stars |= {"mode": "markers+text", "marker": {"size": 11, "color": "rgba(0,0,0,0)", "line": {"color": LIMIT, "width": 2}}}
-    stars |= {"text": words, "textposition": [_side(x, y, k) for k in marked], "textfont": {"color": LIMIT, "size": 11}}
-    curves.append(stars)
-    if found.given is not None:
-        given = line(np.array([found.given[0]]), np.array([found.given[1]]), found.given_words, WANTED, width=9.0, mode="markers")
-        curves.append(given | {"marker": given["marker"] | {"symbol": "square"}})
-    layout["xaxis"], layout["yaxis"] = axis(_named(found.aims[0])), axis(_named(found.aims[1]))
-    curves.append(mark(picks))
-    title = f"{found.aims[0].name} against {' and '.join(aim.name for aim in found.aims[1:])}"
-    return Chart(title[0].upper() + title[1:], {"data": curves, "layout": layout}, False, picks)
+        third = 3 - x - y
+        shade: dict[str, Any] = {"shade": values[:, third], "shade_name": _named(result.aims[third])}
+        traces = [Curve(along, up, "front", FOUND, mode="markers", picks=numbers, legend=False, **shade, gid="front")]
+    outward = (0.7 * result.aims[x].sense, 0.7 * result.aims[y].sense)  # away from the unattainable side of the front
+    look: dict[str, Any] = {
+        "symbol": "circle" if two else "open circle",
+        "size": 7.0,
+        "prefer": outward,
+        "font": 8.5 if two else 7.5,
+    }
+    look |= {"size": 7.0, "prefer": outward, "written": True}
+    marks = [
+        Mark(float(along[k]), float(up[k]), _words(result, point), LIMIT, gid=point.mark, **look)
+        for k, point in enumerate(result.points)
+        if point.mark
+    ]
+    if result.given is not None:
+        place = result.given[x], result.given[y]
+        marks.append(Mark(*place, result.given_words, WANTED, "square", 6.0, written=True, gid="given"))
+    axes = [
+        Axis(_named(result.aims[k]), _widened([*values[:, k], *([] if result.given is None else [result.given[k]])]))
+        for k in (x, y)
+    ]
+    title = f"{result.aims[x].name} against {result.aims[y].name}"
+    return ChartSpec(
+        "front",
+        title[0].upper() + title[1:],
+        [Panel(axes[1], traces, 2.0, marks=marks)],
+        axes[0],
+        heading=f"{result.problem.model.title}: {', '.join(aim.name for aim in result.aims)}",
+        picks=_picks(result, along, up) if first else None,
+        cursor=False,
+        width=7.6 if two else 4.4,
+    )
 
 
-def _side(x: Array, y: Array, k: int) -> str:
-    """Return the text position of a point label, towards the centre of the chart."""
-    across = "right" if x[k] < 0.5 * (np.min(x) + np.max(x)) else "left"
-    return f"{'bottom' if y[k] > 0.5 * (np.min(y) + np.max(y)) else 'top'} {across}"
+def _widened(values: Sequence[float]) -> tuple[float, float]:
+    low, high = min(values), max(values)
+    margin = 0.12 * (high - low)
+    return low - margin, high + margin
+
+
+def _words(result: Pareto, point: ParetoPoint) -> str:
+    """Return the label of a marked point with its change from the reference design."""
+    words = point.mark.replace(", ", ",\n")
+    if len(result.aims) == 2 and result.given is not None:
+        changes = [pareto_tables.against(value, before) for value, before in zip(point.values, result.given, strict=True)]
+        words += f"\n{', '.join(filter(None, changes))}"
+    return words
+
+
+def _named(aim: ParetoObjective) -> str:
+    unit = f" [{aim.unit.replace('*', ' ').replace('^2', '²')}]" if aim.unit else ""
+    return f"{aim.name}{unit}{'' if aim.sense > 0 else ' (more is better)'}"
 
 
 def _picks(found: Pareto, x: Array, y: Array) -> Picks:
@@ -187,4 +228,7 @@ def _picks(found: Pareto, x: Array, y: Array) -> Picks:
         told += [number(value, 7) for value in point.design.values()]
         rows.append((*told, point.active or "nothing", point.mark or "–"))
     told_words = f"point (changes: against {OTHERS.get(found.given_words, found.given_words)})" if found.given else "point"
-    return Picks(told_words, (*names, "held by", "mark"), tuple(rows), short(x), short(y), _chosen(found) or 0)
+    return Picks(told_words, (*names, "held by", "mark"), tuple(rows), x, y, _chosen(found) or 0)
+
+
+VIEW = View(charts=charts, tables=lambda result: {"front": result.columns})

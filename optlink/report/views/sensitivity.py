@@ -1,0 +1,76 @@
+"""Chart and table of the sensitivities of an optimum to its fixed parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from optlink.report.chart_spec import Axis, Bars, ChartSpec, Line, Panel
+from optlink.report.style import FOUND, LIMIT, QUIET
+from optlink.report.view import View
+from optlink.report.views.study_tables import step
+from optlink.studies.sensitivity import Sensitivities
+
+MANY, SEEN = 14, 1e-3  # largest number of bars, and smallest bar as a share of the largest
+
+
+def charts(result: Sensitivities) -> list[ChartSpec]:
+    """Return the tornado chart: the change of the objective by one step of each parameter up and down, largest on top."""
+    if not result.moving:
+        return []
+    least = SEEN * max(abs(row.effect) for row in result.moving)
+    rows = [row for row in result.moving if abs(row.effect) >= least][:MANY]
+    base = result.solution.objective
+    factor, unit = (100.0 / base, "%") if base > 0.0 else (1.0, result.unit)
+    effects = np.array([factor * row.effect for row in rows])
+    places = np.arange(len(rows), 0.0, -1.0)
+    shown = [(row, f"{row.parameter.value:.5g} {row.parameter.unit}".rstrip()) for row in rows]
+    bars = [
+        Bars(
+            places - (1.0 - sign) * 0.17,
+            sign * effects,
+            words,
+            [LIMIT if sign * effect > 0.0 else FOUND for effect in effects],
+            width,
+            horizontal=True,
+            opacity=opacity,
+            legend=False,
+            text=[f"{row.parameter.name}: {value} {'+' if sign > 0.0 else '−'} {step(row)}" for row, value in shown],
+        )
+        for sign, words, width, opacity in ((1.0, "one step more", 0.34, 1.0), (-1.0, "one step less", 0.26, 0.45))
+    ]
+    names = [f"{row.parameter.key}  ({value}, {step(row)})" for row, value in shown]
+    y = Axis(ticks=[(float(place) - 0.15, name) for place, name in zip(places, names, strict=True)])
+    x = Axis(f"change of the objective [{unit}], to first order\nsolid: one step more, pale: one step less; left is better")
+    return [
+        ChartSpec(
+            "tornado",
+            "Effect of one step more or less: 1 deg of an angle, else 1 %",
+            [Panel(y, bars, 0.25 * len(rows) + 0.15)],
+            x,
+            heading=f"{result.problem.model.title}: what matters",
+            lines=[Line(0.0, colour=QUIET, width=1.0, dash="solid")],
+            cursor=False,
+            width=8.0,
+        )
+    ]
+
+
+def table(result: Sensitivities) -> Mapping[str, list[float | str]]:
+    """Return one row for each parameter by column."""
+    parameters = [row.parameter for row in result.rows]
+    return {
+        "key": [one.key for one in parameters],
+        "name": [one.name for one in parameters],
+        "value": [one.value for one in parameters],
+        "unit": [one.unit for one in parameters],
+        "step": [one.step for one in parameters],
+        "objective_per_unit": [row.objective for row in result.rows],
+        **{f"{name}_{unit}_per_unit": [row.design[name] for row in result.rows] for name, unit in result.units.items()},
+        "valid_from": [row.below.value for row in result.rows],
+        "valid_to": [row.above.value for row in result.rows],
+    }
+
+
+VIEW = View(charts=charts, tables=lambda result: {"sensitivity": table(result)})

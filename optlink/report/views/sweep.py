@@ -1,0 +1,425 @@
+"""Charts and page of a parameter sweep: curves over one parameter, a map over two, maps over three, extremes over more."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.problem.file import ProblemFile
+from optlink.report import chart_spec
+from optlink.report.chart_spec import ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells
+from optlink.report.format import number
+from optlink.report.html import chart_plotly
+from optlink.report.html.shell import Section
+from optlink.report.stored.stored_study import Studied, figures_of, named_si, still, turning
+from optlink.report.stored.stored_sweep import read
+from optlink.report.style import BODIES, FOUND, LIMIT, QUIET
+from optlink.report.view import View
+from optlink.report.views import study_tables
+from optlink.studies.analysis_task import FIGURES
+from optlink.studies.grid import Axis
+from optlink.studies.sweep import CHANGED, TEXT, Sweep, SweepRecord
+
+Array = NDArray[np.float64]
+LARGE = 200_000  # largest number of points drawn
+MOST = 4000  # largest number of points of a curve; larger sweeps are thinned evenly
+PICKED = 1500  # largest number of selectable points
+SLICES = 6  # largest number of maps for three parameters
+PANELS = 4  # largest number of stacked panels
+LINES = 200  # largest number of active-set changes drawn
+EMPTY = "#e4e4e4"  # colour of points without a design
+WORDS = dict(zip(FIGURES, ("least", "largest", "rms"), strict=True))
+_UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|N|Nm|W|J)")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Table of a sweep over the parameters with several values, each in rising order; `given` are the other parameters."""
+
+    axes: tuple[Axis, ...]
+    given: tuple[str, ...]
+    order: NDArray[np.int_]
+    result: Sweep
+
+    @classmethod
+    def of(cls, result: Sweep) -> Table:
+        """Return the table of a sweep."""
+        axes = [axis for axis in result.grid.axes if len(axis.values) > 1]
+        given = [f"{axis.key} {axis.values[0]:g} {axis.unit}".rstrip() for axis in result.grid.axes if len(axis.values) == 1]
+        numbers = np.arange(result.grid.count).reshape([len(axis.values) for axis in axes])
+        for k, axis in enumerate(axes):
+            numbers = np.take(numbers, np.argsort(axis.values), axis=k)
+        return cls(tuple(Axis(a.key, a.unit, tuple(sorted(a.values))) for a in axes), tuple(given), numbers, result)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return a column of the table, shaped like the grid."""
+        found: NDArray[Any] = self.result.columns[name][self.order]
+        return found
+
+    @property
+    def states(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Masks of active-set changes and of unproven designs; all false for a sweep of analyses."""
+        if self.result.evaluated:
+            nowhere = np.zeros(self.order.shape, dtype=bool)
+            return nowhere, nowhere
+        return self.column(CHANGED), ~self.column("valid")
+
+    @property
+    def designs(self) -> tuple[str, ...]:
+        """Columns of the design variables."""
+        names = self.result.names[len(self.result.grid.axes) :]
+        return () if self.result.evaluated else names[: names.index(self.shown[0])]
+
+    @property
+    def best(self) -> int | None:
+        """Row of the valid point with the least objective; None if there is none."""
+        if self.result.evaluated:
+            return None
+        values = np.where(self.result.columns["valid"], self.result.columns[self.shown[0]], np.nan)
+        return None if np.all(np.isnan(values)) else int(np.nanargmin(values))
+
+    @property
+    def empty(self) -> str:
+        """Meaning of a point without a value."""
+        return "no valid figures" if self.result.evaluated else "no design"
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Columns to draw: the objective, or the analysed quantities."""
+        names = tuple(n for n in self.result.names[len(self.result.grid.axes) :] if n not in (*TEXT, "valid"))
+        return names if self.result.evaluated else tuple(name for name in names if name.startswith("objective"))
+
+
+# --- the page ----------------------------------------------------------------------------------------------------------------
+
+
+def studied(record: SweepRecord, file: ProblemFile, path: Path) -> Studied:
+    """Build the report of a stored sweep.
+
+    Parameters
+    ----------
+    record : SweepRecord
+    file : ProblemFile
+        The problem of the study.
+    path : Path
+        File of the record.
+
+    Raises
+    ------
+    InputError
+        If the record is damaged, or its table is missing or belongs to another sweep.
+    """
+    found = read(record, file, path)
+    table, shown, drawn = Table.of(found), study_tables.sweep(found), chart_plotly.charts(charts(found))
+    if found.evaluated:
+        proven = ", ".join(f"{count:,} {status}" for status, count in found.statuses.items()) or "analysed"
+        by = f"{'simulation' if found.mode == 'simulate' else 'analysis'} of every point"
+    else:
+        proven = "every optimum proven" if found.complete else f"{found.valid:,} proven, {found.grid.count - found.valid:,} not"
+        by = "an optimum at every point, each proven by the validator; "
+        by += f"{found.searched:,} needed a search, the others followed a neighbour"
+    return Studied(
+        problem=file,
+        kind="sweep",
+        verdict=proven[0].upper() + proven[1:],
+        valid=found.successful,
+        status=shown.status.lines,
+        sections=[*([Section("Sweep", drawn)] if drawn else []), *figures_of(shown.parts)],
+        moving=still if table.best is None else turning(*_design(file, table, table.best)),
+        by=by,
+        drawn="The best point of the sweep.",
+        after=1 if drawn else 0,
+    )
+
+
+def _design(file: ProblemFile, table: Table, row: int) -> tuple[ProblemFile, dict[str, float]]:
+    """Return the problem and the design [SI] of a row."""
+    there = file.override(table.result.grid.changes(row))
+    return there, named_si(there, {name: float(table.result.columns[name][row]) for name in table.designs})
+
+
+# --- labels ----------------------------------------------------------------------------------------------------------------
+
+
+def named(column: str) -> tuple[str, str]:
+    """Return display name and unit of a column."""
+    match = _UNIT.fullmatch(column)
+    if match is None:
+        return column, ""
+    name, unit = match.groups()
+    return name, unit.replace("_", "/").replace("Nm", "N m").removesuffix("2") + ("²" if unit.endswith("2") else "")
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name
+
+
+def _words(column: str) -> str:
+    """Return the display name of a column with its measure and unit."""
+    stem, kind = _parted(column)
+    return " ".join(filter(None, [WORDS.get(kind, ""), _label(*named(stem))]))
+
+
+def _axis_of(axis: Axis, limits: tuple[float, float] | None = None) -> chart_spec.Axis:
+    return chart_spec.Axis(_label(axis.key, axis.unit), limits, _spread(axis))
+
+
+def _spread(axis: Axis) -> Literal["linear", "log"]:
+    """Return the scale of an axis: logarithmic if the ratios of its values are constant."""
+    values = np.array(axis.values)
+    even = len(values) > 2 and values[0] > 0.0 and np.allclose(np.diff(np.log(values)), np.log(values[1] / values[0]), rtol=1e-6)
+    return "log" if even and not np.allclose(np.diff(values), values[1] - values[0], rtol=1e-6) else "linear"
+
+
+def _analysed(table: Table) -> dict[str, tuple[str, ...]]:
+    """Return the analysed columns, each with the names of its measures."""
+    found: dict[str, tuple[str, ...]] = {}
+    for name in table.shown:
+        column = _parted(name)[0]
+        found[column] = (*found.get(column, ()), name)
+    return dict(list(found.items())[:PANELS])
+
+
+def _parted(name: str) -> tuple[str, str]:
+    """Split a name into column and measure; the measure is empty if there is none."""
+    stem, _, kind = name.rpartition(".")
+    return (stem, kind) if kind in FIGURES else (name, "")
+
+
+# --- charts ------------------------------------------------------------------------------------------------------------------
+
+
+def charts(result: Sweep) -> list[ChartSpec]:
+    """Return the charts over the parameters that have several values."""
+    table = Table.of(result)
+    if not table.axes or result.grid.count > LARGE:
+        return [] if not table.axes else _page_only(table)
+    if len(table.axes) == 1:
+        return [_curves(table)]
+    if len(table.axes) == 2:
+        return _maps(table)
+    return [*(_slices(table) if len(table.axes) == 3 else []), *_page_only(table)]
+
+
+def _heading(table: Table, what: str) -> str:
+    given = f", {', '.join(table.given)}" if table.given else ""
+    return f"{table.result.problem.model.title}: {what}{given}"
+
+
+def _picks(table: Table, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
+    """Tabulate the design of every selectable row.
+
+    Parameters
+    ----------
+    table : Table
+    rows : array (n,)
+        Rising rows of the table of the sweep.
+    x, y : array (n,)
+        Their places.
+    """
+    columns, result = table.result.columns, table.result
+    names = [*(axis.column for axis in result.grid.axes), *table.shown, *table.designs]
+    heads = [_label(axis.key, axis.unit) for axis in result.grid.axes] + [_words(name) for name in (*table.shown, *table.designs)]
+    words = {"status": "status", "reason": "reason"} if result.evaluated else {"held by": "active", "status": "status"}
+    blank = np.full(result.grid.count, "")
+    texts = [columns.get(name, blank) for name in words.values()]
+    told = [
+        (
+            *(number(float(columns[name][k]), 7) for name in names),
+            *(str(one[k]) or "nothing" * ("held by" in words) for one in texts),
+        )
+        for k in rows
+    ]
+    first = 0 if table.best is None else int(np.argmin(np.abs(rows - table.best)))
+    return Picks("point", (*heads, *words), tuple(told), x, y, first)
+
+
+def _picked(table: Table, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the selectable rows: all, or an even selection with the best."""
+    if len(rows) <= PICKED:
+        return np.sort(rows)
+    even = np.sort(rows)[np.linspace(0, len(rows) - 1, PICKED).round().astype(np.intp)]
+    return np.unique([*even, *([] if table.best is None else [table.best])]).astype(np.intp)
+
+
+# --- one parameter -----------------------------------------------------------------------------------------------------------
+
+
+def _curves(table: Table) -> ChartSpec:
+    """Plot the objective and below it the design variables, one panel per unit; or the analysed quantities."""
+    (axis,), x = table.axes, np.array(table.axes[0].values)
+    kept = np.arange(len(x))
+    changed, missed = table.states
+    values = table.column(table.shown[0])
+    if len(x) > MOST:
+        marked = np.flatnonzero(changed | (table.order == table.best))
+        kept = np.unique([*np.linspace(0, len(x) - 1, MOST).round(), *marked[:MOST]]).astype(np.intp)
+    picked = _picked(table, table.order[kept])
+    places = np.searchsorted(picked, table.order[kept]).clip(max=len(picked) - 1)
+    picks = [int(k) if picked[k] == row else None for k, row in zip(places, table.order[kept], strict=True)]
+    at = np.argsort(table.order)[picked]
+    there = np.isfinite(values)
+    panels: list[Panel] = []
+    for label, curves in _analysis_panels(table) if table.result.evaluated else _design_panels(table):
+        colours = (FOUND, *BODIES[1:]) * len(curves)
+        traces = [
+            Curve(
+                x[kept],
+                column[kept],
+                name,
+                colour,
+                mode="lines+markers" if len(x) <= 30 else "lines",
+                legend=len(curves) > 1,
+                picks=() if panels else picks,
+            )
+            for (name, column), colour in zip(curves.items(), colours, strict=False)
+        ]
+        panels.append(Panel(chart_spec.Axis(label), traces, 1.2))
+    if np.any(missed & there):
+        crosses = Curve(
+            x[missed & there], values[missed & there], "not proven", LIMIT, mode="markers", symbol="cross", gid="not proven"
+        )
+        panels[0] = replace(panels[0], traces=[*panels[0].traces, crosses])
+    lines = [
+        Line(at, "" if k else "other limits begin to hold", QUIET, 1.0, "dot")
+        for k, at in enumerate(x[there & changed][:LINES].tolist())
+    ]
+    edges = cells(x, log=_spread(axis) == "log")
+    runs = np.flatnonzero(np.diff(np.concatenate([[False], ~there, [False]]).astype(int))).reshape(-1, 2)
+    spans = [
+        Span(edges[low], edges[high], "" if k else table.empty, EMPTY, 1.0, "no design") for k, (low, high) in enumerate(runs)
+    ]
+    return ChartSpec(
+        "sweep",
+        f"Over {axis.key}",
+        panels,
+        _axis_of(axis, (edges[0], edges[-1]) if spans else None),
+        heading=_heading(table, f"over {axis.key}"),
+        lines=lines,
+        spans=spans,
+        picks=_picks(table, picked, x[at], values[at]),
+        cursor=False,
+        width=8.0,
+    )
+
+
+def _design_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
+    """Yield the label of each panel with its curves by name."""
+    yield _words(table.shown[0]), {"objective": table.column(table.shown[0])}
+    by_unit: dict[str, dict[str, Array]] = {}
+    for column in table.designs:
+        name, unit = named(column)
+        by_unit.setdefault(unit, {})[name] = table.column(column)
+    for unit, curves in by_unit.items():
+        yield _label("free sizes" if len(curves) > 1 else next(iter(curves)), unit), curves
+
+
+def _analysis_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
+    for column, names in _analysed(table).items():
+        yield _label(*named(column)), {WORDS.get(_parted(name)[1], name): table.column(name) for name in names}
+
+
+# --- two and three parameters ------------------------------------------------------------------------------------------------
+
+
+def _maps(table: Table) -> list[ChartSpec]:
+    """Return maps of all columns; the picture has the objective, or the measures of the first analysed column."""
+    drawn = next(iter(_analysed(table).values())) if table.result.evaluated else table.shown
+    up, side = table.axes
+    heading = _heading(table, f"over {up.key} and {side.key}")
+    found = []
+    for name in (*table.shown, *table.designs):
+        picks = None
+        if name == table.shown[0]:
+            rows = _picked(table, table.order.ravel())
+            i, j = np.unravel_index(np.argsort(table.order.ravel())[rows], table.order.shape)
+            picks = _picks(table, rows, np.array(side.values)[j], np.array(up.values)[i])
+            known = {int(row): k for k, row in enumerate(rows)}
+        pick = [[known.get(int(row)) for row in line] for line in table.order] if picks else ()
+        width, height = (8.0, 2.2) if len(drawn) == 1 else (4.4, 1.7)
+        panel = _map(table, name, ..., _words(name), height, picks=pick)
+        file = "sweep" if name in drawn else ""
+        found.append(ChartSpec(file, _words(name), [panel], _axis_of(side), heading, picks=picks, cursor=False, width=width))
+    return found
+
+
+def _map(
+    table: Table,
+    name: str,
+    at: Any,
+    words: str,
+    height: float,
+    limits: tuple[float, float] | None = None,
+    picks: Sequence[Sequence[int | None]] = (),
+) -> Panel:
+    """Return a map of a column over the last two parameters with its marks."""
+    up, side = table.axes[-2:]
+    values, rows = np.asarray(table.column(name), dtype=float)[at], table.order[at]
+    there = np.isfinite(values)
+    x, y = np.meshgrid(side.values, up.values)
+    changed, missed = (there & mask[at] for mask in table.states)
+    best = there & (rows == (-1 if table.best is None else table.best))
+    traces: list[Any] = [HeatMap(np.array(side.values), np.array(up.values), values, words, limits, picks)]
+    looks: tuple[tuple[Any, str, str, Any, Any], ...] = (
+        (changed, "other limits begin to hold", "#ffffff", "circle", 1.5 if max(values.shape) > 30 else 2.5),
+        (missed, "not proven", LIMIT, "cross", 5.0),
+        (best, "best", LIMIT, "star", 9.0),
+    )
+    for mask, word, colour, symbol, size in looks:
+        if np.any(mask):
+            dots = Curve(
+                x[mask][:MOST], y[mask][:MOST], word, colour, mode="markers", symbol=symbol, size=size, hover=False, gid=word
+            )
+            traces.append(dots)
+    if not np.all(there):
+        nowhere = np.array([np.nan])
+        traces.append(Curve(nowhere, nowhere, table.empty, EMPTY, mode="markers", symbol="square", size=7.0, hover=False))
+    return Panel(_axis_of(up), traces, height)
+
+
+def _slices(table: Table) -> list[ChartSpec]:
+    """Return maps over the second and third parameter for some values of the first, with a common colour scale."""
+    slow, up, side = table.axes
+    chosen = np.unique(np.linspace(0, len(slow.values) - 1, min(SLICES, len(slow.values))).round().astype(int))
+    columns = 2 if len(chosen) in (2, 4) else min(3, len(chosen))
+    names = next(iter(_analysed(table).values())) if table.result.evaluated else table.shown
+    name = next((name for name in names if name.endswith(".rms")), names[0])
+    known = np.asarray(table.column(name), dtype=float)[chosen]
+    limits = (float(np.nanmin(known)), float(np.nanmax(known))) if np.any(np.isfinite(known)) else (0.0, 1.0)
+    some = "" if len(chosen) == len(slow.values) else f" ({len(chosen)} of its {len(slow.values)} values)"
+    heading = _heading(table, f"{_words(name)} over {slow.key}{some}, {up.key} and {side.key}")
+    found = []
+    for k, at in enumerate(chosen):
+        last = (k + 1) % columns == 0  # with the colour bar of its row
+        panel = _map(table, name, int(at), _words(name) if last else "", 1.3, limits)
+        title = f"{slow.key} {slow.values[at]:.6g} {slow.unit}".rstrip()
+        width = 12.0 / columns + 1.0 * last
+        found.append(ChartSpec("sweep", title, [panel], _axis_of(side), heading, page=False, row=k // columns, width=width))
+    return found
+
+
+def _page_only(table: Table) -> list[ChartSpec]:
+    """Return the least and largest value of each quantity over each of many parameters, taken over the others."""
+    found = []
+    for k, axis in enumerate(table.axes):
+        others = tuple(i for i in range(len(table.axes)) if i != k)
+        panels: list[Panel] = []
+        for name in table.shown[:PANELS]:
+            values = np.asarray(table.column(name), dtype=float)
+            known = np.any(np.isfinite(values), axis=others)
+            x, own = np.array(axis.values)[known], np.compress(known, values, axis=k)
+            low, high = np.nanmin(own, axis=others), np.nanmax(own, axis=others)
+            least = Curve(x, low, "least of all points with that value", FOUND, mode="lines+markers", legend=not panels)
+            largest = Curve(x, high, "largest of them", QUIET, 1.0, "dash", legend=not panels)
+            panels.append(Panel(chart_spec.Axis(_words(name)), [least, largest]))
+        found.append(ChartSpec("", f"Over {axis.key}", panels, _axis_of(axis), cursor=False))
+    return found
+
+
+VIEW = View(charts=charts)
