@@ -45,10 +45,11 @@ class SimulationRecord(ResultRecord):
 
     @model_validator(mode="after")
     def _check_keys(self) -> Self:
-        for name in ("end.time_s", "end.speed_rad_s", "imbalance_J", "turnover_J"):
+        names = ("time_s", "crank_angle_rad", "speed_rad_s")
+        for name in (*(f"end.{name}" for name in names), "imbalance_J", "turnover_J", "drift_m", "drift_rad"):
             if name not in self.figures:
                 raise Contradiction(f"figures.{name}", "this is missing")
-        for name in ("time_s", "crank_angle_deg"):
+        for name in ("time_s", "crank_angle_deg", "energy.gained_J"):
             if name not in self.columns:
                 raise Contradiction(f"columns.{name}", "this is missing")
         time, crank = self.columns["time_s"], self.columns["crank_angle_deg"]
@@ -210,5 +211,7 @@ def _columns(machine: Machine, found: Run) -> tuple[dict[str, Array], dict[str, 
     for name, work in found.works.items():
         if name != "input":
             columns[f"{name}.work_J"], meanings[f"{name}.work_J"] = work, f"work of {name}, integrated"
+    columns["energy.gained_J"] = found.energy - found.energy[0]
+    meanings["energy.gained_J"] = "kinetic energy and potential energy of gravity, gained since the start"
     columns[f"{crank}.angle_rad"] = found.crank_angle
     return columns, meanings

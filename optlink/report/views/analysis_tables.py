@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
+import numpy as np
+from numpy.typing import NDArray
+
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
 from optlink.linkage.stroke import Travel
@@ -15,6 +18,8 @@ from optlink.report.table_spec import Column, Paragraph, Part, Row, Summary, Tab
 from optlink.report.views.function_tables import noted, verdict
 from optlink.tasks.results.analysis import Analysis, named_travels, reaction_conventions
 from optlink.tasks.simulate import Simulation
+
+Array = NDArray[np.float64]
 
 
 def machine(file: ProblemFile) -> Iterator[TableSpec]:
@@ -238,31 +243,44 @@ def _work(outcome: Analysis) -> TableSpec:
 
 
 def simulation(outcome: Simulation) -> Summary:
-    """Summarise a forward dynamics simulation: final state, energy balance, drift and speed fluctuation."""
-    found, course = outcome.figures, outcome.run
-    speed, turns = found["end.speed_rad_s"], found["end.crank_angle_rad"] / (2.0 * math.pi)
+    """Summarise a simulation in time: final state, energy balance, drift and speed fluctuation."""
+    run = outcome.run
+    ended = verdict(run.ending.value, outcome.finished), f", driven by {outcome.driven}; {run.ending.text}"
+    parts = simulation_parts(outcome.figures, outcome.columns, run.steps, run.evaluations)
+    return summary(outcome.problem.model.title, [ended, *noted(outcome.notes)], *parts)
+
+
+def simulation_parts(figures: Mapping[str, float], columns: Mapping[str, Array], steps: int, evaluations: int) -> list[Part]:
+    """Return the tables of a simulation in time, as computed or as stored.
+
+    Parameters
+    ----------
+    figures : mapping of str to float [SI]
+    columns : mapping of str to array (n,) [SI]
+    steps, evaluations : int
+        Steps of the integrator and evaluations of the accelerations.
+    """
+    speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / (2.0 * math.pi)
     end = [
-        ("time", number(found["end.time_s"], 9), "s"),
-        ("crank angle", number(found["end.crank_angle_rad"], 10), f"rad ({turns:.4f} turns)"),
+        ("time", number(figures["end.time_s"], 9), "s"),
+        ("crank angle", number(figures["end.crank_angle_rad"], 10), f"rad ({turns:.4f} turns)"),
         ("crank speed", number(speed, 10), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)"),
     ]
-    if "last_turn.mean_speed_rad_s" in found:
-        mean, share = found["last_turn.mean_speed_rad_s"], found["last_turn.fluctuation"]
+    if "last_turn.mean_speed_rad_s" in figures:
+        mean, share = figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"]
         end.append(("last turn: mean speed", number(mean), f"rad/s, mean over time; fluctuation {share:.4%}"))
-    works = [
-        ("work of the drive" if name == "input" else f"work of {name}", number(float(work[-1]), 9), "J")
-        for name, work in course.works.items()
+    works = {name.removesuffix(".work_J"): work for name, work in figures.items() if name.endswith(".work_J")}
+    account = [
+        ("work of the drive" if name == "input" else f"work of {name}", number(work, 9), "J") for name, work in works.items()
     ]
-    share = course.imbalance / course.turnover if course.turnover > 0.0 else 0.0
-    works += [
-        ("kinetic and gravity's energy gained", number(float(course.energy[-1] - course.energy[0]), 9), "J"),
-        ("largest imbalance on the way", f"{course.imbalance:.1e}", f"J, {share:.1e} of the largest amount"),
+    share = figures["imbalance_J"] / figures["turnover_J"] if figures["turnover_J"] > 0.0 else 0.0
+    account += [
+        ("kinetic and gravity's energy gained", number(float(columns["energy.gained_J"][-1]), 9), "J"),
+        ("largest imbalance on the way", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount"),
     ]
-    drift = f"{course.drift:.1e} m, {course.drift_angle:.1e} rad"
+    drift = f"{figures['drift_m']:.1e} m, {figures['drift_rad']:.1e} rad"
     tail = Paragraph(
         quiet(f"Drift of the twice integrated positions from the closed loops: at most {drift}"),
-        quiet(f"{course.steps} steps, {course.evaluations} evaluations"),
+        quiet(f"{steps} steps, {evaluations} evaluations"),
     )
-    ended = verdict(course.ending.value, outcome.finished), f", driven by {outcome.driven}; {course.ending.text}"
-    tables = table("At the end", "<><", end), table("Energy account", "<><", works)
-    return summary(outcome.problem.model.title, [ended, *noted(outcome.notes)], *tables, tail)
+    return [table("At the end", "<><", end), table("Energy account", "<><", account), tail]

@@ -19,8 +19,8 @@ from optlink.report.html.shell import Section
 from optlink.report.stored.stored_study import Studied, figures_of, still, turning
 from optlink.report.views import balance_tables
 from optlink.report.views.balance import courses, trade_off
-from optlink.tasks.balance import balanced_problem
-from optlink.tasks.machine import machine_of, motion_range, table_angles
+from optlink.tasks.balance import balanced_problem, measure_changes, positions
+from optlink.tasks.machine import machine_of
 from optlink.tasks.results.balance import (
     AddedCounterweight,
     Balance,
@@ -60,10 +60,8 @@ def read(record: BalanceRecord, file: ProblemFile) -> Balance:
     section = file.model.balance
     if section is None:
         raise Contradiction("status", "its problem asks for no balance", record.status)
-    machine, start = machine_of(file), file.model.drive.start.value
-    ranges, low, high = motion_range(file, machine, start)
-    angles = table_angles(start, low, high, record.speed_rad_s, ranges.full, section.positions, None)
-    angles = angles[:-1] if ranges.full else angles
+    machine = machine_of(file)
+    angles = positions(file, machine, record.speed_rad_s)
     added, springs = _parts(record, section, machine)
     balanced = balanced_problem(file, machine, added, springs) if record.measures else None
     heavier = None if balanced is None else machine_of(balanced)
@@ -112,11 +110,7 @@ def _rows(record: BalanceRecord, machine: Machine, heavier: Machine, angles: Arr
     """Recompute all measures before and after balancing by inverse dynamics; raise if the record differs."""
     asked = quantities(machine)
     both = [quantities_of(one.moving(angles, record.speed_rad_s), asked, record.moment_about_m) for one in (machine, heavier)]
-    rows = []
-    for quantity, old, new in zip(asked, *both, strict=True):
-        for how in ("rms", "largest"):
-            measure = BalanceMeasure(quantity.kind, how, quantity.joint, quantity.on)
-            rows.append(MeasureChange(measure, measure.value(old), measure.value(new)))
+    rows = measure_changes(asked, *both)
     told = {str(one.name): (k, one) for k, one in enumerate(record.measures)}
     for row in rows:
         if str(row.measure) not in told:
@@ -127,7 +121,7 @@ def _rows(record: BalanceRecord, machine: Machine, heavier: Machine, angles: Arr
             if abs(is_ - said) > TRUE * max(row.before, abs(is_)):
                 message = f"the {row.measure} {when} is {is_:.6g} {row.measure.unit} with these counterweights, not {said:.6g}"
                 raise Contradiction(f"measures[{k}].{when}", message)
-    return tuple(rows)
+    return rows
 
 
 # --- the page ----------------------------------------------------------------------------------------------------------------

@@ -149,12 +149,10 @@ def energy(run: History) -> list[ChartSpec]:
     for name, words, colour in zip(stored, ("kinetic energy", "potential energy"), BODIES[3:], strict=False):
         if run.largest([name]) > 0.0:
             above.append(run.curve(name, shown.factor, words, colour, 1.2, "dashdot"))
-    gained = sum((columns[name] - columns[name][0] for name in stored), np.zeros(len(columns["time_s"])))
     panels = [Panel(Axis(f"energy [{shown.unit}]"), above, 2.0)]
     if all(name in columns for name in run.figures if name.endswith(".work_J")):
-        words = "kinetic and gravity's energy gained"
-        above.append(Curve(columns["time_s"], gained * shown.factor, words, WANTED, 1.4, "dash", gid="gained"))
-        missing = np.abs(gained - sum(columns[name] for name in works)) / turnover
+        above.append(run.curve("energy.gained_J", shown.factor, "kinetic and gravity's energy gained", WANTED, 1.4, "dash"))
+        missing = np.abs(columns["energy.gained_J"] - sum(columns[name] for name in works)) / turnover
         share = Curve(columns["time_s"], np.maximum(missing, 1e-17), "imbalance", QUIET, 1.2, legend=False, gid="imbalance")
         limits = 1e-17, max(1e-8, 10.0 * float(np.max(missing)))
         panels.append(Panel(Axis("imbalance / largest", limits, "log"), [share]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -12,14 +11,13 @@ from numpy.typing import NDArray
 from optlink.dynamics.forward import Ending
 from optlink.problem.file import ProblemFile
 from optlink.record import Contradiction
-from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, even, in_time
 from optlink.report.html.shell import Section
 from optlink.report.scene import through
 from optlink.report.stored.stored_study import Studied, cycle_of, figures_of, still
 from optlink.report.style import Scale, scale
-from optlink.report.table_spec import Paragraph, Part, TableSpec, quiet, table
+from optlink.report.views import analysis_tables
 from optlink.report.views.simulation import History, charts, largest
 from optlink.tasks.machine import machine_of
 from optlink.tasks.simulate import SimulationRecord
@@ -45,12 +43,10 @@ def studied(record: SimulationRecord, file: ProblemFile, _: Path) -> Studied:
         If the record is damaged.
     """
     columns, figures, ending = record.columns, record.figures, record.status
-    time, crank = columns["time_s"], columns["crank_angle_deg"]
     crank_body = machine_of(file).mechanism.crank.body
-    effort = f"{record.steps:,} steps, {record.evaluations:,} evaluations"
     run = History(file.model.title, machine_of(file), record.driven, ending.value, columns, figures)
     curves = chart_plotly.charts(charts(run))
-    tables: list[Part] = [_end(figures, crank), _account(figures), Paragraph(quiet(f"{_drift(figures)}; {effort}"))]
+    tables = analysis_tables.simulation_parts(figures, columns, record.steps, record.evaluations)
     return Studied(
         problem=file,
         kind="simulation in time",
@@ -58,43 +54,10 @@ def studied(record: SimulationRecord, file: ProblemFile, _: Path) -> Studied:
         valid=record.finished,
         status=[f"{ending.value}, driven by {record.driven}; {record.message}", *record.notes],
         sections=[*figures_of(tables), *([Section("Over time", curves)] if curves else [])],
-        moving=_moving(file, columns, crank_body, _sizes(record, file)) if len(time) > 1 else still,
+        moving=_moving(file, columns, crank_body, _sizes(record, file)) if curves else still,
         by=f"integration in time; driven by {record.driven}",
         drawn="As the crank turned in time: the slider goes from row to row of the simulation.",
     )
-
-
-# --- tables ------------------------------------------------------------------------------------------------------------------
-
-
-def _end(figures: Mapping[str, float], crank: Array) -> TableSpec:
-    speed = figures["end.speed_rad_s"]
-    rows = [
-        ("time", number(figures["end.time_s"], 9), "s"),
-        ("crank angle", number(float(crank[-1]), 9), f"deg, {abs(crank[-1] - crank[0]) / 360.0:.4f} turns from the start"),
-        ("crank speed", number(speed, 9), f"rad/s, {speed * 30.0 / math.pi:.6g} rpm"),
-    ]
-    if "last_turn.mean_speed_rad_s" in figures:
-        share = f"rad/s, mean over time; fluctuation {figures.get('last_turn.fluctuation', math.nan):.4%}"
-        rows.append(("last turn: mean speed", number(figures["last_turn.mean_speed_rad_s"]), share))
-    return table("At the end", "<><", rows)
-
-
-def _account(figures: Mapping[str, float]) -> TableSpec:
-    works = {name.removesuffix(".work_J"): work for name, work in figures.items() if name.endswith(".work_J")}
-    rows = [("work of the drive" if name == "input" else f"work of {name}", number(work, 9), "J") for name, work in works.items()]
-    largest = figures["turnover_J"]
-    share = figures["imbalance_J"] / largest if largest > 0.0 else 0.0
-    rows += [
-        ("their sum: energy gained", number(sum(works.values()), 9), "J, kinetic and of gravity"),
-        ("largest imbalance on the way", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount"),
-    ]
-    return table("Energy account", "<><", rows)
-
-
-def _drift(figures: Mapping[str, float]) -> str:
-    drift = f"{figures.get('drift_m', math.nan):.1e} m, {figures.get('drift_rad', math.nan):.1e} rad"
-    return f"Drift of the twice integrated positions from the closed loops: at most {drift}"
 
 
 # --- animation ---------------------------------------------------------------------------------------------------------------
