@@ -9,7 +9,6 @@ import numpy as np
 import optlink
 from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.path import PathProblem
-from optlink.tasks.path import assembly_variants
 
 Array = np.ndarray
 SPOTS = np.array([(20.0, 25.0), (28.0, 31.0), (33.0, 27.0), (30.0, 18.0), (22.0, 16.0)])  # mm, once round
@@ -106,6 +105,6 @@ def document(
 
 def model(raw: Mapping[str, object]) -> PathProblem:
     """The model of a problem with definite assembly modes."""
-    (file,) = assembly_variants(optlink.read(dict(raw)))
+    (file,) = optlink.read(dict(raw)).variants()
     assert isinstance(file.model, PathProblem)
     return file.model

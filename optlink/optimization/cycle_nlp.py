@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.optimization.cycle_constraints import EVENT, CycleTerms, WatchedTerm
 from optlink.optimization.cycle_signals import TURN, EventOrder, TracedCycle
-from optlink.optimization.nlp import NLP
+from optlink.optimization.nlp import NLP, boxed
 from optlink.optimization.objectives import ErrorMeasure
 from optlink.problem.function import EPIGRAPH
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
@@ -173,9 +173,10 @@ def build_cycle(
         watched += parts.close()
     worth = sizes[0] if problem.single else 1.0
     at[count + events :] = [value / size for goal, value, size in zip(parts.goals, found, sizes, strict=True) if goal.extreme]
-    bounds = [problem.quantities[name].bounds for name in parts.free]
-    room = [(-2.0 * TURN, 2.0 * TURN)] * events
-    floors = [0.0 if goal.how == "peak" else -math.inf for goal in parts.epigraphs]
+    box = [boxed(problem.quantities[v.name], v)[:2] for v in parts.variables[:count]]
+    box += [(-2.0 * TURN, 2.0 * TURN)] * events
+    box += [(0.0 if goal.how == "peak" else -math.inf, math.inf) for goal in parts.epigraphs]
+    x_low, x_high = np.array(box).reshape(-1, 2).T.copy()
     kind = problem.unit_kind
     helpers = {EPIGRAPH, EVENT, *(v.name for v in parts.variables[count:])}
     return CycleNLP(
@@ -184,16 +185,8 @@ def build_cycle(
         rows=tuple(parts.rows),
         measure=Figure("figure", KINDS[kind].si if kind else "", 1, worth),
         x_start=at,
-        x_low=np.array(
-            [*(low / v.size for (low, _), v in zip(bounds, parts.variables, strict=False)), *(a for a, _ in room), *floors]
-        ),
-        x_high=np.array(
-            [
-                *(high / v.size for (_, high), v in zip(bounds, parts.variables, strict=False)),
-                *(b for _, b in room),
-                *[math.inf] * k,
-            ]
-        ),
+        x_low=x_low,
+        x_high=x_high,
         p=p_start,
         x_symbol=x,
         p_symbol=p,

@@ -22,6 +22,7 @@ from optlink.optimization.objectives import MEASURES, ErrorMeasure, output_error
 from optlink.optimization.output_derivatives import ErrorSlopes
 from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
+from optlink.problem.quantity import Quantity
 from optlink.problem.robust import EXPECTED, residuals
 from optlink.symbolic import CompiledFunction, packed, symbols_in_numpy, unpacked
 
@@ -36,6 +37,10 @@ class Variable:
     size: float
     scale: Scale
     origin: float = 0.0
+
+    def scaled(self, value: float) -> float:
+        """Return the component of the design vector for a value [SI]."""
+        return (value - self.origin) / self.size
 
 
 @dataclass(frozen=True)
@@ -262,6 +267,18 @@ def _residuals(
     return fixed + [one(casadi.vertcat(*known, offset, 0.0)) for offset in roaming]
 
 
+def boxed(quantity: Quantity, variable: Variable) -> tuple[float, float, float]:
+    """Return the scaled bounds and starting value of a design variable.
+
+    Parameters
+    ----------
+    quantity : Quantity
+    variable : Variable
+    """
+    low, high = quantity.bounds
+    return variable.scaled(low), variable.scaled(high), variable.scaled(quantity.value)
+
+
 def build(problem: DesignProblem) -> NLP:
     """Build the nonlinear programme of a function synthesis problem.
 
@@ -300,40 +317,30 @@ def build(problem: DesignProblem) -> NLP:
         f = x[-1] if minimax else casadi.sumsqr(vector) / (len(columns) if measure.name == "rms" else 1)
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
 
-    quantities = [problem.quantities[name] for name in free]
-
     def scaled(name: str) -> Variable:
         return Variable(name, sizes[name], Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES)
 
-    others = [Variable(name, size, Scale("mm", 1e3 * size)) for name in counted]
-    variables = [scaled(name) for name in free]
-    low = [q.bounds[0] / sizes[name] for q, name in zip(quantities, free, strict=True)]
-    high = [q.bounds[1] / sizes[name] for q, name in zip(quantities, free, strict=True)]
-    at = [q.value / sizes[name] for q, name in zip(quantities, free, strict=True)]
+    variables, constants = [scaled(name) for name in free], [scaled(name) for name in fixed]
+    constants += [Variable(name, size, Scale("mm", 1e3 * size)) for name in counted]
+    box = [boxed(problem.quantities[v.name], v) for v in variables]
     if minimax:
         variables.append(Variable(EPIGRAPH, 1.0, DEGREES))
-        low, high, at = [*low, 0.0], [*high, math.inf], [*at, 1.0]
-    nlp = NLP(
+        box.append((0.0, math.inf, 1.0))
+    low, high, at = np.array(box).reshape(-1, 3).T.copy()
+    values_fixed = [*(problem.quantities[name].value / sizes[name] for name in fixed), *(t / size for t in counted.values())]
+    return NLP(
         variables=tuple(variables),
         fixed=fixed,
         rows=tuple(rows),
         measure=measure,
-        x_start=np.array(at),
-        x_low=np.array(low),
-        x_high=np.array(high),
-        p=np.array(
-            [
-                1.0,
-                *(problem.quantities[name].value / sizes[name] for name in fixed),
-                *(tolerance / size for tolerance in counted.values()),
-                *np.zeros(many),
-            ]
-        ),
+        x_start=at,
+        x_low=low,
+        x_high=high,
+        p=np.array([1.0, *values_fixed, *np.zeros(many)]),
         x_symbol=x,
         p_symbol=p,
         f_expression=f / p[0],
         g_expression=g,
         residual_expression=vector,
-        constants=(*(scaled(name) for name in fixed), *others),
+        constants=tuple(constants),
     )
-    return nlp

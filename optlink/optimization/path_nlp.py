@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import Value, unit
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, position_rows
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.nlp import NLP, Variable
+from optlink.optimization.nlp import NLP, Variable, boxed
 from optlink.optimization.objectives import ErrorMeasure, error_measures
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.limits import Reach
@@ -149,26 +149,23 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
         f = x[-1] if minimax else casadi.sumsqr(vector) / (share**2 * (count if measure.name == "rms" else 1))
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
 
-    quantities = [problem.quantities[name] for name in free]
     between = (np.arange(ROAMING) + 0.5) / ROAMING  # initially half-way between two positions of the grid
-    low = [(q.bounds[0] - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
-    high = [(q.bounds[1] - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
-    begin = [(q.value - v.origin) / v.size for q, v in zip(quantities, variables, strict=False)]
+    box = [boxed(problem.quantities[v.name], v) for v in variables[: len(free)]]
     if own:
-        low, high = [*low, *[-4.0 * math.pi] * count], [*high, *[4.0 * math.pi] * count]
-        begin = [*begin, *(direction * TURN / count * np.arange(count))]
+        box += [(-4.0 * math.pi, 4.0 * math.pi, direction * TURN / count * i) for i in range(count)]
     if minimax:
-        low, high, begin = [*low, 0.0], [*high, math.inf], [*begin, 1.0]
+        box.append((0.0, math.inf, 1.0))
+    x_low, x_high, x_start = np.array(box).reshape(-1, 3).T.copy()
     helpers = {EPIGRAPH, *(angle_name(i) for i in range(count if own else 0))}
     return NLP(
         variables=tuple(variables),
         fixed=fixed,
         rows=tuple(rows),
         measure=measure,
-        x_start=np.array(begin),
-        x_low=np.array(low),
-        x_high=np.array(high),
-        p=np.array([1.0, *((problem.quantities[v.name].value - v.origin) / v.size for v in constants), *between[:many]]),
+        x_start=x_start,
+        x_low=x_low,
+        x_high=x_high,
+        p=np.array([1.0, *(v.scaled(problem.quantities[v.name].value) for v in constants), *between[:many]]),
         x_symbol=x,
         p_symbol=p,
         f_expression=f / p[0],

@@ -89,6 +89,11 @@ class ProblemFile:
     def _tabled(self) -> bool:
         return "csv" in json.dumps([self.raw.get("loads"), self.raw.get("drive")], default=str)
 
+    def variants(self) -> list[ProblemFile]:
+        """Return the problem with definite assembly modes, one for each combination that it leaves open."""
+        changes = self.model.mechanism.variants(self.model.linkage)
+        return [self.override(change) if change else self for change in changes]
+
     def override(self, changes: Mapping[str, object]) -> ProblemFile:
         """Return the same problem with other values, for example {"mechanism.frame": "480 mm"}; None removes a key.
 

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from optlink.errors import Status
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
-from optlink.problem.cycle import CycleProblem
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers import multistart
 from optlink.solvers.contract import backend
 from optlink.solvers.feasibility import repair
-from optlink.solvers.infeasibility import Explanation, Relaxation, explain
+from optlink.solvers.infeasibility import Explanation, explain
 from optlink.solvers.semi_infinite import exchange, peaks, restart_from
-from optlink.solvers.solution import Solution
+from optlink.solvers.solution import Relaxation, Solution
 
 Array = NDArray[np.float64]
 
@@ -50,7 +49,9 @@ class StartSequence:
         self.trace, self._known = trace, list[tuple[Mapping[str, float], EventOrder | None]]()
         task = trace.problem
         given = {name: task.quantities[name].value for name in task.free}
-        self._next = itertools.chain([given], _random(task, seed))
+        low, high = np.array([task.quantities[name].bounds for name in task.free]).T
+        drawn = (dict(zip(task.free, x.tolist(), strict=True)) for x in multistart.sobol(low, high, seed))
+        self._next = itertools.chain([given], drawn)
 
     def first(self, count: int) -> Iterator[tuple[Mapping[str, float], EventOrder | None]]:
         """Iterate over the design of the file and `count` random ones, with their structure (None if the crank cannot rotate)."""
@@ -59,17 +60,6 @@ class StartSequence:
                 values = next(self._next)
                 self._known.append((values, self.trace.structure(values)))
             yield self._known[k]
-
-
-def _random(task: CycleProblem, seed: int) -> Iterator[dict[str, float]]:
-    """Generate random designs within the bounds (scrambled Sobol points), without end."""
-    from scipy.stats import qmc
-
-    sobol = qmc.Sobol(len(task.free), rng=np.random.default_rng(seed))
-    low, high = np.array([task.quantities[name].bounds for name in task.free]).T
-    while True:
-        for share in sobol.random(SAMPLES):
-            yield dict(zip(task.free, (low + share * (high - low)).tolist(), strict=True))
 
 
 def start_groups(samples: StartSequence, count: int, fits: Callable[[EventOrder], bool]) -> list[StartGroup]:

@@ -26,7 +26,7 @@ from optlink.optimization.nlp import NLP, Variable
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.contract import BACKENDS, backend
 from optlink.solvers.multistart import starts
-from optlink.solvers.solution import key_of
+from optlink.solvers.solution import Relaxation, key_of
 
 Array = NDArray[np.float64]
 
@@ -52,24 +52,6 @@ class LimitSide:
     variables: tuple[int, ...]
     bound: float
     scale: Scale
-
-
-@dataclass(frozen=True)
-class Relaxation:
-    """A relaxed limit, in display units: from `bound` to `relaxed`, which differs by `amount`.
-
-    NaN if relaxing this limit alone does not make the problem feasible. The amount is the least found by local searches, not
-    proven to be the least; `approximate`: a limit may still be exceeded between the positions of the NLP.
-    """
-
-    key: str
-    name: str
-    sense: str
-    bound: float
-    relaxed: float
-    amount: float
-    unit: str
-    approximate: bool = False
 
 
 @dataclass(frozen=True)
@@ -324,4 +306,4 @@ def _relaxation(side: LimitSide, slack: float) -> Relaxation:
     upper = side.upper != side.scale.cosine
     bound = side.scale.to_display(side.bound)
     relaxed = side.scale.to_display(side.bound + (slack if side.upper else -slack)) if math.isfinite(slack) else math.nan
-    return Relaxation(side.key, side.name, "<=" if upper else ">=", bound, relaxed, abs(relaxed - bound), side.scale.unit)
+    return Relaxation(side.name, side.key, "<=" if upper else ">=", bound, relaxed, abs(relaxed - bound), side.scale.unit)

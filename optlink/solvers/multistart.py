@@ -127,24 +127,28 @@ def starts(nlp: NLP, count: int, seed: int) -> list[Array]:
     seed : int
         Seed of the scrambling.
     """
-    return [nlp.lifted(x) for x in (np.clip(nlp.x_start, nlp.x_low, nlp.x_high), *itertools.islice(sobol(nlp, seed), count - 1))]
+    return [
+        nlp.lifted(x)
+        for x in (np.clip(nlp.x_start, nlp.x_low, nlp.x_high), *itertools.islice(sobol(nlp.x_low, nlp.x_high, seed), count - 1))
+    ]
 
 
-def sobol(nlp: NLP, seed: int) -> Iterator[Array]:
-    """Generate scrambled Sobol points over the bounds, without end.
+def sobol(low: Array, high: Array, seed: int) -> Iterator[Array]:
+    """Generate scrambled Sobol points within bounds, without end.
 
     Parameters
     ----------
-    nlp : NLP
+    low, high : array (n,)
+        An infinite upper bound counts as 1.
     seed : int
         Seed of the scrambling.
     """
     from scipy.stats import qmc
 
-    points = qmc.Sobol(len(nlp.variables), rng=np.random.default_rng(seed))
-    high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
+    points = qmc.Sobol(len(low), rng=np.random.default_rng(seed))
+    high = np.where(np.isfinite(high), high, 1.0)
     while True:
-        yield from nlp.x_low + points.random(SOBOL_BLOCK) * (high - nlp.x_low)
+        yield from low + points.random(SOBOL_BLOCK) * (high - low)
 
 
 def best(solutions: list[Solution]) -> Solution:

@@ -70,6 +70,24 @@ class LimitState:
 
 
 @dataclass(frozen=True)
+class Relaxation:
+    """A relaxed limit, in display units: from `bound` to `relaxed`, which differs by `amount`.
+
+    NaN if relaxing this limit alone does not make the problem feasible. The amount is the least found by local searches, not
+    proven to be the least; `approximate`: a limit may still be exceeded between the positions of the NLP.
+    """
+
+    name: str
+    key: str
+    sense: str
+    bound: float
+    relaxed: float
+    amount: float
+    unit: str
+    approximate: bool = False
+
+
+@dataclass(frozen=True)
 class Stationarity:
     """First-order optimality proof at x: `multipliers` of bounds (n) then rows, `active` indices of these, KKT residual."""
 

@@ -23,10 +23,10 @@ from optlink.problem.file import ProblemFile, parse_assignment
 from optlink.problem.quantity import Quantity, input_of, nearest, read_quantity
 from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
-from optlink.solvers.solution import Solution
+from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
-from optlink.tasks.results.common import Optimum, Relaxed, heading, proof, proven, shortest_link
+from optlink.tasks.results.common import Optimum, heading, proof, proven, shortest_link
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.tasks.search import agreement, back_ends, part
 from optlink.units import show
@@ -75,8 +75,8 @@ class FunctionResult(Summary):
     solution: Solution | None = None
     backends: dict[str, Solution] = field(default_factory=dict)
     optima: tuple[Optimum, ...] = ()
-    conflict: tuple[Relaxed, ...] = ()
-    together: tuple[Relaxed, ...] = ()
+    conflict: tuple[Relaxation, ...] = ()
+    together: tuple[Relaxation, ...] = ()
     first: FirstStep | None = None  # best convex first design of a function
     interrupted: bool = False
     counts: tuple[int, ...] = ()  # random starts that reached each value of the objective, that of the design first
@@ -240,7 +240,7 @@ def solve(
     names = back_ends(problem, backend, starts, seed, MAX_STARTS)
     if spec.mechanism.assembly == EITHER:
         found: list[FunctionResult] = []
-        variants = _variants(problem)
+        variants = problem.variants()
         for k, variant in enumerate(variants):
             found.append(solve(variant, backend, starts, seed, part(progress, k, len(variants)), track=track, begin=begin))
             if found[-1].interrupted:
@@ -296,7 +296,7 @@ def solve(
     )
 
 
-Conflict = tuple[tuple[Relaxed, ...], tuple[Relaxed, ...]]
+Conflict = tuple[tuple[Relaxation, ...], tuple[Relaxation, ...]]
 
 
 def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conflict]:
@@ -308,15 +308,8 @@ def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conf
     reason = explain(nlp, seed)
     if not isinstance(reason, Explanation):
         return reason, None, ((), ())
-    conflict, together = (tuple(Relaxed(**vars(item)) for item in items) for items in (reason.conflict, reason.together))
     miss = replace(multistart.solution_at(nlp, reason.x, "nearest design"), status=Status.INFEASIBLE)
-    return None, miss, (conflict, together)
-
-
-def _variants(problem: ProblemFile) -> list[ProblemFile]:
-    """Return the problem with each assembly mode that it leaves open."""
-    changes = problem.model.mechanism.variants(problem.model.linkage)
-    return [problem.override(change) if change else problem for change in changes]
+    return None, miss, (reason.conflict, reason.together)
 
 
 def _better(result: FunctionResult) -> tuple[bool, bool, float]:
@@ -349,7 +342,7 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResul
     """
     begin = time.perf_counter()
     results = []
-    for variant in _variants(problem):
+    for variant in problem.variants():
         full = variant.spec.design(design)
         proof = prove(variant.spec, full)
         seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}

@@ -102,7 +102,7 @@ def start_sequence(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[s
     given = SearchStart(multistart.starts(nlp, 1, seed)[0], drawn=False, close=False)
 
     def bounds() -> Iterator[SearchStart]:
-        return (SearchStart(x, drawn=True, close=False) for x in multistart.sobol(nlp, seed))
+        return (SearchStart(x, drawn=True, close=False) for x in multistart.sobol(nlp.x_low, nlp.x_high, seed))
 
     if not function_starts.has_function_starts(problem):
         return StartSequence([given], bounds, None)

@@ -16,7 +16,7 @@ from optlink.solvers import interrupts
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.evidence import evidence
 from optlink.tasks.path_search import DesignCollection, Polisher, has_several_dyads, path_model
-from optlink.tasks.results.common import Relaxed, shortest_link
+from optlink.tasks.results.common import shortest_link
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.tasks.search import back_ends, check_count
 from optlink.validation.path import validate_path
@@ -38,12 +38,6 @@ FOUR_BAR_BETTER = (
 )
 MOST_IN_VAIN = 12  # rounds without a valid design
 OFTEN = 3  # starts per exact design after which no other one is expected
-
-
-def assembly_variants(problem: ProblemFile) -> list[ProblemFile]:
-    """Return the problem with definite assembly modes, one for each combination that the file leaves open."""
-    changes = problem.model.mechanism.variants(problem.model.linkage)
-    return [problem.override(change) if change else problem for change in changes]
 
 
 def solve(
@@ -87,7 +81,7 @@ def solve(
     task = path_model(problem)
     notes = [*([task.wanted.note] if task.wanted.note else []), *search.notes]
     reason = None if found.designs or search.interrupted else search.conflict(seed)
-    limits = () if reason is None else tuple(Relaxed(**vars(item)) for item in reason.conflict)
+    limits = () if reason is None else reason.conflict
     if search.better is not None and not found.no_worse(search.better):
         error = math.sqrt(float(np.mean(search.better.measured.distances**2)))
         notes.append(FOUR_BAR_BETTER.format(1e3 * error))
@@ -107,7 +101,7 @@ def solve(
         interrupted=search.interrupted,
         notes=tuple(notes),
         conflict=limits,
-        together=() if reason is None else tuple(Relaxed(**vars(item)) for item in reason.together),
+        together=() if reason is None else reason.together,
     )
 
 
@@ -117,7 +111,7 @@ class _Search:
     def __init__(self, problem: ProblemFile, backend: str, seed: int, requested: int) -> None:
         from optlink.synthesis.batch_search import Searcher
 
-        files = assembly_variants(problem)
+        files = problem.variants()
         self.searcher = Searcher([path_model(file) for file in files], seed)
         self.collection = DesignCollection(Polisher(files, backend), requested)
         self.requested, self.interrupted = requested, False
@@ -205,7 +199,7 @@ def validate(problem: ProblemFile, given: Mapping[str, float]) -> PathResult:
 
     clock = time.perf_counter()
     found = []
-    for file in assembly_variants(problem):
+    for file in problem.variants():
         task = path_model(file)
         values = {name: float(given.get(name, quantity.value)) for name, quantity in task.quantities.items()}
         angles = passing(task, values)

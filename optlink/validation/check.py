@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
+from optlink.linkage.mechanism import Link
+from optlink.linkage.motion import Motion
 from optlink.problem.limits import Limits, Moved, stated
 from optlink.problem.quantity import Interval, Quantity
 
@@ -62,6 +66,27 @@ def bound(name: str, quantity: Quantity, value: float, size: float) -> Check:
     tolerance = 1e-8 * (size if length else 1.0)
     limit = f"{low * factor:.6g} ... {high * factor:.6g}" if quantity.free else f"= {low * factor:.6g}"
     return Check(f"{name} within its bounds", bool(low - tolerance <= value <= high + tolerance), value * factor, limit, unit)
+
+
+def link_lengths(motion: Motion, wanted: Callable[[Link], float], size: float) -> Check:
+    """Check that all links keep their lengths in motion.
+
+    Parameters
+    ----------
+    motion : Motion
+    wanted : function of Link
+        Returns its length [m].
+    size : float [m]
+        Reference length.
+    """
+    worst = 0.0
+    for link in motion.mechanism.links:
+        if link.end:
+            measured = np.linalg.norm(motion.position(link.end) - motion.position(link.start), axis=-1)
+            miss = float(np.max(np.abs(measured - wanted(link)))) if np.all(np.isfinite(measured)) else math.nan
+            worst = max(worst, miss, key=nan_last)
+    limit = LENGTH_TOLERANCE * size * 1e3
+    return Check("link lengths re-measured in motion", bool(worst * 1e3 <= limit), worst * 1e3, f"<= {limit:.1e}", "mm")
 
 
 def limit_checks(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:

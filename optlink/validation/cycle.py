@@ -25,7 +25,7 @@ from optlink.problem.limits import stroke_ratio
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
 from optlink.units import KINDS, factor
-from optlink.validation.check import LENGTH_TOLERANCE, POSITIONS, Check, Validation, bound, nan_last
+from optlink.validation.check import POSITIONS, Check, Validation, bound, link_lengths
 from optlink.validation.margins import alignment_checks
 
 Array = NDArray[np.float64]
@@ -276,15 +276,7 @@ def _sizes(tested: Cycle) -> Iterator[Check]:
     worst = max((abs(tested.design[name] - tested.problem.quantities[name].value) for name in fixed), default=0.0)
     yield Check("all other sizes as given", worst == 0.0, worst, "= 0", "")
     motion = sweep(tested.mechanism, tested.design, np.linspace(0.0, TURN, POSITIONS, endpoint=False))
-    worst = 0.0
-    for link in tested.mechanism.links:
-        if link.end:
-            measured = np.linalg.norm(motion.position(link.end) - motion.position(link.start), axis=-1)
-            wanted = tested.design[link.length] if isinstance(link.length, str) else link.length
-            miss = float(np.max(np.abs(measured - wanted))) if np.all(np.isfinite(measured)) else math.nan
-            worst = max(worst, miss, key=nan_last)
-    limit = LENGTH_TOLERANCE * size * 1e3
-    yield Check("link lengths re-measured in motion", bool(worst * 1e3 <= limit), worst * 1e3, f"<= {limit:.1e}", "mm")
+    yield link_lengths(motion, lambda link: tested.design[link.length] if isinstance(link.length, str) else link.length, size)
 
 
 def _motion(tested: Cycle) -> Iterator[Check]:

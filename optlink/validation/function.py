@@ -24,12 +24,11 @@ from optlink.problem.quantity import Interval
 from optlink.problem.robust import EXPECTED, WORST
 from optlink.validation.check import (
     ANGLE_TOLERANCE,
-    LENGTH_TOLERANCE,
     POSITIONS,
     Check,
     Validation,
     bound,
-    nan_last,
+    link_lengths,
     registered_checks,
 )
 from optlink.validation.margins import alignment_checks, at_least, grashof_check
@@ -253,19 +252,7 @@ def _sizes(tested: _Tested) -> Iterator[Check]:
     frame = tested.design["frame"]
     for name, quantity in tested.problem.quantities.items():
         yield bound(name, quantity, tested.design[name], frame)
-    worst = 0.0
-    for link in tested.mechanism.links:
-        ends = (tested.required.position(point) for point in (link.start, link.end))
-        start, end = ends
-        measured = np.linalg.norm(end - start, axis=-1)
-        wanted = tested.design[link.body]
-        worst = max(
-            worst,
-            float(np.max(np.abs(measured - wanted))) if np.all(np.isfinite(measured)) else math.nan,
-            key=nan_last,
-        )
-    limit = LENGTH_TOLERANCE * frame * 1e3
-    yield Check("link lengths re-measured in motion", bool(worst * 1e3 <= limit), worst * 1e3, f"<= {limit:.1e}", "mm")
+    yield link_lengths(tested.required, lambda link: tested.design[link.body], frame)
 
 
 def _crank(tested: _Tested) -> Iterator[Check]:

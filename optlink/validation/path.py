@@ -18,12 +18,12 @@ from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import MARK, STEP, TURN, ZERO, PathProblem
 from optlink.validation.check import (
     ANGLE_TOLERANCE,
-    LENGTH_TOLERANCE,
     POSITIONS,
     Check,
     Validation,
     bound,
     limit_checks,
+    link_lengths,
     nan_last,
     registered_checks,
 )
@@ -185,16 +185,11 @@ def _sizes(tested: _Tested) -> Iterator[Check]:
     size = tested.problem.size
     for name, quantity in tested.problem.quantities.items():
         yield bound(name, quantity, tested.design[name], size)
-    worst = 0.0
-    for link in tested.mechanism.links:
-        if link.end:
-            start, end = (tested.required.position(point) for point in (link.start, link.end))
-            measured = np.linalg.norm(end - start, axis=-1)
-            wanted = tested.design[link.length] if isinstance(link.length, str) else link.length
-            miss = float(np.max(np.abs(measured - wanted))) if np.all(np.isfinite(measured)) else math.nan
-            worst = max(worst, miss, key=nan_last)
-    limit = LENGTH_TOLERANCE * max(size, *(tested.design[name] for name in tested.problem.mechanism.quantities)) * 1e3
-    yield Check("link lengths re-measured in motion", bool(worst * 1e3 <= limit), worst * 1e3, f"<= {limit:.1e}", "mm")
+    longest = max(size, *(tested.design[name] for name in tested.problem.mechanism.quantities))
+    wanted = {
+        link.body: tested.design[link.length] if isinstance(link.length, str) else link.length for link in tested.mechanism.links
+    }
+    yield link_lengths(tested.required, lambda link: wanted[link.body], longest)
 
 
 def _closure(tested: _Tested) -> Iterator[Check]:

@@ -24,7 +24,6 @@ from optlink.report.export import dxf
 from optlink.report.export.export import FORMATS, Options, export, geometry
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
-from optlink.tasks.path import assembly_variants
 from tests.cli.test_cli import run
 
 MACHINES = ("crank-rocker", "shaper", "watt-i", "toggle-press", "scotch-yoke", "slider-crank", "oscillating-cylinder")
@@ -77,7 +76,7 @@ def written(about: ReportModel, path: Path, **options) -> Drawing:
 def machine_as_stated(name: str) -> ReportModel:
     """The machine of a shipped problem with its values and starts; of modes that are open, the first that closes."""
     file = optlink.load(name)
-    for variant in assembly_variants(file):
+    for variant in file.variants():
         settled_ = fixed_design(variant, sizes_of(variant.model.mechanism.quantities))
         try:
             cycle = optlink.analyze(settled_)

@@ -19,7 +19,6 @@ from optlink.optimization.path_nlp import build_path_nlp
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers import contract, multistart
 from optlink.solvers.minimax import minimax
-from optlink.tasks.path import assembly_variants
 
 Array = np.ndarray
 
@@ -116,7 +115,7 @@ def test_largest_distance_is_no_more_than_the_best_known(name):
 
 
 def test_a_start_without_a_value_is_given_back():
-    (file,) = assembly_variants(optlink.load("path-arc5", {"requirement.measure": "max", "mechanism.assembly": "left"}))
+    (file,) = optlink.load("path-arc5", {"requirement.measure": "max", "mechanism.assembly": "left"}).variants()
     nlp = build_path_nlp(file.model)
     x = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
     x[[v.name for v in nlp.variables].index("coupler")] = nlp.x_low[[v.name for v in nlp.variables].index("coupler")]

@@ -20,7 +20,6 @@ from optlink.synthesis.batch import INSIDE, WEIGHT, Batch
 from optlink.synthesis.batch_search import Searcher
 from optlink.synthesis.levenberg_marquardt import minimise
 from optlink.synthesis.variable_projection import SimilarityFit
-from optlink.tasks.path import assembly_variants
 from optlink.validation.path import deviations
 from tests import synthesis_oracle as oracle
 from tests.stated import ANGLE, SLIDER_CRANK, SPOTS, STEPHENSON, document, four_bar_section, free, model
@@ -453,7 +452,7 @@ def test_random_timing_is_in_order(rotation: str, closed: bool) -> None:
 
 @pytest.mark.parametrize("rotation", ["clockwise", "counter-clockwise"])
 def test_candidates_keep_order_and_rotation(rotation: str) -> None:
-    files = assembly_variants(optlink.read(document(four_bar_section("either"), closed=True, rotation=rotation)))
+    files = optlink.read(document(four_bar_section("either"), closed=True, rotation=rotation)).variants()
     searcher = Searcher([file.model for file in files], 0)
     searcher.advance()
     found = searcher.advance()

@@ -12,7 +12,7 @@ import pytest
 import optlink
 from optlink.solvers.evidence import percent
 from optlink.synthesis.batch_search import Exploration, Searcher
-from optlink.tasks.path import SMALL, assembly_variants, solve
+from optlink.tasks.path import SMALL, solve
 from optlink.tasks.path_search import DesignCollection, Polisher, path_model
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, free
@@ -65,7 +65,7 @@ def test_seeds_agree_far_from_an_exact_fit_and_say_that_the_search_is_incomplete
 def test_a_poor_fit_does_not_end_at_the_cost_of_candidates_out_of_order() -> None:
     """A candidate whose cost is far above the best design's may still lead to a better one, and is polished then."""
     raw, _ = exact_task(7, scrambled=True)
-    files = assembly_variants(optlink.read(raw))
+    files = optlink.read(raw).variants()
     collection = DesignCollection(Polisher(files, "ipopt"), 1)
     search = Searcher([path_model(file) for file in files], 0)
     collection.add(search.advance())

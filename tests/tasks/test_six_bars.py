@@ -17,7 +17,7 @@ from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate
 from optlink.synthesis.growth import contained_four_bar, grow_from_four_bar
 from optlink.tasks import path
-from optlink.tasks.path import PART_STARTS, assembly_variants, solve
+from optlink.tasks.path import PART_STARTS, solve
 from optlink.tasks.path_search import Polisher, has_several_dyads
 from optlink.tasks.results.path import PathDesign
 from optlink.validation.check import Check
@@ -42,7 +42,7 @@ def test_a_six_bar_contains_the_curve_of_its_four_bar(watt: bool) -> None:
     assert (part.arms is not None) is watt
     four_bars = solve(part.file, starts=60).designs
     made = 0
-    for file, four_bar in itertools.product(assembly_variants(task.file), four_bars):
+    for file, four_bar in itertools.product(task.file.variants(), four_bars):
         assert isinstance(file.model, PathProblem)
         batch = Batch(file.model)
         own = replace(part, file=four_bar.problem)

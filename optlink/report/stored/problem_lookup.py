@@ -7,7 +7,6 @@ from pathlib import Path
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile, load, parse_assignment, shipped
-from optlink.tasks.path import assembly_variants
 
 
 def problem_of(name: str, wanted: str, path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
@@ -35,7 +34,7 @@ def problem_of(name: str, wanted: str, path: Path, problem: str | None = None, c
     hashes = []
     for place in places:
         file = load(place, overrides)
-        for variant in (file, *assembly_variants(file)):
+        for variant in (file, *file.variants()):
             if variant.hash == wanted:
                 return variant
         hashes.append(file.hash)

@@ -21,18 +21,15 @@ from optlink.report.stored.problem_lookup import problem_of
 from optlink.report.stored.reader import AGAIN, Record, read
 from optlink.report.stored.resolved_result import generated_optimum, law_optimum, machine_optimum
 from optlink.solvers.evidence import Evidence, evidence
-from optlink.solvers.infeasibility import Relaxation
-from optlink.solvers.solution import LimitState
+from optlink.solvers.solution import LimitState, Relaxation
 from optlink.studies.sensitivity import SCHEMA as SENSITIVITY
 from optlink.studies.sensitivity import DifferenceCheck
 from optlink.tasks.analyze import analyze
 from optlink.tasks.cycle import validate as validate_cycle
 from optlink.tasks.function import SCHEMA as RESULT
 from optlink.tasks.function import FunctionResult, read_design, validate
-from optlink.tasks.path import assembly_variants
 from optlink.tasks.results.analysis import SCHEMA as ANALYSIS
 from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.results.common import Relaxed
 from optlink.tasks.results.cycle import SCHEMA as MACHINE
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import SCHEMA as GENERATION
@@ -162,11 +159,10 @@ def _outcome(schema: str, document: Mapping[str, Any], path: Path, file: Problem
     known = {check.name for check in made.validation.checks}
     recorded = [check for check in _checks(document) if check.name not in known]
     proof = replace(made.validation, checks=(*made.validation.checks, *recorded))
-    kind = Relaxation if isinstance(made, CycleResult) else Relaxed
     about: dict[str, Any] = {key: document[key] for key in ("backend", "seed", "starts")}
     about |= {"status": status, "validation": proof, "seconds": {}}
-    about["conflict"] = tuple(kind(**_relaxed(item)) for item in document.get("conflict", ()))
-    about["together"] = tuple(kind(**_relaxed(item)) for item in document.get("relax_together", ()))
+    about["conflict"] = tuple(Relaxation(**_relaxed(item)) for item in document.get("conflict", ()))
+    about["together"] = tuple(Relaxation(**_relaxed(item)) for item in document.get("relax_together", ()))
     if isinstance(made, CycleResult):
         about["notes"] = tuple(document.get("notes", ()))
     return replace(made, **about)
@@ -205,7 +201,7 @@ def _generation(document: Mapping[str, Any], file: ProblemFile) -> PathResult:
 
 
 def _generated(item: Mapping[str, Any], file: ProblemFile) -> PathDesign:
-    modes = {json.dumps(each.raw["mechanism"].get("assembly", "left"), sort_keys=True): each for each in assembly_variants(file)}
+    modes = {json.dumps(each.raw["mechanism"].get("assembly", "left"), sort_keys=True): each for each in file.variants()}
     variant = modes[json.dumps(item["assembly"], sort_keys=True)]
     task = variant.model
     quantities = task.quantities

@@ -32,11 +32,9 @@ from optlink.report.table_spec import (
     summary,
     table,
 )
-from optlink.solvers.infeasibility import Relaxation
-from optlink.solvers.solution import LimitState
+from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.function import FunctionResult, display_value
 from optlink.tasks.machine import turning_machine
-from optlink.tasks.results.common import Relaxed
 from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
 
@@ -183,14 +181,14 @@ def checks(asked: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:
     return table(title, ["", "check", ">found", "", "allowed"], rows)
 
 
-def conflict(limits: Sequence[Relaxed | Relaxation], together: Sequence[Relaxed | Relaxation]) -> TableSpec:
+def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> TableSpec:
     """Tabulate conflicting limits with the relaxation that each would need.
 
     Parameters
     ----------
-    limits : sequence of Relaxed or Relaxation
+    limits : sequence of Relaxation
         Each limit relaxed alone; an infinite amount where that does not suffice.
-    together : sequence of Relaxed or Relaxation
+    together : sequence of Relaxation
         Limits relaxed simultaneously; shown if one of `limits` does not suffice alone.
     """
     rows = [(one.name, _limit(one), _relaxed(one) or "never: see below") for one in limits]
@@ -200,11 +198,11 @@ def conflict(limits: Sequence[Relaxed | Relaxation], together: Sequence[Relaxed 
     return table("These limits cannot hold together", columns, rows, sections=[len(limits)])
 
 
-def _limit(item: Relaxed | Relaxation) -> str:
+def _limit(item: Relaxation) -> str:
     return "must hold" if "<=" in item.name else f"{item.sense} {item.bound:g} {item.unit}".rstrip()
 
 
-def _relaxed(item: Relaxed | Relaxation) -> str:
+def _relaxed(item: Relaxation) -> str:
     if not math.isfinite(item.amount):
         return ""
     amount = f"{item.amount:.4g} {item.unit}".rstrip()

@@ -29,20 +29,6 @@ class Optimum:
     assembly: str = ""
 
 
-@dataclass(frozen=True)
-class Relaxed:
-    """A limit that must be relaxed (see `optlink.solvers.infeasibility.Relaxation`)."""
-
-    name: str
-    key: str
-    sense: str
-    bound: float
-    relaxed: float
-    amount: float
-    unit: str
-    approximate: bool = False
-
-
 def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, ...]:
     """Return a message if the bounds of a four-bar prevent full rotation of the crank: the shortest link cannot be the shortest.
 

@@ -27,7 +27,7 @@ from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import Cycle, validate_cycle
 
 if TYPE_CHECKING:
-    from optlink.solvers.infeasibility import Relaxation
+    from optlink.solvers.solution import Relaxation
 
 SCHEMA = "optlink/machine-design/1"
 

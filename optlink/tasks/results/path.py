@@ -23,10 +23,10 @@ from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, TURN, PathProblem
 from optlink.solvers.evidence import Evidence
-from optlink.solvers.solution import LimitState, Solution
+from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
-from optlink.tasks.results.common import Relaxed, heading, proven
+from optlink.tasks.results.common import heading, proven
 from optlink.tasks.results.fit import Fit, path_fit, transmission_fit
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
@@ -269,8 +269,8 @@ class PathResult(Summary):
     seconds: dict[str, float]
     interrupted: bool = False
     notes: tuple[str, ...] = field(default=())
-    conflict: tuple[Relaxed, ...] = ()
-    together: tuple[Relaxed, ...] = ()
+    conflict: tuple[Relaxation, ...] = ()
+    together: tuple[Relaxation, ...] = ()
 
     @property
     def hits(self) -> int:
