@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.balancing.socp import FITS, GAP, BalancingProgramme, Bound, Certificate, Price, solved
+from optlink.balancing.certificate import GAP, Certificate, solved
+from optlink.balancing.socp import FITS, BalancingProgramme, Bound, Price
 from optlink.dynamics.counterweights import BalanceMeasure
 from optlink.errors import SolverError
 

@@ -11,7 +11,6 @@ Equation of motion of a machine with one degree of freedom (Eksergian's equation
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.dynamics.ending import Ending
 from optlink.dynamics.inertia import kinetic, potential
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench, virtual_torque
 from optlink.dynamics.loads import Magnitude
@@ -36,35 +36,6 @@ EDGE = 1e-6  # share of a limited range excluded at each end: speeds are infinit
 LEAST, PATIENCE = 1e-4, 2000  # least share of the duration per so many steps; less is a stall
 NEAR = 1e-9  # rad: a jump of a load nearer than this counts as passed
 STEADY = 1e-13  # share of the larger torque by which a resting machine may be out of balance and still stay at rest
-
-
-class Ending(enum.Enum):
-    """Reason for the end of a simulation; `text` describes it."""
-
-    FINISHED = "finished"
-    AT_REST = "at rest"
-    DEAD_POSITION = "dead position"
-    SINGULAR = "singular position"
-    JAMMED = "jammed"
-    STALLED = "stalled"
-    INTERRUPTED = "interrupted"
-
-    @property
-    def text(self) -> str:
-        """Description in one sentence."""
-        return _TEXT[self]
-
-
-_TEXT = {
-    Ending.FINISHED: "the whole duration was simulated",
-    Ending.AT_REST: "the machine came to rest: the drive cannot overcome loads and friction there",
-    Ending.DEAD_POSITION: "the crank reached a position beyond which the mechanism cannot be assembled",
-    Ending.SINGULAR: "the crank reached a singular position: the assembly modes meet, and the motion beyond is not determined",
-    Ending.JAMMED: "friction jams a guide: no finite force moves the machine",
-    Ending.STALLED: "the integration stalled: a singular position, or forces and speeds that grow without bound; "
-    "what was computed until then is kept. Start elsewhere, shorten the duration, or check loads and torque",
-    Ending.INTERRUPTED: "interrupted; what was computed until then is kept",
-}
 
 
 def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from optlink.dynamics.forward import Ending
+from optlink.dynamics.ending import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.studies.sweep_task import FiguresTask

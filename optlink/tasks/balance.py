@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.balancing import optimum as search
-from optlink.balancing.socp import GAP, NOTHING, BalancingProgramme, Limits, version
+from optlink.balancing.certificate import GAP
+from optlink.balancing.socp import NOTHING, BalancingProgramme, Limits, version
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Affine, BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters

@@ -24,7 +24,7 @@ from optlink.clearance.joint import Gap
 from optlink.clearance.output import Output, default_output, outputs
 from optlink.clearance.reference_signal import constant_speed
 from optlink.clearance.statistics import PredictabilityCheck, Statistics, table
-from optlink.dynamics.forward import Ending
+from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.forward import Ending
+from optlink.dynamics.ending import Ending
 from optlink.errors import Fault, InputError, SolverError
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers.interrupts import shielded

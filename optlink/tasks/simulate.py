@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from optlink.dynamics.columns import MotionColumns
-from optlink.dynamics.forward import Ending, Run, reduced_inertia, run
+from optlink.dynamics.ending import Ending
+from optlink.dynamics.forward import Run, reduced_inertia, run
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.linkage.continuation import continue_through_singularities

@@ -28,7 +28,7 @@ from optlink.clearance.hermite import crossing, summit
 from optlink.clearance.integration import Impact, Integration
 from optlink.clearance.joint import Motion
 from optlink.clearance.statistics import KEPT
-from optlink.dynamics.forward import Ending
+from optlink.dynamics.ending import Ending
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.loads import Acting
 from optlink.linkage.vector2d import cross, minus

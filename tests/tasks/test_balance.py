@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from typer.testing import CliRunner
 
 import optlink
-from optlink.balancing import socp
+from optlink.balancing import certificate, socp
 from optlink.cli.app import app
 from optlink.dynamics import counterweights as effects_module
 from optlink.dynamics.counterweights import (
@@ -618,7 +618,7 @@ def programme_of(file: optlink.ProblemFile) -> socp.BalancingProgramme:
 
 
 def test_the_gap_is_computed_here_and_a_wrong_dual_point_is_noticed(monkeypatch):
-    true = socp._certified
+    true = certificate._certified
 
     def wrong(data, raw):
         class Raw:
@@ -628,7 +628,7 @@ def test_the_gap_is_computed_here_and_a_wrong_dual_point_is_noticed(monkeypatch)
 
     file = optlink.load("balance-six-bar")
     assert optlink.balance(file).gap < 1e-9
-    monkeypatch.setattr(socp, "_certified", wrong)
+    monkeypatch.setattr(certificate, "_certified", wrong)
     result = optlink.balance(file)
     assert result.gap > 1e-6
     assert result.status == "stalled"
@@ -636,7 +636,7 @@ def test_the_gap_is_computed_here_and_a_wrong_dual_point_is_noticed(monkeypatch)
 
 
 def test_a_point_outside_its_cones_is_not_proven(monkeypatch):
-    true = socp._certified
+    true = certificate._certified
 
     def wrong(data, raw):
         class Raw:
@@ -644,10 +644,10 @@ def test_a_point_outside_its_cones_is_not_proven(monkeypatch):
 
         return true(data, Raw)
 
-    monkeypatch.setattr(socp, "_certified", wrong)
+    monkeypatch.setattr(certificate, "_certified", wrong)
     problem = programme_of(optlink.load("balance-six-bar"))
     cp = problem.cp
-    found = socp.solved(cp, cp.Problem(cp.Minimize(problem.expression(BalanceMeasure("shaking force"))), problem.held()))
+    found = certificate.solved(cp, cp.Problem(cp.Minimize(problem.expression(BalanceMeasure("shaking force"))), problem.held()))
     assert not found.proven
 
 

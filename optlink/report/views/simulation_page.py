@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.forward import Ending
+from optlink.dynamics.ending import Ending
 from optlink.problem.file import ProblemFile
 from optlink.record import Contradiction
 from optlink.report.html import chart_plotly

@@ -15,7 +15,7 @@ from optlink.clearance.integration import Impact
 from optlink.clearance.joint import Gap
 from optlink.clearance.output import Output
 from optlink.clearance.statistics import Prediction
-from optlink.dynamics.forward import Ending
+from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
 from optlink.problem.file import ProblemFile
 from optlink.record import Columns, Number, Record, Recorded, ResultRecord
