@@ -183,8 +183,8 @@ def _recorded(subject: ReportModel) -> Part:
 def _by(subject: ReportModel) -> str:
     outcome = subject.outcome
     if isinstance(outcome, Analysis):
-        return "nothing was searched: the machine is analysed as it is given"
+        return "analysis of the machine; nothing was optimised"
     if outcome.backend == "none":
-        return "nothing was searched: a given design was checked"
+        return "check of a given design; nothing was optimised"
     starts = f"{outcome.starts} start{'s' * (outcome.starts != 1)}, seed {outcome.seed}"
-    return f"{outcome.backend}, {starts}; proven by a sweep of the kinematics that the search takes no part in"
+    return f"{outcome.backend}, {starts}; verified by an independent sweep of the kinematics"

@@ -57,8 +57,10 @@ def result(outcome: FunctionResult) -> Summary:
         parts += _optima(outcome)
     if outcome.backends:
         parts.append(_backends(outcome))
-    solver = f"{outcome.backend}, {outcome.solution.iterations} iterations; " if outcome.solution else ""
-    parts.append(Paragraph(quiet(solver + times(outcome.seconds, 1))))
+    iterations = outcome.solution.iterations if outcome.solution else 0  # none of a stored result
+    effort = (f"{outcome.backend}, {iterations} iterations; " if iterations else "") + times(outcome.seconds, 1)
+    if effort:
+        parts.append(Paragraph(quiet(effort)))
     return summary(outcome.problem.spec.title, _status(outcome), *parts)
 
 
