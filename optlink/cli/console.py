@@ -97,7 +97,7 @@ def deliver(result: Any, kind: str, csv: Path | None, as_json: bool, out: Path |
     out : Path or None
         Folder for the files; after an interrupt it gets result.json only.
     """
-    from optlink.report.registry import files_of, table_of
+    from optlink.report.registry import table_of, view_of
 
     if csv is not None:
         from optlink.report.files import write_csv
@@ -110,7 +110,7 @@ def deliver(result: Any, kind: str, csv: Path | None, as_json: bool, out: Path |
         print(f"Interrupted: {out} has result.json alone, no pictures", file=sys.stderr)
     elif out is not None:
         with working(f"Drawing into {out}"):
-            files_of(kind)(result, out)
+            view_of(kind).write(result, out)
     if as_json:
         print_json(result.to_dict())
     else:

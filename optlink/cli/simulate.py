@@ -234,10 +234,10 @@ def _compared(asked: Run, revolutions: int | None, resume: bool, **options: Any)
     with _kept(asked, resume, "runs", "comparing") as common:
         found = compare(asked.file, turns, **common, **_many(options))
     if asked.out is not None:
-        from optlink.report.registry import files_of
+        from optlink.report.registry import view_of
 
         with console.working(f"Drawing into {asked.out}"):
-            files_of("control comparison")(found, asked.out)
+            view_of("control comparison").write(found, asked.out)
     _shown(asked, found, "comparison")
     if not found.finished:
         raise typer.Exit(3)

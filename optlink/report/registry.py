@@ -6,34 +6,16 @@ Each is imported when it is used: a table needs no plotting library.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from optlink.report.view import write_files
+from optlink.report.view import View
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.record import ResultRecord
     from optlink.report.stored.stored_study import Studied
     from optlink.report.table_spec import Summary
-
-
-@dataclass(frozen=True)
-class View:
-    """What is shown of a kind of result.
-
-    Parameters
-    ----------
-    table : function of a result
-        Returns what the terminal shows.
-    files : function of a result and a folder
-        Writes result.json, tables and pictures.
-    """
-
-    table: Callable[[Any], Summary]
-    files: Callable[[Any, Path], object]
 
 
 REGISTERED: dict[str, View] = {}
@@ -96,64 +78,46 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
     return REGISTERED[kind].table
 
 
-def files_of(kind: str) -> Callable[[Any, Path], object]:
-    """Import the function that writes the files of results of a kind.
+def view_of(kind: str) -> View:
+    """Import the view of results of a kind.
 
     Raises
     ------
     KeyError
         if no view of that kind exists.
     """
-    match kind:
-        case "function":
-            from optlink.report.views.function import VIEW as FUNCTION
+    if kind in REGISTERED:
+        return REGISTERED[kind]
+    from optlink.report.views import (
+        analysis,
+        balance,
+        clearance,
+        control_comparison,
+        cycle,
+        function,
+        pareto,
+        path,
+        sensitivity,
+        simulation,
+        sweep,
+        tolerance_pictures,
+    )
 
-            return partial(write_files, FUNCTION)
-        case "path":
-            from optlink.report.views.path import VIEW as PATH
-
-            return partial(write_files, PATH)
-        case "cycle":
-            from optlink.report.views.cycle import VIEW as CYCLE
-
-            return partial(write_files, CYCLE)
-        case "balance":
-            from optlink.report.views.balance import VIEW as BALANCE
-
-            return partial(write_files, BALANCE)
-        case "analysis":
-            from optlink.report.views.analysis import VIEW as ANALYSIS
-
-            return partial(write_files, ANALYSIS)
-        case "simulation":
-            from optlink.report.views.simulation import VIEW as SIMULATION
-
-            return partial(write_files, SIMULATION)
-        case "clearance":
-            from optlink.report.views.clearance import VIEW as CLEARANCE
-
-            return partial(write_files, CLEARANCE)
-        case "control comparison":
-            from optlink.report.views.control_comparison import VIEW as CONTROL_COMPARISON
-
-            return partial(write_files, CONTROL_COMPARISON)
-        case "sweep":
-            from optlink.report.views.sweep import VIEW as SWEEP
-
-            return partial(write_files, SWEEP)
-        case "sensitivity":
-            from optlink.report.views.sensitivity import VIEW as SENSITIVITY
-
-            return partial(write_files, SENSITIVITY)
-        case "tolerance":
-            from optlink.report.views.tolerance_pictures import write_all as tolerance_files
-
-            return tolerance_files
-        case "pareto":
-            from optlink.report.views.pareto import VIEW as PARETO
-
-            return partial(write_files, PARETO)
-    return REGISTERED[kind].files
+    views = {
+        "function": function.VIEW,
+        "path": path.VIEW,
+        "cycle": cycle.VIEW,
+        "balance": balance.VIEW,
+        "analysis": analysis.VIEW,
+        "simulation": simulation.VIEW,
+        "clearance": clearance.VIEW,
+        "control comparison": control_comparison.VIEW,
+        "sweep": sweep.VIEW,
+        "sensitivity": sensitivity.VIEW,
+        "tolerance": tolerance_pictures.VIEW,
+        "pareto": pareto.VIEW,
+    }
+    return views[kind]
 
 
 def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], Studied]:
@@ -164,73 +128,43 @@ def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], Studied]:
     KeyError
         if results of that kind are not shown as stored.
     """
-    match kind:
-        case "simulation":
-            from optlink.report.views.simulation_page import studied as simulation_page
+    from optlink.report.views import balance_page, clearance_page, pareto, simulation_page, sweep, tolerance_page
 
-            return simulation_page
-        case "clearance":
-            from optlink.report.views.clearance_page import studied as clearance_page
-
-            return clearance_page
-        case "control comparison":
-            from optlink.report.views.clearance_page import compared as control_comparison_page
-
-            return control_comparison_page
-        case "balance":
-            from optlink.report.views.balance_page import studied as balance_page
-
-            return balance_page
-        case "sweep":
-            from optlink.report.views.sweep import studied as sweep_page
-
-            return sweep_page
-        case "tolerance":
-            from optlink.report.views.tolerance_page import studied as tolerance_page
-
-            return tolerance_page
-        case "pareto":
-            from optlink.report.views.pareto import studied as pareto_page
-
-            return pareto_page
-    raise KeyError(kind)
+    pages: dict[str, Callable[[Any, ProblemFile, Path], Studied]] = {
+        "simulation": simulation_page.studied,
+        "clearance": clearance_page.studied,
+        "control comparison": clearance_page.compared,
+        "balance": balance_page.studied,
+        "sweep": sweep.studied,
+        "tolerance": tolerance_page.studied,
+        "pareto": pareto.studied,
+    }
+    return pages[kind]
 
 
 def record_of(kind: str) -> type[ResultRecord]:
-    """Import the record of results of a kind.
+    """Import the record of a stored result of a kind.
 
     Raises
     ------
     KeyError
-        if there are no results of that kind.
+        if results of that kind are not read from files.
     """
-    match kind:
-        case "simulation":
-            from optlink.tasks.simulate import SimulationRecord
+    from optlink.studies.pareto.epsilon_constraint import ParetoRecord
+    from optlink.studies.sweep import SweepRecord
+    from optlink.studies.tolerance.analysis import ToleranceRecord
+    from optlink.tasks.control_comparison import ComparisonRecord
+    from optlink.tasks.results.balance import BalanceRecord
+    from optlink.tasks.results.clearance import ClearanceRecord
+    from optlink.tasks.simulate import SimulationRecord
 
-            return SimulationRecord
-        case "clearance":
-            from optlink.tasks.results.clearance import ClearanceRecord
-
-            return ClearanceRecord
-        case "control comparison":
-            from optlink.tasks.control_comparison import ComparisonRecord
-
-            return ComparisonRecord
-        case "balance":
-            from optlink.tasks.results.balance import BalanceRecord
-
-            return BalanceRecord
-        case "sweep":
-            from optlink.studies.sweep import SweepRecord
-
-            return SweepRecord
-        case "tolerance":
-            from optlink.studies.tolerance.analysis import ToleranceRecord
-
-            return ToleranceRecord
-        case "pareto":
-            from optlink.studies.pareto.epsilon_constraint import ParetoRecord
-
-            return ParetoRecord
-    raise KeyError(kind)
+    records: dict[str, type[ResultRecord]] = {
+        "simulation": SimulationRecord,
+        "clearance": ClearanceRecord,
+        "control comparison": ComparisonRecord,
+        "balance": BalanceRecord,
+        "sweep": SweepRecord,
+        "tolerance": ToleranceRecord,
+        "pareto": ParetoRecord,
+    }
+    return records[kind]

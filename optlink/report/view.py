@@ -1,4 +1,4 @@
-"""View of a kind of result: its charts, drawings, tables, design and animation, and the writer of its files."""
+"""View of a kind of result: its summary, charts, drawings, tables, design and animation, and the writer of its files."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from optlink.problem.file import ProblemFile
     from optlink.report.chart_spec import ChartSpec
+    from optlink.report.table_spec import Summary
 
 
 def _none(result: Any) -> Any:
@@ -36,10 +37,13 @@ def _no_design(result: Any) -> None:
 
 @dataclass(frozen=True)
 class View:
-    """What the files of --out show of a kind of result.
+    """What is shown of a kind of result.
 
     Parameters
     ----------
+    table : function
+        Returns the summary that the terminal shows. The kinds of optlink name it in `registry.table_of` instead, since a terminal
+        needs no plotting library.
     subject : function
         Returns what `charts`, `drawings` and `frames` take, such as the motion of the result, computed once; default: the result.
     charts : function
@@ -54,6 +58,7 @@ class View:
         Returns the frames of the animation motion.gif; none if there is nothing to move.
     """
 
+    table: Callable[[Any], Summary] = _none
     subject: Callable[[Any], Any] = _itself
     charts: Callable[[Any], Iterable[ChartSpec]] = _none
     drawings: Mapping[str, Callable[[Any], Figure | None]] = field(default_factory=dict)
@@ -61,42 +66,39 @@ class View:
     design: Callable[[Any], tuple[ProblemFile, str] | None] = _no_design
     frames: Callable[[Any], list[Image.Image]] = _none
 
+    def write(self, result: Any, folder: Path) -> list[Path]:
+        """Write result.json, the tables, the design, the pictures and the animation of a result; return the paths.
 
-def write_files(view: View, result: Any, folder: Path) -> list[Path]:
-    """Write result.json, the tables, the design, the pictures and the animation of a result; return the paths.
+        Parameters
+        ----------
+        result : any result
+        folder : Path
+            Existing folder to write to.
 
-    Parameters
-    ----------
-    view : View
-        View of the kind of the result.
-    result : any result
-    folder : Path
-        Existing folder to write to.
+        Raises
+        ------
+        InputError
+            If a file cannot be written.
+        """
+        from optlink.report.chart_mpl import pictures
+        from optlink.report.style import save, save_film
 
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    from optlink.report.chart_mpl import pictures
-    from optlink.report.style import save, save_film
-
-    written = [folder / "result.json"]
-    write_json(written[0], result.to_dict())
-    for name, columns in view.tables(result).items():
-        written.append(folder / f"{name}.csv")
-        write_csv(written[-1], columns)
-    design = view.design(result)
-    if design is not None:
-        written += write_design(folder, *design)
-    shown = view.subject(result)
-    drawings = {name: draw(shown) for name, draw in view.drawings.items()}
-    for name, drawn in {**drawings, **pictures(view.charts(shown))}.items():
-        if drawn is not None:
-            written.append(folder / f"{name}.png")
-            save(drawn, written[-1])
-    frames = view.frames(shown)
-    if frames:
-        written.append(folder / "motion.gif")
-        save_film(frames, written[-1])
-    return written
+        written = [folder / "result.json"]
+        write_json(written[0], result.to_dict())
+        for name, columns in self.tables(result).items():
+            written.append(folder / f"{name}.csv")
+            write_csv(written[-1], columns)
+        design = self.design(result)
+        if design is not None:
+            written += write_design(folder, *design)
+        shown = self.subject(result)
+        drawings = {name: draw(shown) for name, draw in self.drawings.items()}
+        for name, drawn in {**drawings, **pictures(self.charts(shown))}.items():
+            if drawn is not None:
+                written.append(folder / f"{name}.png")
+                save(drawn, written[-1])
+        frames = self.frames(shown)
+        if frames:
+            written.append(folder / "motion.gif")
+            save_film(frames, written[-1])
+        return written

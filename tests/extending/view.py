@@ -1,8 +1,8 @@
 """What is shown of the kind of result of `kind.py`: a table in the terminal and on the page, and the files of --out."""
 
-from optlink.io import write_json
-from optlink.report.registry import REGISTERED, View
+from optlink.report.registry import REGISTERED
 from optlink.report.table_spec import summary
+from optlink.report.view import View
 from optlink.report.views.function_tables import checks
 
 
@@ -12,9 +12,4 @@ def table(result):
     return summary("Clearing", status, checks(result.validation.checks))
 
 
-def files(result, folder):
-    """Write the result."""
-    write_json(folder / "result.json", result.to_dict())
-
-
-REGISTERED["clearing"] = View(table, files)
+REGISTERED["clearing"] = View(table)

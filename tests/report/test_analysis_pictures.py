@@ -21,7 +21,7 @@ from optlink.report import style
 from optlink.report.chart_mpl import pictures
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, place_labels
-from optlink.report.registry import files_of
+from optlink.report.registry import view_of
 from optlink.report.views import analysis, analysis_charts, analysis_forces
 from optlink.report.views.analysis_curves import Course
 from optlink.tasks.analyze import analyze
@@ -570,7 +570,7 @@ def test_a_title_with_dollars_or_strange_letters_breaks_nothing(tmp_path):
 
 
 def test_no_forces_no_pictures_of_them(tmp_path):
-    files = files_of("analysis")(analysed("no masses"), tmp_path)
+    files = view_of("analysis").write(analysed("no masses"), tmp_path)
     assert [file.name for file in files] == ["result.json", "cycle.csv", "mechanism.png", "motion.png", "motion.gif"]
     assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
 
@@ -618,7 +618,7 @@ def test_rounding_is_not_drawn_as_motion():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["six-bar", "partial"])
 def test_film_is_smooth_small_and_does_not_flicker(name, tmp_path):
-    files = files_of("analysis")(analysed(name), tmp_path)
+    files = view_of("analysis").write(analysed(name), tmp_path)
     assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
     assert {"torque.png", "reactions.png", "work.png", "shaking.png", "mechanism.png", "motion.png"} <= {f.name for f in files}
     for file in files:

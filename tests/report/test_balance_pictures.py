@@ -17,7 +17,7 @@ import optlink
 from optlink.dynamics.counterweights import BalanceMeasure, quantities_of
 from optlink.report import terminal
 from optlink.report.chart_mpl import pictures
-from optlink.report.registry import files_of
+from optlink.report.registry import view_of
 from optlink.report.views import balance, balance_drawing
 from optlink.report.views import balance_tables as tables
 
@@ -165,7 +165,7 @@ def test_no_picture_of_what_is_not_there():
 
 
 def test_files_can_be_opened(tmp_path):
-    for path in files_of("balance")(result(), tmp_path):
+    for path in view_of("balance").write(result(), tmp_path):
         assert path.stat().st_size > 100
         if path.suffix == ".png":
             with Image.open(path) as picture:

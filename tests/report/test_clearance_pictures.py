@@ -20,7 +20,7 @@ from optlink.clearance import closed_loop
 from optlink.clearance.integration import Integration
 from optlink.report.chart_mpl import pictures
 from optlink.report.drawing import Sketch
-from optlink.report.registry import files_of
+from optlink.report.registry import view_of
 from optlink.report.views import clearance, clearance_joints, control_comparison, magnified_joints
 from optlink.report.views.revolutions import FULL, Turns, fold, rough, round_below, runs
 from optlink.tasks.clearance import simulate_clearance
@@ -224,13 +224,13 @@ def test_without_rows_there_are_no_pictures(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(closed_loop.ClosedLoop, "turn", never)
     result = run(slider_crank("C"), 3)
     assert result.revolutions == 0
-    assert [path.name for path in files_of("clearance")(result, tmp_path)] == ["result.json"]
+    assert [path.name for path in view_of("clearance").write(result, tmp_path)] == ["result.json"]
     assert control_comparison.compensation({"none": result}) == []
 
 
 def test_all_files_are_written(tmp_path: Path) -> None:
     result = simulated("interrupted")
-    written = files_of("clearance")(result, tmp_path)
+    written = view_of("clearance").write(result, tmp_path)
     assert {path.name for path in written} == {
         "result.json",
         "play.csv",
@@ -496,7 +496,7 @@ def test_compensation() -> None:
 
 
 def test_comparison_files(tmp_path: Path) -> None:
-    written = files_of("control comparison")(compared(), tmp_path)
+    written = view_of("control comparison").write(compared(), tmp_path)
     assert [path.name for path in written] == ["result.json", "compensation.png", "trials.png"]
     made = pictures([control_comparison.trials(compared())])["trials"]
     points = by_gid(made, "root mean square")

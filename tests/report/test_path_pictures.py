@@ -21,7 +21,7 @@ import optlink
 from optlink.errors import Status
 from optlink.report import terminal
 from optlink.report.chart_mpl import pictures
-from optlink.report.registry import files_of
+from optlink.report.registry import view_of
 from optlink.report.style import LIMIT
 from optlink.report.views import path as view
 from optlink.report.views import path_outputs
@@ -444,14 +444,14 @@ def test_what_is_not_valid_says_so_everywhere(tmp_path, monkeypatch):
     monkeypatch.setattr(view, "film", lambda sketch, steps, curve, marks, title, *, more=None: caught.append(title) or [])
     view.frames(result("miss"), 4)
     assert caught == ["NOT VALID: A path"]
-    written = files_of("path")(result("miss"), tmp_path)
+    written = view_of("path").write(result("miss"), tmp_path)
     assert [path.name for path in written] == ["result.json", "points.csv", "design.toml", "path.png", "errors.png"]
     assert (tmp_path / "design.toml").read_text(encoding="utf-8").startswith("# NOT VALID: fails points met")
 
 
 def test_no_design_no_pictures(tmp_path):
     nothing = PathResult(result("path").problem, (), None, "ipopt", 0, 100, evidence([]), {})
-    assert [path.name for path in files_of("path")(nothing, tmp_path)] == ["result.json"]
+    assert [path.name for path in view_of("path").write(nothing, tmp_path)] == ["result.json"]
     assert {path.name for path in tmp_path.iterdir()} == {"result.json"}
     assert not json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["valid"]
     assert not any(drawings(nothing).values())
@@ -465,7 +465,7 @@ def test_a_design_that_never_assembles_is_not_drawn(tmp_path):
     lost = outcome(nearest=apart)
     assert not any(drawings(lost).values())
     assert view.frames(lost) == []
-    assert [path.name for path in files_of("path")(lost, tmp_path)] == ["result.json", "points.csv", "design.toml"]
+    assert [path.name for path in view_of("path").write(lost, tmp_path)] == ["result.json", "points.csv", "design.toml"]
     assert "not valid" in told(lost, 80)
 
 
@@ -476,7 +476,7 @@ def test_a_failing_write_leaves_nothing_half(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Figure, "savefig", half)
     with pytest.raises(optlink.InputError, match="No space left"):
-        files_of("path")(result("path"), tmp_path)
+        view_of("path").write(result("path"), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"result.json", "points.csv", "design.toml"}
 
 
@@ -485,7 +485,7 @@ def test_a_failing_write_leaves_nothing_half(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_everything_is_written_and_the_film_is_whole(tmp_path):
-    written = files_of("path")(result("cognates"), tmp_path)
+    written = view_of("path").write(result("cognates"), tmp_path)
     names = ["result.json", "points.csv", "design.toml", "path.png", "designs.png", "errors.png", "motion.gif"]
     assert [path.name for path in written] == names
     assert {path.name for path in tmp_path.iterdir()} == set(names)

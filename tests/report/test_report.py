@@ -14,7 +14,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.report import files as store
 from optlink.report.chart_mpl import draw
-from optlink.report.registry import files_of
+from optlink.report.registry import view_of
 from optlink.report.views import function
 
 
@@ -105,7 +105,7 @@ def test_film_moves_through_the_revolution(solved, tmp_path):
     assert len(pictures) == 12
     arrays = [np.asarray(picture.convert("RGB")) for picture in pictures]
     assert all(np.any(a != b) for a, b in itertools.pairwise(arrays))
-    files = files_of("function")(solved, tmp_path)
+    files = view_of("function").write(solved, tmp_path)
     with Image.open(tmp_path / "motion.gif") as film:
         assert film.n_frames == 90
     assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
@@ -114,7 +114,7 @@ def test_film_moves_through_the_revolution(solved, tmp_path):
 def test_a_design_that_cannot_be_assembled_leaves_out_its_pictures(crank_rocker, tmp_path):
     result = optlink.validate(crank_rocker, {"coupler": 0.12, "rocker": 0.12})
     assert not result.valid
-    files = files_of("function")(result, tmp_path)
+    files = view_of("function").write(result, tmp_path)
     assert [file.name for file in files] == ["result.json", "design.toml"]
     assert json.loads((tmp_path / "result.json").read_text())["objective"]["value"] is None
 
@@ -134,7 +134,7 @@ def test_crank_that_only_swings_is_drawn_over_its_reachable_range(crank_rocker, 
     highest = math.degrees(math.acos((0.3**2 + 0.5**2 - 0.53**2) / (2 * 0.3 * 0.5)))
     assert angles[-1] == pytest.approx(highest, abs=1e-3)
     assert angles[0] == pytest.approx(-highest, abs=1e-3)
-    files_of("function")(result, tmp_path)
+    view_of("function").write(result, tmp_path)
     assert (tmp_path / "motion.gif").exists()
 
 

@@ -18,8 +18,7 @@ import pytest
 
 import optlink
 from optlink.report.html import chart_plotly
-from optlink.report.html.charts import charts
-from optlink.report.html.page import LARGEST, page, sensitivities_of, write_page
+from optlink.report.html.page import LARGEST, charts, page, sensitivities_of, write_page
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
 from optlink.report.stored.stored_result import read_subject
@@ -133,7 +132,7 @@ def test_a_design_that_cannot_be_assembled_has_a_page_without_a_drawing():
 
 def test_every_chart_is_a_figure_that_plotly_knows(about):
     """plotly's own checker refuses what its schema does not have."""
-    found = charts(about)
+    found = chart_plotly.charts(charts(about))
     assert found
     for chart in found:
         go.Figure(chart.figure)
@@ -147,7 +146,7 @@ def test_the_checker_would_notice():
 
 def test_the_torque_chart_is_the_analysis():
     about = subject("six-bar")
-    chart = next(chart for chart in charts(about) if chart.title == "Driving torque")
+    chart = next(chart for chart in chart_plotly.charts(charts(about)) if chart.title == "Driving torque")
     torque = next(trace for trace in chart.figure["data"] if trace["name"] == "driving torque")
     values = np.array([np.nan if value is None else value for value in torque["y"]])
     assert np.nanmax(values) == pytest.approx(278.8344391, rel=1e-6)  # the source of the problem

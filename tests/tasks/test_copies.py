@@ -16,7 +16,7 @@ import pytest
 import optlink
 from optlink import load
 from optlink.report.html.page import page
-from optlink.report.registry import files_of
+from optlink.report.registry import view_of
 from optlink.report.report_model import report_model_of
 from optlink.studies.motion_sensitivity import output_sensitivity
 from optlink.studies.pareto.epsilon_constraint import pareto
@@ -102,6 +102,6 @@ def test_a_copied_optimum_has_its_proof(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["function", "analysis"])
 def test_a_copy_is_reported(kind: str, tmp_path: Path) -> None:
     result = pickle.loads(pickle.dumps(RESULTS["law" if kind == "function" else kind]()))
-    files_of(kind)(result, tmp_path)
+    view_of(kind).write(result, tmp_path)
     assert any(tmp_path.iterdir())
     assert "<svg" in page(report_model_of(result.problem, result, (), ()))

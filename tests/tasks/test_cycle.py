@@ -182,9 +182,9 @@ def test_given_sizes_are_checked():
 
 @pytest.mark.slow
 def test_result_is_json_and_the_design_a_machine(tmp_path):
-    from optlink.report.registry import files_of
+    from optlink.report.registry import view_of
 
-    files = files_of("cycle")(shaper(), tmp_path)
+    files = view_of("cycle").write(shaper(), tmp_path)
     assert {path.name for path in files} == {"result.json", "design.toml", "cycle.csv", "courses.png", "mechanisms.png"}
     document = json.loads((tmp_path / "result.json").read_text())
     assert document["schema"] == "optlink/machine-design/1"

@@ -125,12 +125,12 @@ def test_a_given_design_is_checked_in_the_assembly_mode_that_fits_it() -> None:
 
 def test_the_machine_written_beside_a_result_moves_as_the_design_does(tmp_path: Path) -> None:
     """Law and function: loaded by `analyze`, from the same crank angle, the rocker turns as the result says."""
-    from optlink.report.view import View, write_files
+    from optlink.report.view import View
     from optlink.report.views.function import VIEW
 
     for file in (optlink.load("crank-rocker"), short(**{"mechanism.assembly": "either"})):
         result = optlink.solve(file, starts=1)
-        write_files(View(design=VIEW.design), result, tmp_path)
+        View(design=VIEW.design).write(result, tmp_path)
         machine = optlink.load(tmp_path / "design.toml")
         found = optlink.analyze(machine)
         assert machine.raw["mechanism"].get("assembly", "left") == result.assembly

@@ -14,7 +14,7 @@ import pytest
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS
-from optlink.report.registry import files_of
+from optlink.report.registry import view_of
 from optlink.solvers.multistart import solve_from
 from optlink.tasks.path import solve
 from tests import synthesis_oracle as oracle
@@ -128,7 +128,7 @@ def test_same_seed_same_answer_and_files(tmp_path):
     raw, _ = CASES["closed18"]
     one, two = (solve(optlink.read(raw), seed=3) for _ in range(2))
     assert one.best.values == two.best.values
-    written = files_of("path")(one, tmp_path)
+    written = view_of("path").write(one, tmp_path)
     assert {"result.json", "points.csv", "design.toml", "path.png"} <= {path.name for path in written}
     document = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     assert document["valid"]

@@ -414,7 +414,7 @@ def _bars(trace: Bars) -> Trace:
 def _marks(spec: ChartSpec, panel: chart_spec.Panel) -> list[Trace]:
     """Return the labelled points of a panel, one trace for all of one look."""
     groups: dict[tuple[object, ...], list[Mark]] = {}
-    for one in panel.marks:
+    for one in (one for one in panel.marks if math.isfinite(one.x + one.y)):
         groups.setdefault((one.colour, one.symbol, one.size, one.written), []).append(one)
     middle = [0.5 * sum(ends) for ends in (spec.x.limits or spec.reach, panel.y.limits or _heights(panel))]
     found = []

@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.dynamics.columns import MotionColumns, slider_names
+from optlink.io import finite
 from optlink.report.export.svg import svg, zigzag
 from optlink.report.scene import Scene
-from optlink.report.style import Scale
+from optlink.report.style import Scale, scale
+from optlink.tasks.results.analysis import Analysis
 
 Array = NDArray[np.float64]
 FLAT = 0.45  # ratio of height to width below which the quantities are shown below the drawing
@@ -122,3 +125,34 @@ def decimals_of(values: Array) -> int:
     """Return the number of decimals that distinguish neighbouring values."""
     step = float(np.min(np.abs(np.diff(values)), initial=math.inf))
     return min(6, max(0, math.ceil(-math.log10(step)))) if 0.0 < step < math.inf else 3
+
+
+def readouts(cycle: Analysis, angles: Array, *, forces: bool) -> list[Readout]:
+    """Return the quantities shown beside the moving linkage: slides, transmission angles, and driving torque.
+
+    Parameters
+    ----------
+    cycle : Analysis
+    angles : array (positions,) [deg]
+        Crank angles.
+    forces : bool
+        Include the driving torque.
+    """
+    machine = cycle.machine
+    record = MotionColumns(machine.moving(np.radians(angles), cycle.speed))
+    sliders = [f"{name}.s_m" for name in slider_names(machine).values()]
+    asked = [(name, f"slide of {name.removesuffix('.s_m')}", "m") for name in sliders]
+    if not asked:
+        last = machine.mechanism.links[-1].body
+        asked.append((f"{last}.angle_rad", f"angle of {last}", "deg"))
+    for name in record.columns:
+        if name.endswith(".transmission_rad"):
+            asked.append((name, f"transmission angle at {name.partition('.')[0]}", "deg"))
+    if forces:
+        asked.append(("input.torque_Nm", "driving torque", "N m"))
+    found = []
+    for column, words, unit in asked:
+        values = record[column]
+        shown = scale(float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))), unit)
+        found.append(Readout(words, shown.unit, finite(np.round(values * shown.factor, 4))))
+    return found

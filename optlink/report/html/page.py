@@ -7,16 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from optlink.errors import Status
+from optlink.report.chart_spec import ChartSpec
 from optlink.report.html import chart_plotly
-from optlink.report.html.charts import charts, readouts
-from optlink.report.html.moving_linkage import Moving, crank_stops
+from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
 from optlink.report.html.shell import LARGEST, Section, Sheet, fitted, write
 from optlink.report.html.sources import closing
-from optlink.report.registry import table_of
+from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, ReportModel
 from optlink.report.scene import scene
 from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
-from optlink.report.views import function_tables, path_tables, sensitivity, study_tables
+from optlink.report.views import analysis_charts, analysis_forces, function_tables, path_tables, sensitivity, study_tables
+from optlink.report.views.analysis_curves import Course
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
@@ -92,7 +93,7 @@ def _sections(subject: ReportModel, shown: Summary, moving: Moving | None, answe
         yield Section("Analysis" if isinstance(subject.outcome, Analysis) else "Design and proof", (result,))
     if answers is not None and subject.answers is None:
         yield _matters(answers)
-    curves = charts(subject)
+    curves = chart_plotly.charts(charts(subject))
     if curves:
         yield Section("Curves", curves)
     yield from closing(subject.problem, _by(subject))
@@ -148,8 +149,28 @@ def _failed(subject: ReportModel) -> str:
 
 def told(subject: ReportModel) -> Summary:
     """Return the summary of the result."""
-    kind = "analysis" if isinstance(subject.outcome, Analysis) else subject.problem.task
-    return table_of(kind)(subject.outcome)
+    return table_of(_kind(subject))(subject.outcome)
+
+
+def _kind(subject: ReportModel) -> str:
+    return "analysis" if isinstance(subject.outcome, Analysis) else subject.problem.task
+
+
+def charts(subject: ReportModel) -> list[ChartSpec]:
+    """Return the charts of the result and, for a design, those of its machine over the cycle."""
+    outcome, kind = subject.outcome, _kind(subject)
+    view = view_of(kind)
+    found = [*view.charts(view.subject(outcome))]
+    if subject.cycle is not None and kind != "analysis":
+        course, cycle = Course(subject.cycle), isinstance(outcome, CycleResult)
+        given = Course(outcome.given) if isinstance(outcome, CycleResult) and outcome.given is not None else None
+        if cycle or subject.forces:
+            found += analysis_charts.motion(course, given)
+        if cycle or (isinstance(outcome, PathResult) and outcome.best is not None and outcome.best.task.pointed):
+            found += analysis_charts.transmission(course)
+        if subject.forces:
+            found += analysis_forces.forces(course, given)
+    return found
 
 
 def _with_recorded_limits(subject: ReportModel, shown: Summary) -> list[Part]:

@@ -10,8 +10,7 @@ from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
-from optlink.report.html.charts import readouts
-from optlink.report.html.moving_linkage import Moving, crank_stops
+from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
 from optlink.report.html.shell import Section, Sheet, fitted, write
 from optlink.report.html.sources import closing
 from optlink.report.scene import scene

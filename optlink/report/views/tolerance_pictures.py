@@ -3,41 +3,20 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from optlink.report.files import write_csv, write_json
 from optlink.report.format import percent
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, SHADE, WANTED, figure, heading, save, styled
+from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, SHADE, WANTED, figure, heading, styled
+from optlink.report.view import View
 from optlink.studies.tolerance.analysis import Tolerance
 from optlink.studies.tolerance.monte_carlo import MonteCarlo
 from optlink.studies.tolerance.nominal import display_unit
 
 COLOURS = (CRANK, *BODIES)
 NEAR = 2.5  # the limit is drawn up to this multiple of the drawn range
-
-
-def write_all(result: Tolerance, folder: Path) -> list[Path]:
-    """Write result.json, tolerance.csv and the figures; return the paths.
-
-    Parameters
-    ----------
-    result : Tolerance
-    folder : Path
-        Existing folder to write to.
-    """
-    written = [folder / name for name in ("result.json", "tolerance.csv", "contributions.png", "band.png")]
-    write_json(written[0], result.to_dict())
-    write_csv(written[1], result.columns)
-    save(contributions(result), written[2])
-    save(band(result), written[3])
-    if result.carlo is not None:
-        written.append(folder / "histogram.png")
-        save(histogram(result, result.carlo), written[-1])
-    return written
 
 
 @styled
@@ -152,3 +131,13 @@ def histogram(result: Tolerance, carlo: MonteCarlo) -> Figure:
     title = f"{result.problem.model.title}: {carlo.samples:,} linkages with their tolerances"
     drawn.suptitle(heading(title, 8.0), x=0.01, ha="left", fontsize=11)
     return drawn
+
+
+VIEW = View(
+    drawings={
+        "contributions": contributions,
+        "band": band,
+        "histogram": lambda result: None if result.carlo is None else histogram(result, result.carlo),
+    },
+    tables=lambda result: {"tolerance": result.columns},
+)
