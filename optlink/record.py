@@ -180,7 +180,7 @@ def read_document(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        reason = getattr(error, "strerror", None) or "it holds no JSON"
+        reason = getattr(error, "strerror", None) or "it is not a JSON document"
         remedy = "Give a result.json that --out wrote, the folder it is in, or a problem"
         raise InputError(Fault(f"cannot read a result: {reason}", remedy, str(path))) from None
     if not isinstance(found, dict):
