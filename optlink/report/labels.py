@@ -34,6 +34,19 @@ class Label:
     prefer: tuple[float, float] = (0.0, 0.0)
 
 
+def in_points(axes: Axes, length: float) -> float:
+    """Return a length along x in the unit of the axes in points; the figure must have its final layout.
+
+    Parameters
+    ----------
+    axes : Axes
+    length : float
+    """
+    drawn = axes.get_figure()
+    assert drawn is not None
+    return float(length * axes.get_window_extent().width / np.ptp(axes.get_xlim()) * 72.0 / drawn.dpi)
+
+
 def place_labels(figure: Figure, labels: Iterable[Label]) -> None:
     """Finish the layout of a figure and place every label where it hides least.
 

@@ -283,7 +283,7 @@ def _axis(one: chart_spec.Axis, spec: ChartSpec | None) -> dict[str, Any]:
     """Return the settings of an axis; `spec` is the chart of an x axis."""
     found: dict[str, Any] = {}
     if one.scale == "log":
-        found |= {"type": "log", "dtick": 1} if one.limits is None else {"type": "log"}
+        found |= {"type": "log", "exponentformat": "power"} | ({"dtick": 1} if one.limits is None else {})
     if one.limits is not None:
         ends = [math.log10(end) for end in one.limits] if one.scale == "log" else list(one.limits)
         found |= {"range": ends[::-1] if one.reversed else ends}

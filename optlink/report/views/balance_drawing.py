@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.motion import sweep
 from optlink.report.drawing import Sketch
-from optlink.report.labels import Label, place_labels
+from optlink.report.labels import Label, in_points, place_labels
 from optlink.report.style import figure, heading, scale, styled
 from optlink.tasks.results.balance import AddedCounterweight, Balance
 
@@ -79,8 +79,5 @@ def _told(axes: Axes, sketch: Sketch, one: AddedCounterweight, centre: Array) ->
     """Label a counterweight with its mass and size."""
     shown = 2.0 * one.radius if one.radius is not None else one.gyration
     text = f"{one.body}: {one.mass:.4g} kg\n{'∅' if one.radius is not None else 'gyration'} {scale(shown, 'm').text(shown)}"
-    ends = axes.transData.transform(np.array([centre, centre + np.array([_size(one, sketch), 0.0])]))
-    drawn = axes.get_figure()
-    assert drawn is not None
-    clear = float(np.linalg.norm(ends[1] - ends[0])) * 72.0 / drawn.dpi
+    clear = in_points(axes, _size(one, sketch))
     return Label(axes, (float(centre[0]), float(centre[1])), text, sketch.colours[one.body], 8.5, clear)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -22,7 +23,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.report.animation import WIDE, film
 from optlink.report.chart_mpl import FONT, TITLE
 from optlink.report.drawing import Sketch
-from optlink.report.labels import Label, place_labels
+from optlink.report.labels import Label, in_points, place_labels
 from optlink.report.style import GROUND, QUIET, WANTED, degrees, figure, heading, styled
 from optlink.report.views.revolutions import FULL, Turns, named, rough, round_below
 from optlink.tasks.results.clearance import ClearanceSimulation
@@ -174,10 +175,8 @@ class Loosened(Sketch):
         """Draw the bearing as a ring, the journal as a disc, and the part of the journal's body that the ring would hide."""
         centre, journal = self.at(gap.point, gap.bearing)[k], self.at(gap.point, gap.journal)[k]
         radius = self.radius + self.factor * gap.clearance * self.scale.factor
-        ring = Circle((centre[0], centre[1]), radius, facecolor="white", edgecolor=self._colour(gap.bearing), linewidth=1.6)
-        ring.set(zorder=4.1, gid=f"bearing {gap.point}")
-        disc = Circle((journal[0], journal[1]), self.radius, facecolor=self._colour(gap.journal), linewidth=0.0)
-        disc.set(zorder=4.3, gid=f"journal {gap.point}")
+        ring = _circle(centre, radius, "white", self._colour(gap.bearing), 1.6, 4.1, f"bearing {gap.point}")
+        disc = _circle(journal, self.radius, self._colour(gap.journal), "none", 0.0, 4.3, f"journal {gap.point}")
         found: list[Artist] = [ring, disc]
         others = [name for name, bodies in self.mechanism.owners.items() if gap.journal in bodies and name != gap.point]
         if others and gap.journal != FRAME:
@@ -200,15 +199,8 @@ class Loosened(Sketch):
         k : int, optional
             Index of the row.
         """
-        drawn = axes.get_figure()
-        assert drawn is not None
-        pixels = axes.get_window_extent().width / float(np.ptp(axes.get_xlim()))
-        ring = (
-            (self.radius + self.factor * max(g.clearance for g in self.gaps.values()) * self.scale.factor)
-            * pixels
-            * 72.0
-            / drawn.dpi
-        )
+        play = max(gap.clearance for gap in self.gaps.values()) * self.scale.factor
+        ring = in_points(axes, self.radius + self.factor * play)
         return [replace(label, clear=ring) if label.text in self.gaps else label for label in super().letters(axes, motion, k)]
 
     # --- close-ups ---------------------------------------------------------------------------------------------------------
@@ -229,9 +221,7 @@ class Loosened(Sketch):
         for i, gap in enumerate(self.gaps.values()):
             self.middles[gap.point] = middle = np.array([CELL * (i % columns), -(CELL + LINES) * (i // columns)])
             share = self._share(gap)
-            ring = Circle((middle[0], middle[1]), 1.0, facecolor="white", edgecolor=self._colour(gap.bearing), linewidth=3.0)
-            ring.set(zorder=2, gid=f"bearing {gap.point}")
-            axes.add_patch(ring)
+            axes.add_patch(_circle(middle, 1.0, "white", self._colour(gap.bearing), 3.0, 2.0, f"bearing {gap.point}"))
             last = self.turns.rows(1)
             x, y = (self.turns.result[f"{gap.point}.e{axis}_m"][last] / gap.clearance * share for axis in "xy")
             axes.plot(middle[0] + x, middle[1] + y, color=QUIET, linewidth=0.8, zorder=5, gid=f"path {gap.point}")
@@ -263,9 +253,7 @@ class Loosened(Sketch):
         e = self.eccentricity(gap)[k]
         centre, colour = middle + e / gap.clearance * share, self._colour(gap.journal)
         tint = tuple(1.0 - 0.35 * (1.0 - part) for part in to_rgb(colour))
-        disc = Circle((centre[0], centre[1]), 1.0 - share, facecolor=tint, edgecolor=colour, linewidth=1.4)
-        disc.set(zorder=3, gid=f"journal {gap.point}")
-        found: list[Artist] = [disc]
+        found: list[Artist] = [_circle(centre, 1.0 - share, tint, colour, 1.4, 3.0, f"journal {gap.point}")]
         for body, at, begin, end in ((gap.journal, centre, 0.6 * (1.0 - share), 1.0 - share), (gap.bearing, middle, 1.0, 1.14)):
             angle = 0.0 if body == FRAME else float(self.columns(f"{body}.angle_rad")[k])
             ends = at + np.outer([begin, end], [math.cos(angle), math.sin(angle)])
@@ -281,6 +269,11 @@ class Loosened(Sketch):
             arrow.shrinkA = arrow.shrinkB = 0.0
             found.append(arrow)
         return found
+
+
+def _circle(at: Array, radius: float, face: Any, edge: str, width: float, above: float, gid: str) -> Circle:
+    """Return a filled circle; artists of larger `above` hide it."""
+    return Circle((at[0], at[1]), radius, facecolor=face, edgecolor=edge, linewidth=width, zorder=above, gid=gid)
 
 
 def _exaggerated(sketch: Loosened) -> str:
