@@ -337,7 +337,7 @@ def explain_infeasibility(found: CycleSearchResult, names: Sequence[str]) -> Cyc
 
     reason = explain(replace(coarse, states=kept), points=points, quick=True, follow=follow)
     if isinstance(reason, Explanation):
-        miss = replace(multistart.solution_at(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design"), status=Status.INFEASIBLE)
+        miss = multistart.infeasible_at(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design")
         return replace(found, nlp=nlp, found=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
     x = nlp.x_of(coarse.design(reason))
     again = {name: exchange(nlp, multistart.solve_from(nlp, x, name)) for name in names}

@@ -74,6 +74,20 @@ def solution_at(nlp: NLP, x: Array, message: str) -> Solution:
     return verified_solution(nlp, Attempt(x, 0, message), scaled_parameters(nlp, x))
 
 
+def infeasible_at(nlp: NLP, x: Array, message: str) -> Solution:
+    """Wrap a design that satisfies no limits as a Solution.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Scaled point.
+    message : str
+        Message of the Solution.
+    """
+    return replace(solution_at(nlp, x, message), status=Status.INFEASIBLE)
+
+
 def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solution:
     """Run one local search from x.
 
@@ -89,7 +103,7 @@ def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solutio
     """
     start = repair(nlp, x, nlp.p)
     if start is None and not math.isfinite(nlp.values(x, nlp.p)[0]):
-        return replace(solution_at(nlp, x, "the start could not be repaired"), status=Status.INFEASIBLE)
+        return infeasible_at(nlp, x, "the start could not be repaired")
     x = nlp.lifted(x if start is None else start)
     run = backend(name)
     p = scaled_parameters(nlp, x)

@@ -18,7 +18,7 @@ from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
 from optlink.tasks.results.common import Optimum, optimality
 from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
-from optlink.tasks.search import agreement, back_ends
+from optlink.tasks.search import Timer, agreement, back_ends, tally
 from optlink.units import factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import validate_cycle
@@ -69,7 +69,7 @@ def solve(
 
     names = back_ends(problem, backend, starts, seed, MAX_STARTS)
     task, count = task_of(problem), STARTS if starts is None else starts
-    clock = [time.perf_counter()]
+    timer = Timer()
     with input_of(problem.file):
         trace = TracedCycle(task, slow=task.slow_assumed)
     samples = StartSequence(trace, seed)
@@ -79,8 +79,9 @@ def solve(
 
     firsts = _firsts(problem, samples, count)
     if not firsts:
-        return _nowhere(problem, seed, count, time.perf_counter() - clock[0])
-    clock.append(time.perf_counter())
+        timer.lap("solve")
+        return _nowhere(problem, seed, count, timer.seconds)
+    timer.lap("build")
     done = 0
 
     def advance() -> None:
@@ -96,10 +97,10 @@ def solve(
     winner = min(found.values(), key=rank)
     chosen = next(name for name, solution in found.items() if solution is winner)
     equal = continuum(nlp, winner, chosen) if result.usable else None
-    clock.append(time.perf_counter())
+    timer.lap("solve")
     proof = validate_cycle(task, winner.design, winner.objective)
     checks = (*proof.checks, *optimality(winner), *(_agreement(found) if len(found) > 1 else ()))
-    clock.append(time.perf_counter())
+    timer.lap("validate")
     return CycleResult(
         problem=problem,
         status=winner.status,
@@ -107,7 +108,7 @@ def solve(
         values=dict(winner.design),
         objective=winner.objective,
         validation=Validation(checks, proof.objective),
-        seconds={name: b - a for name, a, b in zip(("build", "solve", "validate"), clock, clock[1:], strict=False)},
+        seconds=timer.seconds,
         seed=seed,
         starts=result.starts,
         solution=winner,
@@ -183,16 +184,14 @@ def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equ
     from optlink.solvers.multistart import SAME_DESIGN
 
     free = len(task.free)
-    kept: list[tuple[Solution, int]] = [(winner, 0)]
-    for solution in sorted((s for s in solutions if s.status is Status.OPTIMAL), key=lambda s: s.objective):
-        for i, (known, hits) in enumerate(kept):
-            near = bool(np.max(np.abs(known.x[:free] - solution.x[:free])) <= 10.0 * SAME_DESIGN)
-            alike = abs(known.objective - solution.objective) <= ALIKE * max(abs(known.objective), 1e-300)
-            if near or (alike and equal is not None):
-                kept[i] = known, hits + 1
-                break
-        else:
-            kept.append((solution, 1))
+
+    def alike(known: Solution, other: Solution) -> bool:
+        near = bool(np.max(np.abs(known.x[:free] - other.x[:free])) <= 10.0 * SAME_DESIGN)
+        equally_good = abs(known.objective - other.objective) <= ALIKE * max(abs(known.objective), 1e-300)
+        return near or (equally_good and equal is not None)
+
+    optimal = sorted((s for s in solutions if s.status is Status.OPTIMAL), key=lambda s: s.objective)
+    kept = tally([(winner, 0), *((solution, 1) for solution in optimal)], alike)
     return tuple(Optimum(solution.design, solution.objective, max(hits, 1)) for solution, hits in kept)
 
 
@@ -223,7 +222,7 @@ def _strokeless(task: CycleProblem, trace: TracedCycle, structure: EventOrder) -
     return None
 
 
-def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: float) -> CycleResult:
+def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: dict[str, float]) -> CycleResult:
     """Return the result for a problem without dimensions within the bounds for which the crank turns fully."""
     from optlink.solvers.cycle_search import SAMPLES
 
@@ -234,7 +233,7 @@ def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: float) -> Cy
         f"none of {SAMPLES * starts} random sizes within the bounds lets the crank turn fully: "
         "widen the bounds, or start from sizes that do"
     )
-    times = {"build": 0.0, "solve": seconds, "validate": 0.0}
+    times = {"build": 0.0, **seconds, "validate": 0.0}
     return CycleResult(problem, Status.INFEASIBLE, "none", values, proof.objective, proof, times, seed, starts, notes=(note,))
 
 

@@ -28,7 +28,7 @@ from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.common import Optimum, heading, proof, proven, shortest_link
 from optlink.tasks.results.fit import Fit, law_fit
-from optlink.tasks.search import agreement, back_ends, part
+from optlink.tasks.search import Timer, agreement, back_ends, part
 from optlink.units import show
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove
@@ -246,11 +246,11 @@ def solve(
             if found[-1].interrupted:
                 break
         return _merged(found)
-    clock = [time.perf_counter()]
+    timer = Timer()
     nlp = build(spec)
     for name in names:
         multistart.prepare(nlp, name)
-    clock.append(time.perf_counter())
+    timer.lap("build")
     points = start_sequence(spec, nlp, seed, begin)
     reason = functools.cache(lambda: _explained(nlp, seed))
     searches = {name: FunctionSearch(spec, nlp, name, track=track) for name in names}
@@ -272,8 +272,7 @@ def solve(
         winner = min([winner, *(chosen.judge(solution) for solution in backends.values())], key=lambda candidate: candidate.rank)
         gaps = multistart.compare(*backends.values())
         checks = agreement("design", gaps.same, (gaps.objective, gaps.design), SAME_DESIGN, "<= 1e-06 frame")
-    clock.append(time.perf_counter())
-    seconds = dict(zip(("build", "solve"), np.diff(clock).tolist(), strict=True))
+    timer.lap("solve")
     validating = sum(one.validating for one in searches.values())
     return FunctionResult(
         problem=problem,
@@ -282,7 +281,7 @@ def solve(
         design=winner.design,
         objective=winner.solution.objective,
         validation=replace(winner.validation, checks=(*winner.validation.checks, *checks)),
-        seconds=seconds | {"solve": seconds["solve"] - validating, "validate": validating},
+        seconds=timer.seconds | {"solve": timer.seconds["solve"] - validating, "validate": validating},
         seed=seed,
         starts=chosen.starts,
         solution=winner.solution,
@@ -308,7 +307,7 @@ def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conf
     reason = explain(nlp, seed)
     if not isinstance(reason, Explanation):
         return reason, None, ((), ())
-    miss = replace(multistart.solution_at(nlp, reason.x, "nearest design"), status=Status.INFEASIBLE)
+    miss = multistart.infeasible_at(nlp, reason.x, "nearest design")
     return None, miss, (reason.conflict, reason.together)
 
 

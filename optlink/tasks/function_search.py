@@ -26,6 +26,7 @@ from optlink.solvers.solution import Solution
 from optlink.synthesis import function_starts
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.results.common import Optimum, optimality, proven
+from optlink.tasks.search import tally
 from optlink.validation import Validation
 from optlink.validation import validate as prove
 
@@ -207,16 +208,8 @@ class FunctionSearch:
 
     def listed(self, assembly: str) -> tuple[Optimum, ...]:
         """Return distinct optima over the whole range, best first, without those far above the best."""
-        found: list[tuple[FunctionCandidate, int]] = []
-        for candidate, count in sorted(
-            ((c, one.count) for one in self.optima if (c := one.candidate)), key=lambda one: one[0].rank
-        ):
-            for k, (known, already) in enumerate(found):
-                if _alike(known.solution, candidate.solution):
-                    found[k] = known, already + count
-                    break
-            else:
-                found.append((candidate, count))
+        ends = sorted(((c, one.count) for one in self.optima if (c := one.candidate)), key=lambda one: one[0].rank)
+        found = tally(ends, lambda known, candidate: _alike(known.solution, candidate.solution))
         return tuple(Optimum(c.design, c.solution.objective, count, assembly) for c, count in found)
 
     @property

@@ -18,7 +18,7 @@ from optlink.solvers.evidence import evidence
 from optlink.tasks.path_search import DesignCollection, Polisher, has_several_dyads, path_model
 from optlink.tasks.results.common import shortest_link
 from optlink.tasks.results.path import PathDesign, PathResult
-from optlink.tasks.search import back_ends, check_count
+from optlink.tasks.search import Timer, back_ends, check_count
 from optlink.validation.path import validate_path
 
 if TYPE_CHECKING:
@@ -72,11 +72,11 @@ def solve(
     interrupts.check()
     check_count("designs", designs, MOST_DESIGNS)
     back_ends(problem, backend, starts, seed, MAX_STARTS, both=False)
-    clock = [time.perf_counter()]
+    timer = Timer()
     search = _Search(problem, backend, seed, designs)
-    clock.append(time.perf_counter())
+    timer.lap("build")
     search.run(starts, progress)
-    clock.append(time.perf_counter())
+    timer.lap("search, polish and validate")
     found, told = search.collection, search.collection.evidence()
     task = path_model(problem)
     notes = [*([task.wanted.note] if task.wanted.note else []), *search.notes]
@@ -97,7 +97,7 @@ def solve(
         seed=seed,
         starts=search.searcher.found.starts,
         evidence=told,
-        seconds={name: b - a for name, a, b in zip(("build", "search, polish and validate"), clock, clock[1:], strict=False)},
+        seconds=timer.seconds,
         interrupted=search.interrupted,
         notes=tuple(notes),
         conflict=limits,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
+from typing import TypeVar
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
@@ -10,8 +12,41 @@ from optlink.problem.quantity import nearest
 from optlink.solvers import contract
 from optlink.validation.check import Check
 
+Item = TypeVar("Item")
 Progress = Callable[[float], None] | None
 """Receives the share of the work that is done, from 0 to 1."""
+
+
+class Timer:
+    """Wall time per stage [s], in `seconds`."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """End a stage."""
+        now = time.perf_counter()
+        self.seconds[stage], self._last = now - self._last, now
+
+
+def tally(found: Iterable[tuple[Item, int]], alike: Callable[[Item, Item], bool]) -> list[tuple[Item, int]]:
+    """Return distinct items in order, each with the sum of the counts of all items like it.
+
+    Parameters
+    ----------
+    found : iterable of (item, count)
+    alike : function of two items
+    """
+    distinct: list[tuple[Item, int]] = []
+    for item, count in found:
+        for k, (known, already) in enumerate(distinct):
+            if alike(known, item):
+                distinct[k] = known, already + count
+                break
+        else:
+            distinct.append((item, count))
+    return distinct
 
 
 def check_count(key: str, value: int | None, most: int) -> None:
