@@ -151,14 +151,24 @@ def record_of(kind: str) -> type[ResultRecord]:
         if results of that kind are not read from files.
     """
     from optlink.studies.pareto.epsilon_constraint import ParetoRecord
+    from optlink.studies.sensitivity import SensitivitiesRecord
     from optlink.studies.sweep import SweepRecord
     from optlink.studies.tolerance.analysis import ToleranceRecord
     from optlink.tasks.control_comparison import ComparisonRecord
+    from optlink.tasks.function import FunctionRecord
+    from optlink.tasks.results.analysis import AnalysisRecord
     from optlink.tasks.results.balance import BalanceRecord
     from optlink.tasks.results.clearance import ClearanceRecord
+    from optlink.tasks.results.cycle import CycleRecord
+    from optlink.tasks.results.path import PathRecord
     from optlink.tasks.simulate import SimulationRecord
 
     records: dict[str, type[ResultRecord]] = {
+        "function": FunctionRecord,
+        "path": PathRecord,
+        "cycle": CycleRecord,
+        "analysis": AnalysisRecord,
+        "sensitivity": SensitivitiesRecord,
         "simulation": SimulationRecord,
         "clearance": ClearanceRecord,
         "control comparison": ComparisonRecord,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.io import Summary
+from optlink.record import Number
 
 if TYPE_CHECKING:
     from optlink.optimization.constraints import Scale
@@ -60,13 +61,13 @@ class LimitState:
 
     key: str
     name: str
-    value: float
-    bound: float
+    value: Number
+    bound: Number
     sense: str  # "<=", ">=" or "="
     unit: str
     active: bool
-    multiplier: float
-    slack: float
+    multiplier: Number
+    slack: Number
 
 
 @dataclass(frozen=True)
@@ -80,9 +81,9 @@ class Relaxation:
     name: str
     key: str
     sense: str
-    bound: float
-    relaxed: float
-    amount: float
+    bound: Number
+    relaxed: Number
+    amount: Number
     unit: str
     approximate: bool = False
 

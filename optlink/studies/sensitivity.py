@@ -8,17 +8,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from optlink.errors import Fault, InputError, Status
-from optlink.io import Summary, finite, head
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
+from optlink.record import Number, Record, Recorded, ResultRecord, absent
 from optlink.solvers import interrupts
 from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution
@@ -30,7 +31,6 @@ from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
 
 Array = NDArray[np.float64]
-SCHEMA = "optlink/sensitivity/1"
 SMALL = 1e-2  # least reference of relative differences: of the objective, per parameter change of its own value
 SLIGHT = 1e-3  # the same for the design
 ROUNDING = 1e-13  # relative to the objective, or in scaled units: changes that count as zero
@@ -74,9 +74,54 @@ class Sensitivity:
         return self.objective != 0.0 or any(self.design.values())
 
 
+class SensitivityRecord(Record):
+    """Sensitivity of an optimum to one parameter."""
+
+    key: Annotated[str, "parameter.key"]
+    name: Annotated[str, "parameter.name"]
+    kind: Annotated[str, "parameter.kind"]
+    value: Annotated[Number, "parameter.value"]
+    unit: Annotated[str, "parameter.unit"]
+    step: Annotated[Number, "parameter.step"]
+    effect_of_step: Annotated[Number, "effect"]
+    objective_per_unit: Annotated[Number, "objective"]
+    design_per_unit: Annotated[dict[str, Number], "design"]
+    valid_from: Annotated[Number, "below.value"]
+    valid_from_because: Annotated[str, "below.event"]
+    valid_to: Annotated[Number, "above.value"]
+    valid_to_because: Annotated[str, "above.event"]
+    searched_again: Annotated[DifferenceCheck | None, "check"] = absent()
+
+
+class OptimumValueRecord(Record):
+    """Objective of the optimum [SI]."""
+
+    value: Annotated[float, "solution.objective"]
+    unit: str
+
+
+class SensitivitiesRecord(ResultRecord):
+    """Document of sensitivities: the objective in SI, everything else in the unit stated beside it."""
+
+    format: Literal["optlink/sensitivity/2"] = Field(alias="schema")
+    notes: tuple[str, ...]
+    objective: OptimumValueRecord
+    design: Annotated[dict[str, float], "values"]
+    design_units: Annotated[dict[str, str], "units"]
+    largest_gap: Annotated[float | None, "gap"]
+    parameters: Annotated[tuple[SensitivityRecord, ...], "rows"]
+
+    @classmethod
+    def of(cls, result: Sensitivities, **values: Any) -> Self:
+        """As `Record.of`, with the objective."""
+        return super().of(result, objective=OptimumValueRecord.of(result), **values)
+
+
 @dataclass(frozen=True, repr=False)
-class Sensitivities(Summary):
+class Sensitivities(Recorded):
     """All sensitivities of an optimum: `rows` by decreasing effect; `units` of the design variables."""
+
+    record = SensitivitiesRecord
 
     problem: ProblemFile
     solution: Solution
@@ -104,40 +149,10 @@ class Sensitivities(Summary):
         """Design variables of the optimum, in their units."""
         return {v.name: v.scale.to_display(float(x)) for v, x in _shown(self.solution.nlp, self.solution.x)}
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the sensitivities as a JSON document: the objective in SI, everything else in the unit stated beside it."""
-        rows = []
-        for row in self.rows:
-            p = row.parameter
-            entry = {
-                "key": p.key,
-                "name": p.name,
-                "kind": p.kind,
-                "value": p.value,
-                "unit": p.unit,
-                "step": p.step,
-                "effect_of_step": row.effect,
-                "objective_per_unit": row.objective,
-                "design_per_unit": dict(row.design),
-                "valid_from": row.below.value,
-                "valid_from_because": row.below.event,
-                "valid_to": row.above.value,
-                "valid_to_because": row.above.event,
-            }
-            if row.check is not None:
-                entry["searched_again"] = vars(row.check) | {"design": dict(row.check.design)}
-            rows.append(entry)
-        return finite(  # type: ignore[no-any-return]
-            {
-                **head(SCHEMA, self.problem, self.solution.status.value),
-                "notes": list(self.notes),
-                "objective": {"value": self.solution.objective, "unit": self.unit},
-                "design": self.values,
-                "design_units": dict(self.units),
-                "largest_gap": self.gap,
-                "parameters": rows,
-            }
-        )
+    @property
+    def status(self) -> str:
+        """Status of the optimum."""
+        return self.solution.status.value
 
 
 def _shown(nlp: NLP, x: Sequence[float] | Array) -> list[tuple[Any, float]]:

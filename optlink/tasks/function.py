@@ -9,24 +9,25 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from optlink.errors import Fault, InputError, Status
-from optlink.io import Summary, finite
 from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.file import ProblemFile, parse_assignment
 from optlink.problem.quantity import Quantity, input_of, nearest, read_quantity
+from optlink.record import Number, Record, Recorded, absent
 from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
-from optlink.tasks.results.common import Optimum, heading, proof, proven, shortest_link
+from optlink.tasks.results.common import Optimum, SingleRecord, proven, shortest_link
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.tasks.search import Timer, agreement, back_ends, part
 from optlink.units import show
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from optlink.synthesis.freudenstein import FirstStep
 
 Start = NDArray[np.float64]
-SCHEMA = "optlink/result/1"
 MAX_STARTS = 100_000
 SAME_DESIGN = 1e-6  # of the frame
 LEVEL = 0.99  # fraction of the largest error that counts as an extreme value
@@ -59,9 +59,64 @@ def display_value(name: str, value: float) -> tuple[float, str]:
     return value * factor, unit
 
 
+class FunctionObjectiveRecord(Record):
+    """Objective and errors of a design; what the tolerances add, and the alternations of a minimax optimum."""
+
+    value: Annotated[Number, "objective"]
+    unit: str
+    measure: Annotated[str, "problem.spec.requirement.measure"]
+    rms_deg: Number
+    largest_deg: Number
+    alternations: int | None = absent()
+    robust: str | None = absent()
+    tolerances_SI: dict[str, float] | None = absent()
+
+    @classmethod
+    def of(cls, result: FunctionResult, **values: Any) -> Self:
+        """As `Record.of`, with the errors."""
+        task, error = result.problem.spec, result.error()
+        robust = task.requirement.robust
+        return super().of(
+            result,
+            rms_deg=math.degrees(MEASURES["rms"].of(error)),
+            largest_deg=math.degrees(MEASURES["max"].of(error)),
+            alternations=result.alternations if task.requirement.measure == "max" else None,
+            robust=None if robust is None else robust.text,
+            tolerances_SI=None if robust is None else {d.name: d.tolerance for d in task.deviations},
+            **values,
+        )
+
+
+class FunctionRecord(SingleRecord):
+    """Document of a function synthesis: SI, or the unit that ends the key."""
+
+    format: Literal["optlink/result/2"] = Field(alias="schema")
+    assembly: str
+    objective: FunctionObjectiveRecord
+    evidence: Evidence | None = absent()
+    starts_that_reached_each_value: tuple[int, ...] | None = absent()
+    first_step: dict[str, Any] | None = absent()
+
+    @classmethod
+    def of(cls, result: FunctionResult, **values: Any) -> Self:
+        """As `Record.of`, with the strokes of the machine."""
+        machine, first = turning_machine(result.problem, result.design), result.first
+        return super().of(
+            result,
+            design=result.displayed(result.design),
+            objective=FunctionObjectiveRecord.of(result),
+            strokes={} if machine is None else stroke_document(machine, result.problem.spec.span),
+            starts_that_reached_each_value=result.counts or None,
+            first_step=None if first is None else vars(first) | {"gap": first.gap},
+            **values,
+        )
+
+
 @dataclass(frozen=True, repr=False)
-class FunctionResult(Summary):
+class FunctionResult(Recorded):
     """A design with its validation, or the reason why there is none."""
+
+    record = FunctionRecord
 
     problem: ProblemFile
     status: Status
@@ -161,39 +216,10 @@ class FunctionResult(Summary):
         """Return the result with further checks."""
         return replace(self, validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
-        document = heading(SCHEMA, self) | {
-            "design": _design(self.design),
-            "assembly": self.assembly,
-            "objective": {
-                "value": self.objective,
-                "unit": self.unit,
-                "measure": self.problem.spec.requirement.measure,
-                "rms_deg": math.degrees(MEASURES["rms"].of(self.error())),
-                "largest_deg": math.degrees(MEASURES["max"].of(self.error())),
-            },
-        }
-        document["fit"] = None if self.fit is None else self.fit.to_dict()
-        machine = turning_machine(self.problem, self.design)
-        document["strokes"] = {} if machine is None else stroke_document(machine, self.problem.spec.span)
-        document |= proof(self, lambda design: _design(self.problem.spec.design(design)))
-        if self.evidence is not None:
-            document["evidence"] = vars(self.evidence) | {}
-            document["starts_that_reached_each_value"] = list(self.counts)
-        if self.first is not None:
-            document["first_step"] = vars(self.first) | {"gap": self.first.gap}
-        if self.problem.spec.requirement.measure == "max":
-            document["objective"]["alternations"] = self.alternations
-        robust = self.problem.spec.requirement.robust
-        if robust is not None:
-            counted = {d.name: d.tolerance for d in self.problem.spec.deviations}
-            document["objective"] |= {"robust": robust.text, "tolerances_SI": counted}
-        return finite(document)  # type: ignore[no-any-return]
-
-
-def _design(design: Mapping[str, float]) -> dict[str, float]:
-    return {f"{name}_{display_value(name, value)[1]}": display_value(name, value)[0] for name, value in design.items()}
+    def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
+        """Return a design [SI] in display units, which end the keys."""
+        whole = self.problem.spec.design(design)
+        return {f"{name}_{display_value(name, value)[1]}": display_value(name, value)[0] for name, value in whole.items()}
 
 
 def solve(

@@ -20,8 +20,7 @@ from optlink.errors import InputError
 from optlink.record import LARGEST as LARGEST_NUMBER
 from optlink.report.html.shell import LARGEST, Sheet
 from optlink.report.registry import record_of
-from optlink.report.stored.loader import STUDIES, opened
-from optlink.report.stored.stored_result import KNOWN
+from optlink.report.stored.loader import KNOWN, opened
 from optlink.report.stored.stored_study import Studied, _sheet, studied_page
 from tests.browser import browser, console, requests
 from tests.browser import opened as shown
@@ -108,7 +107,7 @@ def numbers(values: list) -> np.ndarray:
 
 def test_schemas_are_those_of_the_records():
     """They are written out beside the commands, so that no record is loaded before it is needed."""
-    for schema, (_, kind) in STUDIES.items():
+    for schema, (_, kind) in KNOWN.items():
         assert (schema,) == get_args(record_of(kind).model_fields["format"].annotation)
 
 
@@ -463,7 +462,7 @@ def test_known_schemas_are_told(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps({"schema": "optlink/other/1"}))
     with pytest.raises(InputError, match="study pareto") as caught:
         opened(str(tmp_path / "a.json"))
-    for command in {*KNOWN.values(), *(command for command, _ in STUDIES.values())}:
+    for command, _ in KNOWN.values():
         assert command in str(caught.value)
 
 

@@ -226,7 +226,7 @@ def test_the_command_writes_a_table_a_picture_and_json(tmp_path):
     done = run("crank-rocker", "--check", "--json", "--out", str(tmp_path))
     assert done.exit_code == 0
     document = json.loads(done.stdout)
-    assert document["schema"] == "optlink/sensitivity/1"
+    assert document["schema"] == "optlink/sensitivity/2"
     assert document["largest_gap"] < 1e-5
     assert document["parameters"][0]["key"] == LIMIT
     assert document["parameters"][0]["objective_per_unit"] == pytest.approx(-1.4647e-4, rel=1e-3)

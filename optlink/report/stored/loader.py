@@ -13,11 +13,19 @@ from optlink.record import Contradiction, damaged, read_document, read_record
 from optlink.report.registry import page_of, record_of
 from optlink.report.report_model import ReportModel
 from optlink.report.stored.problem_lookup import problem_of
-from optlink.report.stored.stored_result import KNOWN, read_subject
+from optlink.report.stored.stored_result import read_subject
 from optlink.report.stored.stored_study import Studied
 from optlink.version import VERSION
 
 RESULT = "result.json"
+SOLVED = {
+    "optlink/result/2": ("solve", "function"),
+    "optlink/generation/2": ("solve", "path"),
+    "optlink/machine-design/2": ("solve", "cycle"),
+    "optlink/analysis/2": ("analyze", "analysis"),
+    "optlink/sensitivity/2": ("study sensitivity", "sensitivity"),
+}
+"""Schemas of results whose figures are computed anew: the command that writes them, and their kind."""
 STUDIES = {
     "optlink/simulation/2": ("simulate", "simulation"),
     "optlink/clearance/2": ("simulate", "clearance"),
@@ -28,6 +36,7 @@ STUDIES = {
     "optlink/pareto/2": ("study pareto", "pareto"),
 }
 """Schemas of results that are shown as stored: the command that writes them, and the kind of their page."""
+KNOWN = {**SOLVED, **STUDIES}
 PAGELESS = {"optlink/output-sensitivity/1": "Slopes of an output stand in the sensitivity.csv beside it"}
 """Schemas of results that are not drawn, and where to read them."""
 
@@ -61,14 +70,14 @@ def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -
         raise InputError(Fault(f"the folder holds no {RESULT}", remedy, text))
     document = read_document(path)
     schema = document.get("schema")
-    if not isinstance(schema, str) or schema not in {**KNOWN, **STUDIES}:
+    if not isinstance(schema, str) or schema not in KNOWN:
         raise _unknown(schema, path)
-    if schema in KNOWN:
-        return read_subject(path, problem, changes)
-    kind = STUDIES[schema][1]
+    _, kind = KNOWN[schema]
     record = read_record(record_of(kind), document, path)
     file = problem_of(record.problem, record.problem_hash, path, problem, changes)
     try:
+        if schema in SOLVED:
+            return read_subject(record, file, path)
         found = page_of(kind)(record, file, path)
     except Contradiction as error:
         raise damaged(error, path) from None
@@ -80,7 +89,7 @@ def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -
 
 def _unknown(schema: object, path: Path) -> InputError:
     """Return the error for a document of an unknown schema."""
-    known = {**KNOWN, **{name: command for name, (command, _) in STUDIES.items()}}
+    known = {name: command for name, (command, _) in KNOWN.items()}
     if not isinstance(schema, str) or not schema.startswith("optlink/"):
         return InputError(Fault("not a result of optlink", "Give a result.json that --out wrote", str(path), "schema", schema))
     if schema in PAGELESS:

@@ -12,7 +12,8 @@ from optlink.problem.path import MARK
 from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
 from optlink.report.views.path_tables import exact, measure, words
 from optlink.report.views.path_view import Track
-from optlink.tasks.results.common import SingleDesignResult
+from optlink.tasks.function import FunctionResult
+from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign
 
 SIZES = 14  # largest number of dimensions below a title
@@ -75,7 +76,7 @@ def _digits(value: float, count: int) -> str:
     return shown.replace("-", "−") if "e" not in shown else shown
 
 
-def failed(design: PathDesign | SingleDesignResult) -> str:
+def failed(design: PathDesign | FunctionResult | CycleResult) -> str:
     """Return the reason why a design is not valid."""
     names = [check.name for check in design.validation.checks if not check.passed]
     more = f" and {len(names) - 2} more checks" if len(names) > 3 else ""

@@ -6,24 +6,22 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from optlink.dynamics.columns import slider_names
 from optlink.dynamics.flywheel import Flywheel
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
-from optlink.io import Summary, finite, head
 from optlink.linkage.stroke import TURN, Ranges, Travel, travels, within_cycle
 from optlink.problem.file import ProblemFile
+from optlink.record import Columns, Number, Record, Recorded, ResultRecord, absent
 
 Array = NDArray[np.float64]
-
-
-SCHEMA = "optlink/analysis/1"
 
 
 class Extreme(NamedTuple):
@@ -38,14 +36,108 @@ class Extreme(NamedTuple):
     largest_at: float
 
 
+class GroupRecord(Record):
+    """A group of the mechanism, in the order of solution."""
+
+    kind: str
+    joint: str
+    bodies: tuple[str, ...]
+
+
+class ExtremeRecord(Record):
+    """Least and largest value of a column."""
+
+    min: Annotated[Number, "least"]
+    min_at_deg: Number
+    max: Annotated[Number, "largest"]
+    max_at_deg: Number
+
+
+class SingularRecord(Record):
+    """A position at which the motion is not determined; `followed`: the mechanism is continued through it."""
+
+    crank_angle_deg: float
+    joint: Annotated[str, "group.joint"]
+    alignment_deg: float
+    followed: bool
+
+
+class FlywheelRecord(Record):
+    """Flywheel sizing for a constant driving torque [SI]."""
+
+    mean_speed: float
+    mean_torque: float
+    fluctuation: float
+    allowed: float
+    inertia: float
+    mean_speed_over: Literal["crank angle"]
+
+
+class AnalysisRecord(ResultRecord):
+    """Document of an analysis: SI, or the unit that ends the key."""
+
+    format: Literal["optlink/analysis/2"] = Field(alias="schema")
+    sound: bool
+    notes: tuple[str, ...]
+    groups: tuple[GroupRecord, ...]
+    sizes: Annotated[dict[str, float], "machine.sizes"]
+    speed_rad_s: Annotated[float, "speed"]
+    full_rotation: Annotated[bool, "full"]
+    reachable_deg: tuple[tuple[float, float], ...]
+    reactions: dict[str, str]
+    strokes: dict[str, dict[str, Any]]
+    swings: dict[str, dict[str, Any]]
+    extremes: dict[str, ExtremeRecord]
+    load_jumps_deg: tuple[float, ...]
+    work_J: Annotated[Number, "work"]
+    singular_deg: tuple[float, ...]
+    singular_positions: tuple[SingularRecord, ...]
+    cycle_deg: float | None
+    unbounded: tuple[str, ...]
+    jammed_deg: tuple[float, ...]
+    undefined_deg: tuple[float, ...]
+    meanings: dict[str, str]
+    columns: Columns
+    flywheel: FlywheelRecord | None = absent()
+
+    @classmethod
+    def of(cls, result: Analysis, **values: Any) -> Self:
+        """As `Record.of`, with crank angles in degrees."""
+        deg, machine, wheel = math.degrees, result.machine, result.flywheel
+        positions = (*result.ranges.singular, *result.ranges.followed)
+        angles = {f"{name}_deg": result.within(getattr(result, name)) for name in ("singular", "jammed", "undefined")}
+        return super().of(
+            result,
+            groups=tuple(GroupRecord.of(g, bodies=[link.body for link in g.links]) for g in machine.mechanism.groups),
+            reachable_deg=[[deg(low), deg(high)] for low, high in result.ranges.ranges],
+            reactions=reaction_conventions(machine),
+            strokes={name: result.travel(travel, "m") for name, travel in result.strokes.items()},
+            swings={name: result.travel(travel, "rad") for name, travel in result.swings.items()},
+            extremes={
+                name: ExtremeRecord.of(one, min_at_deg=deg(one.least_at), max_at_deg=deg(one.largest_at))
+                for name, one in result.extremes.items()
+            },
+            load_jumps_deg=result.within(result.jumps),
+            singular_positions=tuple(
+                SingularRecord.of(p, crank_angle_deg=deg(p.crank_angle), alignment_deg=deg(p.angle)) for p in positions
+            ),
+            cycle_deg=deg(result.cycle) if result.full else None,
+            flywheel=None if wheel is None else FlywheelRecord.of(wheel, mean_speed_over="crank angle"),
+            **angles,
+            **values,
+        )
+
+
 @dataclass(frozen=True, repr=False)
-class Analysis(Summary):
+class Analysis(Recorded):
     """Result of the analysis of a machine over its cycle.
 
     `columns` by name (unit at the end), each an array over the sampled crank angles; `meanings` describe them; `extremes` are
     refined to their exact crank angles, one-sided at load jumps; `unbounded`: columns of reactions that grow without bound
     towards change points through which the motion is continued; `swings` of bodies and `strokes` of sliders (by slider name).
     """
+
+    record = AnalysisRecord
 
     problem: ProblemFile
     machine: Machine
@@ -87,7 +179,7 @@ class Analysis(Summary):
             return "over the range"
         return "per revolution" if self.cycle == TURN else "per cycle"
 
-    def _within(self, crank_angles: Array) -> list[float]:
+    def within(self, crank_angles: Array) -> list[float]:
         """Return crank angles [deg], without duplicates, reduced to one cycle if the crank turns fully."""
         angles = [within_cycle(at, self.cycle) if self.full else float(at) for at in crank_angles]
         return sorted({round(math.degrees(at), 9) for at in angles})
@@ -126,7 +218,8 @@ class Analysis(Summary):
         """Loads that act in one stroke only; empty if the crank cannot turn fully."""
         return acting_loads(self.machine, self.speed) if self.full else ()
 
-    def _travel(self, travel: Travel, unit: str) -> dict[str, Any]:
+    def travel(self, travel: Travel, unit: str) -> dict[str, Any]:
+        """Return a stroke or swing as JSON, in `unit`."""
         return {
             f"span_{unit}": travel.span,
             f"low_{unit}": travel.low,
@@ -137,49 +230,6 @@ class Analysis(Summary):
             "time_ratio": travel.time_ratio,
             **stroke_records(travel, self.speed, self.acting),
         }
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the analysis as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
-        mechanism = self.machine.mechanism
-        deg = math.degrees
-        document = {
-            **head(SCHEMA, self.problem, self.status),
-            "sound": self.sound,
-            "notes": list(self.notes),
-            "groups": [{"kind": g.kind, "joint": g.joint, "bodies": [link.body for link in g.links]} for g in mechanism.groups],
-            "sizes": dict(self.machine.sizes),
-            "speed_rad_s": self.speed,
-            "full_rotation": self.full,
-            "reachable_deg": [[deg(low), deg(high)] for low, high in self.ranges.ranges],
-            "reactions": reaction_conventions(self.machine),
-            "strokes": {name: self._travel(travel, "m") for name, travel in self.strokes.items()},
-            "swings": {name: self._travel(travel, "rad") for name, travel in self.swings.items()},
-            "extremes": {
-                name: {"min": e.least, "min_at_deg": deg(e.least_at), "max": e.largest, "max_at_deg": deg(e.largest_at)}
-                for name, e in self.extremes.items()
-            },
-            "load_jumps_deg": self._within(self.jumps),
-            "work_J": self.work,
-            "singular_deg": self._within(self.singular),
-            "singular_positions": [
-                {
-                    "crank_angle_deg": deg(p.crank_angle),
-                    "joint": p.group.joint,
-                    "alignment_deg": deg(p.angle),
-                    "followed": p.followed,
-                }
-                for p in (*self.ranges.singular, *self.ranges.followed)
-            ],
-            "cycle_deg": deg(self.cycle) if self.full else None,
-            "unbounded": list(self.unbounded),
-            "jammed_deg": self._within(self.jammed),
-            "undefined_deg": self._within(self.undefined),
-            "meanings": dict(self.meanings),
-            "columns": dict(self.columns),
-        }
-        if self.flywheel:
-            document["flywheel"] = vars(self.flywheel) | {"mean_speed_over": "crank angle"}
-        return finite(document)  # type: ignore[no-any-return]
 
 
 def stroke_records(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...]) -> dict[str, Any]:

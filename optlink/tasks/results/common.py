@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Annotated, Any, Self
 
 from optlink.errors import Status
-from optlink.io import head
 from optlink.linkage.fourbar import LENGTHS
-from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Quantity
-from optlink.solvers.solution import FEASIBLE, STATIONARY, Solution
+from optlink.record import Number, Record, ResultRecord, absent
+from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
+from optlink.tasks.results.fit import FitRecord
 from optlink.validation.check import Check, Validation
 
-DisplayValues = Callable[[Mapping[str, float]], dict[str, float]]
-"""A design [SI] as a document tells it: in the units that the keys end in."""
 OPTIMALITY_CHECK = "optimality (KKT residual)"  # name of a check
 
 
@@ -53,84 +51,6 @@ def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, 
     )
 
 
-class DesignResult(Protocol):
-    """Interface of a search result."""
-
-    @property
-    def problem(self) -> ProblemFile:
-        """The problem."""
-        ...
-
-    @property
-    def status(self) -> Status:
-        """Status of the search."""
-        ...
-
-    @property
-    def valid(self) -> bool:
-        """Whether the design is validated."""
-        ...
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes for the user."""
-        ...
-
-    @property
-    def backend(self) -> str:
-        """The solver."""
-        ...
-
-    @property
-    def seed(self) -> int | None:
-        """Seed of the starts."""
-        ...
-
-    @property
-    def starts(self) -> int:
-        """Number of starts."""
-        ...
-
-    @property
-    def seconds(self) -> dict[str, float]:
-        """Wall time per stage [s]."""
-        ...
-
-
-class SingleDesignResult(DesignResult, Protocol):
-    """Interface of a result with one design."""
-
-    @property
-    def validation(self) -> Validation:
-        """Its validation."""
-        ...
-
-    @property
-    def solution(self) -> Solution | None:
-        """Solver solution; None without a search."""
-        ...
-
-    @property
-    def backends(self) -> dict[str, Solution]:
-        """Solution of each solver."""
-        ...
-
-    @property
-    def optima(self) -> tuple[Optimum, ...]:
-        """Distinct optima."""
-        ...
-
-    @property
-    def conflict(self) -> Sequence[object]:
-        """Conflicting limits."""
-        ...
-
-    @property
-    def together(self) -> Sequence[object]:
-        """Least simultaneous relaxation of several limits."""
-        ...
-
-
 def proven(status: Status, validation: Validation) -> bool:
     """Return whether a design passes its validation, and is optimal unless its status excludes that.
 
@@ -161,64 +81,65 @@ def _stationary(solution: Solution) -> Check:
     return Check(OPTIMALITY_CHECK, passed, solution.kkt, limit, "")
 
 
-def heading(schema: str, outcome: DesignResult) -> dict[str, Any]:
-    """Return the head of the JSON document of a search result.
+class SolutionRecord(Record):
+    """Solution of one solver, in display units."""
 
-    Parameters
-    ----------
-    schema : str
-        Name and version of the schema.
-    outcome : DesignResult
-    """
-    return head(schema, outcome.problem, outcome.status.value, outcome.seed) | {
-        "message": outcome.status.text,
-        "valid": outcome.valid,
-        "notes": list(outcome.notes),
-        "backend": outcome.backend,
-        "starts": outcome.starts,
-        "seconds": outcome.seconds,
-    }
+    status: Status
+    design: dict[str, Number]
+    objective: Number
+    iterations: int
+    kkt: Number
+    violation: Number
+    message: str
 
 
-def proof(outcome: SingleDesignResult, displayed: DisplayValues) -> dict[str, Any]:
-    """Return the part of the JSON document on limits, validation, solvers, optima and conflicts.
+class OptimumRecord(Record):
+    """A distinct optimum of a multistart search, in display units."""
 
-    Parameters
-    ----------
-    outcome : SingleDesignResult
-    displayed : function of a design [SI]
-        Converts a design to display units with the units in its keys.
-    """
-    solution = outcome.solution
-    document: dict[str, Any] = {
-        "limits": [vars(limit) | {} for limit in solution.limits] if solution else [],
-        "validation": [vars(check) | {} for check in outcome.validation.checks],
-        "iterations": solution.iterations if solution else 0,
-    }
-    if solution:
-        document |= {"kkt": solution.kkt, "violation": solution.violation, "curvature": solution.curvature}
-    if outcome.backends:
-        document["backends"] = {name: _searched(found, displayed) for name, found in outcome.backends.items()}
-    if outcome.optima:
-        document["optima"] = [_listed(optimum, displayed) for optimum in outcome.optima]
-    if outcome.conflict:
-        document["conflict"] = [vars(item) | {} for item in outcome.conflict]
-        document["relax_together"] = [vars(item) | {} for item in outcome.together]
-    return document
+    design: dict[str, Number]
+    objective: Number
+    count: int
+    assembly: str | None = absent()
 
 
-def _listed(optimum: Optimum, displayed: DisplayValues) -> dict[str, Any]:
-    document = {"design": displayed(optimum.design), "objective": optimum.objective, "count": optimum.count}
-    return document | ({"assembly": optimum.assembly} if optimum.assembly else {})
+class SearchRecord(ResultRecord):
+    """The common entries of the document of every search."""
+
+    status: Status
+    message: Annotated[str, "status.text"]
+    valid: bool
+    notes: tuple[str, ...]
+    backend: str
+    starts: int
+    seconds: dict[str, float]
 
 
-def _searched(solution: Solution, displayed: DisplayValues) -> dict[str, Any]:
-    return {
-        "status": solution.status.value,
-        "design": displayed(solution.design),
-        "objective": solution.objective,
-        "iterations": solution.iterations,
-        "kkt": solution.kkt,
-        "violation": solution.violation,
-        "message": solution.message,
-    }
+class SingleRecord(SearchRecord):
+    """The common entries of the document of a search for one design."""
+
+    design: dict[str, float]
+    fit: FitRecord | None
+    strokes: dict[str, dict[str, Any]]
+    limits: tuple[LimitState, ...]
+    validation: Annotated[tuple[Check, ...], "validation.checks"]
+    iterations: int
+    kkt: Number | None = absent()
+    violation: Number | None = absent()
+    curvature: Number | None = absent()
+    backends: dict[str, SolutionRecord] | None = absent()
+    optima: tuple[OptimumRecord, ...] | None = absent()
+    conflict: tuple[Relaxation, ...] | None = absent()
+    relax_together: Annotated[tuple[Relaxation, ...] | None, "together"] = absent()
+
+    @classmethod
+    def of(cls, result: Any, **values: Any) -> Self:
+        """As `Record.of`, with the designs of solvers and optima in display units."""
+        solution = result.solution
+        values |= {name: getattr(solution, name, None) for name in ("kkt", "violation", "curvature")}
+        values |= {"limits": solution.limits if solution else (), "iterations": solution.iterations if solution else 0}
+        shown = result.displayed
+        backends = {name: SolutionRecord.of(one, design=shown(one.design)) for name, one in result.backends.items()}
+        optima = [OptimumRecord.of(one, design=shown(one.design), assembly=one.assembly or None) for one in result.optima]
+        values |= {"backends": backends or None, "optima": tuple(optima) or None}
+        values |= {"conflict": result.conflict or None, "relax_together": result.together if result.conflict else None}
+        return super().of(result, **values)

@@ -6,21 +6,23 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import Field
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
-from optlink.io import Summary, finite
 from optlink.problem.cycle import CycleProblem
 from optlink.problem.cycle_terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
+from optlink.record import Number, Record, Recorded
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis, stroke_document
-from optlink.tasks.results.common import Optimum, heading, proof, proven
+from optlink.tasks.results.common import Optimum, SingleRecord, proven
 from optlink.tasks.results.fit import Fit, transmission_fit
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
@@ -29,8 +31,6 @@ from optlink.validation.cycle import Cycle, validate_cycle
 if TYPE_CHECKING:
     from optlink.solvers.solution import Relaxation
 
-SCHEMA = "optlink/machine-design/1"
-
 
 @dataclass(frozen=True)
 class CycleFigure:
@@ -38,18 +38,52 @@ class CycleFigure:
 
     name: str
     words: str
-    given: float
-    found: float
+    given: Number
+    found: Number
     limit: str
     unit: str
 
 
+class CycleObjectiveRecord(Record):
+    """Minimised value [SI]."""
+
+    value: Number
+    unit: str
+
+
+class InitialRecord(Record):
+    """The initial design of the file."""
+
+    objective: Number
+    feasible: Annotated[bool, "valid"]
+
+
+class CycleRecord(SingleRecord):
+    """Document of a cycle optimisation: SI, or the unit that ends the key."""
+
+    format: Literal["optlink/machine-design/2"] = Field(alias="schema")
+    free: tuple[str, ...]
+    objective: CycleObjectiveRecord
+    initial: InitialRecord
+    figures: tuple[CycleFigure, ...]
+
+    @classmethod
+    def of(cls, result: CycleResult, **values: Any) -> Self:
+        """As `Record.of`, with the objective in SI."""
+        kind = result.task.unit_kind
+        objective = CycleObjectiveRecord(value=result.objective, unit=KINDS[kind].si if kind else "")
+        design = display_values(result.task, {**sizes_of(result.problem.model.quantities), **result.values})
+        return super().of(result, design=design, objective=objective, **values)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class CycleResult(Summary):
+class CycleResult(Recorded):
     """A machine with its validation, or the reason why there is none.
 
     `values`: design variables [SI]; `objective`: minimised value [SI], negative for a maximised term.
     """
+
+    record = CycleRecord
 
     problem: ProblemFile
     status: Status
@@ -176,19 +210,19 @@ class CycleResult(Summary):
         """Return the result with further checks."""
         return replace(self, validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
-        task = self.task
-        document = heading(SCHEMA, self) | {
-            "design": display_values(task, self._all(self.values)),
-            "free": list(task.free),
-            "objective": {"value": self.objective, "unit": KINDS[task.unit_kind].si if task.unit_kind else ""},
-            "initial": {"objective": self.initial.objective, "feasible": self.initial.valid},
-            "fit": None if self.fit is None else self.fit.to_dict(),
-            "figures": [vars(told) | {} for told in self.figures],
-            "strokes": {} if self.built is None else stroke_document(self.built, task.drive.speed.value),
-        }
-        return finite(document | proof(self, lambda values: display_values(task, values)))  # type: ignore[no-any-return]
+    def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
+        """Return a design [SI] in display units, which end the keys."""
+        return display_values(self.task, design)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the design variables."""
+        return tuple(self.task.free)
+
+    @property
+    def strokes(self) -> dict[str, Any]:
+        """Strokes of every output, as JSON; empty if the crank cannot turn fully."""
+        return {} if self.built is None else stroke_document(self.built, self.task.drive.speed.value)
 
 
 def task_of(problem: ProblemFile) -> CycleProblem:

@@ -17,10 +17,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from optlink.linkage.fourbar import LENGTHS, grashof
 from optlink.linkage.motion import sweep
@@ -28,6 +29,7 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import STEP, PathProblem
 from optlink.problem.quantity import Quantity
+from optlink.record import Record
 from optlink.solvers.solution import LimitState
 from optlink.units import show
 from optlink.validation.path import MeasuredDeviations
@@ -86,10 +88,17 @@ class Fit:
             return "exact fit"
         return f"{self.grade} fit: rms error is {100.0 * self.share:.2g} % of {self.of}"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fit as a JSON object [m, rad]."""
-        reasons = [vars(each) | {} for each in self.reasons]
-        return {**{k: getattr(self, k) for k in ("grade", "share", "error", "size", "unit", "of")}, "reasons": reasons}
+
+class FitRecord(Record):
+    """Grade of a design [m, rad]."""
+
+    grade: str
+    share: float
+    error: float
+    size: float
+    unit: str
+    of_: Annotated[str, "of"] = Field(alias="of")
+    reasons: tuple[PoorFitReason, ...]
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from optlink.errors import InputError, Status
-from optlink.io import Summary, finite
+from optlink.io import Summary
 from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.extrema import extremes
@@ -22,17 +23,17 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, TURN, PathProblem
+from optlink.record import Column, Number, Record, Recorded, absent
 from optlink.solvers.evidence import Evidence
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
-from optlink.tasks.results.common import heading, proven
-from optlink.tasks.results.fit import Fit, path_fit, transmission_fit
+from optlink.tasks.results.common import SearchRecord, proven
+from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.path import MeasuredDeviations, deviations, transmission_angles
 
-SCHEMA = "optlink/generation/1"
 DISTINCT = 1e-2  # least relative difference of two distinct designs
 LEVEL = 1e-9  # of the size: root of a sum of squares below which a design passes the points
 
@@ -159,52 +160,10 @@ class PathDesign(Summary):
         """Assembly modes, in the words of the problem file."""
         return self.problem.raw["mechanism"].get("assembly", "left")
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the design as a JSON object: SI, or the unit that ends the key."""
-        measured, task = self.measured, self.task
-        point: dict[str, Any] = {"crank_deg": np.degrees(self.crank_angles).tolist()}
-        if task.pointed:
-            point["x_mm"], point["y_mm"] = (measured.generated * 1e3).T.tolist()
-        elif task.requirement.kind == "transmission":
-            point["transmission_deg"] = np.degrees(measured.generated).tolist()
-        else:
-            factor_, unit = OUTPUT[task.unit]
-            point[f"output_{unit}"] = (measured.generated[:, 0] * factor_).tolist()
-        factor_, unit = OUTPUT[task.unit]
-        point[f"distance_{unit}".rstrip("_")] = (measured.distances * factor_).tolist()
-        if measured.turned is not None:
-            point["turned_deg"] = np.degrees(measured.turned).tolist()
-        document: dict[str, Any] = {
-            "valid": self.valid,
-            "status": self.status.value,
-            "assembly": self.assembly,
-            "design": {
-                f"{name}_{display_unit(self.task, name)[1]}": v for name, v in display_values(self.task, self.values).items()
-            },
-            "objective": {"value": self.objective, **_figures(self)},
-            "fit": None if self.fit is None else self.fit.to_dict(),
-            "least_transmission_deg": math.degrees(self.least_transmission),
-            "points": point,
-            "limits": [vars(limit) | {} for limit in self.limits],
-            "validation": [vars(check) | {} for check in self.validation.checks],
-        }
-        if self.solution is not None:
-            document |= {"kkt": self.solution.kkt, "violation": self.solution.violation, "iterations": self.solution.iterations}
-        document["cognates"] = [_cognate(cognate) for cognate in self.cognates]
-        return document
-
     @property
     def limits(self) -> tuple[LimitState, ...]:
         """All bounds and limits in display units."""
         return self.solution.limits if self.solution is not None else ()
-
-
-def _cognate(cognate: Cognate) -> dict[str, Any]:
-    linkage = cognate.linkage
-    lengths = {f"{name}_mm": 1e3 * getattr(linkage, name) for name in (*LENGTHS, "along", "across")}
-    place = {"A.x_mm": 1e3 * linkage.x, "A.y_mm": 1e3 * linkage.y, "direction_deg": math.degrees(linkage.direction)}
-    kind = {"inversion": cognate.inversion.value, "crank_turns": cognate.crank_turns, "keeps_side": cognate.keeps_side}
-    return {**lengths, **place, "side": linkage.side, **kind, "turns_as": cognate.turns_as}
 
 
 def display_unit(task: PathProblem, name: str) -> tuple[float, str]:
@@ -241,23 +200,113 @@ def objective_unit(task: PathProblem) -> str:
     return f"{task.unit}^2" if task.measure == "sum of squares" and task.unit else task.unit
 
 
-def _figures(design: PathDesign) -> dict[str, Any]:
-    measured, task = design.measured, design.task
-    factor_, unit = OUTPUT[task.unit]
-    found = {
-        "unit": objective_unit(task),
-        "measure": task.measure,
-        f"rms_{unit}".rstrip("_"): factor_ * math.sqrt(float(np.mean(measured.distances**2))),
-        f"largest_{unit}".rstrip("_"): factor_ * float(np.max(measured.distances)),
-    }
-    if measured.turned is not None:
-        found["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
-    return found
+class CognateRecord(Record):
+    """Another four-bar with the same coupler curve."""
+
+    frame_mm: float
+    crank_mm: float
+    coupler_mm: float
+    rocker_mm: float
+    along_mm: float
+    across_mm: float
+    x_mm: float = Field(alias="A.x_mm")
+    y_mm: float = Field(alias="A.y_mm")
+    direction_deg: float
+    side: Annotated[int, "linkage.side"]
+    inversion: Annotated[str, "inversion.value"]
+    crank_turns: bool
+    keeps_side: bool
+    turns_as: str
+
+    @classmethod
+    def of(cls, result: Cognate, **values: Any) -> Self:
+        """As `Record.of`, in display units."""
+        linkage = result.linkage
+        values |= {f"{name}_mm": 1e3 * getattr(linkage, name) for name in (*LENGTHS, "along", "across", "x", "y")}
+        return super().of(result, direction_deg=math.degrees(linkage.direction), **values)
+
+
+class PathDesignRecord(Record):
+    """A design: SI, or the unit that ends the key; `objective` and `points` have keys for the unit of the deviations."""
+
+    valid: bool
+    status: Status
+    assembly: Any
+    design: dict[str, float]
+    objective: dict[str, Any]
+    fit: FitRecord | None
+    least_transmission_deg: Number
+    points: dict[str, Column]
+    limits: tuple[LimitState, ...]
+    validation: Annotated[tuple[Check, ...], "validation.checks"]
+    cognates: tuple[CognateRecord, ...]
+    kkt: Number | None = absent()
+    violation: Number | None = absent()
+    iterations: int | None = absent()
+
+    @classmethod
+    def of(cls, result: PathDesign, **values: Any) -> Self:
+        """As `Record.of`, with the points in display units."""
+        measured, task = result.measured, result.task
+        size, unit = OUTPUT[task.unit]
+        points: dict[str, Array] = {"crank_deg": np.degrees(result.crank_angles)}
+        if task.pointed:
+            points["x_mm"], points["y_mm"] = (measured.generated * 1e3).T
+        elif task.requirement.kind == "transmission":
+            points["transmission_deg"] = np.degrees(measured.generated)
+        else:
+            points[f"output_{unit}"] = measured.generated[:, 0] * size
+        points[f"distance_{unit}".rstrip("_")] = measured.distances * size
+        objective = {
+            "value": result.objective,
+            "unit": objective_unit(task),
+            "measure": task.measure,
+            f"rms_{unit}".rstrip("_"): size * math.sqrt(float(np.mean(measured.distances**2))),
+            f"largest_{unit}".rstrip("_"): size * float(np.max(measured.distances)),
+        }
+        if measured.turned is not None:
+            points["turned_deg"] = np.degrees(measured.turned)
+            objective["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
+        names = {f"{name}_{display_unit(task, name)[1]}": v for name, v in display_values(task, result.values).items()}
+        values |= {name: getattr(result.solution, name, None) for name in ("kkt", "violation", "iterations")}
+        least = math.degrees(result.least_transmission)
+        return super().of(result, design=names, objective=objective, points=points, least_transmission_deg=least, **values)
+
+
+class PathRecord(SearchRecord):
+    """Document of a path, motion, function or transmission synthesis: the figures of the best design, and all designs."""
+
+    format: Literal["optlink/generation/2"] = Field(alias="schema")
+    starts_that_reached_the_best: Annotated[int, "hits"]
+    evidence: Evidence
+    design: dict[str, float] | None = absent()
+    strokes: dict[str, dict[str, Any]] | None = absent()
+    assembly: Any = absent()
+    fit: FitRecord | None
+    designs: tuple[PathDesignRecord, ...]
+    conflict: tuple[Relaxation, ...] | None = absent()
+    relax_together: tuple[Relaxation, ...] | None = absent()
+    nearest_miss: PathDesignRecord | None
+
+    @classmethod
+    def of(cls, result: PathResult, **values: Any) -> Self:
+        """As `Record.of`, with the figures of the best design."""
+        best, designs = result.best, tuple(PathDesignRecord.of(one) for one in result.designs)
+        miss = None if result.nearest is None or designs else PathDesignRecord.of(result.nearest)
+        first = designs[0] if designs else miss
+        values |= {name: getattr(first, name, None) for name in ("design", "assembly", "fit")}
+        machine = None if best is None else turning_machine(best.problem, best.values)
+        angles = np.zeros(1) if best is None else best.crank_angles
+        strokes = {} if machine is None else stroke_document(machine, float(angles[-1] - angles[0]))
+        values |= {"conflict": result.conflict or None, "relax_together": result.together if result.conflict else None}
+        return super().of(result, designs=designs, nearest_miss=miss, strokes=None if best is None else strokes, **values)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PathResult(Summary):
+class PathResult(Recorded):
     """Result of a path or motion search: validated designs, best first; or the nearest miss and the reason of its failure."""
+
+    record = PathRecord
 
     problem: ProblemFile
     designs: tuple[PathDesign, ...]
@@ -323,22 +372,3 @@ class PathResult(Summary):
         good = tuple(design for design in flagged if design.valid)
         nearest = next((design for design in flagged if not design.valid), self.nearest)
         return replace(self, designs=good, nearest=None if good else nearest)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON document."""
-        document = heading(SCHEMA, self) | {
-            "starts_that_reached_the_best": self.hits,
-            "evidence": vars(self.evidence) | {},
-        }
-        if self.best is not None:
-            document["design"] = self.best.to_dict()["design"]
-            machine, angles = turning_machine(self.best.problem, self.best.values), self.best.crank_angles
-            document["strokes"] = {} if machine is None else stroke_document(machine, float(angles[-1] - angles[0]))
-            document["assembly"] = self.best.assembly
-            document["fit"] = None if self.best.fit is None else self.best.fit.to_dict()
-        document["designs"] = [design.to_dict() for design in self.designs]
-        if self.conflict:
-            document["conflict"] = [vars(item) | {} for item in self.conflict]
-            document["relax_together"] = [vars(item) | {} for item in self.together]
-        document["nearest_miss"] = None if self.nearest is None or self.designs else self.nearest.to_dict()
-        return finite(document)  # type: ignore[no-any-return]
