@@ -399,7 +399,7 @@ def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
     run.send_signal(signal.SIGINT)
     _, told = run.communicate(timeout=60)
     assert run.returncode == 130
-    assert f"go on with --resume --out {out}" in told
+    assert f"resume with --resume --out {out}" in told
     assert "Traceback" not in told
     sweep(problem(), [f"{FRAME}:700"], out, resume=True, workers=1)
     assert (out / "sweep.csv").read_bytes() == undisturbed
