@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     from optlink.tasks.balance import balance
     from optlink.tasks.batch import analyze_batch
     from optlink.tasks.clearance import simulate_clearance
-    from optlink.tasks.control_comparison import Comparison, Tuning, compare, tune
+    from optlink.tasks.control_comparison import compare, tune
     from optlink.tasks.function import FunctionResult, read_design
     from optlink.tasks.results.analysis import Analysis
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.clearance import ClearanceSimulation
+    from optlink.tasks.results.control_comparison import Comparison, Tuning
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.path import PathDesign, PathResult
     from optlink.tasks.run import solve, validate
@@ -42,8 +43,8 @@ _HOME = {
     "analyze_batch": "optlink.tasks.batch",
     "ClearanceSimulation": "optlink.tasks.results.clearance",
     "simulate_clearance": "optlink.tasks.clearance",
-    "Comparison": "optlink.tasks.control_comparison",
-    "Tuning": "optlink.tasks.control_comparison",
+    "Comparison": "optlink.tasks.results.control_comparison",
+    "Tuning": "optlink.tasks.results.control_comparison",
     "compare": "optlink.tasks.control_comparison",
     "tune": "optlink.tasks.control_comparison",
     "PathDesign": "optlink.tasks.results.path",

@@ -154,11 +154,11 @@ def record_of(kind: str) -> type[ResultRecord]:
     from optlink.studies.sensitivity import SensitivitiesRecord
     from optlink.studies.sweep import SweepRecord
     from optlink.studies.tolerance.analysis import ToleranceRecord
-    from optlink.tasks.control_comparison import ComparisonRecord
     from optlink.tasks.function import FunctionRecord
     from optlink.tasks.results.analysis import AnalysisRecord
     from optlink.tasks.results.balance import BalanceRecord
     from optlink.tasks.results.clearance import ClearanceRecord
+    from optlink.tasks.results.control_comparison import ComparisonRecord
     from optlink.tasks.results.cycle import CycleRecord
     from optlink.tasks.results.path import PathRecord
     from optlink.tasks.simulate import SimulationRecord

@@ -25,9 +25,9 @@ from optlink.report.style import Scale, scale
 from optlink.report.views import clearance, clearance_tables, control_comparison
 from optlink.report.views.revolutions import TORQUE, WINDOW, Turns
 from optlink.report.views.simulation import largest
-from optlink.tasks.control_comparison import Comparison, ComparisonRecord, Trials
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceRecord, ClearanceSimulation
+from optlink.tasks.results.control_comparison import Comparison, ComparisonRecord, Trials
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy as np
 from optlink.report.format import fixed, number
 from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, bad, good, quiet, summary, table
 from optlink.report.views.function_tables import noted, verdict
-from optlink.tasks.control_comparison import Comparison, Tuning
 from optlink.tasks.results.clearance import ClearanceSimulation
+from optlink.tasks.results.control_comparison import Comparison, Tuning
 
 TO_DISPLAY = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg")}
 

@@ -13,8 +13,8 @@ from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Panel
 from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, WANTED, scale
 from optlink.report.view import View
 from optlink.report.views.revolutions import FULL, Turns, fold
-from optlink.tasks.control_comparison import Comparison
 from optlink.tasks.results.clearance import ClearanceSimulation
+from optlink.tasks.results.control_comparison import Comparison
 
 Array = NDArray[np.float64]
 
