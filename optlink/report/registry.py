@@ -100,7 +100,7 @@ def view_of(kind: str) -> View:
         sensitivity,
         simulation,
         sweep,
-        tolerance_pictures,
+        tolerance,
     )
 
     views = {
@@ -114,7 +114,7 @@ def view_of(kind: str) -> View:
         "control comparison": control_comparison.VIEW,
         "sweep": sweep.VIEW,
         "sensitivity": sensitivity.VIEW,
-        "tolerance": tolerance_pictures.VIEW,
+        "tolerance": tolerance.VIEW,
         "pareto": pareto.VIEW,
     }
     return views[kind]
@@ -128,7 +128,7 @@ def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], Studied]:
     KeyError
         if results of that kind are not shown as stored.
     """
-    from optlink.report.views import balance_page, clearance_page, pareto, simulation_page, sweep, tolerance_page
+    from optlink.report.views import balance_page, clearance_page, pareto, simulation_page, sweep, tolerance
 
     pages: dict[str, Callable[[Any, ProblemFile, Path], Studied]] = {
         "simulation": simulation_page.studied,
@@ -136,7 +136,7 @@ def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], Studied]:
         "control comparison": clearance_page.compared,
         "balance": balance_page.studied,
         "sweep": sweep.studied,
-        "tolerance": tolerance_page.studied,
+        "tolerance": tolerance.studied,
         "pareto": pareto.studied,
     }
     return pages[kind]

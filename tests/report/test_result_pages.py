@@ -205,8 +205,10 @@ def test_a_balance_is_proven_anew(results, tmp_path):
 
 def test_the_tolerances_of_a_page_add_up(results):
     told, made = document(results, "tolerance"), sheet(results, "tolerance")
-    shares = [numbers(trace(made, name)["y"]) for name in ("coupler", "rocker")]
-    assert np.sum(shares, axis=0) == pytest.approx(100.0, abs=1e-4)
+    bands = {one["name"]: one for one in made.charts[0].figure["data"] if "customdata" in one}
+    assert bands.keys() == {"coupler", "rocker"}
+    assert np.sum([numbers(one["customdata"]) for one in bands.values()], axis=0) == pytest.approx(100.0, abs=1e-4)
+    assert numbers(made.charts[0].figure["data"][-1]["y"]) == pytest.approx(100.0, abs=1e-4)
     inside, beyond = (np.sum(numbers(trace(made, name)["y"])) for name in ("within the limit", "beyond it"))
     assert inside + beyond == pytest.approx(100.0)
     edges = np.array(told["monte_carlo"]["histogram"]["edges"])

@@ -6,14 +6,15 @@ import math
 
 import numpy as np
 
-from optlink.problem.tolerances import CONTACT, Deviation
+from optlink.problem.file import ProblemFile
+from optlink.problem.tolerances import CONTACT
+from optlink.record import Contradiction
 from optlink.report.format import fixed, number, percent
 from optlink.report.table_spec import Row, Summary, TableSpec, bad, good, quiet, strong, summary, table
-from optlink.studies.tolerance.allocation import Allocation
-from optlink.studies.tolerance.analysis import Tolerance
-from optlink.studies.tolerance.monte_carlo import MonteCarlo
-from optlink.studies.tolerance.nominal import display_unit
-from optlink.studies.tolerance.robust_design import YIELD, RobustDesign
+from optlink.studies.tolerance.allocation import AllocationRecord
+from optlink.studies.tolerance.analysis import DeviationRecord, Tolerance, ToleranceRecord
+from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
+from optlink.studies.tolerance.robust_design import YIELD, RobustRecord
 from optlink.studies.tolerance.sampling import CONFIDENCE
 from optlink.tasks.function import display_value
 
@@ -22,137 +23,141 @@ SURE = f"{100.0 * CONFIDENCE:g} % sure"
 
 def tolerances(result: Tolerance) -> Summary:
     """Summarise a tolerance analysis."""
-    status = f"what tolerances do to {result.nominal.name}, at {len(result.nominal.crank_angles)} crank angles"
-    return summary(
-        result.problem.model.title,
-        [status],
-        _redesigned(result, result.robust) if result.robust is not None else None,
-        _blame(result),
-        _scatter(result),
-        _sampled(result, result.carlo) if result.carlo is not None else None,
-        _allocated(result, result.allocation) if result.allocation is not None else None,
-    )
+    return recorded(ToleranceRecord.of(result), result.problem)
 
 
-def size(deviation: Deviation, value: float, digits: int = 6) -> str:
-    """Format a deviation in its display unit.
+def recorded(record: ToleranceRecord, file: ProblemFile) -> Summary:
+    """Summarise the record of a tolerance analysis.
 
     Parameters
     ----------
-    deviation : Deviation
-        Determines the unit.
-    value : float [m, rad]
-    digits : int, optional
-        Significant digits.
+    record : ToleranceRecord
+    file : ProblemFile
+        The problem of the study.
+
+    Raises
+    ------
+    Contradiction
+        If a tolerance or a size of the problem is missing in its parts.
     """
-    if deviation.kind == "angle":
-        return f"{number(math.degrees(value), digits)} deg"
-    return f"{number(1e3 * value, digits)} mm"
+    status = f"what tolerances do to {record.output}, at {len(record.crank_angles_deg)} crank angles"
+    return summary(
+        file.model.title,
+        [status],
+        _redesigned(file, record, record.robust) if record.robust is not None else None,
+        _contributions(file, record),
+        _scatter(record),
+        _sampled(record, record.monte_carlo) if record.monte_carlo is not None else None,
+        _allocated(file, record, record.allocation) if record.allocation is not None else None,
+    )
 
 
-def _shape(deviation: Deviation) -> str:
-    if deviation.values:
-        return f"measured, {len(deviation.values):,} parts"
-    return f"{deviation.shape}, adds to {deviation.size}" if deviation.shape == CONTACT else deviation.shape
+def judged_value(record: ToleranceRecord) -> str:
+    """Return the name of the judged value: an error, or the change of an output."""
+    return "error" if np.any(record.judged_as_drawn) else "change"
 
 
-def made(counted: str) -> str:
-    """Describe the objective of a robust design."""
-    return "Maximised: the yield" if counted == YIELD else f"Minimised: the largest error with {counted}"
+def _unit(file: ProblemFile, part: DeviationRecord) -> tuple[float, str]:
+    """Return factor from SI and name of the display unit of a deviation."""
+    quantity = file.model.mechanism.quantities.get(part.adds_to)
+    return (math.degrees(1.0), "deg") if quantity is not None and quantity.kind == "angle" else (1e3, "mm")
 
 
-def judged(counted: str) -> str:
-    """Return the name of the largest error of a robust design."""
-    return "largest as drawn" if counted == YIELD else "largest"
+def _symmetric(value: float, unit: tuple[float, str], digits: int = 6) -> str:
+    """Format a symmetric tolerance [SI] in its display unit."""
+    return f"±{number(unit[0] * value, digits)} {unit[1]}"
 
 
-def proven(counted: str) -> str:
-    """Describe what is proven of a robust design."""
-    return "its limits are proven; none with more yield was found" if counted == YIELD else "proven"
+def _distribution(part: DeviationRecord) -> str:
+    if part.measured_parts:
+        return f"measured, {part.measured_parts:,} parts"
+    return f"{CONTACT}, adds to {part.adds_to}" if part.distribution == CONTACT else part.distribution
 
 
-def _redesigned(result: Tolerance, found: RobustDesign) -> TableSpec:
-    rows: list[Row] = []
-    for name, value in found.free.items():
-        before, unit = display_value(name, found.nominal[name])
-        rows.append((name, fixed(before), strong(fixed(display_value(name, value)[0])), unit))
-    ends = (fixed(math.degrees(value), 4) for value in (found.before, found.value))
-    rows.append((judged(found.counted), *ends, "deg"))
-    if result.carlo is not None and result.unrobust is not None and result.limit is not None:
-        best, own = result.unrobust, result.carlo
-        limit = f"within {number(math.degrees(result.limit))} deg"
-        rows.append(("yield", percent(best.share), strong(percent(own.share)), quiet(limit)))
-        for end, name in enumerate(("at least", "at most")):
-            rows.append([quiet(text) for text in (name, *(percent(one.interval[end]) for one in (best, own)), SURE)])
-    failed = ", ".join(check.name for check in found.result.validation.checks if not check.passed)
-    notes = [good(proven(found.counted)) if found.valid else bad(f"not proven: {failed}")]
-    if result.beaten:
-        notes.append(bad("The best as drawn yields more within this limit: build that one, or search --robust yield."))
-    return table(made(found.counted), ["", ">best as drawn", ">robust", ""], rows, notes=notes)
-
-
-def _blame(result: Tolerance) -> TableSpec:
-    scale, unit = display_unit(result.nominal)
-    at = result.where
-    each = " or ".join(sorted({"deg" if d.kind == "angle" else "mm" for d in result.deviations}, reverse=True))
-    shares, overall = result.contributions[:, at], np.mean(result.contributions, axis=1)
-    rows = []
-    for i in np.argsort(-shares, kind="stable"):
-        d = result.deviations[i]
-        per = f"{scale * result.by[i, at] * (math.radians(1.0) if d.kind == 'angle' else 1e-3):+.5f}"
-        share = strong(f"{100.0 * shares[i]:.1f} %")
-        rows.append((d.name, f"±{size(d, d.tolerance)}", quiet(_shape(d)), per, share, f"{100.0 * overall[i]:.1f} %"))
-    title = f"Variance contributions at the worst crank angle: {math.degrees(result.nominal.crank_angles[at]):.4g} deg"
-    columns = ["", ">tolerance", "distribution", f">change [{unit}\nper {each}]", ">share of the\nvariance", ">over all\nangles"]
-    return table(title, columns, rows)
-
-
-def _scatter(result: Tolerance) -> TableSpec:
-    scale, unit = display_unit(result.nominal)
-    degrees = np.degrees(result.nominal.crank_angles)
-    both = np.maximum(-result.worst[0], result.worst[1])
-    rows = []
-    for name, column, sign in (
-        ("worst case", both, "±"),
-        ("root of the sum of squares", result.rss, "±"),
-        ("standard deviation", result.sigma, ""),
-    ):
-        at = int(np.argmax(column))
-        rows.append((name, sign + number(scale * column[at], 5), quiet(f"at {degrees[at]:.4g} deg")))
-    return table(f"Change of the output to first order [{unit}]", "<><", rows)
-
-
-def _sampled(result: Tolerance, carlo: MonteCarlo) -> TableSpec:
-    scale, unit = display_unit(result.nominal)
-    what = "largest error" if np.any(result.nominal.base) else "largest change"
-    at = result.where
-    sigma = f"{number(scale * carlo.sigma[at], 5)} ± {number(scale * 2.0 * carlo.sigma_error[at], 2)}"
-    where = f"{unit}, at {math.degrees(result.nominal.crank_angles[at]):.4g} deg"
-    rows: list[Row] = [("standard deviation", sigma, where)]
-    rows += [(f"{what}: {100.0 * share:g} % below", number(scale * carlo.below(share), 5), unit) for share in (0.5, 0.99)]
-    if carlo.stuck:
-        rows.append((bad("cannot be assembled"), f"{carlo.stuck:,}", ""))
-    if result.limit is not None:
-        limit = f"within {number(scale * result.limit)} {unit}"
-        rows.append((f"yield, {limit}", strong(percent(carlo.share)), quiet(_between(carlo))))
-        rows.append(("yield by the linear model", percent(carlo.linear_share), ""))
-    rows.append((quiet("time"), quiet(f"{carlo.seconds:.2f} s"), ""))
-    title = f"{carlo.samples:,} linkages with deviations drawn (Sobol, seed {carlo.seed}), moved exactly"
-    return table(title, "<><", rows)
-
-
-def _between(carlo: MonteCarlo) -> str:
-    low, high = carlo.interval
+def _between(sampled: MonteCarloRecord) -> str:
+    low, high = sampled.interval
     return f"{100.0 * low:.3f} ... {percent(high)} ({SURE})"
 
 
-def _allocated(result: Tolerance, found: Allocation) -> TableSpec:
-    rows = []
-    for d, value, cost in zip(result.deviations, found.tolerances, found.costs, strict=True):
-        remark = "has no effect" if d.name in found.free else ""
-        rows.append((d.name, f"±{size(d, d.tolerance)}", strong(f"±{size(d, value, 4)}"), number(cost), remark))
-    share = number(found.cost / found.before)
-    checked = f"checked by {found.carlo.samples:,} others: {percent(found.carlo.share)}, {_between(found.carlo)}"
-    title = f"The loosest tolerances for a yield of {percent(found.wanted)}: cost {share} of the given"
+def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord) -> TableSpec:
+    counted, rows = robust.counted, list[Row]()
+    for name in file.model.free:
+        if name not in robust.design_SI or name not in robust.nominal_design_SI:
+            raise Contradiction(f"robust.design_SI.{name}", "this is missing")
+        before, unit = display_value(name, robust.nominal_design_SI[name])
+        rows.append((name, fixed(before), strong(fixed(display_value(name, robust.design_SI[name])[0])), unit))
+    largest = (robust.largest_of_the_nominal_design_rad, robust.largest_rad)
+    words = "largest as drawn" if counted == YIELD else "largest"
+    rows.append((words, *(fixed(math.degrees(value), 4) for value in largest), "deg"))
+    best, own = robust.monte_carlo_of_the_nominal_design, record.monte_carlo
+    if best is not None and own is not None and math.isfinite(record.limit):
+        limit = f"within {number(math.degrees(record.limit))} deg"
+        rows.append(("yield", percent(best.share), strong(percent(own.share)), quiet(limit)))
+        for end, name in enumerate(("at least", "at most")):
+            rows.append([quiet(text) for text in (name, *(percent(one.interval[end]) for one in (best, own)), SURE)])
+    proven = "its limits are proven; none with more yield was found" if counted == YIELD else "proven"
+    failed = ": ".join(filter(None, ("not proven", ", ".join(robust.failed_checks or ()))))
+    notes = [good(proven) if robust.valid else bad(failed)]
+    if robust.the_nominal_design_yields_more:
+        notes.append(bad("The best as drawn yields more within this limit: build that one, or search --robust yield."))
+    title = "Maximised: the yield" if counted == YIELD else f"Minimised: the largest error with {counted}"
+    return table(title, ["", ">best as drawn", ">robust", ""], rows, notes=notes)
+
+
+def _contributions(file: ProblemFile, record: ToleranceRecord) -> TableSpec:
+    at, rows = record.where, []
+    units = {_unit(file, part)[1] for part in record.tolerances}
+    for part in sorted(record.tolerances, key=lambda part: -part.contribution_percent[at]):
+        unit, shares = _unit(file, part), part.contribution_percent
+        per = f"{record.scale * part.per_deviation[at] / unit[0]:+.5f}"
+        cells = quiet(_distribution(part)), per, strong(f"{shares[at]:.1f} %"), f"{float(np.mean(shares)):.1f} %"
+        rows.append((part.name, _symmetric(part.tolerance_SI, unit), *cells))
+    change = f">change [{record.display_unit}\nper {' or '.join(sorted(units, reverse=True))}]"
+    columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all\nangles"]
+    return table(f"Variance contributions at the worst crank angle: {record.crank_angles_deg[at]:.4g} deg", columns, rows)
+
+
+def _scatter(record: ToleranceRecord) -> TableSpec:
+    linear, rows = record.linear, []
+    for name, column, sign in (
+        ("worst case", np.maximum(-linear.worst_low, linear.worst_high), "±"),
+        ("root of the sum of squares", linear.rss, "±"),
+        ("standard deviation", linear.sigma, ""),
+    ):
+        at = int(np.argmax(column))
+        rows.append((name, sign + number(record.scale * column[at], 5), quiet(f"at {record.crank_angles_deg[at]:.4g} deg")))
+    return table(f"Change of the output to first order [{record.display_unit}]", "<><", rows)
+
+
+def _sampled(record: ToleranceRecord, sampled: MonteCarloRecord) -> TableSpec:
+    scale, unit, at = record.scale, record.display_unit, record.where
+    sigma = f"{number(scale * sampled.sigma[at], 5)} ± {number(scale * 2.0 * sampled.sigma_standard_error[at], 2)}"
+    rows: list[Row] = [("standard deviation", sigma, quiet(f"{unit}, at {record.crank_angles_deg[at]:.4g} deg"))]
+    for name, value in sampled.stays_below.items():
+        shown = number(scale * value, 5) if math.isfinite(value) else "beyond the histogram"
+        rows.append((f"largest {judged_value(record)}: {name.removesuffix('_percent')} % below", shown, unit))
+    if sampled.cannot_be_assembled:
+        rows.append((bad("cannot be assembled"), f"{sampled.cannot_be_assembled:,}", ""))
+    if math.isfinite(sampled.share):
+        limit = f"yield, within {number(scale * record.limit)} {unit}"
+        rows.append((limit, strong(percent(sampled.share)), quiet(_between(sampled))))
+        rows.append(("yield by the linear model", percent(sampled.yield_by_the_linear_model), ""))
+    rows.append((quiet("time"), quiet(f"{sampled.seconds:.2f} s"), ""))
+    title = f"{sampled.samples:,} linkages with deviations drawn (Sobol, seed {sampled.seed}), moved exactly"
+    return table(title, "<><", rows)
+
+
+def _allocated(file: ProblemFile, record: ToleranceRecord, allocation: AllocationRecord) -> TableSpec:
+    rows, check = [], allocation.check
+    for part in record.tolerances:
+        if part.name not in allocation.tolerances_SI or part.name not in allocation.cost_coefficients:
+            raise Contradiction(f"allocation.tolerances_SI.{part.name}", "this is missing")
+        unit = _unit(file, part)
+        sizes = _symmetric(part.tolerance_SI, unit), strong(_symmetric(allocation.tolerances_SI[part.name], unit, 4))
+        remark = "has no effect" if part.name in allocation.without_effect else ""
+        rows.append((part.name, *sizes, number(allocation.cost_coefficients[part.name]), remark))
+    checked = f"checked by {check.samples:,} others: {percent(check.share)}, {_between(check)}"
+    share = number(allocation.cost / allocation.cost_of_those_given)
+    title = f"The loosest tolerances for a yield of {percent(allocation.wanted_yield)}: cost {share} of the given"
     columns = ["", ">given", ">allocated", ">cost coefficient", ""]
-    return table(title, columns, rows, notes=[good(checked) if found.kept else bad(checked)])
+    return table(title, columns, rows, notes=[good(checked) if allocation.kept else bad(checked)])

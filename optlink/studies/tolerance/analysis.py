@@ -45,6 +45,7 @@ class DeviationRecord(Record):
     per_deviation: Column
     contribution_percent: Column
     contribution_where_it_scatters_most_percent: float
+    measured_parts: int | None = absent()
 
 
 class LinearRecord(Record):
@@ -96,6 +97,7 @@ class ToleranceRecord(ResultRecord):
         tolerances = [
             DeviationRecord.of(
                 one,
+                measured_parts=len(one.values) or None,
                 per_deviation=by,
                 contribution_percent=100.0 * share,
                 contribution_where_it_scatters_most_percent=100.0 * share[at],
@@ -109,7 +111,8 @@ class ToleranceRecord(ResultRecord):
         if robust is not None:
             other = None if result.unrobust is None else MonteCarloRecord.of(result.unrobust)
             beside = {"monte_carlo_of_the_nominal_design": other, "the_nominal_design_yields_more": result.beaten}
-            values["robust"] = RobustRecord.of(robust, **beside)
+            failed = tuple(check.name for check in robust.result.validation.checks if not check.passed)
+            values["robust"] = RobustRecord.of(robust, failed_checks=failed or None, **beside)
         limit = math.nan if result.limit is None else result.limit
         return super().of(result, limit=limit, tolerances=tuple(tolerances), linear=linear, **values)
 

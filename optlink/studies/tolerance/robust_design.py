@@ -16,7 +16,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.robust import MOST, WORST
 from optlink.problem.tolerances import NORMAL
-from optlink.record import Record
+from optlink.record import Record, absent
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 from optlink.studies.tolerance.options import read_tolerances
 from optlink.tasks.function import FunctionResult, solve, validate
@@ -85,6 +85,7 @@ class RobustRecord(Record):
     largest_of_the_nominal_design_rad: Annotated[float, "before"]
     monte_carlo_of_the_nominal_design: MonteCarloRecord | None
     the_nominal_design_yields_more: bool
+    failed_checks: tuple[str, ...] | None = absent()
 
 
 def robust(
