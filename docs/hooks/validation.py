@@ -1,6 +1,7 @@
-"""Reference numbers beside those that optlink computes while the documentation is built; the build fails where they part.
+"""Tables of reference values and of the results that optlink computes while the documentation is built.
 
-Run as a script it prints the page. Numbers that need minutes are quoted on the page itself, with the test that checks them.
+The build fails if a result differs from its reference by more than its tolerance. As a script, the module prints the tables.
+The page itself quotes results that take minutes to compute, with the test that checks them.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Row:
-    """A figure: its reference value, ours, how far they may be apart, and the test (file::function) that holds them together."""
+    """A figure: reference value, value of optlink, absolute tolerance, and the test (file::function) that compares them."""
 
     what: str
     unit: str
@@ -45,12 +46,12 @@ class Row:
 
     @property
     def off(self) -> float:
-        """Difference to the reference, relative where that is not zero."""
+        """Difference from the reference: relative, or absolute if the reference is zero."""
         return self.found - self.wanted if self.wanted == 0.0 else self.found / self.wanted - 1.0
 
     @property
     def holds(self) -> bool:
-        """Whether both agree."""
+        """Whether the difference is within the tolerance."""
         return abs(self.found - self.wanted) <= self.near
 
 
@@ -65,7 +66,7 @@ class Group:
 
 
 def literal(file: str, name: str) -> Any:
-    """A constant of a test module, so that a table of reference values stands in one place."""
+    """Return a constant of a test module, so that every table of reference values is defined once."""
     for node in ast.parse((ROOT / file).read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and node.targets[0].id == name:
             return ast.literal_eval(node.value)
@@ -73,7 +74,7 @@ def literal(file: str, name: str) -> Any:
 
 
 def columns(file: str) -> dict[str, Array]:
-    """The columns of a table of reference values."""
+    """Return the columns of a table of reference values."""
     with (ROOT / "tests" / "data" / file).open(encoding="utf-8", newline="") as stream:
         head, *rows = csv.reader(stream)
     return dict(zip(head, np.array(rows, dtype=float).T, strict=True))
@@ -83,7 +84,7 @@ def columns(file: str) -> dict[str, Array]:
 
 
 def crank_rocker() -> Iterator[Row]:
-    """Optima, the printed design, more points, and how the output answers to the sizes."""
+    """Yield the figures of the optima, the published design, other numbers of points, and the sensitivity of the output angle."""
     problem = optlink.load("crank-rocker")
     test = f"{CRANK_ROCKER}::test_both_back_ends_reach_the_reference_and_agree"
     solved = optlink.solve(problem, "both")
@@ -93,18 +94,18 @@ def crank_rocker() -> Iterator[Row]:
     test = f"{CRANK_ROCKER}::test_source_s_rounding_of_the_square_root_of_two"
     changes = {"limits.transmission_angle": None, "limits.transmission_cosine": [-0.707, 0.707]}
     rounded = optlink.solve(problem.override(changes), "both")
-    yield Row("coupler, 1.414 for the root of 2", "mm", 412.88606, rounded.design["coupler"] * 1e3, 1e-3, test)
-    yield Row("rocker, 1.414 for the root of 2", "mm", 232.24298, rounded.design["rocker"] * 1e3, 1e-3, test)
-    yield Row("sum of squares, 1.414 for the root of 2", "rad^2", 0.00759364, rounded.objective, 1e-8, test)
+    yield Row("coupler, with sqrt(2) rounded to 1.414", "mm", 412.88606, rounded.design["coupler"] * 1e3, 1e-3, test)
+    yield Row("rocker, with sqrt(2) rounded to 1.414", "mm", 232.24298, rounded.design["rocker"] * 1e3, 1e-3, test)
+    yield Row("sum of squares, with sqrt(2) rounded to 1.414", "rad^2", 0.00759364, rounded.objective, 1e-8, test)
     test = f"{CRANK_ROCKER}::test_printed_optimum_violates_its_own_limit"
     printed = optlink.validate(problem, {"coupler": 0.41226, "rocker": 0.2322417})
     angle = next(check.value for check in printed.validation.checks if check.name == "largest transmission angle")
-    yield Row("largest transmission angle of the printed design", "deg", 135.298, angle, 5e-4, test)
-    yield Row("sum of squares of the printed design", "rad^2", 0.0075491, printed.objective, 5e-8, test)
+    yield Row("largest transmission angle of the published design", "deg", 135.298, angle, 5e-4, test)
+    yield Row("sum of squares of the published design", "rad^2", 0.0075491, printed.objective, 5e-8, test)
     test = f"{CRANK_ROCKER}::test_more_points"
     for points, objective, coupler in ((50, 0.01202913, 412.31429), (60, 0.01424872, 412.17469), (90, 0.02090930, 411.94041)):
         more = optlink.solve(problem.override({"requirement.points": points}), "both")
-        yield Row(f"sum of squares of {points} points", "rad^2", objective, more.objective, 1e-8, test)
+        yield Row(f"sum of squares for {points} points", "rad^2", objective, more.objective, 1e-8, test)
         yield Row(f"coupler for {points} points", "mm", coupler, more.design["coupler"] * 1e3, 1e-3, test)
     fewer = optlink.solve(problem.override({"requirement.span": "87 deg", "requirement.points": 29}), "both")
     test = "tests/test_docs.py::test_figures_agree"
@@ -113,7 +114,7 @@ def crank_rocker() -> Iterator[Row]:
 
 
 def output_angles(problem: optlink.ProblemFile) -> Iterator[Row]:
-    """Angle of the rocker, and its derivatives by the four lengths, at four crank angles."""
+    """Yield the rocker angle and its derivatives with respect to the four lengths at four crank angles."""
     sizes = {"crank": 1.0, "coupler": 4.12865417, "rocker": 2.3224617, "frame": 5.0}
     table = np.array(literal(CRANK_ROCKER, "SENSITIVITIES"))
     found = output_sensitivity(problem.model.linkage, sizes, np.radians(table[:, 0]), "rocker")
@@ -129,19 +130,19 @@ def output_angles(problem: optlink.ProblemFile) -> Iterator[Row]:
 
 @functools.cache
 def cycle(name: str, speed: float | None = None) -> optlink.Analysis:
-    """The analysis of a machine each 15 degrees."""
+    """Return the analysis of a machine in steps of 15 degrees."""
     return optlink.analyze(optlink.load(name), step=math.radians(15.0), speed=speed)
 
 
 def table_rows(found: optlink.Analysis, file: str, names: dict[str, tuple[int, str]], test: str) -> Iterator[Row]:
-    """Of each column of a table the largest value, and there our own; the whole column decides."""
+    """Yield a row per column of a table: the position with the largest difference."""
     for name, wanted in columns(file).items():
         sign, ours = names[name]
         values = sign * found[ours]
         scale = float(np.max(np.abs(wanted))) or 1.0
         worst = int(np.argmax(np.abs(values - wanted)))
         row = Row(
-            f"{name}: `{ours}`, {len(wanted)} rows, where it parts most",
+            f"{name}: `{ours}`, {len(wanted)} rows, position of the largest difference",
             _unit(ours),
             wanted[worst],
             values[worst],
@@ -199,7 +200,7 @@ SIX_BAR_FIGURES = {
 
 
 def six_bar() -> Iterator[Row]:
-    """Everything at 62 degrees, extremes, works, and every column of the table."""
+    """Yield all columns at 62 degrees, extremes, work, and every column of the table."""
     found = cycle("six-bar")
     for name, wanted in AT_62.items():
         near = 1e-9 * max(1.0, float(np.max(np.abs(found[name]))))
@@ -210,14 +211,14 @@ def six_bar() -> Iterator[Row]:
     test = f"{SIX_BAR}::test_where_the_extremes_are_met"
     torque, work = found.extremes["input.torque_Nm"], found.extremes["input.work_J"]
     for what, wanted, at in (
-        ("largest torque, where", 67.0206, torque.largest_at),
-        ("least torque, where", 356.3080, torque.least_at),
-        ("largest work, where", 156.2980, work.largest_at),
-        ("least work, where", 28.849, work.least_at),
+        ("crank angle of the largest torque", 67.0206, torque.largest_at),
+        ("crank angle of the least torque", 356.3080, torque.least_at),
+        ("crank angle of the largest work", 156.2980, work.largest_at),
+        ("crank angle of the least work", 28.849, work.least_at),
     ):
         yield Row(what, "deg", wanted, math.degrees(at) % 360.0, 1e-3, test)
     test = f"{SIX_BAR}::test_least_work_against_the_sampled_one"
-    yield Row("least work since the start; the reference is the least of samples", "J", -101.926927, work.least, 2.6e-4, test)
+    yield Row("least work since the start (reference: least of the samples)", "J", -101.926927, work.least, 2.6e-4, test)
     yield Row(
         "work per revolution", "J", 0.0, found.work, 1e-10, f"{SIX_BAR}::test_a_constant_force_does_no_work_in_a_revolution"
     )
@@ -246,22 +247,22 @@ AT_0 = {
 
 
 def shaper() -> Iterator[Row]:
-    """Limits, stroke, everything at 0 degrees, extremes, work, and every column of both tables."""
+    """Yield limit positions, stroke, all columns at 0 degrees, extremes, work, and every column of both tables."""
     speeds = {"1 rad/s": (1.0, "shaper_1rad_15deg.csv"), "64 rpm": (64.0 * RPM, "shaper_64rpm_15deg.csv")}
     found = {name: cycle("shaper", speed) for name, (speed, _) in speeds.items()}
     slow = found["1 rad/s"]
     ram, rocker = slow.strokes["ram"], slow.swings["rocker"]
     test = f"{SHAPER}::test_limits_by_hand"
-    yield Row("limit of the ram", "mm", 128.316712718, ram.high * 1e3, 1e-8, test)
-    yield Row("limit of the ram", "mm", -417.137832736, ram.low * 1e3, 1e-8, test)
+    yield Row("limit position of the ram", "mm", 128.316712718, ram.high * 1e3, 1e-8, test)
+    yield Row("limit position of the ram", "mm", -417.137832736, ram.low * 1e3, 1e-8, test)
     yield Row("stroke", "mm", 545.454545454545, ram.span * 1e3, 1e-9, test)
-    yield Row("limit of the rocker", "deg", 62.96430821, math.degrees(rocker.low), 1e-7, test)
-    yield Row("limit of the rocker", "deg", 117.0356918, math.degrees(rocker.high), 1e-6, test)
+    yield Row("limit position of the rocker", "deg", 62.96430821, math.degrees(rocker.low), 1e-7, test)
+    yield Row("limit position of the rocker", "deg", 117.0356918, math.degrees(rocker.high), 1e-6, test)
     yield Row("time ratio", "", 1.85876244996, float(ram.time_ratio or math.nan), 1e-10, f"{SHAPER}::test_time_ratio_by_hand")
     test = f"{SHAPER}::test_source_limits_and_stroke"
     yield Row("stroke, printed (ADAMS)", "mm", 545.4, ram.span * 1e3, 0.1, test)
-    yield Row("limit of the ram, printed (ADAMS)", "mm", 128.1, ram.high * 1e3, 0.25, test)
-    yield Row("limit of the ram, printed (ADAMS)", "mm", -417.3, ram.low * 1e3, 0.25, test)
+    yield Row("limit position of the ram, printed (ADAMS)", "mm", 128.1, ram.high * 1e3, 0.25, test)
+    yield Row("limit position of the ram, printed (ADAMS)", "mm", -417.3, ram.low * 1e3, 0.25, test)
     for name, wanted in AT_0.items():
         near = 1e-8 * max(1.0, abs(wanted))
         yield Row(
@@ -274,8 +275,8 @@ def shaper() -> Iterator[Row]:
             yield Row(f"`{name}`, {case}", unit, wanted, ours, 1e-6 * abs(wanted), f"{SHAPER}::test_extremes")
     torque = slow.extremes["input.torque_Nm"]
     test = f"{SHAPER}::test_where_the_torque_is_extreme"
-    yield Row("largest torque, where, 1 rad/s", "deg", 96.8944, math.degrees(torque.largest_at), 1e-3, test)
-    yield Row("least torque, where, 1 rad/s", "deg", 288.463, math.degrees(torque.least_at), 1e-3, test)
+    yield Row("crank angle of the largest torque, 1 rad/s", "deg", 96.8944, math.degrees(torque.largest_at), 1e-3, test)
+    yield Row("crank angle of the least torque, 1 rad/s", "deg", 288.463, math.degrees(torque.least_at), 1e-3, test)
     for case, analysis in found.items():
         test = f"{SHAPER}::test_work_per_revolution_is_that_of_the_cut"
         yield Row(f"work per revolution, {case}", "J", 3207.27272727, analysis.work, 1e-7, test)
@@ -288,7 +289,7 @@ def shaper() -> Iterator[Row]:
 
 
 def under_a_torque() -> Iterator[Row]:
-    """The slider-crank that a constant torque drives from rest."""
+    """Yield angle and speed of the slider-crank that a constant torque drives from rest."""
     found = optlink.simulate(optlink.load("slider-crank"), rows=2)
     test = "tests/dynamics/test_forward.py::test_slider_crank_under_a_torque_reaches_the_reference"
     yield Row("crank angle after 2 s", "rad", 55.0724438, found.figures["end.crank_angle_rad"], 1e-7, test)
@@ -296,21 +297,21 @@ def under_a_torque() -> Iterator[Row]:
 
 
 def first_impacts() -> Iterator[Row]:
-    """First contact after a start with the journal centred, without friction, at four speeds."""
+    """Yield the first contact after a start with centred journal, without friction, at four speeds."""
     test = f"{CLEARANCE}::test_first_impact_to_the_digits_that_were_noted"
     problem = optlink.load("slider-crank-clearance", {"joints.C.friction": 0.0})
     for rpm, wanted in literal(CLEARANCE, "IMPACTS").items():
         run = optlink.simulate_clearance(problem, 1, 72, rpm * RPM, tolerance=1e-12, twin=False)
         one = run.impacts[0]
         found = (one.begin, math.degrees(one.crank_angle), one.approach, one.penetration, one.end, one.departure)
-        names = ("begins", "crank angle", "approach", "penetration", "ends", "departure")
+        names = ("start", "crank angle", "approach velocity", "largest penetration", "end", "separation velocity")
         units = ("s", "deg", "m/s", "m", "s", "m/s")
         for what, unit, number, ours in zip(names, units, wanted, found, strict=True):
             yield Row(f"first contact at {rpm} rpm: {what}", unit, number, ours, 3e-9 * number, test)
 
 
 def deviations() -> Iterator[Row]:
-    """Root mean square of the slider's deviation with friction, over revolutions 6 to 25, and a revolution in full."""
+    """Yield the rms deviation of the slider with friction over revolutions 6 to 25, and all columns of revolution 11."""
     problem = optlink.load("slider-crank-clearance", {"joints.C.friction": 0.1})
     names = literal(CLEARANCE, "COLUMNS")
     for rpm, wanted in literal(CLEARANCE, "RMS").items():
@@ -323,7 +324,7 @@ def deviations() -> Iterator[Row]:
             values = run[ours][rows]
             worst = int(np.argmax(np.abs(values - table[name])))
             yield Row(
-                f"revolution 11 at {rpm} rpm: `{ours}`, 73 rows, where it parts most",
+                f"revolution 11 at {rpm} rpm: `{ours}`, 73 rows, position of the largest difference",
                 _unit(ours),
                 table[name][worst],
                 values[worst],
@@ -336,7 +337,7 @@ def deviations() -> Iterator[Row]:
 
 
 def balance() -> Iterator[Row]:
-    """Berkof and Lowen's four-bar: as it is, with one counterweight, with two."""
+    """Yield the figures of Berkof and Lowen's four-bar without counterweights, with one, and with two."""
     problem = optlink.load("balance-four-bar")
     both = optlink.balance(problem)
     given = {str(row.measure): row.before for row in both.rows}
@@ -350,21 +351,21 @@ def balance() -> Iterator[Row]:
     (disc,) = alone.added
     test = f"{BALANCE}::test_one_counterweight_on_the_crank"
     yield Row("rms shaking force, one counterweight", "N", 0.007391318, alone.objective, 7.4e-9, test)
-    yield Row("share of the unbalanced force", "", 0.670225, alone.objective / alone.before, 7e-7, test)
-    yield Row("added m r along the crank", "kg m", -0.0080645, disc.parameters.along, 8.1e-9, test)
-    yield Row("added m r across the crank", "kg m", 0.00139695, disc.parameters.across, 5e-9, test)
+    yield Row("ratio to the unbalanced force, one counterweight", "", 0.670225, alone.objective / alone.before, 7e-7, test)
+    yield Row("added mass-radius product along the crank", "kg m", -0.0080645, disc.parameters.along, 8.1e-9, test)
+    yield Row("added mass-radius product across the crank", "kg m", 0.00139695, disc.parameters.across, 5e-9, test)
     test = f"{BALANCE}::test_complete_balance"
     added = {part.body: part.parameters for part in both.added}
     yield Row("rms shaking force, two counterweights", "N", 0.0, both.objective, 1e-10 * both.before, test)
-    yield Row("added m r along the crank", "kg m", -0.00516128, added["crank"].along, 5.2e-12, test)
-    yield Row("added m r along the rocker", "kg m", -0.00870966, added["rocker"].along, 8.8e-12, test)
+    yield Row("added mass-radius product along the crank", "kg m", -0.00516128, added["crank"].along, 5.2e-12, test)
+    yield Row("added mass-radius product along the rocker", "kg m", -0.00870966, added["rocker"].along, 8.8e-12, test)
 
 
-# --- synthesis, and what every shipped machine states --------------------------------------------------------------------
+# --- synthesis, and expected figures of the shipped machines --------------------------------------------------------------
 
 
 def synthesis() -> Iterator[Row]:
-    """What the shipped cases that take a moment find, beside the best known."""
+    """Yield results of the shipped problems that are solved in seconds, with the best known values."""
     test = f"{PROBLEMS}::test_best_known_objective_is_reached_or_beaten"
     arc = optlink.solve(optlink.load("path-arc5"))
     yield Row("`path-arc5`, sum of squares", "mm^2", 7.4158e-7, arc.objective * 1e6, 1e-11, test)
@@ -383,7 +384,7 @@ def synthesis() -> Iterator[Row]:
 
 
 def machines() -> Iterator[Row]:
-    """Figures that the shipped machines state in `[expected]`, from closed forms and independent equations."""
+    """Yield the figures in `[expected]` of the shipped machines, from closed forms and independent equations."""
     test = f"{PROBLEMS}::test_expected_figures_are_reached"
     for name in optlink.shipped():
         problem = optlink.load(name)
@@ -400,66 +401,63 @@ GROUPS = (
     Group(
         "Crank-rocker for a motion law",
         "crank-rocker",
-        "A textbook case; values from SciPy's SLSQP with exact derivatives, IPOPT, Octave's `sqp` and a grid; angles and "
-        "derivatives "
-        "from the closed form. [The system](crank-rocker.md)",
+        "Textbook case. Reference values: SciPy SLSQP with exact derivatives, IPOPT, Octave `sqp` and a grid; angles and "
+        "derivatives in closed form. [Description](crank-rocker.md)",
         crank_rocker,
     ),
     Group(
         "Six-bar",
         "six-bar",
-        "A Simulink tutorial; values from Newton's and Euler's equations in 40 digits, virtual power (apart by 5e-41) and an "
-        "independent multibody code (2.4e-6). [The system](six-bar.md)",
+        "Machine of a Simulink tutorial. Reference values: Newton-Euler equations with 40 digits, confirmed by virtual power "
+        "(difference 5e-41) and by an independent multibody code (2.4e-6). [Description](six-bar.md)",
         six_bar,
     ),
     Group(
         "Shaper",
         "shaper",
-        "A journal paper with an ADAMS model; limits, stroke and time ratio by hand, the rest from Newton's and Euler's "
-        "equations "
-        "in 40 digits. [The system](shaper.md)",
+        "Machine of a journal paper with an ADAMS model. Reference values: limit positions, stroke and time ratio in closed "
+        "form, the others by Newton-Euler equations with 40 digits. [Description](shaper.md)",
         shaper,
     ),
     Group(
-        "Slider-crank under a torque",
+        "Slider-crank under a constant torque",
         "torque",
-        "Crank 0.1 m, rod 0.3 m, uniform bars of 0.2 kg, slider 0.4 kg, 0.1 N m from rest; an independent integration.",
+        "Crank 0.1 m, rod 0.3 m, uniform bars of 0.2 kg, slider 0.4 kg; 0.1 N m from rest. Reference values: an independent "
+        "integration.",
         under_a_torque,
     ),
     Group(
         "Slider-crank with clearance: first contacts",
         "impacts",
-        "Two integrators (apart by 1e-13 in time, 1.5e-11 in penetration) and an independent multibody code (5e-7, 2.6e-5); no "
-        "friction. [The system](slider-crank.md)",
+        "No friction. Reference values: two integrators (difference 1e-13 in time, 1.5e-11 in penetration), confirmed by an "
+        "independent multibody code (5e-7 and 2.6e-5). [Description](slider-crank.md)",
         first_impacts,
     ),
     Group(
         "Slider-crank with clearance: periodic motion",
         "deviations",
-        "The same integrators, coefficient of friction 0.1. [The system](slider-crank.md)",
+        "Friction coefficient 0.1. Reference values: the same integrators. [Description](slider-crank.md)",
         deviations,
     ),
     Group(
         "Balancing",
         "balancing",
-        "R. S. Berkof, G. G. Lowen, J. Eng. Ind. 91(1), 1969, 21-26; values computed in complex numbers. "
-        "[Balancing](balancing.md)",
+        "Four-bar of R. S. Berkof, G. G. Lowen, J. Eng. Ind. 91(1), 1969, 21-26. Reference values: computed in complex "
+        "numbers. [Balancing](balancing.md)",
         balance,
     ),
     Group(
         "Path, function and transmission",
         "synthesis",
-        "Large multi-starts from outside optlink; an independent design tool for the transmission. The least of an error "
-        "is not a "
-        "matter of digits here: of functions optlink finds a little less than was known. [Synthesis](synthesis.md)",
+        "Reference values: large multistart searches outside optlink, and an independent design tool for the transmission. "
+        "The errors of the functions are slightly smaller than the references. [Synthesis](synthesis.md)",
         synthesis,
     ),
     Group(
-        "Other machines that are shipped",
+        "Other shipped machines",
         "machines",
-        "Closed-form loops, virtual power, the law of cosines, Newton's and Euler's equations; each problem file says "
-        "which. All in "
-        "SI units.",
+        "Reference values: closed-form loops, virtual power, the law of cosines and Newton-Euler equations; each problem file "
+        "names its own. SI units.",
         machines,
     ),
 )
@@ -469,12 +467,12 @@ GROUPS = (
 
 
 def page() -> str:
-    """All tables as Markdown.
+    """Return all tables as Markdown.
 
     Raises
     ------
     ValueError
-        where a figure is further from its reference than its test allows.
+        if a figure differs from its reference by more than its tolerance.
     """
     parts, count = [], 0
     for group in GROUPS:
@@ -484,12 +482,12 @@ def page() -> str:
             raise ValueError(f"{group.title}: {wrong[0].what} is {wrong[0].found!r}, the reference says {wrong[0].wanted!r}")
         count += len(rows)
         parts.append(_section(group, rows))
-    return f"{count} figures were compared while this page was made.\n\n" + "\n\n".join(parts)
+    return f"This build compared {count} figures.\n\n" + "\n\n".join(parts)
 
 
 def _section(group: Group, rows: list[Row]) -> str:
     lines = [f"## {group.title} {{ #{group.anchor} }}", "", group.source, ""]
-    lines += ["| figure | reference | optlink | off by | test |", "|---|---|---|---|---|"]
+    lines += ["| figure | reference | optlink | difference | test |", "|---|---|---|---|---|"]
     for row in rows:
         wanted, found = _number(row.wanted), _number(row.found, _digits(row.wanted))
         unit = f" {row.unit}" if row.unit and row.unit != "SI" else ""
@@ -502,12 +500,12 @@ def _number(value: float, digits: int = 15) -> str:
 
 
 def _digits(value: float) -> int:
-    """Significant digits that a number was written with."""
+    """Return the number of significant digits of a number as it is written."""
     return max(4, len(repr(float(f"{value:.15g}")).partition("e")[0].lstrip("-0.").replace(".", "")))
 
 
 def _off(row: Row) -> str:
-    """How far it is off, to one digit, in one piece."""
+    """Return the difference with one digit, without a line break."""
     share, _, power = f"{abs(row.off):.0e}".partition("e")
     return f'<span style="white-space: nowrap">{share}e{int(power)}</span>' if row.off else "0"
 
@@ -518,7 +516,7 @@ def _link(test: str) -> str:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """MkDocs: put the tables where a page asks for them."""
+    """MkDocs hook: replace the marker of a page by the tables."""
     return markdown.replace(MARKER, page()) if MARKER in markdown else markdown
 
 
