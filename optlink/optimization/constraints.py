@@ -25,7 +25,6 @@ from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.limits import Alignment, Reach, stated
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import PathProblem
-from optlink.problem.quantity import Interval
 
 
 @dataclass(frozen=True)
@@ -169,11 +168,11 @@ def transmission_sides(problem: AnyProblem) -> Iterator[tuple[str, float, float,
     most = math.cos(limits.alignment.value)
     key, low, high = "limits.transmission_angle", -math.inf, math.inf
     if limits.transmission_angle is not None:
-        low = -math.inf if limits.transmission_angle.high is None else math.cos(limits.transmission_angle.high)
-        high = math.inf if limits.transmission_angle.low is None else math.cos(limits.transmission_angle.low)
+        least, most_angle = limits.transmission_angle.low, limits.transmission_angle.high
+        low, high = -math.inf if most_angle is None else math.cos(most_angle), math.inf if least is None else math.cos(least)
     elif limits.transmission_cosine is not None:
         key = "limits.transmission_cosine"
-        low, high = _within(limits.transmission_cosine)
+        low, high = limits.transmission_cosine.bounds
     own = low if low >= -most - SAME else -math.inf, high if high <= most + SAME else math.inf
     if own != (-math.inf, math.inf):
         yield key, *own, problem.transmission_over
@@ -214,15 +213,6 @@ def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
             yield ConstraintRow(key, label, transmission_cosine(*lengths, np.cos(phi)), low, high, COSINE)
 
 
-def _within(interval: Interval | None) -> tuple[float, float]:
-    if interval is None:
-        return -math.inf, math.inf
-    return (
-        -math.inf if interval.low is None else interval.low,
-        math.inf if interval.high is None else interval.high,
-    )
-
-
 def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the limits of `optlink.problem.limits` that the file states.
 
@@ -237,7 +227,7 @@ def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, s
         Reference length of the rows.
     """
     for term, interval in stated(problem.limits):
-        low, high = _within(interval)
+        low, high = interval.bounds
         for label, value in term.values(problem, values, reach, interval):
             if interval.kind == "length":
                 yield ConstraintRow(term.key, label, value / size, low / size, high / size, Scale("mm", 1e3 * size))
@@ -266,7 +256,7 @@ def pivot_region_rows(problem: AnyProblem, values: Mapping[str, Value], reach: R
         for axis, coordinate in zip("xy", pose.fixed(place), strict=True):
             interval = getattr(region, axis)
             if interval is not None:
-                low, high = _within(interval)
+                low, high = interval.bounds
                 yield ConstraintRow(
                     "limits.pivots", f"{name}.{axis}", coordinate / size, low / size, high / size, Scale("mm", 1e3 * size)
                 )

@@ -95,6 +95,15 @@ class Limits(Margins):
     link_ratio: NumberInterval | None = None
     """Each moving link over the frame; of a four-bar."""
 
+    @property
+    def transmission(self) -> tuple[float | None, float | None]:
+        """Least and largest transmission angle [rad] that the file states, as an angle or as a cosine."""
+        if self.transmission_cosine is not None:
+            low, high = self.transmission_cosine.low, self.transmission_cosine.high
+            return None if high is None else math.acos(high), None if low is None else math.acos(low)
+        angle = self.transmission_angle
+        return (None, None) if angle is None else (angle.low, angle.high)
+
 
 def check_limits(limits: Limits) -> None:
     """Refuse limits outside the physically possible range, and those that contradict the crank condition.

@@ -115,6 +115,11 @@ class Interval:
     kind: str | None
     unit: str
 
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Lower and upper bound [SI], infinite for an open side."""
+        return -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
+
     def __str__(self) -> str:
         low, high = (None if bound is None else self.to_display(bound) for bound in (self.low, self.high))
         if low is None or high is None:

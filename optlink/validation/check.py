@@ -133,3 +133,22 @@ def registered_checks(moved: Moved, limits: Limits, size: float) -> Iterator[Che
         }.get(str(interval.kind), (RATIO_TOLERANCE, 1.0, ""))
         for name, value in term.measure(moved, interval):
             yield from limit_checks(name, value * factor, interval, tolerance, factor, unit)
+
+
+def transmission_checks(least: float, largest: float, limits: Limits, where: str = "") -> Iterator[Check]:
+    """Yield the checks of the extreme transmission angles.
+
+    Parameters
+    ----------
+    least, largest : float [deg]
+    limits : Limits
+    where : str
+        Joint, if there are several.
+    """
+    low, high = (None if bound is None else math.degrees(bound) for bound in limits.transmission)
+    if low is not None:
+        yield Check(f"smallest transmission angle{where}", bool(least >= low - ANGLE_TOLERANCE), least, f">= {low:.6g}", "deg")
+    if high is not None:
+        yield Check(
+            f"largest transmission angle{where}", bool(largest <= high + ANGLE_TOLERANCE), largest, f"<= {high:.6g}", "deg"
+        )

@@ -20,16 +20,15 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import Vector, cross, dot, minus, unit
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
-from optlink.problem.quantity import Interval
 from optlink.problem.robust import EXPECTED, WORST
 from optlink.validation.check import (
-    ANGLE_TOLERANCE,
     POSITIONS,
     Check,
     Validation,
     bound,
     link_lengths,
     registered_checks,
+    transmission_checks,
 )
 from optlink.validation.margins import alignment_checks, at_least, grashof_check
 
@@ -295,20 +294,10 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
 def _transmission(tested: _Tested) -> Iterator[Check]:
     """Check the extremes of the transmission angle, by sweep and refinement."""
     limits = tested.problem.limits
-    interval = limits.transmission_angle
-    if limits.transmission_cosine is not None:
-        low, high = limits.transmission_cosine.low, limits.transmission_cosine.high
-        interval = Interval(None if high is None else math.acos(high), None if low is None else math.acos(low), "angle", "deg")
-    if interval is None:
-        return
-    motion = tested.revolution if tested.problem.transmission_over == "revolution" else tested.span
-    least, largest = (math.degrees(x) for x in tested.transmission_extremes(motion))
-    if interval.low is not None:
-        bound = math.degrees(interval.low)
-        yield Check("smallest transmission angle", bool(least >= bound - ANGLE_TOLERANCE), least, f">= {bound:.6g}", "deg")
-    if interval.high is not None:
-        bound = math.degrees(interval.high)
-        yield Check("largest transmission angle", bool(largest <= bound + ANGLE_TOLERANCE), largest, f"<= {bound:.6g}", "deg")
+    if limits.transmission != (None, None):
+        motion = tested.revolution if tested.problem.transmission_over == "revolution" else tested.span
+        least, largest = tested.transmission_extremes(motion)
+        yield from transmission_checks(math.degrees(least), math.degrees(largest), limits)
 
 
 def _requirement(tested: _Tested) -> Iterator[Check]:

@@ -17,7 +17,6 @@ from optlink.linkage.stroke import travels
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import MARK, STEP, TURN, ZERO, PathProblem
 from optlink.validation.check import (
-    ANGLE_TOLERANCE,
     POSITIONS,
     Check,
     Validation,
@@ -26,6 +25,7 @@ from optlink.validation.check import (
     link_lengths,
     nan_last,
     registered_checks,
+    transmission_checks,
 )
 from optlink.validation.margins import alignment_checks, grashof_check
 
@@ -277,15 +277,7 @@ def _points(tested: _Tested) -> Iterator[Check]:
 def _transmission(tested: _Tested) -> Iterator[Check]:
     """Check the extremes of the transmission angle of every group of two links, by sweep and refinement."""
     limits = tested.problem.limits
-    low, high = (
-        (None, None) if limits.transmission_angle is None else (limits.transmission_angle.low, limits.transmission_angle.high)
-    )
-    if limits.transmission_cosine is not None:
-        low, high = (
-            None if side is None else math.acos(side)
-            for side in (limits.transmission_cosine.high, limits.transmission_cosine.low)
-        )
-    if low is None and high is None:
+    if limits.transmission == (None, None):
         return
     groups = [group for group in tested.mechanism.groups if isinstance(group, RRR)]
 
@@ -299,14 +291,7 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
     extreme = np.degrees(extremes(angles, grid)[1])
     for group, (least, largest) in zip(groups, extreme, strict=True):
         where = "" if len(groups) == 1 else f" at {group.joint}"
-        if low is not None:
-            at_least = math.degrees(low)
-            passed = bool(least >= at_least - ANGLE_TOLERANCE)
-            yield Check(f"smallest transmission angle{where}", passed, float(least), f">= {at_least:.6g}", "deg")
-        if high is not None:
-            at_most = math.degrees(high)
-            passed = bool(largest <= at_most + ANGLE_TOLERANCE)
-            yield Check(f"largest transmission angle{where}", passed, float(largest), f"<= {at_most:.6g}", "deg")
+        yield from transmission_checks(float(least), float(largest), limits, where)
 
 
 def _registered(tested: _Tested) -> Iterator[Check]:

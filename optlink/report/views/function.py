@@ -185,14 +185,7 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
 
 def transmission_limits(result: FunctionResult) -> list[tuple[float, bool]]:
     """Return the limits of the transmission angle [deg], each with whether it is the lower one."""
-    limits = result.problem.spec.limits
-    if limits.transmission_angle is not None:
-        both = (limits.transmission_angle.low, limits.transmission_angle.high)
-    elif limits.transmission_cosine is not None:
-        low, high = limits.transmission_cosine.low, limits.transmission_cosine.high
-        both = (None if high is None else math.acos(high), None if low is None else math.acos(low))
-    else:
-        return []
+    both = result.problem.spec.limits.transmission
     return [(math.degrees(bound), k == 0) for k, bound in enumerate(both) if bound is not None]
 
 
