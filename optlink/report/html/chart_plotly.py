@@ -1,11 +1,11 @@
-"""Charts of the HTML page: `ChartSpec` as a plotly figure; building blocks for charts that are not described so yet."""
+"""Charts of the HTML page: `ChartSpec` as a plotly figure."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.io import finite
-from optlink.report import chart_spec
-from optlink.report.chart_spec import CRANK_ANGLE, Band, Bars, ChartSpec, Curve, HeatMap, Mark
-from optlink.report.style import LIMIT, WANTED
+from optlink.report.chart_spec import Axis, Band, Bars, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
+from optlink.report.style import WANTED
 
 Array = NDArray[np.float64]
 Trace = dict[str, Any]
@@ -35,21 +34,24 @@ SYMBOLS = {
     "triangle": "triangle-up",
     "dash": "line-ew-open",
 }
-
-
-@dataclass(frozen=True)
-class Picks:
-    """Selectable points of a chart: quantities of each as text under common names, and their positions.
-
-    `what` names one point; `first` is the point shown at the beginning.
-    """
-
-    what: str
-    names: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    x: list[float | None]
-    y: list[float | None]
-    first: int = 0
+LAYOUT = {
+    "margin": {"l": 70, "r": 20, "t": 34, "b": 50},
+    "font": {"family": FONT, "size": 12, "color": "#22262b"},
+    "paper_bgcolor": "#ffffff",
+    "plot_bgcolor": "#ffffff",
+    "hovermode": "x unified",
+    "showlegend": True,
+}
+LEGEND = {"orientation": "h", "x": 0.0, "xanchor": "left", "yanchor": "bottom"}
+AXIS = {
+    "gridcolor": "#e7e9ec",
+    "zerolinecolor": "#b9bec5",
+    "linecolor": "#8a9099",
+    "ticks": "outside",
+    "tickcolor": "#8a9099",
+    "automargin": True,
+}
+GAP = 0.07  # distance of panels as a share of the height
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,139 +68,89 @@ class Chart:
     remark: str = ""
 
 
-@dataclass(frozen=True)
-class Panel:
-    """Curves over a common x axis with the name of their y axis; `share` is the relative height."""
-
-    name: str
-    traces: Sequence[Trace]
-    share: float = 1.0
+def charts(specs: Iterable[ChartSpec]) -> list[Chart]:
+    """Return the charts of a page; those that are pictures only are left out."""
+    return [chart(spec) for spec in specs if spec.page]
 
 
-def line(x: Array, y: Array, name: str, colour: str, *, width: float = 2.0, dash: str = "solid", mode: str = "lines") -> Trace:
-    """Return a curve or markers, with gaps at NaN.
+def chart(spec: ChartSpec) -> Chart:
+    """Return a chart of the page."""
+    kinds = {type(trace) for panel in spec.panels for trace in panel.traces}
+    total = sum(panel.height for panel in spec.panels)
+    unit = (1.0 - GAP * (len(spec.panels) - 1)) / total
+    layout: dict[str, Any] = LAYOUT | {"height": 480 if spec.equal or HeatMap in kinds else int(110 + 200 * total)}
+    if spec.equal or spec.picks is not None or not _lined(spec):
+        layout["hovermode"] = "closest"
+    if HeatMap in kinds:
+        layout["plot_bgcolor"] = "#eceef1"
+    if Bars in kinds:
+        layout |= {"barmode": "overlay", "bargap": 0.0}
+    layout |= {"shapes": _across(spec), "annotations": []}
+    data, top, key = [], 1.0, ""
+    for number, panel in enumerate(spec.panels, 1):
+        key = "" if number == 1 else str(number)
+        bottom = max(0.0, top - unit * panel.height)
+        layout[f"yaxis{key}"] = _axis(panel.y) | {"domain": [bottom, top]}
+        if spec.equal:
+            layout[f"yaxis{key}"] |= {"scaleanchor": "x", "constrain": "domain"}
+        layout[f"legend{key}"] = LEGEND | {"y": top + 0.01} | ({"bgcolor": "#d5d9de"} if HeatMap in kinds else {})
+        data += [trace | {"yaxis": f"y{key}", "legend": f"legend{key}"} for trace in _traces(spec, panel)]
+        if panel.note:
+            place = {"xref": "paper", "yref": f"y{key} domain", "x": 0.99, "y": 0.03, "xanchor": "right", "yanchor": "bottom"}
+            layout["annotations"].append(place | {"text": escape(panel.note), "showarrow": False})
+        top = bottom - GAP
+    layout["xaxis"] = _axis(spec.x, spec.reach) | {"anchor": f"y{key}", "hoverformat": ".2f"}
+    if spec.equal:
+        layout["xaxis"] |= {"constrain": "domain"}
+    picks = spec.picks
+    if picks is not None:
+        picks = replace(picks, x=np.round(picks.x, _decimals(picks.x)), y=np.round(picks.y, _decimals(picks.y)))
+        data.append(_picked(picks, "#ffffff" if HeatMap in kinds else WANTED))
+    return Chart(spec.title, {"data": data, "layout": layout}, spec.cursor, picks, spec.remark)
 
-    Parameters
-    ----------
-    x : array (n,)
-    y : array (n,)
-    name : str
-        Entry in the legend.
-    colour : str
-    width : float [pixel], optional
-        Line width, or marker size in mode "markers".
-    dash : str, optional
-        Line style of plotly.
-    mode : str, optional
-        "lines", "markers" or "lines+markers".
-    """
-    trace = {"type": "scatter", "mode": mode, "name": escape(name), "x": short(x), "y": short(y)}
-    if mode == "markers":
-        return trace | {"marker": {"color": colour, "size": width}}
-    return trace | {"line": {"color": colour, "width": width, "dash": dash}}
+
+def _picked(picks: Picks, colour: str) -> Trace:
+    """Return the marker of the selected point; the page script expects it as the last trace of a chart."""
+    look = {"color": "rgba(0,0,0,0)", "size": 13.0, "line": {"color": colour, "width": 2.2}}
+    at = {"x": short(picks.x[[picks.first]]), "y": short(picks.y[[picks.first]]), "yaxis": "y"}
+    return {"type": "scatter", "mode": "markers", "name": "", "showlegend": False, "hoverinfo": "skip", "marker": look} | at
+
+
+def _lined(spec: ChartSpec) -> bool:
+    return any(isinstance(t, Band) or (isinstance(t, Curve) and "lines" in t.mode) for panel in spec.panels for t in panel.traces)
+
+
+def _axis(one: Axis, reach: tuple[float, float] | None = None) -> dict[str, Any]:
+    """Return an axis; `reach` are the ends of what is shown without limits."""
+    name = one.name.replace("\n", " " if reach is None else "; ")
+    found: dict[str, Any] = AXIS | {"title": {"text": escape(name), "font": {"size": 13}, "standoff": 8}}
+    if one.scale == "log":
+        found |= {"type": "log", "exponentformat": "power"} | ({"dtick": 1} if one.limits is None else {})
+    if one.limits is not None:
+        ends = [math.log10(end) for end in one.limits] if one.scale == "log" else list(one.limits)
+        found |= {"range": ends[::-1] if one.reversed else ends}
+    elif one.reversed:
+        found |= {"autorange": "reversed"}
+    if one.ticks:
+        found |= {
+            "tickmode": "array",
+            "tickvals": [at for at, _ in one.ticks],
+            "ticktext": [escape(text) for _, text in one.ticks],
+        }
+    elif one.step and (reach := one.limits or reach) is not None and reach[1] - reach[0] >= 3.0 * one.step:
+        found |= {"dtick": one.step}
+    return found
 
 
 def short(values: Array) -> list[float | None]:
     """Return the values rounded to the digits of a chart; None where they are not finite."""
+    return finite(np.round(values, _decimals(values)))  # type: ignore[no-any-return]
+
+
+def _decimals(values: Array) -> int:
+    """Return the decimals that give the largest value the digits of a chart."""
     size = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
-    decimals = DIGITS - math.floor(math.log10(size)) if size > 0.0 else DIGITS
-    return finite(np.round(values, decimals))  # type: ignore[no-any-return]
-
-
-def stacked(panels: Sequence[Panel], x_name: str = CRANK_ANGLE, *, reversed_x: bool = False) -> dict[str, Any]:
-    """Return a plotly figure of stacked panels with a common x axis.
-
-    Parameters
-    ----------
-    panels : sequence of Panel
-        From top to bottom.
-    x_name : str, optional
-        Label of the x axis.
-    reversed_x : bool, optional
-        Let x increase to the left.
-    """
-    gap = 0.07
-    heights = [panel.share for panel in panels]
-    unit = (1.0 - gap * (len(panels) - 1)) / sum(heights)
-    layout: dict[str, Any] = sheet(int(110 + 200 * sum(heights)))
-    traces, top = [], 1.0
-    for number, panel in enumerate(panels, 1):
-        key = "" if number == 1 else str(number)
-        bottom = max(0.0, top - unit * panel.share)
-        layout[f"yaxis{key}"] = axis(panel.name) | {"domain": [bottom, top]}
-        top = bottom - gap
-        traces += [trace | {"yaxis": f"y{key}"} for trace in panel.traces]
-    layout["xaxis"] = axis(x_name) | {"anchor": f"y{len(panels) if len(panels) > 1 else ''}", "hoverformat": ".2f"}
-    if x_name.startswith(CRANK_ANGLE):
-        layout["xaxis"] |= {"dtick": 30 if _span(traces) <= 200.0 else 60}
-    if reversed_x:
-        layout["xaxis"]["autorange"] = "reversed"
-    return {"data": traces, "layout": layout}
-
-
-def _span(traces: Sequence[Trace]) -> float:
-    values = [x for trace in traces for x in trace["x"] if x is not None]
-    return max(values) - min(values) if values else 0.0
-
-
-def axis(name: str) -> dict[str, Any]:
-    """Return the layout of an axis."""
-    return {
-        "title": {"text": escape(name), "font": {"size": 13}, "standoff": 8},
-        "gridcolor": "#e7e9ec",
-        "zerolinecolor": "#b9bec5",
-        "linecolor": "#8a9099",
-        "ticks": "outside",
-        "tickcolor": "#8a9099",
-        "automargin": True,
-    }
-
-
-def sheet(height: int) -> dict[str, Any]:
-    """Return the common layout of all charts; `height` in pixels."""
-    return {
-        "height": height,
-        "margin": {"l": 70, "r": 20, "t": 34, "b": 50},
-        "font": {"family": FONT, "size": 12, "color": "#22262b"},
-        "paper_bgcolor": "#ffffff",
-        "plot_bgcolor": "#ffffff",
-        "hovermode": "x unified",
-        "legend": {"orientation": "h", "x": 0.0, "y": 1.01, "xanchor": "left", "yanchor": "bottom"},
-        "showlegend": True,
-    }
-
-
-def level(x: Array, value: float, words: str) -> Trace:
-    """Return a limit as a horizontal line.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Range of the line.
-    value : float
-    words : str
-        Entry in the legend.
-    """
-    ends = np.array([np.nanmin(x), np.nanmax(x)])
-    return line(ends, np.full(2, value), words, LIMIT, width=1.4, dash="dash")
-
-
-def filled(colour: str) -> Trace:
-    """Return the trace attributes for bars of a colour."""
-    return {"marker": {"color": colour}}
-
-
-# --- selection ---------------------------------------------------------------------------------------------------------------
-
-
-def mark(picks: Picks) -> Trace:
-    """Return the marker of the selected point; the page script expects it as the last trace of a chart."""
-    look = {"color": "rgba(0,0,0,0)", "size": 13.0, "line": {"color": WANTED, "width": 2.2}}
-    at = {"x": [picks.x[picks.first]], "y": [picks.y[picks.first]]}
-    return {"type": "scatter", "mode": "markers", "name": "", "showlegend": False, "hoverinfo": "skip", "marker": look} | at
-
-
-# --- long curves -------------------------------------------------------------------------------------------------------------
+    return DIGITS - math.floor(math.log10(size)) if size > 0.0 else DIGITS
 
 
 def thinned(x: Array, y: Array, most: int = 2000) -> tuple[Array, Array]:
@@ -223,85 +175,6 @@ def thinned(x: Array, y: Array, most: int = 2000) -> tuple[Array, Array]:
     return x[rows], y[rows]
 
 
-# --- charts described by data ------------------------------------------------------------------------------------------------
-
-
-def charts(specs: Iterable[ChartSpec]) -> list[Chart]:
-    """Return the charts of a page; those that are pictures only are left out."""
-    return [chart(spec) for spec in specs if spec.page]
-
-
-def chart(spec: ChartSpec) -> Chart:
-    """Return a chart of the page."""
-    panels = [Panel(panel.y.name.replace("\n", " "), _traces(spec, panel), panel.height) for panel in spec.panels]
-    figure = stacked(panels, spec.x.name.replace("\n", "; "))
-    layout = figure["layout"]
-    if spec.equal or any(isinstance(trace, HeatMap) for panel in spec.panels for trace in panel.traces):
-        layout["height"] = 480
-    if spec.equal or spec.picks is not None or not _lined(spec):
-        layout["hovermode"] = "closest"
-    layout["xaxis"] |= _axis(spec.x, spec)
-    shapes, notes = _across(spec), []
-    for number, panel in enumerate(spec.panels, 1):
-        key = "" if number == 1 else str(number)
-        layout[f"yaxis{key}"] |= _axis(panel.y, None)
-        if number > 1:
-            top = layout[f"yaxis{key}"]["domain"][1]
-            layout[f"legend{key}"] = layout["legend"] | {"y": top + 0.005}
-            for trace in figure["data"]:
-                if trace["yaxis"] == f"y{key}":
-                    trace["legend"] = f"legend{key}"
-        if spec.equal:
-            layout[f"yaxis{key}"] |= {"scaleanchor": "x", "constrain": "domain"}
-        if panel.note:
-            place = {"xref": "paper", "yref": f"y{key} domain", "x": 0.99, "y": 0.03, "xanchor": "right", "yanchor": "bottom"}
-            notes.append(place | {"text": escape(panel.note), "showarrow": False})
-    if spec.equal:
-        layout["xaxis"] |= {"constrain": "domain"}
-    if any(isinstance(trace, HeatMap) for panel in spec.panels for trace in panel.traces):
-        layout |= {"plot_bgcolor": "#eceef1"}
-        layout["legend"] |= {"bgcolor": "#d5d9de"}
-    if any(isinstance(trace, Bars) for panel in spec.panels for trace in panel.traces):
-        layout |= {"barmode": "overlay", "bargap": 0.0}
-    layout |= ({"shapes": shapes} if shapes else {}) | ({"annotations": notes} if notes else {})
-    picks = None
-    if spec.picks is not None:
-        own = spec.picks
-        picks = Picks(own.what, own.names, own.rows, short(own.x), short(own.y), own.first)
-        seen = mark(picks) | {"yaxis": "y"}
-        if any(isinstance(trace, HeatMap) for trace in spec.panels[0].traces):
-            seen["marker"]["line"]["color"] = "#ffffff"
-        figure["data"].append(seen)
-    return Chart(spec.title, figure, spec.cursor, picks, spec.remark)
-
-
-def _lined(spec: ChartSpec) -> bool:
-    return any(isinstance(t, Band) or (isinstance(t, Curve) and "lines" in t.mode) for panel in spec.panels for t in panel.traces)
-
-
-def _axis(one: chart_spec.Axis, spec: ChartSpec | None) -> dict[str, Any]:
-    """Return the settings of an axis; `spec` is the chart of an x axis."""
-    found: dict[str, Any] = {}
-    if one.scale == "log":
-        found |= {"type": "log", "exponentformat": "power"} | ({"dtick": 1} if one.limits is None else {})
-    if one.limits is not None:
-        ends = [math.log10(end) for end in one.limits] if one.scale == "log" else list(one.limits)
-        found |= {"range": ends[::-1] if one.reversed else ends}
-    elif one.reversed:
-        found |= {"autorange": "reversed"}
-    if one.ticks:
-        places = {
-            "tickmode": "array",
-            "tickvals": [place for place, _ in one.ticks],
-            "ticktext": [escape(t) for _, t in one.ticks],
-        }
-        found |= places
-    elif one.step and spec is not None and not one.name.startswith(CRANK_ANGLE):
-        low, high = one.limits or spec.reach
-        found |= {"dtick": one.step} if high - low >= 4.0 * one.step else {}
-    return found
-
-
 def _across(spec: ChartSpec) -> list[dict[str, Any]]:
     """Return the vertical lines and shaded ranges of a chart."""
     whole = {"yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
@@ -316,7 +189,7 @@ def _across(spec: ChartSpec) -> list[dict[str, Any]]:
     return [shape | whole for shape in (*spans, *lines)]
 
 
-def _traces(spec: ChartSpec, panel: chart_spec.Panel) -> list[Trace]:
+def _traces(spec: ChartSpec, panel: Panel) -> list[Trace]:
     """Return the traces of a panel."""
     found: list[Trace] = []
     for trace in panel.traces:
@@ -330,8 +203,7 @@ def _traces(spec: ChartSpec, panel: chart_spec.Panel) -> list[Trace]:
             found.append(_bars(trace))
     ends = np.array(spec.x.limits or spec.reach)
     for one in panel.lines:
-        drawn = line(ends, np.full(2, one.at), one.name, one.colour, width=DOTS * one.width, dash=one.dash)
-        found.append(drawn | {"showlegend": bool(one.name)} | ({} if one.name else {"hoverinfo": "skip"}))
+        found.append(_curve(Curve(ends, np.full(2, one.at), one.name, one.colour, one.width, one.dash, hover=bool(one.name))))
     if panel is spec.panels[0]:
         found += [
             _entry(one.name, {"mode": "lines", "line": {"color": one.colour, "dash": one.dash}}) for one in spec.lines if one.name
@@ -351,7 +223,7 @@ def _entry(name: str, look: Trace) -> Trace:
 def _curve(trace: Curve) -> Trace:
     x, y = (trace.x, trace.y) if trace.picks or trace.text or len(trace.x) <= LONG else thinned(trace.x, trace.y)
     drawn: Trace = {"type": "scatter", "mode": trace.mode, "name": escape(trace.name), "x": short(x), "y": short(y)}
-    drawn |= {"showlegend": trace.legend and bool(trace.name)} if not (trace.legend and trace.name) else {}
+    drawn |= {} if trace.legend and trace.name else {"showlegend": False}
     if "lines" in trace.mode:
         drawn["line"] = {"color": trace.colour, "width": round(DOTS * trace.width, 2), "dash": trace.dash}
     if "markers" in trace.mode:
@@ -385,7 +257,7 @@ def _band(trace: Band) -> list[Trace]:
     return [lower | ({"hoverinfo": "skip"} if trace.values is not None or not trace.name else {}), upper]
 
 
-def _heat_map(spec: ChartSpec, panel: chart_spec.Panel, trace: HeatMap) -> Trace:
+def _heat_map(spec: ChartSpec, panel: Panel, trace: HeatMap) -> Trace:
     told = f"{escape(spec.x.name)}: %{{x:.6g}}<br>{escape(panel.y.name)}: %{{y:.6g}}<br>%{{z:.6g}}<extra></extra>"
     rows, columns = (slice(None, None, max(1, -(-size // CELLS))) for size in trace.z.shape)
     drawn: Trace = {"type": "heatmap", "name": escape(trace.name), "x": short(trace.x[columns]), "y": short(trace.y[rows])}
@@ -411,7 +283,7 @@ def _bars(trace: Bars) -> Trace:
     return drawn
 
 
-def _marks(spec: ChartSpec, panel: chart_spec.Panel) -> list[Trace]:
+def _marks(spec: ChartSpec, panel: Panel) -> list[Trace]:
     """Return the labelled points of a panel, one trace for all of one look."""
     groups: dict[tuple[object, ...], list[Mark]] = {}
     for one in (one for one in panel.marks if math.isfinite(one.x + one.y)):
@@ -440,7 +312,7 @@ def _marks(spec: ChartSpec, panel: chart_spec.Panel) -> list[Trace]:
     return found
 
 
-def _heights(panel: chart_spec.Panel) -> tuple[float, float]:
+def _heights(panel: Panel) -> tuple[float, float]:
     """Return the range of y of the curves of a panel."""
     every = np.concatenate([trace.y for trace in panel.traces if isinstance(trace, Curve)] or [np.zeros(1)])
     return (float(np.nanmin(every)), float(np.nanmax(every))) if np.any(np.isfinite(every)) else (0.0, 0.0)

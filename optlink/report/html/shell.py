@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from optlink.report.files import whole
-from optlink.report.html.chart_plotly import Chart
+from optlink.report.html.chart_plotly import Chart, short
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.table_spec import Paragraph, Part, Span, TableSpec
 from optlink.version import VERSION
@@ -160,7 +160,7 @@ def _charted(chart: Chart) -> dict[str, Any]:
     found: dict[str, Any] = {"figure": chart.figure, "cranked": chart.cranked}
     if chart.picks is not None:
         picks = chart.picks
-        found["picks"] = {"rows": picks.rows, "x": picks.x, "y": picks.y, "first": picks.first}
+        found["picks"] = {"rows": picks.rows, "x": short(picks.x), "y": short(picks.y), "first": picks.first}
     return found
 
 
