@@ -109,4 +109,14 @@ def __getattr__(name: str) -> Any:
 
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from optlink.record import Recorded
+
+    Recorded.notebook = staticmethod(_notebook)
     return getattr(importlib.import_module(_HOME[name]), name)
+
+
+def _notebook(result: Any) -> str | None:
+    """Return a result as HTML for notebooks."""
+    from optlink.report.html.notebook import notebook_html
+
+    return notebook_html(result)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from operator import attrgetter
 from pathlib import Path
@@ -50,6 +50,11 @@ def _array(value: Any) -> NDArray[np.float64]:
     return np.array([math.nan if x is None else float(x) for x in value])
 
 
+def _rows(value: Any) -> NDArray[np.float64]:
+    nested = isinstance(value, list) and bool(value) and all(isinstance(row, list) for row in value)
+    return np.array([_array(row) for row in value]) if nested else _array(value)
+
+
 def _equally_long(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
     if len({len(values) for values in columns.values()}) > 1:
         raise ValueError("its columns differ in length")
@@ -62,12 +67,14 @@ Number = Annotated[
 """A number, or null where it is not finite."""
 Never = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value, json_schema_input_type=float | None)]
 """A number, or null where it is infinite."""
-Column = Annotated[
-    NDArray[np.float64],
-    PlainValidator(_array),
-    WithJsonSchema({"type": "array", "items": {"anyOf": [{"type": "number"}, {"type": "null"}]}}),
-]
+_NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
+_LIST = {"type": "array", "items": _NUMBER}
+Column = Annotated[NDArray[np.float64], PlainValidator(_array), WithJsonSchema(_LIST)]
 """An array of numbers; null where one is not finite."""
+Rows = Annotated[
+    NDArray[np.float64], PlainValidator(_rows), WithJsonSchema({"anyOf": [_LIST, {"type": "array", "items": _LIST}]})
+]
+"""A column, or a table of equally long rows."""
 Columns = Annotated[dict[str, Column], AfterValidator(_equally_long)]
 """A table: arrays of equal length by name."""
 
@@ -163,6 +170,12 @@ class Recorded(Summary):
     """Base class of results that write themselves as records."""
 
     record: ClassVar[type[ResultRecord]]
+
+    notebook: ClassVar[Callable[[Any], str | None] | None] = None
+    """Renderer of notebooks, which the package installs: records know nothing of reports."""
+
+    def _repr_html_(self) -> str | None:
+        return None if Recorded.notebook is None else Recorded.notebook(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""

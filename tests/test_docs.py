@@ -6,6 +6,7 @@ import contextlib
 import importlib.util
 import io
 import itertools
+import json
 import os
 import re
 import shlex
@@ -24,6 +25,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.problem.base_model import Section
 from optlink.problem.targets.expression import FUNCTIONS
+from optlink.report.registry import json_schema
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -447,3 +449,9 @@ def test_the_site_builds_without_a_warning_and_asks_no_network(tmp_path):
             assert not re.search(r"<!-- (?:keys|commands|figures) -->|toml (?:design|laws)", html), page.name
     for style in site.rglob("*.css"):
         assert not re.search(r"url\(['\"]?(?:https?:)?//", style.read_text(encoding="utf-8")), style.name
+
+
+def test_the_schema_of_results_is_up_to_date() -> None:
+    """Write it again: optlink show --schema result > docs/reference/result.schema.json."""
+    published = json.loads((ROOT / "docs/reference/result.schema.json").read_text())
+    assert published == json_schema("result")

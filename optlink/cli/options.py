@@ -42,7 +42,8 @@ def whole_number(text: object) -> int:
         raise typer.BadParameter(f'"{str(text)[:40]}" is not a whole number. Give for example 20') from None
 
 
-Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help="A shipped problem (see `list`) or the path of a TOML file.")]
+PROBLEM_HELP = "A shipped problem (see `list`) or the path of a TOML file."
+Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP)]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help='Change a key: --set mechanism.frame="480 mm". Repeatable.'),

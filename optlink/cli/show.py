@@ -7,7 +7,10 @@ from typing import Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Json, Problem, Set
+from optlink.cli.options import PROBLEM_HELP, Json, Set
+from optlink.errors import Fault, InputError
+
+Shown = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP, show_default=False)]
 
 
 def register(app: typer.Typer) -> None:
@@ -33,8 +36,14 @@ def list_problems(as_json: Json = False) -> None:
 
 
 def show(
-    problem: Problem,
+    problem: Shown = "",
     changes: Set = None,
+    schema: Annotated[
+        str,
+        typer.Option(
+            "--schema", metavar="KIND", help="Print the JSON schema of a kind of result in place of a problem; of all: result."
+        ),
+    ] = "",
     as_toml: Annotated[bool, typer.Option("--toml", help="Print a problem file, as a template for your own.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -42,6 +51,16 @@ def show(
     with console.reported(as_json):
         from optlink.problem.file import complete
 
+        if schema:
+            from optlink.report.registry import json_schema
+
+            console.refuse(
+                {"PROBLEM": problem or None}, "a schema is the same for every problem", "Leave it out", "show --schema"
+            )
+            console.print_json(json_schema(schema))
+            return
+        if not problem:
+            raise InputError(Fault("no problem is named", "Name one, see `optlink list`; or give --schema", key="PROBLEM"))
         file = console.load(problem, changes)
         if as_json:
             document = {"schema": "optlink/problem/1", "name": file.name, "problem_hash": file.hash}

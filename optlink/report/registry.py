@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from optlink.errors import Fault, InputError
 from optlink.report.view import View
 
 if TYPE_CHECKING:
@@ -59,6 +60,10 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
             from optlink.report.views.clearance_tables import simulation as clearance_table
 
             return clearance_table
+        case "control comparison":
+            from optlink.report.views.clearance_tables import comparison as comparison_table
+
+            return comparison_table
         case "sensitivity":
             from optlink.report.views.study_tables import sensitivities as sensitivity_table
 
@@ -142,14 +147,8 @@ def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], Studied]:
     return pages[kind]
 
 
-def record_of(kind: str) -> type[ResultRecord]:
-    """Import the record of a stored result of a kind.
-
-    Raises
-    ------
-    KeyError
-        if results of that kind are not read from files.
-    """
+def records() -> dict[str, type[ResultRecord]]:
+    """Import the records of all kinds of results."""
     from optlink.studies.pareto.epsilon_constraint import ParetoRecord
     from optlink.studies.sensitivity import SensitivitiesRecord
     from optlink.studies.sweep import SweepRecord
@@ -163,7 +162,7 @@ def record_of(kind: str) -> type[ResultRecord]:
     from optlink.tasks.results.path import PathRecord
     from optlink.tasks.simulate import SimulationRecord
 
-    records: dict[str, type[ResultRecord]] = {
+    return {
         "function": FunctionRecord,
         "path": PathRecord,
         "cycle": CycleRecord,
@@ -177,4 +176,32 @@ def record_of(kind: str) -> type[ResultRecord]:
         "tolerance": ToleranceRecord,
         "pareto": ParetoRecord,
     }
-    return records[kind]
+
+
+def json_schema(kind: str) -> dict[str, Any]:
+    """Return the JSON schema of the document of a kind of result, or of any result.
+
+    Parameters
+    ----------
+    kind : str
+        "result" for any.
+
+    Raises
+    ------
+    InputError
+        If the kind is unknown.
+    """
+    from pydantic.json_schema import models_json_schema
+
+    from optlink.problem.quantity import nearest
+
+    known = records()
+    if kind not in (*known, "result"):
+        raise InputError(Fault("no such kind of result", nearest(kind, ["result", *known]), key="--schema", value=kind))
+    chosen = list(known.values()) if kind == "result" else [known[kind]]
+    places, schema = models_json_schema([(one, "validation") for one in chosen], title=f"optlink {kind}")
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "anyOf": [places[one, "validation"] for one in chosen],
+    }

@@ -19,7 +19,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.record import LARGEST as LARGEST_NUMBER
 from optlink.report.html.shell import LARGEST, Sheet
-from optlink.report.registry import record_of
+from optlink.report.registry import records
 from optlink.report.stored.loader import KNOWN, opened
 from optlink.report.stored.stored_study import Studied, _sheet, studied_page
 from tests.browser import browser, console, requests
@@ -108,7 +108,7 @@ def numbers(values: list) -> np.ndarray:
 def test_schemas_are_those_of_the_records():
     """They are written out beside the commands, so that no record is loaded before it is needed."""
     for schema, (_, kind) in KNOWN.items():
-        assert (schema,) == get_args(record_of(kind).model_fields["format"].annotation)
+        assert (schema,) == get_args(records()[kind].model_fields["format"].annotation)
 
 
 @pytest.mark.slow

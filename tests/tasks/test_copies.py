@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import multiprocessing
 import pickle
 from collections.abc import Callable
@@ -10,11 +11,13 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 
 import optlink
 from optlink import load
+from optlink.record import Recorded, read_record
 from optlink.report.html.page import page
 from optlink.report.registry import view_of
 from optlink.report.report_model import report_model_of
@@ -38,6 +41,7 @@ RESULTS: dict[str, Callable[[], Any]] = {
     "law": lambda: optlink.solve(load("crank-rocker"), "both", track=True),
     "law, checked": lambda: optlink.validate(load("crank-rocker"), {"coupler": 0.4, "rocker": 0.32, "phi0": 0.8}),
     "points": lambda: optlink.solve(load("law-slider-crank")),
+    "transmission": lambda: optlink.solve(load("transmission-optimal"), designs=1, starts=1),
     "cycle": lambda: optlink.solve(load("press-toggle"), starts=1),
     "balance": lambda: optlink.balance(load("balance-four-bar"), trade="force,torque", points=3),
     "analysis": lambda: optlink.analyze(load("shaper")),
@@ -48,7 +52,7 @@ RESULTS: dict[str, Callable[[], Any]] = {
     "sensitivities": lambda: sensitivities(load("crank-rocker")),
     "output sensitivity": _slopes,
     "sweep": lambda: sweep(load("crank-rocker"), ["limits.transmission_angle.min=30..40 deg:2"], workers=1),
-    "pareto": lambda: pareto(load("crank-rocker"), "error, limits.transmission_angle.min=30..40 deg", points=2, workers=1),
+    "pareto": lambda: pareto(load("crank-rocker"), "error, limits.transmission_angle.max", points=3, workers=1),
     "tolerance": _robust,
 }
 
@@ -105,3 +109,24 @@ def test_a_copy_is_reported(kind: str, tmp_path: Path) -> None:
     view_of(kind).write(result, tmp_path)
     assert any(tmp_path.iterdir())
     assert "<svg" in page(report_model_of(result.problem, result, (), ()))
+
+
+def test_a_result_is_shown_in_notebooks(result: Any) -> None:
+    """With its table and a drawing, in well-formed HTML and a short text beside it."""
+    if not isinstance(result, Recorded):
+        return
+    html = result._repr_html_()
+    assert html is not None
+    assert html.count("<table") == html.count("</table>") > 0
+    assert html.count("<svg") == html.count("</svg>") == 1
+    assert len(repr(result)) < 120
+
+
+def test_a_result_reads_itself(result: Any, tmp_path: Path) -> None:
+    """The record of the written document writes the same document, which is one of the published schema."""
+    if not isinstance(result, Recorded):
+        return
+    written = json.loads(json.dumps(result.to_dict()))
+    assert read_record(type(result).record, written, tmp_path / "result.json").document() == written
+    schema = Path(__file__).parents[2] / "docs/reference/result.schema.json"
+    jsonschema.validate(written, json.loads(schema.read_text()))

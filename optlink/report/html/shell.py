@@ -124,6 +124,12 @@ def _templates() -> Environment:
     return made
 
 
+def fragment(*parts: Part) -> str:
+    """Return tables and paragraphs as HTML without a page around them."""
+    made = _templates().get_template("parts.html").module
+    return "".join(made.part(one) for one in parts)  # type: ignore[attr-defined]
+
+
 def _lines(text: str) -> Markup:
     return Markup("<br>").join(text.split("\n"))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from optlink.errors import Fault, InputError
 from optlink.problem.file import shipped
 from optlink.record import Contradiction, damaged, read_document, read_record
-from optlink.report.registry import page_of, record_of
+from optlink.report.registry import page_of, records
 from optlink.report.report_model import ReportModel
 from optlink.report.stored.problem_lookup import problem_of
 from optlink.report.stored.stored_result import read_subject
@@ -73,7 +73,7 @@ def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -
     if not isinstance(schema, str) or schema not in KNOWN:
         raise _unknown(schema, path)
     _, kind = KNOWN[schema]
-    record = read_record(record_of(kind), document, path)
+    record = read_record(records()[kind], document, path)
     file = problem_of(record.problem, record.problem_hash, path, problem, changes)
     try:
         if schema in SOLVED:

@@ -65,11 +65,11 @@ class SingularRecord(Record):
 class FlywheelRecord(Record):
     """Flywheel sizing for a constant driving torque [SI]."""
 
-    mean_speed: float
-    mean_torque: float
-    fluctuation: float
-    allowed: float
-    inertia: float
+    mean_speed: Number
+    mean_torque: Number
+    fluctuation: Number
+    allowed: Number
+    inertia: Number
     mean_speed_over: Literal["crank angle"]
 
 

@@ -123,9 +123,9 @@ class SingleRecord(SearchRecord):
     limits: tuple[LimitState, ...]
     validation: Annotated[tuple[Check, ...], "validation.checks"]
     iterations: int
-    kkt: Number | None = absent()
-    violation: Number | None = absent()
-    curvature: Number | None = absent()
+    kkt: Number = absent()
+    violation: Number = absent()
+    curvature: Number = absent()
     backends: dict[str, SolutionRecord] | None = absent()
     optima: tuple[OptimumRecord, ...] | None = absent()
     conflict: tuple[Relaxation, ...] | None = absent()

@@ -23,7 +23,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, TURN, PathProblem
-from optlink.record import Column, Number, Record, Recorded, absent
+from optlink.record import Number, Record, Recorded, Rows, absent
 from optlink.solvers.evidence import Evidence
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
@@ -236,12 +236,12 @@ class PathDesignRecord(Record):
     objective: dict[str, Any]
     fit: FitRecord | None
     least_transmission_deg: Number
-    points: dict[str, Column]
+    points: dict[str, Rows]
     limits: tuple[LimitState, ...]
     validation: Annotated[tuple[Check, ...], "validation.checks"]
     cognates: tuple[CognateRecord, ...]
-    kkt: Number | None = absent()
-    violation: Number | None = absent()
+    kkt: Number = absent()
+    violation: Number = absent()
     iterations: int | None = absent()
 
     @classmethod
