@@ -1,4 +1,4 @@
-"""The reference of the command line, made from the commands themselves: every command, argument, option, default and help.
+"""Reference of the command line, generated from the commands: every command, argument, option, default and help text.
 
 MkDocs calls `on_page_markdown`; the tests call `reference` and `commands`.
 """
@@ -18,7 +18,7 @@ NAME = "optlink"
 
 
 def commands() -> Iterator[tuple[str, Any]]:
-    """Every command with its full name ("optlink study sweep"), groups before what is in them."""
+    """Yield every command with its full name ("optlink study sweep"), groups before their commands."""
     yield from _below(NAME, typer.main.get_command(app))
 
 
@@ -29,18 +29,18 @@ def _below(name: str, command: Any) -> Iterator[tuple[str, Any]]:
 
 
 def options(command: Any) -> list[Any]:
-    """Its options, without the one for help that all have."""
+    """Return the options of a command, without --help."""
     return [param for param in command.params if param.param_type_name == "option"]
 
 
 def spelled(command: Any, name: str, option: Any) -> str:
-    """An option as people write it, with what it takes."""
+    """Return an option with its metavariable, as in the help."""
     record = option.get_help_record(command.context_class(command, info_name=name))
     return f"`{record[0]}`"
 
 
 def default(option: Any) -> str:
-    """What counts where it is left out; empty for nothing and for flags."""
+    """Return the default of an option; empty without a default and for flags."""
     if option.required:
         return "required"
     known = option.default
@@ -50,7 +50,7 @@ def default(option: Any) -> str:
 
 
 def reference() -> str:
-    """The whole reference as Markdown."""
+    """Return the complete reference as Markdown."""
     return "\n\n".join(_section(name, command) for name, command in commands())
 
 
@@ -61,14 +61,14 @@ def _section(name: str, command: Any) -> str:
     usage = " ".join([name, *(["[OPTIONS]"] if command.params else []), *(str(a.metavar) for a in arguments)])
     lines += ["```text", usage + (" COMMAND" if inner else ""), "```", ""]
     if inner:
-        lines += ["| command | what it does |", "|---|---|"]
+        lines += ["| command | purpose |", "|---|---|"]
         for key, one in inner.items():
             lines.append(f"| [`{key}`](#{name.replace(' ', '-')}-{key}) | {_cell(one.help)} |")
         lines.append("")
     rows = [(f"`{a.metavar}`", "required" if a.required else "", a.help) for a in arguments]
     rows += [(spelled(command, name, option), default(option), option.help) for option in options(command)]
     if rows:
-        lines += ["| argument or option | left out | what it is |", "|---|---|---|"]
+        lines += ["| argument or option | default | description |", "|---|---|---|"]
         lines += [f"| {_cell(spelling)} | {_cell(left)} | {_cell(told)} |" for spelling, left, told in rows]
     return "\n".join(lines)
 
@@ -78,7 +78,7 @@ def _cell(text: str | None) -> str:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """MkDocs: put the reference where a page asks for it."""
+    """MkDocs hook: replace the marker of a page by the reference."""
     return markdown.replace(MARKER, reference()) if MARKER in markdown else markdown
 
 

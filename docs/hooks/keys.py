@@ -1,4 +1,4 @@
-"""The reference of problem files, made from the models that read them: every table, key, unit, default and allowed value.
+"""Reference of problem files, generated from the models that read them: every table, key, unit, default and permitted value.
 
 Descriptions are the strings below the fields in the source; examples are taken from the shipped problems and from the pages of
 the documentation, which the tests load. MkDocs calls `on_page_markdown`; the tests call `reference`.
@@ -43,9 +43,9 @@ ROOTS: dict[type[Problem], tuple[str, str]] = {
     Problem: ("", "every problem"),
     DesignProblem: ("law", "a four-bar for a motion law or function"),
     PathProblem: ("points", "path, motion, function of dyads, transmission"),
-    CycleProblem: ("cycle", "a machine designed by its cycle"),
+    CycleProblem: ("cycle", "cycle optimisation of a machine"),
 }
-"""Models of a whole file: how their anchors end, and what they are for."""
+"""Models of a complete file: suffix of their anchors, and kind of problem."""
 
 NARRATED = {
     "": "problem-files.md#a-whole-file",
@@ -62,7 +62,7 @@ NARRATED = {
     "tolerances": "problem-files.md#tolerances-and-a-robust-design",
     "objective": "machine-design.md#terms",
 }
-"""Where the narrated pages tell more of a table, by the first part of its name."""
+"""Page and anchor that describe a table, by the first part of its name."""
 
 READERS = {
     "read_quantity": "{kind}, fixed or free",
@@ -71,7 +71,7 @@ READERS = {
     "_read_interval": "range of {kind}",
     "_read_stroke_ratio": "range of {kind}, with `stroke` `forward`, `backward`, `slow` or `quick`",
 }
-"""Functions of `optlink.problem.quantity` that read a field, and what they take."""
+"""Permitted values by the function of `optlink.problem.quantity` that reads a field."""
 
 FORMS = {
     "Problem.gravity": "acceleration, or `[x, y]`",
@@ -98,7 +98,7 @@ FORMS = {
     "Requirement.law": "text or table",
     "Requirement.robust": "text",
     "Requirement.start": " or ".join(f"`{start}`" for start in DEAD_CENTRES) + ", or angle, fixed or free",
-    "PathRequirement.points": "list or table; of a function a whole number",
+    "PathRequirement.points": "list or table; for a function a whole number",
     "PathRequirement.law": "table",
     "Goal.scale": "quantity",
     "Limit.min": "quantity",
@@ -107,10 +107,10 @@ FORMS = {
     "CounterweightSection.at": "text, or `[along, across]`",
     "SpringSection.free_length": "length, or `[low, high]`",
     "BalanceSection.minimise": "text, or measures with weights",
-    "BalanceSection.limits": "measures with quantities or shares",
+    "BalanceSection.limits": "measures with quantities or percentages",
     "BalanceSection.about": "text, or `[x, y]`",
 }
-"""What a field takes whose own reader decides on it, by model and name."""
+"""Permitted values of fields with a reader of their own, by model and name."""
 
 
 @dataclass(frozen=True)
@@ -198,24 +198,24 @@ def _strings(model: type[Section]) -> dict[str, str]:
 
 
 def owner(model: type[Section], name: str) -> type[Section]:
-    """The class that states a field: the model itself or the nearest one that it builds on."""
+    """Return the class that defines a field: the model itself or its nearest base class."""
     return next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
 
 
 def description(model: type[Section], name: str) -> str:
-    """What the source says of a field; empty where it says nothing."""
+    """Return the docstring of a field, or an empty string."""
     return _strings(owner(model, name)).get(name, "")
 
 
 def value(model: type[Section], name: str) -> str:
-    """What a field takes."""
+    """Return the permitted values of a field."""
     field = model.model_fields[name]
     stated = FORMS.get(f"{owner(model, name).__name__}.{name}")
     return stated or _words(field.annotation, field.metadata)
 
 
 def reader(annotation: Any, metadata: typing.Iterable[Any]) -> tuple[str, str | None] | None:
-    """Name of the function that reads a quantity, and its kind; None for what is no quantity."""
+    """Return the name of the function that reads a quantity and the kind of the quantity; None if the field is no quantity."""
     for part in metadata:
         call = getattr(part, "func", None)
         if isinstance(call, functools.partial) and call.func.__name__ in READERS:
@@ -247,12 +247,12 @@ def _words(annotation: Any, metadata: typing.Iterable[Any] = ()) -> str:
         return "list of two names" if len(inside) == 2 and inside[1] is not Ellipsis else "list of names"
     plain = {str: "text", bool: "`true`, `false`", float: "number", int: "whole number"}
     if annotation not in plain:
-        raise LookupError(f"what a field of {annotation} takes is to be said in FORMS")
+        raise LookupError(f"add the permitted values of {annotation} to FORMS")
     return plain[annotation]
 
 
 def left_out(field: FieldInfo) -> str:
-    """What counts where a field is left out; empty where its description says it."""
+    """Return the default of a field; empty if the description states it."""
     if field.is_required():
         return "required"
     default = field.get_default(call_default_factory=True, validated_data={})
@@ -270,7 +270,7 @@ def left_out(field: FieldInfo) -> str:
 
 @functools.cache
 def examples() -> dict[tuple[type[Section], str], str]:
-    """The shortest of what shipped problems and the documentation write for a key, by the class that states it."""
+    """Return the shortest example of every key in the shipped problems and in the documentation, by the class that defines it."""
     found: dict[tuple[type[Section], str], str] = {}
     for raw, model in _files():
         for owning, name, written in _stated(type(model), raw):
@@ -311,7 +311,7 @@ def _stated(model: type[Section], raw: Mapping[str, Any]) -> Iterator[tuple[type
 
 
 def toml(written: Any) -> str:
-    """A value as TOML writes it on one line."""
+    """Return a value as TOML on one line."""
     if isinstance(written, dict):
         return "{ " + ", ".join(f"{_bare(key)} = {toml(item)}" for key, item in written.items()) + " }"
     if isinstance(written, list):
@@ -326,7 +326,7 @@ def _bare(key: str) -> str:
 
 
 def example(model: type[Section], name: str) -> str:
-    """How a file may state a key; empty for a table, whose keys have their own."""
+    """Return an example of a key; empty for a table, whose keys have their own examples."""
     field = model.model_fields[name]
     known = examples().get((owner(model, name), name))
     if known is None:
@@ -342,7 +342,7 @@ def example(model: type[Section], name: str) -> str:
 
 
 def reference() -> str:
-    """The whole reference as Markdown."""
+    """Return the complete reference as Markdown."""
     return "\n\n".join([*(_table(part) for part in sections()), _terms(), _units()])
 
 
@@ -352,12 +352,12 @@ def _table(part: Part) -> str:
     told = NARRATED["objective" if part.root is CycleProblem and part.path else part.path.split(".")[0]]
     if part.path:
         lines += [f"{first} [More](../{told})", ""]
-    lines += ["| key | takes | what it is |", "|---|---|---|"]
+    lines += ["| key | value | meaning |", "|---|---|---|"]
     for name, field in part.model.model_fields.items():
         if not part.path and part.root is not Problem and not _differs(part.root, name):
             continue
         default = left_out(field)
-        said = description(part.model, name) + ("" if default in ("", "required") else f" Left out: {default}.")
+        said = description(part.model, name) + ("" if default in ("", "required") else f" Default: {default}.")
         shown = example(part.model, name)
         says = said + (f"<br>`{shown}`" if shown else "")
         key = f"`{field.alias or name}`" + (" *required*" if default == "required" else "")
@@ -370,10 +370,10 @@ def _cell(text: str) -> str:
 
 
 def _terms() -> str:
-    lines = ["## Quantities of the cycle { #quantities }", "", "What `quantity` may be in `[objective]` and `[limits.NAME]`.", ""]
+    lines = ["## Quantities of the cycle { #quantities }", "", "Values of `quantity` in `[objective]` and `[limits.NAME]`.", ""]
     lines += ["| quantity | kind | `of` | measures |", "|---|---|---|---|"]
     for name, nature in QUANTITIES.items():
-        measures = ", ".join(f"`{measure}`" for measure in nature.measures) or "one figure"
+        measures = ", ".join(f"`{measure}`" for measure in nature.measures) or "one value"
         lines.append(f"| `{name}` | {nature.kind or 'number'} | {nature.of or '-'} | {measures} |")
     return "\n".join(lines)
 
@@ -382,10 +382,10 @@ def _units() -> str:
     lines = [
         "## Units { #units }",
         "",
-        "A quantity is text: a number and a unit of its kind, or a product of units that is one.",
+        "A quantity is text: a number and a unit of its kind, or a product of units of this kind.",
         "",
     ]
-    lines += ["| kind | SI | written as | single units |", "|---|---|---|---|"]
+    lines += ["| kind | SI | example | single units |", "|---|---|---|---|"]
     for kind in KINDS.values():
         fit = ", ".join(f"`{unit}`" for unit in single_units() if _fits(unit, kind.name))
         lines.append(f"| {kind.name} | {kind.si.replace('**', '^')} | `{kind.example}` | {fit or '-'} |")
@@ -393,7 +393,7 @@ def _units() -> str:
 
 
 def single_units() -> list[str]:
-    """Short names of all units that are known."""
+    """Return the short names of all units."""
     return [
         definition.split("=")[2].strip() if definition.count("=") > 1 else definition.split(" ")[0] for definition in DEFINITIONS
     ]
@@ -408,7 +408,7 @@ def _fits(unit: str, kind: str) -> bool:
 
 
 def every_model() -> set[type[Section]]:
-    """All models of problem files that there are, whether a file can have them or not."""
+    """Return all models of problem files, including those that no file can contain."""
     found: set[type[Section]] = set()
     todo = [Section]
     while todo:
@@ -419,7 +419,7 @@ def every_model() -> set[type[Section]]:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """MkDocs: put the reference where a page asks for it."""
+    """MkDocs hook: replace the marker of a page by the reference."""
     return markdown.replace(MARKER, reference()) if MARKER in markdown else markdown
 
 

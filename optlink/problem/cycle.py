@@ -33,7 +33,7 @@ class Bound:
 
 
 class CycleLimits(Alignment):
-    """Limits with names of the user's choice, beside those of every design problem."""
+    """Limits with names of the user's choice, in addition to those of every design problem."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[Name, Limit] = Field(init=False)
@@ -48,10 +48,10 @@ class CycleProblem(Problem):
     """A problem file with an objective over the cycle: input of `solve`. Immutable."""
 
     objective: Objective
-    """What is minimised over the cycle."""
+    """Objective over the cycle."""
     limits: CycleLimits = CycleLimits()
-    """Terms of the cycle that must stay within bounds, each under a name of your choice, and how far the mechanism keeps from
-    positions where it locks."""
+    """Limits on quantities of the cycle, each under a name of your choice, and the least distance from positions where the
+    mechanism locks."""
 
     @property
     def task(self) -> str:

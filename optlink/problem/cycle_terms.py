@@ -42,27 +42,27 @@ class TermSection(Section):
     """Keys of a term."""
 
     quantity: What | None = None
-    """What is minimised."""
+    """Quantity that is minimised."""
     of: str | None = None
-    """Where it is taken: the name of a pin, guide, slider, body, point or size, whichever the quantity asks for."""
+    """Name of the pin, guide, slider, body, point or dimension to which the quantity belongs."""
     on: str | None = None
-    """Of a reaction: the body on which it acts."""
+    """Body on which a reaction acts."""
     measure: Measure | None = None
-    """How the course over the cycle becomes one figure; left out: the first that the quantity has."""
+    """Measure that reduces the values over the cycle to one number; default: the first one of the quantity."""
     static: bool = False
-    """Leave the inertia of the bodies out; weights and loads stay."""
+    """Whether the inertia of the bodies is excluded; weights and loads remain."""
     direction: FixedAngle | None = None
-    """Of the stroke of a point: along what, from +x."""
+    """Direction of the stroke of a point, from +x."""
     stroke: Literal["forward", "backward", "slow", "quick"] | None = None
-    """Of an end, and of the work of a slider: in which stroke, forward or backward. Of a time ratio: the stroke whose time is
-    divided by that of the other; left out: the slow one."""
+    """For an end, and for the work of a slider: the stroke, forward or backward. For a time ratio: the stroke whose time is
+    divided by that of the other one; default: the slow one."""
 
 
 class Term(TermSection):
     """A value computed from the cycle: a quantity, the element where it is evaluated, and the measure that reduces it."""
 
     quantity: What
-    """What is meant."""
+    """Quantity of the cycle."""
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -160,11 +160,11 @@ class Goal(Term):
     """A term of the objective: weight * value / scale."""
 
     weight: Number = 1.0
-    """How much the term counts, positive."""
+    """Weight of the term, positive."""
     scale: Any = None
-    """What counts as one, a quantity of the term's own kind; required where several terms are added."""
+    """Divisor that makes the term dimensionless, in the unit of the term; required with several terms."""
     sense: Literal["minimise", "maximise"] = "minimise"
-    """Whether it shall be small or large."""
+    """Whether the value is minimised or maximised."""
 
     @model_validator(mode="after")
     def _one_sided(self) -> Self:
@@ -178,9 +178,9 @@ class Objective(TermSection):
     """The objective: one term, or a weighted sum of several under `terms`."""
 
     sense: Literal["minimise", "maximise"] = "minimise"
-    """Whether it shall be small or large."""
+    """Whether the value is minimised or maximised."""
     terms: tuple[Goal, ...] = ()
-    """In place of all the keys above: the terms of a weighted sum."""
+    """Instead of all keys above: the terms of a weighted sum."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -229,11 +229,11 @@ class Limit(Term):
     """A term that must stay within bounds: `min`, `max` or both, or `exactly` a value."""
 
     min: Any = None
-    """At least this, a quantity of the term's own kind."""
+    """Lower bound, in the unit of the term."""
     max: Any = None
-    """At most this."""
+    """Upper bound, in the unit of the term."""
     exactly: Any = None
-    """In place of both: this."""
+    """Prescribed value, instead of both bounds."""
 
     @model_validator(mode="after")
     def _bounded(self) -> Self:

@@ -51,22 +51,22 @@ class Requirement(Section):
     """Requirement of function synthesis: the rocker follows a law while the crank rotates through the span."""
 
     kind: Literal["function"] = "function"
-    """What is asked for."""
+    """Kind of requirement."""
     law: Any
-    """Rocker angle over crank angle: an expression in phi, phi0, psi0; a table of angles, or its CSV file; or a function y(x)."""
+    """Rocker angle over crank angle: an expression in phi, phi0, psi0; a table of angles or a CSV file; or a function y(x)."""
     start: Annotated[Any, BeforeValidator(_read_start), Field(alias="from")] = DEAD_CENTRES[0]
-    """Where the span begins: a dead centre of the rocker, or the crank angle phi0, fixed or free."""
+    """Start of the span: a dead centre of the rocker, or the crank angle phi0, fixed or free."""
     psi0: Angle | None = None
-    """Rocker angle at the start, fixed or free; left out: the rocker's own angle there (of a function: free)."""
+    """Rocker angle at the start, fixed or free; default: the rocker angle there (for a function: free)."""
     span: FixedAngle | None = None
-    """Crank rotation over which the law holds, negative clockwise; a table or a function brings its own."""
+    """Crank rotation over which the law applies, negative clockwise; a table or function defines it itself."""
     points: Annotated[int, Field(strict=True, ge=1, le=MAX_POINTS)] | None = None
-    """Positions after the start, evenly spaced; left out: the rows of a table, 60 of a function."""
+    """Number of evenly spaced positions after the start; default: the rows of a table, 60 for a function."""
     measure: Literal["sum of squares", "rms", "max"] = "sum of squares"
-    """What makes one figure of all errors; `max` is the largest."""
+    """Measure that combines all errors into the objective; `max` is the largest error."""
     robust: Robustness = None
-    """How the scatter by `[tolerances]` counts: `"3 sigma"` or `"worst case"` beside the largest error, or the `"expected value"`
-    of squares; left out: not at all."""
+    """Effect of `[tolerances]` on the objective: `"3 sigma"` or `"worst case"` with the measure `max`, `"expected value"` with
+    the sum of squares or rms; default: none."""
 
     @field_validator("law", mode="before")
     @classmethod
@@ -89,11 +89,11 @@ class DesignProblem(Problem):
     mechanism: FourBarSection
     """The four-bar, with at least one free quantity."""
     requirement: Requirement
-    """The law that the rocker shall follow."""
+    """The law for the rocker."""
     limits: Limits = Limits()
-    """What must hold beside the law."""
+    """Limits of the design."""
     expected: Expected | None = None
-    """What a trusted source says that the answer is; checked by the tests for every shipped problem."""
+    """Reference values from a trusted source; the tests check them for every shipped problem."""
 
     @property
     def task(self) -> str:

@@ -61,39 +61,38 @@ class Alignment(Section):
     """Least distance of a mechanism from positions where it locks or its assembly modes meet (see `optlink.linkage.margins`)."""
 
     alignment: Annotated[FixedAngle, AfterValidator(_alignment)] = Quantity(LEAST_ALIGNMENT, "angle", "deg")
-    """Least angle of two links at their joint from alignment, 0 and 180 deg, over the required motion; likewise of a link
-    at a slider from the normal of its line. A tighter transmission limit governs where there is one."""
+    """Least angle of the two links of a joint from alignment (0 and 180 deg) over the required motion; for a link and a slider,
+    from the normal of the slider's line. A tighter transmission limit takes precedence."""
 
 
 class Margins(Alignment):
     """Least distance of a four-bar from such positions and from change points."""
 
     length_margin: Annotated[Number, AfterValidator(_length_margin)] = LEAST_LENGTH_MARGIN
-    """Least difference of lengths that must not be equal (Grashof's sums; crank and coupler at an inner dead centre), as a share
-    of the longest link."""
+    """Least difference of lengths that must not be equal (Grashof's sums; crank and coupler at an inner dead centre), relative to
+    the longest link."""
 
 
 class Limits(Margins):
     """Limits of a design problem."""
 
     crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
-    """Whether the crank turns fully (a four-bar is then a crank-rocker, or a double-crank), or need only be assembled over the
-    span."""
+    """Crank rotation: full (a four-bar is then a crank-rocker or a double-crank), or only over the span of the requirement."""
     transmission_angle: AngleInterval | None = None
-    """Between coupler and rocker; of dyads at every joint of two links."""
+    """Range of the transmission angle between coupler and rocker; for dyads, at every joint of two links."""
     transmission_cosine: NumberInterval | None = None
-    """The same in cosines; of a four-bar."""
+    """Range of the cosine of the transmission angle; four-bar only."""
     transmission_over: Literal["revolution", "span"] | None = None
-    """Where the transmission angle is limited; left out: wherever the crank must turn."""
+    """Crank range over which the transmission angle is limited; default: the required rotation."""
     swing_angle: AngleInterval | None = None
-    """Of the rocker, between its dead centres; of a crank-rocker."""
+    """Swing of the rocker between its dead centres; crank-rocker only."""
     time_ratio: RatioOfStrokes | None = None
-    """Duration of one stroke of the rocker over that of the other: of the slow one, or of `stroke` ("forward":
-    counter-clockwise, "backward", "slow", "quick"); of a crank-rocker."""
+    """Duration of the slow stroke of the rocker divided by that of the other one; with `stroke`, that of the stroke `"forward"`
+    (counter-clockwise), `"backward"`, `"slow"` or `"quick"`; crank-rocker only."""
     frame_length: LengthInterval | None = None
-    """Of a four-bar."""
+    """Length of the frame; four-bar only."""
     link_ratio: NumberInterval | None = None
-    """Each moving link over the frame; of a four-bar."""
+    """Length of each moving link divided by that of the frame; four-bar only."""
 
     @property
     def transmission(self) -> tuple[float | None, float | None]:

@@ -42,7 +42,7 @@ class FourBarSection(Section):
     """
 
     type: Literal["four-bar"] = "four-bar"
-    """A mechanism without links is a four-bar."""
+    """Optional: the default for a mechanism without links."""
     crank: Length
     """Length A-B."""
     coupler: Length
@@ -52,11 +52,11 @@ class FourBarSection(Section):
     frame: Length
     """Length A-D."""
     points: dict[Name, Place] = Field(default_factory=dict)
-    """Further points of the coupler: so far from B towards C, and so far to the left of that line."""
+    """Further points of the coupler: distance from B towards C, and distance to the left of that line."""
     pivot: Place | None = None
-    """Place of the crank pivot A; left out: the origin."""
+    """Position of the crank pivot A; default: the origin."""
     direction: Angle | None = None
-    """Angle of the frame A -> D, from +x; left out: 0."""
+    """Angle of the frame A -> D from +x; default: 0."""
     assembly: Annotated[
         Literal[
             "left",
@@ -70,8 +70,8 @@ class FourBarSection(Section):
         ],
         BeforeValidator(lambda raw: ", ".join(part.strip() for part in raw.split(",")) if isinstance(raw, str) else raw),
     ] = "left"
-    """On which side of B -> D the joint C lies; `either`: both are searched. With `continue` it lies there at the start and
-    moves on smoothly through change points; a parallelogram or antiparallelogram stays one."""
+    """Side of B -> D on which the joint C lies; `either`: both are searched. With `continue` this is the side at the start, and
+    the motion continues smoothly through change points; a parallelogram or antiparallelogram remains one."""
 
     @property
     def side(self) -> int:
@@ -169,11 +169,11 @@ class LinkSection(Section):
     """A moving body: one or two joints, their distance, and further points (along and across the line of the two)."""
 
     joints: Annotated[tuple[Name, ...], BeforeValidator(_read_joints)]
-    """Names of its two joints; of one for a body that a guide carries."""
+    """Names of its two joints, or of its only joint if the body is on a guide."""
     length: Length | None = None
-    """Between its two joints; of a body with one joint none."""
+    """Distance of its two joints; not for a body with one joint."""
     points: dict[Name, Place] = Field(default_factory=dict)
-    """Further points: so far along the line from the first to the second joint, and so far to the left of it."""
+    """Further points: distance along the line from the first to the second joint, and distance to the left of it."""
 
 
 class GuideSection(Section):
@@ -184,24 +184,24 @@ class GuideSection(Section):
     on: str = FRAME
     """The body that carries the line."""
     through: Annotated[Any, BeforeValidator(_read_through)] = None
-    """A point of that body, or its coordinates there; left out: the body's first joint. Required on the frame."""
+    """A point of that body, or coordinates in its axes; default: the first joint of that body. Required on the frame."""
     direction: Angle | None = None
-    """Angle of the line to the body's own x axis; left out: 0."""
+    """Angle of the line relative to the x axis of that body; default: 0."""
     offset: Coordinate | None = None
-    """The line passes so far to the left of `through`; left out: 0."""
+    """Distance of the line from `through`, positive to the left; default: 0."""
     at: str = ""
-    """The point of the slider that runs on the line; left out: its first joint."""
+    """The point of the slider that moves on the line; default: its first joint."""
     tilt: Angle | None = None
-    """Angle of the slider's x axis to the line; left out: 0."""
+    """Angle of the slider's x axis relative to the line; default: 0."""
     friction: Number = 0.0
-    """Coulomb's coefficient, below 10."""
+    """Coulomb friction coefficient, below 10."""
 
 
 class DyadsSection(Section):
     """Any linkage of a driving crank and dyads: points on the ground, links, guides, assembly modes."""
 
     type: Literal["dyads"] = "dyads"
-    """A mechanism with links is one of dyads."""
+    """Optional: the default for a mechanism with links."""
     ground: dict[Name, Place]
     """Points on the frame."""
     links: dict[Name, LinkSection]
@@ -209,9 +209,9 @@ class DyadsSection(Section):
     guides: dict[Name, GuideSection] = Field(default_factory=dict)
     """Sliding joints."""
     assembly: dict[str, str] = Field(default_factory=dict)
-    """Which way each group closes: at an RRR joint `left of B-D` or `right of B-D`, at an RRP pin or an RPR guide `forward` or
-    `backward`; `left of B-D, continue` is where it lies at the start, and it moves on smoothly through change points; in a design
-    problem also `either`."""
+    """Assembly mode of each group: for an RRR joint `left of B-D` or `right of B-D`, for an RRP pin or an RPR guide `forward` or
+    `backward`. With `left of B-D, continue` this is the mode at the start, and the motion continues smoothly through change
+    points. In a design problem also `either`."""
 
     @property
     def follows(self) -> bool:

@@ -64,37 +64,37 @@ class PathRequirement(Section):
     """
 
     kind: Literal["path", "motion", "function", "transmission"] = "function"
-    """What the linkage shall do."""
+    """Kind of requirement."""
     point: str = "P"
-    """The moving point that takes the places; its body takes the angles."""
+    """The moving point that takes the positions; its body takes the angles."""
     points: Any = None
-    """Points or poses: a list, a CSV file, a drawing or expressions; of a function the number of positions (60)."""
+    """Points or poses: a list, a CSV file, a drawing or expressions; for a function the number of positions (60)."""
     law: Any = None
-    """What the output follows: a function y(x), x running evenly with the crank; an expression in phi, phi0, psi0, of a slide
-    `{ slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }`; or a table of phi and psi, or phi and s, or its CSV file."""
+    """Law of the output: a function y(x), with x proportional to the crank angle; an expression in phi, phi0, psi0, for a slide
+    `{ slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }`; or a table of phi and psi, or phi and s, or a CSV file."""
     span: FixedAngle | None = None
-    """Crank rotation over which an expression holds, negative clockwise; a table or a function brings its own."""
+    """Crank rotation over which an expression applies, negative clockwise; a table or function defines it itself."""
     output: str | None = None
-    """Of a law or function: the guide whose slide is meant, or the body that turns."""
+    """Output of a law or function: a guide (its slide) or a body (its angle)."""
     zero: Coordinate | None = None
-    """Of a slide: its value at the start of a law (s0), or at the least y of a function, fixed or free; left out: free."""
+    """Slide at the start of a law (s0), or at the least y of a function, fixed or free; default: free."""
     psi0: Angle | None = None
-    """Of a turning body: its angle at the start of a law, or at the least y of a function, fixed or free; left out: free."""
+    """Angle of the output body at the start of a law, or at the least y of a function, fixed or free; default: free."""
     timing: Annotated[Literal["free", "from start", "given"] | None, BeforeValidator(_read_crank)] = None
-    """Crank angles at the points: those given, those given but for a common start, or any in order; left out: as the points
-    have it."""
+    """Crank angles at the points: `given`: prescribed; `from start`: prescribed except for a common offset; `free`: optimised, in
+    the order of the points. Default: `given` if the points have crank angles, else `free`."""
     start: Angle | None = None
-    """The common start of the crank angles, fixed or free; left out: anywhere."""
+    """Common offset of the crank angles, fixed or free; default: any angle."""
     rotation: Literal["either", "counter-clockwise", "clockwise"] = "either"
-    """Sense in which the crank meets the points, where the timing is free."""
+    """Sense of crank rotation with free timing."""
     closed: bool | None = None
-    """Whether the last point leads back to the first within the revolution; left out: as the points have it."""
+    """Whether the last point leads back to the first one within the revolution; default: determined from the points."""
     mark: Angle | None = None
-    """Angle of the poses to the body's own direction, fixed or free; left out: free."""
+    """Angle from the direction of the body to that of the poses, fixed or free; default: free."""
     angle_length: FixedLength | None = None
-    """The length that an error of one radian counts as; left out: the size of the curve."""
+    """Length that is equivalent to an angle error of one radian; default: the size of the curve."""
     measure: Literal["sum of squares", "rms", "max"] | None = None
-    """What makes one figure of all deviations; left out: the sum of squares, of a transmission the largest."""
+    """Measure that combines all deviations into the objective; default: the sum of squares, for a transmission the largest."""
 
     @field_validator("points", mode="before")
     @classmethod
@@ -122,16 +122,16 @@ class RegionSection(Section):
     """A rectangle of the plane: ranges of x and y."""
 
     x: CoordinateInterval | None = None
-    """Range of x; left out: anywhere."""
+    """Range of x; default: unlimited."""
     y: CoordinateInterval | None = None
-    """Range of y; left out: anywhere."""
+    """Range of y; default: unlimited."""
 
 
 class PathLimits(Limits):
     """Limits of a path synthesis problem."""
 
     pivots: RegionSection | None = None
-    """Rectangle that every point of the frame lies in."""
+    """Rectangle that contains every point of the frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,7 @@ class PathProblem(Problem):
     requirement: PathRequirement
     """Points, poses, a function, or the best transmission."""
     limits: PathLimits = PathLimits()
-    """What must hold beside the points."""
+    """Limits of the design."""
 
     @property
     def task(self) -> str:

@@ -177,25 +177,25 @@ class CounterweightSection(Section):
     """A mass that can be added to a body: a disc, or one of any shape."""
 
     body: str
-    """The body that it is fixed to."""
+    """The body to which the counterweight is fixed."""
     kind: Literal["disc", "free"] = "disc"
-    """A disc, or any shape that is physically consistent."""
+    """A disc, or any shape with physically consistent mass properties."""
     mass: MassInterval | None = None
-    """Exactly, or in a range; left out: from zero on."""
+    """Mass: one value or a range; default: from zero."""
     thickness: FixedLength | None = None
-    """Of a disc whose radius follows from its mass."""
+    """Thickness of a disc; its mass determines the radius."""
     radius: LengthInterval | None = None
-    """In place of a thickness: one value. Beside it: bounds."""
+    """Without a thickness: the radius, one value. With a thickness: bounds of the radius."""
     density: Density | None = None
-    """Of the disc's material; required with a thickness."""
+    """Density of the disc; required with a thickness."""
     reach: FixedLength | None = None
     """Largest distance of its centre from `origin`."""
     extent: FixedLength | None = None
     """Largest distance of its edge from `origin`."""
     origin: str | None = None
-    """A point of the body; left out: its pivot on the frame, else its start."""
+    """Reference point of the body for `reach` and `extent`; default: its pivot on the frame, else its first joint."""
     at: Place = None
-    """Its place: a point of the body, or so far along and across it. One of `reach`, `extent`, `at` is required."""
+    """Fixed position: a point of the body, or coordinates along and across. One of `reach`, `extent`, `at` is required."""
 
     @field_validator("mass", mode="after")
     @classmethod
@@ -313,15 +313,15 @@ class SpringSection(Section):
     """A spring that can be added between two points: its stiffness, and its free length if that is a range, are optimised."""
 
     name: Name
-    """Its name among the loads of the balanced machine."""
+    """Name of the spring among the loads of the balanced machine."""
     between: tuple[str, str]
-    """The two points that it joins."""
+    """The two points that the spring connects."""
     stiffness: StiffnessInterval | None = None
-    """Exactly, or in a range; left out: from zero on."""
+    """Stiffness: one value or a range; default: from zero."""
     free_length: Annotated[Any, BeforeValidator(lambda raw: raw)] = None
-    """Fixed, or free within a range of two values; left out: 0."""
+    """Free length: fixed, or optimised within a range of two values; default: 0."""
     force: FixedForce | None = None
-    """Its largest force; left out: none."""
+    """Largest permitted spring force; default: unlimited."""
 
     @field_validator("free_length", mode="before")
     @classmethod
@@ -367,19 +367,19 @@ class BalanceSection(Section):
     """Optimal balancing with `optlink balance`."""
 
     minimise: Annotated[Any, BeforeValidator(_read_goal)]
-    """A measure, or a table of measures and their weights."""
+    """Objective: a measure, or a table of measures and their weights."""
     counterweights: tuple[CounterweightSection, ...] = ()
-    """What may be added to bodies."""
+    """Counterweights that can be added to bodies."""
     springs: tuple[SpringSection, ...] = ()
-    """What may be added between points."""
+    """Springs that can be added between points."""
     limits: dict[str, Any] = Field(default_factory=dict)
-    """Measures with their limits: a quantity, or a share of the given machine's."""
+    """Limits of measures: a quantity, or a share of the value of the original machine."""
     mass: MassInterval | None = None
-    """Of all counterweights together."""
+    """Total mass of all counterweights."""
     about: Place = None
-    """Point of the frame that shaking moments are about; left out: the crank pivot."""
+    """Reference point of shaking moments on the frame; default: the crank pivot."""
     positions: int = Field(default=360, ge=8, le=MOST)
-    """Crank angles at which the machine is looked at, even over the revolution, 8 to 100000."""
+    """Number of evenly spaced crank angles of the programme, 8 to 100000."""
 
     @field_validator("limits", mode="after")
     @classmethod

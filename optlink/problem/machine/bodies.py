@@ -49,9 +49,9 @@ class BodySection(Section):
     mass: Mass
     """Mass of the body."""
     centroid: Annotated[Any, BeforeValidator(_read_centroid)] = None
-    """`middle`, a point of the body, or so far along and across it; left out: the middle, of a body with one joint that joint."""
+    """`middle`, a point of the body, or coordinates along and across; default: the middle, or the only joint."""
     inertia: Annotated[Any, BeforeValidator(_read_moment)] = None
-    """Moment of inertia about the centroid, or `uniform bar`; required for a link that has a mass."""
+    """Moment of inertia about the centroid, or `uniform bar`; required for a link with a mass."""
 
     def inertia_of(self, body: str, mechanism: Mechanism, sizes: Mapping[str, Value]) -> Inertia:
         """Return the mass properties for given dimensions.
@@ -114,21 +114,21 @@ class DriveSection(Section):
     """Drive of the machine: a constant speed, or (for `simulate`) a torque or motor curve."""
 
     body: str | None = None
-    """The driven body; left out: the one called `crank`."""
+    """The driven body; default: the body called `crank`."""
     start: FixedAngle = Quantity(0.0, "angle", "deg")
     """Crank angle of the first row."""
     speed: Speed = Quantity(1.0, "angular velocity", "rad/s")
     """Constant speed of the crank, negative clockwise."""
     torque: Any = None
-    """For `optlink simulate`, in place of the constant speed: a torque, or a table or expression over phi or omega."""
+    """For `optlink simulate`, instead of the constant speed: a torque, or a table or expression over phi or omega."""
     servo: ServoSection | None = None
-    """For `optlink simulate` with clearance: the crank follows a command; not beside `torque`."""
+    """For `optlink simulate` with clearance: the crank follows a reference signal; not together with `torque`."""
     initial_speed: Speed | None = None
-    """For `optlink simulate` under a torque; left out: `speed`."""
+    """Initial crank speed for `optlink simulate` under a torque; default: `speed`."""
     duration: Duration | None = None
-    """For `optlink simulate`: how long."""
+    """Duration of `optlink simulate`."""
     fluctuation: Number | None = None
-    """Share of the mean speed by which it may vary: `optlink analyze` gives the flywheel for it."""
+    """Permitted speed fluctuation relative to the mean speed; `optlink analyze` computes the flywheel for it."""
 
     @field_validator("body", mode="before")
     @classmethod

@@ -60,25 +60,25 @@ class ControlSection(Section):
     """
 
     output: str | None = None
-    """Slider (its slide) or body (its angle) that is watched; left out: the last slider on the frame, else the last body pinned
-    to it."""
+    """Slider (its slide) or body (its angle) whose ideal motion the controller tracks; default: the last slider on the frame,
+    else the last body pinned to it."""
     known: Annotated[Any, BeforeValidator(_read_joints)] | None = None
-    """Joints whose clearance the inverse model knows; left out: all."""
+    """Joints whose clearance is included in the inverse model; default: all."""
     regularisation: Annotated[Quantity, BeforeValidator(_read_either)] | None = None
-    """Of the inverse at dead centres, per radian of the crank: a length for a slider, an angle for a body; left out: a tenth of
-    the largest travel."""
+    """Regularisation of the inverse at dead centres: a length for a slider, an angle for a body; default: a tenth of the largest
+    travel per radian of the crank."""
     bandwidth: Frequency | None = None
-    """Up to which the inverse model corrects; left out: half of the servo's."""
+    """Highest frequency that the inverse model corrects; default: half of the servo's bandwidth."""
     sample_time: Duration = Quantity(2.5e-4, "time", "s")
-    """Of the PID; the nearest that divides the revolution is taken."""
+    """Sample time of the PID, rounded to the nearest value that divides the revolution."""
     proportional: Number = 0.0
-    """Gain of the PID on the output's error, referred to the crank [-]."""
+    """Proportional gain of the PID on the output error, referred to the crank [-]."""
     integral: Number = 0.0
-    """The same for its integral [1/s]."""
+    """Integral gain of the PID [1/s]."""
     derivative: Number = 0.0
-    """The same for its rate [s]."""
+    """Derivative gain of the PID [s]."""
     limit: FixedAngle = Quantity(0.08726646259971647, "angle", "deg")
-    """The PID turns the crank by so much at most."""
+    """Largest crank angle correction of the PID."""
 
     def check(self, machine: Machine, gaps: Sequence[Gap]) -> None:
         """Check that the controller fits the machine.

@@ -72,31 +72,31 @@ class JointSection(Section):
     """A joint: `on` is the body whose reaction is reported; `clearance` and the following keys define a journal in a bearing."""
 
     on: str | None = None
-    """The body on which the reaction is told; left out: the one that is placed last."""
+    """The body on which the reported reaction acts; default: the one that is placed last."""
     clearance: Annotated[Quantity, BeforeValidator(_read_clearance)] | None = None
-    """Radial: radius of the bearing minus that of the journal."""
+    """Radial clearance: radius of the bearing minus that of the journal."""
     bearing_radius: FixedLength | None = None
-    """Radius of the bearing; beside `clearance` one of the two radii, else both."""
+    """Radius of the bearing; one of the two radii together with `clearance`, or both without it."""
     journal_radius: FixedLength | None = None
     """Radius of the journal."""
     journal: str | None = None
-    """The body with the journal; left out: the one that is placed last. Required where three bodies meet."""
+    """The body with the journal; default: the one that is placed last. Required where three or more bodies meet."""
     modulus: Annotated[Any, BeforeValidator(lambda raw: _read_pair(raw, "pressure"))] = None
-    """Modulus of elasticity of both parts, or of journal and bearing; Hertz's stiffness follows from it."""
+    """Modulus of elasticity of both parts, or of journal and bearing; it determines the Hertz stiffness."""
     poisson: Annotated[Any, BeforeValidator(lambda raw: _read_pair(raw, ""))] = Field(default=(0.3, 0.3))
     """Poisson's ratio of both parts, or of journal and bearing."""
     stiffness: ContactStiffness | None = None
-    """In place of `modulus`: contact force over penetration to the power 1.5."""
+    """Instead of `modulus`: contact force divided by penetration to the power 1.5."""
     restitution: Number = 0.9
     """Coefficient of restitution, above 0 and at most 1."""
     law: str = "lankarani-nikravesh"
     """Contact law."""
     friction: Number = 0.0
-    """Coulomb's coefficient, below 10."""
+    """Coulomb friction coefficient, below 10."""
     slip_speed: Velocity = Quantity(0.01, "velocity", "m/s")
-    """Friction is `friction` times normal force times tanh(slip / `slip_speed`)."""
+    """The friction force is `friction` times normal force times tanh(slip / `slip_speed`)."""
     damping: Damping = Quantity(0.0, "damping", "N*s/m")
-    """Tangential and viscous, while there is contact."""
+    """Tangential viscous damping during contact."""
 
     @property
     def has_clearance(self) -> bool:

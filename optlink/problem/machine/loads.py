@@ -54,35 +54,35 @@ class LoadSection(Section):
     """A load; its keys determine its type."""
 
     on: str | None = None
-    """The body that it acts on."""
+    """The body on which the load acts."""
     at: str | None = None
-    """Of a force: the point of that body; left out: the point of a slider on its guide."""
+    """Point of that body where a force acts; default: the point of a slider on its guide."""
     force: Any = None
-    """Size of the force: a quantity, a table over phi, omega or s, or an expression."""
+    """Magnitude of the force: a quantity, a table over phi, omega or s, or an expression."""
     torque: Any = None
-    """Size of the torque: a quantity, a table over phi or omega, or an expression."""
+    """Magnitude of the torque: a quantity, a table over phi or omega, or an expression."""
     direction: FixedAngle | None = None
-    """Of the force, from +x; left out: along the guide of a slider."""
+    """Direction of the force, from +x; default: along the guide of a slider."""
     acts: Literal["constant", "opposing"] = "constant"
-    """As it is, or against the motion."""
+    """`constant`: in a fixed direction; `opposing`: against the motion."""
     stroke: Literal["both", "forward", "backward", "slow", "quick"] = "both"
-    """In which stroke it acts; forward is along the guide, or counter-clockwise."""
+    """Stroke in which the load acts; forward is along the guide, or counter-clockwise."""
     between: tuple[str, str] | None = None
-    """Of a spring or damper: the two points that it joins."""
+    """The two points that a spring or damper connects."""
     against: str | None = None
-    """The body that feels the opposite; left out: the frame."""
+    """The body on which the reaction of the load acts; default: the frame."""
     stiffness: Stiffness | None = None
-    """Of a spring between two points."""
+    """Stiffness of a spring between two points."""
     free_length: FixedLength | None = None
-    """Length of that spring without a force; left out: 0."""
+    """Free length of that spring; default: 0."""
     damping: Damping | None = None
-    """Of a damper between two points, or of the guide of a slider."""
+    """Viscous damping between two points, or in the guide of a slider."""
     torsional_stiffness: TorsionalStiffness | None = None
-    """Of a spring that turns `on` back towards `against`."""
+    """Stiffness of a torsion spring between `on` and `against`."""
     free_angle: FixedAngle | None = None
-    """Angle of that spring without a torque; left out: 0."""
+    """Free angle of that spring; default: 0."""
     torsional_damping: TorsionalDamping | None = None
-    """Of the rotation of `on` against `against`."""
+    """Viscous damping of the rotation of `on` relative to `against`."""
 
     @field_validator("stroke", mode="before")
     @classmethod

@@ -37,7 +37,7 @@ class Expected(Section):
     """Reference values from a trusted source, and their tolerances."""
 
     source: str
-    """Where the figures come from."""
+    """Origin of the reference values."""
     crank: FixedLength | None = None
     """Length of the crank."""
     coupler: FixedLength | None = None
@@ -51,47 +51,47 @@ class Expected(Section):
     psi0: FixedAngle | None = None
     """Rocker angle at the start of the law."""
     length_tolerance: FixedLength | None = None
-    """By how much a length may differ."""
+    """Absolute tolerance of the lengths."""
     objective: Number | None = None
     """The objective of the best design, a plain number in SI units."""
     objective_tolerance: Number | None = None
-    """By how much the objective may differ."""
+    """Absolute tolerance of the objective."""
     figures: dict[str, Number] = Field(default_factory=dict)
-    """Figures of the analysis by their names, plain numbers in SI units, of the machine without clearance."""
+    """Figures of the analysis of the machine without clearance, by name, plain numbers in SI units."""
     figure_tolerance: Number = 1e-6
-    """By which share a figure may differ."""
+    """Relative tolerance of the figures."""
 
 
 class Problem(Section):
     """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
 
     title: str = Field(min_length=1, max_length=200)
-    """One line for people, at most 200 characters."""
+    """Title, one line of at most 200 characters."""
     source: str = ""
-    """Where the problem comes from."""
+    """Origin of the problem."""
     about: str = ""
-    """What is given and what is wanted, in a few sentences."""
+    """Data and purpose of the problem, in a few sentences."""
     gravity: Gravity = (0.0, 0.0)
     """Acceleration of gravity along -y, or its two components."""
     mechanism: FourBarSection | DyadsSection = Field(discriminator="type")
-    """The linkage: a four-bar by its lengths, or any chain of dyads."""
+    """The linkage: a four-bar, or any chain of dyads."""
     bodies: dict[Name, BodySection] = Field(default_factory=dict)
-    """Mass properties by the name of the body; a body that is not named has no mass."""
+    """Mass properties by the name of the body; a body without an entry has no mass."""
     joints: dict[Name, JointSection] = Field(default_factory=dict)
-    """By the name of the pin: on which body its reaction is told, and its clearance."""
+    """By the name of the pin: the body whose reaction is reported, and the joint clearance."""
     loads: dict[Name, LoadSection] = Field(default_factory=dict)
     """Forces, torques, springs and dampers, each under a name of your choice."""
     drive: DriveSection = DriveSection()
-    """What drives the machine, and how fast."""
+    """Driven body, speed, torque or servo of the drive."""
     control: ControlSection | None = None
-    """How the crank is corrected so that the output moves as it would without clearance."""
+    """Controller of the crank that compensates joint clearance."""
     balance: BalanceSection | None = None
-    """Which counterweights and springs may be added, what they shall make small, what is limited."""
+    """Counterweights and springs to be dimensioned, their objective and limits."""
     tolerances: Tolerances = Field(default_factory=dict)
-    """How exactly sizes, pivots and clearances are built, by their names: `"0.1 mm"`, `"0.1 mm uniform"`, a CSV file with
+    """Manufacturing tolerances of dimensions, pivots and clearances, by name: `"0.1 mm"`, `"0.1 mm uniform"`, a CSV file with
     deviations, or `{ tolerance, distribution, cost }`."""
     expected: Expected | None = None
-    """What a trusted source says that the answer is; checked by the tests for every shipped problem."""
+    """Reference values from a trusted source; the tests check them for every shipped problem."""
 
     @property
     def task(self) -> str:
