@@ -32,6 +32,7 @@ MARKERS = {
 }
 EMPTY = "#e4e4e4"  # colour of the cells of a heat map without a value
 TITLE, FONT = 10.5, 8.5
+FLAT, TALL = 0.45, 1.1  # ratios of height to width that a chart with equal scales may have in a picture
 PANEL = 2.05  # height of a panel [inch]
 STEPS = 40  # number of bars up to which they are drawn as bars
 
@@ -94,10 +95,20 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
 def _height(chart: ChartSpec) -> float:
     """Return the height of a chart in the figure [inch]."""
     if chart.equal:
-        (left, right), (low, high) = chart.x.limits or chart.reach, chart.panels[0].y.limits or _rise(chart.panels[0])
-        ratio = (high - low) / (right - left) if right > left else 1.0
-        return (chart.width - 1.0) * min(max(ratio, 0.45), 1.1) + 1.1
+        return (chart.width - 1.0) * min(max(_ratio(chart), FLAT), TALL) + 1.1
     return 0.75 + PANEL * sum(panel.height for panel in chart.panels)
+
+
+def _ratio(chart: ChartSpec) -> float:
+    """Return height divided by width of the first panel in the unit of the axes."""
+    (left, right), (low, high) = chart.x.limits or chart.reach, chart.panels[0].y.limits or _rise(chart.panels[0])
+    return (high - low) / (right - left) if right > left else 1.0
+
+
+def _widened(chart: ChartSpec) -> bool:
+    """Return whether equal scales widen the limits to fill the panel: where they are not given, or too flat or tall for it."""
+    given = chart.x.limits is not None and chart.panels[0].y.limits is not None
+    return chart.equal and not (given and FLAT <= _ratio(chart) <= TALL)
 
 
 def _rise(panel: Panel) -> tuple[float, float]:
@@ -131,7 +142,9 @@ def into(axes: Axes, spec: ChartSpec, *, legend: bool = True) -> list[Label]:
 
 
 def _across(axes: Axes, chart: ChartSpec) -> None:
-    _scaled(axes, "x", chart.x, chart.x.limits or (chart.reach if _tight(chart) else None), chart.width - 1.0, equal=chart.equal)
+    _scaled(
+        axes, "x", chart.x, chart.x.limits or (chart.reach if _tight(chart) else None), chart.width - 1.0, widened=_widened(chart)
+    )
 
 
 def _tight(chart: ChartSpec) -> bool:
@@ -154,12 +167,12 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel, *, legend: bool = True) -
     flat = any(isinstance(trace, HeatMap) for trace in panel.traces)
     if not flat and not chart.equal:
         axes.margins(y=0.16 if panel.marks else 0.06)
-    _scaled(axes, "y", panel.y, panel.y.limits, 0.85 * PANEL * panel.height, equal=chart.equal)
+    _scaled(axes, "y", panel.y, panel.y.limits, 0.85 * PANEL * panel.height, widened=_widened(chart))
     low, high = sorted(axes.get_ylim())
     for mark in panel.marks:
         _mark(axes, mark, inside=chart.equal)
     if chart.equal:
-        axes.set_aspect("equal", adjustable="datalim" if panel.y.limits is None or chart.x.limits is None else "box")
+        axes.set_aspect("equal", adjustable="datalim" if _widened(chart) else "box")
     if low < 0.0 < high and panel.y.scale == "linear" and not flat and not chart.equal:
         axes.axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
     if panel.y.limits is not None:
@@ -260,10 +273,10 @@ def _mark(axes: Axes, mark: Mark, *, inside: bool) -> None:
     drawn.set_gid(mark.gid or None)
 
 
-def _scaled(axes: Axes, way: str, axis: Axis, limits: tuple[float, float] | None, room: float, *, equal: bool) -> None:
+def _scaled(axes: Axes, way: str, axis: Axis, limits: tuple[float, float] | None, room: float, *, widened: bool) -> None:
     """Set name, scale, limits, direction and ticks of an axis that is `room` long [inch].
 
-    On equal scales the limits may be widened to fill the panel.
+    If `widened`, the limits may be widened for equal scales.
     """
     own = axes.xaxis if way == "x" else axes.yaxis
     own.set_label_text(axis.name if "\n" in axis.name else heading(axis.name, room, 10.0))
@@ -275,7 +288,7 @@ def _scaled(axes: Axes, way: str, axis: Axis, limits: tuple[float, float] | None
         own.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e5 else f"{value:.0e}"))
         own.set_minor_formatter(NullFormatter())
     if limits is not None and limits[1] > limits[0]:
-        (axes.set_xlim if way == "x" else axes.set_ylim)(*limits, auto=equal)
+        (axes.set_xlim if way == "x" else axes.set_ylim)(*limits, auto=widened)
     if axis.reversed:
         (axes.invert_xaxis if way == "x" else axes.invert_yaxis)()
     low, high = sorted(axes.get_xlim() if way == "x" else axes.get_ylim())
