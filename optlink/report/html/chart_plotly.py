@@ -304,8 +304,11 @@ def _marks(spec: ChartSpec, panel: Panel) -> list[Trace]:
         drawn |= {"marker": look, "x": [one.x for one in own], "y": [one.y for one in own]}
         drawn |= {"text": [escape(one.text).replace("\n", "<br>") for one in own], "hovertemplate": "%{text}<extra></extra>"}
         if first.written:
-            ways = [one.prefer if any(one.prefer) else (middle[0] - one.x, middle[1] - one.y) for one in own]
-            sides = [f"{'top' if up > 0.0 else 'bottom'} {'right' if across > 0.0 else 'left'}" for across, up in ways]
+            ups = [one.prefer[1] or middle[1] - one.y for one in own]  # sideways inwards, so that no label leaves the chart
+            sides = [
+                f"{'top' if up > 0.0 else 'bottom'} {'right' if one.x < middle[0] else 'left'}"
+                for one, up in zip(own, ups, strict=True)
+            ]
             drawn |= {"textposition": sides, "textfont": {"color": first.colour, "size": 11}}
         seen = first.text and not (first.written and spec.picks is not None)  # else the points below are pointed at
         found.append(drawn | ({} if seen else {"hoverinfo": "skip", "hovertemplate": None}))
