@@ -35,7 +35,7 @@ SIDES = ("min", "max")
 class ProblemFile:
     """A problem with its origin.
 
-    `name` and `file` for display, `raw` as written (overrides applied), `model` read and checked.
+    `name` and `file`: for display; `raw`: the tables as written, with overrides; `model`: the checked problem.
     """
 
     name: str
@@ -95,11 +95,19 @@ class ProblemFile:
         return [self.override(change) if change else self for change in changes]
 
     def override(self, changes: Mapping[str, object]) -> ProblemFile:
-        """Return the same problem with other values, for example {"mechanism.frame": "480 mm"}; None removes a key.
+        """Return a copy of the problem with other values.
 
-        One side of a range has a key too: "limits.transmission_angle.max", "mechanism.coupler.min".
+        Parameters
+        ----------
+        changes : mapping of str to object
+            Values by dotted key, for example {"mechanism.frame": "480 mm"}; None removes a key. One side of a range also has a
+            key: "limits.transmission_angle.max", "mechanism.coupler.min". A change of any key that affects the result removes
+            `[expected]`.
 
-        `[expected]` is dropped when a key that affects the result changes.
+        Raises
+        ------
+        InputError
+            If a key or value is invalid.
         """
         raw = copy.deepcopy(dict(self.raw))
         for key, value in changes.items():
@@ -141,12 +149,18 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
     problem : str or Path
         "crank-rocker", or "my/problem.toml".
     overrides : mapping of str to object, optional
-        Values by dotted key, applied before checking.
+        Values by dotted key, for example {"mechanism.frame": "480 mm"}; None removes a key. They replace the values of the
+        file before it is checked.
+
+    Returns
+    -------
+    ProblemFile
+        The checked problem; argument of `solve`, `analyze` and the other tasks.
 
     Raises
     ------
     InputError
-        when the file or an override is invalid.
+        If the problem does not exist, or the file or an override is invalid.
     """
     text = str(problem)
     names = shipped()

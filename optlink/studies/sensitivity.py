@@ -169,22 +169,27 @@ def sensitivities(
     check: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Sensitivities:
-    """Find the optimum of a problem and its sensitivities to all parameters.
+    """Optimise a problem and compute the sensitivities of the optimum to all fixed parameters and limits.
 
     Parameters
     ----------
     problem : ProblemFile
-        With a requirement.
+        From `optlink.load`, with a requirement or an objective.
     backend, starts, seed
         As in `optlink.solve`.
     check : bool
         Whether to verify each parameter with an effect by re-optimisation on both sides.
     progress : function of the completed fraction of the check, optional
 
+    Returns
+    -------
+    Sensitivities
+        Derivatives of the objective and of the design variables, sorted by effect, each with its range of validity.
+
     Raises
     ------
     InputError
-        If no optimum is found; and as `optlink.solve`.
+        If no optimum is found, or under the conditions of `optlink.solve`.
     """
     if problem.task == "balance":
         remedy = "`optlink balance` lists the shadow prices of its limits"

@@ -210,32 +210,40 @@ def sweep(
     Parameters
     ----------
     problem : ProblemFile
+        From `optlink.load`.
     vary : sequence of str
-        Axes such as "mechanism.frame=450..550 mm:101"; the last one varies fastest. See `optlink.studies.grid`.
+        Axes of the grid, each a key with its values, for example "mechanism.frame=450..550 mm:101" (101 values) or
+        "mechanism.frame=450 mm, 500 mm". The last axis varies fastest.
     out : Path, optional
-        Folder for the chunks as they complete, and for the final table `sweep.csv`.
+        Folder for completed chunks and for the final table `sweep.csv`. Default: a temporary folder.
     resume : bool
-        Continue an interrupted run in that folder.
+        Whether to resume the interrupted run in `out`.
     analyze : bool
-        Analyse instead of optimising.
+        Whether to analyse the machine at every point instead of optimising it.
     columns : sequence of str
-        Columns of the analysis, each with its exact least and largest value and its rms value, or single figures such as
-        "slider.stroke_m".
+        With `analyze`: columns of the analysis, each with its exact least and largest value and its rms value, or single figures
+        such as "slider.stroke_m".
     points : int
-        Crank angles of rms values.
+        With `analyze`: number of crank angles per revolution for rms values.
     design : mapping of str to float [SI], optional
-        Design variables of an analysis or simulation that are not varied. Default: their starting values.
+        Values of design variables that are not varied, for an analysis or simulation. Default: their starting values.
     simulate : mapping, optional
-        Simulate instead of optimising, with these options (revolutions, points, control, tolerance or duration).
+        Options of a simulation at every point, instead of an optimisation: revolutions, points, control, tolerance or duration.
     backend : "slsqp" or "ipopt"
+        Local solver.
     engine, workers, scheduler
         See `optlink.studies.execution.runner.run`.
     progress : function of (completed points, all points), optional
 
+    Returns
+    -------
+    Sweep
+        Number of points by status, and the table, which is read from its file on demand.
+
     Raises
     ------
     InputError
-        As `read_grid`; for a folder that holds another study, or a full disk (completed chunks are kept).
+        If an axis or argument is invalid, `out` contains another study, or the disk is full (completed chunks are kept).
     """
     begin = time.perf_counter()
     grid = read_grid(problem, vary)

@@ -36,20 +36,25 @@ def analyze(
     speed: float | None = None,
     design: Mapping[str, float] | None = None,
 ) -> Analysis:
-    """Analyse a machine over its cycle at constant crank speed: motion, reactions, torque, work.
+    """Analyse a machine over its cycle at constant crank speed: motion, reactions, torque and work.
 
     Parameters
     ----------
     problem : ProblemFile
         From `optlink.load`.
     points : int
-        Steps of the table per revolution (or over the range); it has one row more.
+        Crank angle steps per revolution, or over the range of a crank that cannot turn fully; the table has one row more.
     step : float [rad], optional
-        Step instead of `points`.
+        Crank angle step, instead of `points`.
     speed : float [rad/s], optional
         Crank speed, negative clockwise. Default: that of the problem.
     design : mapping of str to float [SI], optional
-        Design variables. Default: their starting values.
+        Values of design variables. Default: their starting values.
+
+    Returns
+    -------
+    Analysis
+        Columns over the crank angle by name (`analysis["input.torque_Nm"]`), extremes, strokes, swings and work.
 
     Raises
     ------

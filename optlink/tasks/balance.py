@@ -154,12 +154,12 @@ def balance(
     progress: Progress | None = None,
     design: Mapping[str, float] | None = None,
 ) -> Balance:
-    """Choose counterweights and springs that minimise a measure of a machine, and prove optimality.
+    """Optimise counterweights and springs for a measure of a machine, and prove global optimality.
 
     Parameters
     ----------
     problem : ProblemFile
-        With a section [balance].
+        From `optlink.load`, with a section `[balance]`.
     minimise : str, optional
         Measure, for example "rms shaking force" or "largest reaction at D". Default: that of the problem.
     trade : str, optional
@@ -168,12 +168,17 @@ def balance(
         Number of points of the Pareto front, 3 to 1000.
     progress : function of the completed fraction of the Pareto front, optional
     design : mapping of str to float [SI], optional
-        Design variables. Default: their starting values.
+        Values of design variables. Default: their starting values.
+
+    Returns
+    -------
+    Balance
+        Counterweights and springs, measures before and after, duality gap, shadow prices and, with `trade`, the Pareto front.
 
     Raises
     ------
     InputError
-        If the problem or an argument is not valid.
+        If the problem or an argument is invalid.
     """
     begin = time.perf_counter()
     importlib.import_module("cvxpy")

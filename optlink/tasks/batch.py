@@ -55,27 +55,30 @@ def analyze_batch(
     points: int = 360,
     speed: float | None = None,
 ) -> Columns:
-    """Return columns of the analysis for many designs at once.
+    """Analyse many designs of a machine at once and return selected columns.
 
     Parameters
     ----------
     problem : ProblemFile
-    designs : mapping of quantity (see `optlink show`) to array (designs,) [SI]
-        Quantities that are not named keep their value.
+        From `optlink.load`.
+    designs : mapping of str to array (designs,) [SI]
+        Values by the name of the dimension, for example {"coupler.length": [0.14, 0.15]}; `optlink show` lists the names. Other
+        dimensions keep the value of the problem.
     columns : sequence of str
         Names as in `Analysis.columns`.
     points : int
-        Crank angles per revolution, from the start of the problem, the last one a step before the first. A mechanism that is
-        continued through change points gets as many revolutions as the longest cycle of all designs.
+        Number of crank angles per revolution, starting at `drive.start`; the last one lies one step before the full revolution. A
+        mechanism that moves through change points has as many revolutions as the longest cycle of all designs.
     speed : float [rad/s], optional
         Crank speed. Default: that of the problem.
 
     Returns
     -------
     Columns
-        Arrays (designs, points of all revolutions) by name; NaN where a design cannot be assembled, or has no slow stroke
-        in which a load acts, and for designs whose motion is not determined beyond a singular position (`singular` gives the
-        crank angle). Memory beside these arrays does not grow with the number of designs.
+        Arrays (designs, points of all revolutions) by name. A value is NaN where the design cannot be assembled. All values of a
+        design are NaN if a load acts in the slow stroke and the design has none, or if the motion is not determined beyond a
+        singular position (`singular` contains the message). Apart from these arrays, memory does not grow with the number of
+        designs.
 
     Raises
     ------

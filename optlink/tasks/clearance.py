@@ -128,7 +128,7 @@ def simulate_clearance(
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
     resume: Mapping[str, Any] | None = None,
 ) -> ClearanceSimulation:
-    """Simulate a machine with joint clearance from the state of the machine without clearance.
+    """Simulate a machine with joint clearance; the initial state is that of the machine without clearance.
 
     Parameters
     ----------
@@ -145,31 +145,32 @@ def simulate_clearance(
     start : float [rad], optional
         Initial crank angle. Default: that of the problem.
     design : mapping of str to float [SI], optional
-        Design variables. Default: their starting values.
+        Values of design variables. Default: their starting values.
     flywheel : float [kg m^2]
-        Additional inertia at the crank.
+        Additional moment of inertia at the crank.
     tolerance : float
         Relative tolerance of the integrator; the absolute one is a thousandth of it (SI).
     twin : bool
         Whether a second run at a coarser tolerance determines how long the motion is predictable.
     progress : function of the completed fraction, optional
     stream : function of the rows of a revolution, optional
-        Called after every revolution; memory does not grow with their number.
+        Called after every revolution; memory does not grow with the number of revolutions.
     checkpoint : function of a document, optional
-        Called every few seconds and on termination with all data that `resume` needs, JSON compatible.
+        Called every few seconds and on termination with a JSON-compatible document for `resume`.
     resume : mapping, optional
-        Such a document: the run continues from there, with results identical to an uninterrupted run. It does not contain the
-        earlier rows.
+        Document of a checkpoint: the run continues from there, with results identical to those of an uninterrupted run. The
+        document does not contain earlier rows.
 
     Returns
     -------
     ClearanceSimulation
-        If the integration stalls or is interrupted, the results until then.
+        Columns, contacts, statistics and predictability. If the integration stalls or is interrupted, it contains the results
+        up to that time.
 
     Raises
     ------
     InputError
-        If such a simulation is not possible, or the checkpoint belongs to another run.
+        If no joint has clearance, an argument is invalid, or the checkpoint belongs to another run.
     """
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)

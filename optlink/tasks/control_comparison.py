@@ -72,20 +72,20 @@ def compare(
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
     resume: Mapping[str, Any] | None = None,
 ) -> Comparison:
-    """Run every kind of control from several random initial crank angles.
+    """Compare kinds of clearance control by simulations from several random initial crank angles.
 
     Parameters
     ----------
     problem : ProblemFile
-        With clearance, a servo and a controller.
+        From `optlink.load`, with joint clearance, `[drive] servo` and `[control]`.
     revolutions : int
-        Revolutions per run; statistics omit the first five of more than ten.
+        Revolutions per run. With more than ten, the statistics omit the first five.
     starts : int
         Number of initial crank angles.
     seed : int
         Seed of the initial crank angles.
     kinds : sequence of str
-        Kinds of control.
+        Kinds of control: "none", "inverse", "pid", "inverse+pid".
     speed : float [rad/s], optional
         Nominal crank speed. Default: that of the problem.
     points : int
@@ -93,21 +93,25 @@ def compare(
     tolerance : float
         Relative tolerance of the integrator.
     design : mapping of str to float [SI], optional
-        Design variables. Default: their starting values.
+        Values of design variables. Default: their starting values.
     workers : int, optional
-        Number of processes that share the runs. Default: the present process only. Results do not depend on it. A script
-        that starts processes must guard its code by `if __name__ == "__main__":`.
+        Number of processes. Default: the calling process only. The results do not depend on it. A script that starts processes
+        must guard its code by `if __name__ == "__main__":`.
     progress : function of the completed fraction, optional
-        All kinds run from the first start first, so that the fraction predicts the remaining time.
     checkpoint : function of a document, optional
-        Called after every run with all complete runs, JSON compatible.
+        Called after every run with a JSON-compatible document of all completed runs.
     resume : mapping, optional
-        Such a document: runs contained in it are not repeated.
+        Document of a checkpoint; its runs are not repeated.
+
+    Returns
+    -------
+    Comparison
+        Mean error and scatter of every kind of control, and the statistics of every run.
 
     Raises
     ------
     InputError
-        If such simulations are not possible, or the checkpoint belongs to other options.
+        If the problem has no clearance, servo or controller, or the checkpoint belongs to other options.
     KeyboardInterrupt
         On interruption; the last checkpoint contains all complete runs.
     """
@@ -207,16 +211,17 @@ def tune(
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
     resume: Mapping[str, Any] | None = None,
 ) -> Tuning:
-    """Minimise the mean error over several starts with respect to controller parameters.
+    """Tune controller parameters: minimise the mean error over several initial crank angles.
 
-    Half of the evaluations are Sobol points over `RANGES`, the others contract around the best so far: the cost of a
-    chaotic machine is noisy, so no derivatives are used. All values are compared from the same starts. A run stops as soon as its
-    error alone raises the mean above the best so far. If none is better than the parameters of the problem, these remain.
+    The search uses no derivatives, because the error of a chaotic machine is noisy. Half of the evaluations are Sobol points
+    over `RANGES`; the others contract around the best point. All parameter sets are evaluated from the same initial crank
+    angles. An evaluation stops as soon as its error alone raises the mean above the best value. If no set is better than the
+    parameters of the problem, these are the result.
 
     Parameters
     ----------
     problem : ProblemFile
-        With clearance, a servo and a controller.
+        From `optlink.load`, with joint clearance, `[drive] servo` and `[control]`.
     control : str
         Kind of control: "inverse", "pid" or "inverse+pid".
     names : sequence of str
@@ -234,14 +239,20 @@ def tune(
     workers, progress
         As in `compare`.
     checkpoint : function of a document, optional
-        Called after every evaluation with all complete evaluations, JSON compatible.
+        Called after every evaluation with a JSON-compatible document of all completed evaluations.
     resume : mapping, optional
-        Such a document: evaluations contained in it are not repeated.
+        Document of a checkpoint; its evaluations are not repeated.
+
+    Returns
+    -------
+    Tuning
+        Best parameters, their error, and all evaluations.
 
     Raises
     ------
     InputError
-        If an argument is out of range, such simulations are not possible, or the checkpoint belongs to other options.
+        If an argument is out of range, the problem has no clearance, servo or controller, or the checkpoint belongs to other
+        options.
     KeyboardInterrupt
         On interruption; the last checkpoint contains all complete evaluations.
     """

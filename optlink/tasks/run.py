@@ -66,12 +66,12 @@ def solve(
         From `optlink.load`, with a `[requirement]` (motion law, function, path, motion, transmission), an `[objective]` over
         the cycle of a machine, or a section `[balance]`.
     backend : "ipopt", "slsqp" or "both"
-        Local solver. With "both" each solver searches separately and the results must agree (laws, functions, cycles).
+        Local solver. With "both", each solver searches separately and the results must agree (laws, functions, cycles).
     starts : int, optional
         Number of starting points; more are never worse. Default: chosen by the kind of problem.
     seed : int
         Seed of the random starting points.
-    progress : function of the share that is done, optional
+    progress : function of the completed fraction, optional
     designs : int, optional
         Number of distinct designs of a path, motion or transmission problem (default 3).
     track : bool
@@ -80,12 +80,12 @@ def solve(
     Returns
     -------
     FunctionResult, PathResult, CycleResult or Balance
-        By the kind of problem. All have `valid`, `status`, `design`, `objective` and `to_dict()`.
+        Depends on the kind of problem. All have `valid`, `status`, `design`, `objective` and `to_dict()`.
 
     Raises
     ------
     InputError
-        if the problem has no requirement, objective or balancing section, if no design variable is free, or if an argument
+        If the problem has no requirement, objective or balancing section, if it has no design variables, or if an argument
         does not apply.
     """
     if problem.task != "path" and designs is not None:
@@ -97,19 +97,24 @@ def solve(
 
 
 def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult | PathResult | CycleResult:
-    """Check a given design by the kinematics core, or show which requirement it fails.
+    """Check a design against all requirements and limits, without optimisation.
 
     Parameters
     ----------
     problem : ProblemFile
         From `optlink.load`, with a requirement or an objective.
-    design : mapping of design variable to value [SI]
-        See `optlink.read_design`.
+    design : mapping of str to float [SI]
+        Values of the design variables by name; `optlink.read_design` reads them from text or from a result file.
+
+    Returns
+    -------
+    FunctionResult, PathResult or CycleResult
+        Depends on the kind of problem; `valid` if all checks pass.
 
     Raises
     ------
     InputError
-        if the problem has no requirement or objective.
+        If the problem has no requirement or objective.
     """
     found: FunctionResult | PathResult | CycleResult = TASKS[problem.task].validate(problem, design)
     return found

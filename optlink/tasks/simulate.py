@@ -132,16 +132,21 @@ def simulate(
     problem : ProblemFile
         From `optlink.load`.
     duration : float [s], optional
-        Default: that of the problem, else the time of one revolution at its speed.
+        Simulated time. Default: that of the problem, else the time of one revolution at its speed.
     rows : int
-        Time steps of the table, evenly spaced; it has one row more. The integrator chooses its own steps.
+        Number of evenly spaced time steps of the table, which has one row more. The integrator chooses its own steps.
     speed : float [rad/s], optional
-        Initial crank speed (constant without a torque). Default: that of the problem.
+        Initial crank speed; without a torque, the constant speed. Default: that of the problem.
     design : mapping of str to float [SI], optional
-        Design variables. Default: their starting values.
+        Values of design variables. Default: their starting values.
     progress : function of the completed fraction, optional
     flywheel : float [kg m^2]
-        Additional inertia at the crank.
+        Additional moment of inertia at the crank.
+
+    Returns
+    -------
+    Simulation
+        Columns over time by name, figures, and the energy account.
 
     Raises
     ------

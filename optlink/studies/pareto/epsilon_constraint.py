@@ -214,26 +214,32 @@ def pareto(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> Pareto:
-    """Compute the Pareto front of two or three objectives.
+    """Compute the Pareto front of two or three objectives by the epsilon-constraint method.
 
     Parameters
     ----------
     problem : ProblemFile
         A machine with an objective over its cycle, or a four-bar for a law.
     objectives : str
-        For example "peak torque, guide force in F"; see `optlink.studies.pareto.objectives`.
+        Objectives, separated by commas: "peak torque, guide force in F" for a machine, "error, limits.transmission_angle.max"
+        for a law; see `optlink.studies.pareto.objectives`.
     out : Path, optional
-        Folder for the chunks as they complete, and for every point of the grid (`sweep.csv`).
+        Folder for completed chunks and for a table of all points (`sweep.csv`). Default: a temporary folder.
     points : int, optional
-        Points of the front, or per constrained objective for three objectives. Default: 15 or 7.
+        Number of points; with three objectives, along each of two axes. Default: 15; with three objectives 7.
     resume, backend, engine, workers, scheduler
         As in `optlink.studies.sweep.sweep`.
     progress : function of (completed points, all points), optional
 
+    Returns
+    -------
+    Pareto
+        Validated designs of the front, its ends and its knee.
+
     Raises
     ------
     InputError
-        As `read_objectives`; if an end cannot be found, or the folder holds another study.
+        If an objective is invalid, an end of the front cannot be found, or `out` contains another study.
     """
     begin = time.perf_counter()
     aims = read_objectives(problem, objectives)

@@ -230,37 +230,44 @@ def tolerance(
     robust: float | str | None = None,
     progress: Progress | None = None,
 ) -> Tolerance:
-    """Analyse the effect of tolerances on an output.
+    """Analyse the effect of manufacturing tolerances on an output: worst case, scatter and yield.
 
     Parameters
     ----------
     problem : ProblemFile
-        Design variables are optimised first, unless a `design` is given.
+        From `optlink.load`. Without a `design`, it is optimised first.
     tolerances : sequence of str
-        For example "coupler=0.1 mm", "D.x=0.05 mm uniform", "C.clearance=0.02 mm", "rocker=parts.csv". Default: those of the
-        file.
+        Tolerances by name: "coupler=0.1 mm", "D.x=0.05 mm uniform", "C.clearance=0.02 mm", "rocker=parts.csv". Default: those of
+        the file.
     output : str, optional
-        Body (its angle), "P.x", "P.y" of a point, or "error" of a motion law (its default).
+        Name of a body (its angle), coordinate "P.x" or "P.y" of a point, or "error" of a motion law. Default: "error".
     crank_angles : array (angles,) [rad], optional
-        Default: the span of a motion law, the points of a path, otherwise a revolution.
+        Crank angles of the analysis. Default: the span of a motion law, the points of a path, otherwise a revolution.
     limit : str, optional
-        For example "0.5 deg": largest absolute error, or change of another output, over all crank angles.
+        Permitted absolute error, or permitted change of another output, at all crank angles, for the yield: "0.5 deg".
     samples : int
-        Samples of the Monte MonteCarlo analysis; 0: none.
+        Number of samples of the Monte Carlo analysis; 0: linear analysis only.
     seed : int
         Seed of the samples.
     shape : str
-        Default distribution of tolerances.
+        Default distribution of tolerances: "normal", "uniform" or "triangular".
     design : mapping of str to float [SI], optional
-        Design variables.
+        Values of the design variables. Default: the optimum.
     wanted : float, optional
-        Required yield, between 0 and 1: allocate tolerances of least cost; see `optlink.studies.tolerance.allocation`.
+        Required yield, between 0 and 1, for which tolerances of least cost are allocated; see
+        `optlink.studies.tolerance.allocation`.
     costs : mapping of str to float, optional
         Cost coefficients by name of the deviation. Default: those of the file, or 1.
     robust : float or str, optional
-        Number of standard deviations, "worst", "margin" (as many as keep the limit) or "yield" (largest yield): analyse the
-        robust design, and the nominal optimum beside it; see `optlink.studies.tolerance.robust_design`.
+        Optimise a robust design for the error plus this number of standard deviations, the worst case ("worst"), the largest
+        number of standard deviations within the limit ("margin") or the largest yield ("yield"). The result also contains the
+        nominal optimum; see `optlink.studies.tolerance.robust_design`.
     progress : function of the completed fraction of the samples, optional
+
+    Returns
+    -------
+    Tolerance
+        Sensitivity to every deviation, worst case, scatter, yield and, if required, allocated tolerances and robust design.
 
     Raises
     ------

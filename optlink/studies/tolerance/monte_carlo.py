@@ -1,4 +1,4 @@
-"""Monte MonteCarlo analysis of tolerances with exact kinematics: scatter, extremes and yield."""
+"""Monte Carlo analysis of tolerances with exact kinematics: scatter, extremes and yield."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """Result of the Monte MonteCarlo analysis.
+    """Result of the Monte Carlo analysis.
 
     `mean`, `sigma` and the standard error of sigma (angles,) [SI] of the change of the output; `least`, `most` of it; `counts` of
     samples by the largest absolute judged value over all crank angles, between `edges` [SI]; `stuck`: samples that cannot be
