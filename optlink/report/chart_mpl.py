@@ -95,7 +95,7 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
 def _height(chart: ChartSpec) -> float:
     """Return the height of a chart in the figure [inch]."""
     if chart.equal:
-        return (chart.width - 1.0) * min(max(_ratio(chart), FLAT), TALL) + 1.1
+        return (chart.width - 1.0) * min(max(_ratio(chart), FLAT), TALL) + 1.45
     return 0.75 + PANEL * sum(panel.height for panel in chart.panels)
 
 

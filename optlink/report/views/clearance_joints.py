@@ -282,18 +282,28 @@ def section(turns: Turns) -> list[ChartSpec]:
     numbers, values = result.section["revolution"], result.section[f"{out.name}.error_{out.unit}"]
     unit, size = turns.shares(float(np.max(np.abs(values)))), 4.5 if len(numbers) < 300 else 2.0
 
-    def points(x: Array, y: Array) -> list[Curve]:
+    def points(x: Array, y: Array, *, legend: bool = False) -> list[Curve]:
         early = numbers < turns.begin
         return [
-            ring(x[early], y[early], "running-in", QUIET, size=size, legend=bool(early.any()), gid="early"),
-            Curve(x[~early], y[~early], "end of a revolution", FOUND, mode="markers", size=size, opacity=0.7, gid="late"),
+            ring(x[early], y[early], "running-in", QUIET, size=size, legend=legend and bool(early.any()), gid="early"),
+            Curve(
+                x[~early],
+                y[~early],
+                "end of a revolution",
+                FOUND,
+                mode="markers",
+                size=size,
+                opacity=0.7,
+                legend=legend,
+                gid="late",
+            ),
         ]
 
     y = Axis(f"deviation [{unit.unit}]", hold(values * unit.factor, least=0.02))
     ends = "at the ends of the revolutions"
     heading = f"{turns.title('Poincaré section')}\n{_verdict(turns)}"
     title = f"Deviation of {out.name} at the ends of the revolutions"
-    panel = Panel(y, points(numbers, values * unit.factor))
+    panel = Panel(y, points(numbers, values * unit.factor, legend=True))
     found = [ChartSpec("section", title, [panel], numbered(numbers), heading, cursor=False, width=4.4)]
     for k, gap in enumerate(result.gaps):
         shown = scale(gap.clearance, "m")
