@@ -105,11 +105,12 @@ class SweepRecord(ResultRecord):
 
 @dataclass(frozen=True, repr=False)
 class Sweep(Recorded):
-    """A finished sweep. Its table is a file that is read on demand.
+    """Result of a sweep; the table is read from its file on demand.
 
-    `valid`, `searched`, `changed`: number of points with a validated optimum (or a sound analysis), with a search instead of
-    continuation from a neighbour, with an active set other than that of the preceding point; `statuses`: number of points by
-    status; `cpu` [s] of all processes for the `done` points of this run.
+    `valid`: number of points with a validated optimum (or a complete analysis); `searched`: number of points that were solved by
+    a new search instead of continuation from a neighbour; `changed`: number of points whose active set differs from that of the
+    preceding point; `statuses`: number of points by status; `cpu` [s]: processor time of all processes for the `done` points of
+    this run.
     """
 
     record = SweepRecord

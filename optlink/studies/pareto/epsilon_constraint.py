@@ -55,7 +55,7 @@ MOST = 100_000  # largest number of points of a grid
 
 @dataclass(frozen=True)
 class ParetoPoint:
-    """A design of the front: objectives in the order and units of the aims, design variables by column, its active limits."""
+    """A design of the front: values of the objectives in their order and units, design variables by column, active limits."""
 
     values: tuple[float, ...]
     design: Mapping[str, float]
@@ -143,11 +143,11 @@ class ParetoRecord(ResultRecord):
 
 @dataclass(frozen=True, repr=False)
 class Pareto(Recorded):
-    """A Pareto front, from the best of the first objective on.
+    """A Pareto front, sorted from the best value of the first objective.
 
     `ends`: index of the best point of every objective; `knee`: its index and its distance from the chord of the ends, if any;
-    `given`: the objectives of the given machine, or of the optimum for the limits of the file; `solved` points of the grid, of
-    which `valid` are validated, `infeasible` have no design, and `dominated` are dominated by others.
+    `given`: the objectives of the initial machine, or of the optimum for the limits of the file. Of the `solved` points of the
+    grid, `valid` are validated, `infeasible` have no design, and `dominated` are dominated by others.
     """
 
     record = ParetoRecord

@@ -276,8 +276,8 @@ class BalanceRecord(ResultRecord):
 class Balance(Recorded):
     """A balanced machine, or the limits that conflict.
 
-    `status`: "optimal", "relaxed" (discs come near the proven bound without reaching it), "infeasible" or "stalled". `objective`
-    and `before` in the unit of the measure, or as weighted shares of the given machine; `lower`: proven lower bound; `gap`:
+    `status`: "optimal", "relaxed" (discs approach the proven bound without reaching it), "infeasible" or "stalled". `objective`
+    and `before` in the unit of the measure, or as weighted ratios to the original machine; `lower`: proven lower bound; `gap`:
     relative duality gap; `slack`: relative excess of the realisable design over the bound. `disagreement`: difference of the
     programme from the inverse dynamics of `balanced`, the problem with the new bodies.
     """

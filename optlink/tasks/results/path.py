@@ -304,7 +304,7 @@ class PathRecord(SearchRecord):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathResult(Recorded):
-    """Result of a path or motion search: validated designs, best first; or the nearest miss and the reason of its failure."""
+    """Result of path, motion or function synthesis: validated designs, best first; or the nearest invalid one and the reason."""
 
     record = PathRecord
 
@@ -333,7 +333,7 @@ class PathResult(Recorded):
 
     @property
     def best(self) -> PathDesign | None:
-        """The best validated design; the nearest miss if there is none; None if no linkage reaches the points at all."""
+        """The best validated design; else the nearest invalid one; None if no linkage reaches the points."""
         return self.designs[0] if self.designs else self.nearest
 
     @property
