@@ -167,10 +167,10 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel, *, legend: bool = True) -
     flat = any(isinstance(trace, HeatMap) for trace in panel.traces)
     if not flat and not chart.equal:
         axes.margins(y=0.16 if panel.marks else 0.06)
-    _scaled(axes, "y", panel.y, panel.y.limits, 0.85 * PANEL * panel.height, widened=_widened(chart))
-    low, high = sorted(axes.get_ylim())
     for mark in panel.marks:
         _mark(axes, mark, inside=chart.equal)
+    _scaled(axes, "y", panel.y, panel.y.limits, 0.85 * PANEL * panel.height, widened=_widened(chart))
+    low, high = sorted(axes.get_ylim())
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim" if _widened(chart) else "box")
     if low < 0.0 < high and panel.y.scale == "linear" and not flat and not chart.equal:
