@@ -80,7 +80,7 @@ class Price:
 
 
 @dataclass(frozen=True)
-class Limits:
+class BalanceLimits:
     """Limits beside those of single counterweights: upper bounds of measures [SI] and of the total mass [kg]."""
 
     measures: tuple[tuple[BalanceMeasure, float], ...] = ()
@@ -97,7 +97,7 @@ class BalancingProgramme:
         In the order of `effects`.
     springs : sequence of FreeSpring
         In the order of `effects`, after the counterweights.
-    limits : Limits
+    limits : BalanceLimits
     mass : float [kg]
         Typical mass of the machine.
     length : float [m]
@@ -109,7 +109,7 @@ class BalancingProgramme:
         effects: Effects,
         counterweights: Sequence[Counterweight],
         springs: Sequence[FreeSpring],
-        limits: Limits,
+        limits: BalanceLimits,
         mass: float,
         length: float,
     ) -> None:

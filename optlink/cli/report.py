@@ -16,7 +16,7 @@ from optlink.solvers import interrupts
 
 if TYPE_CHECKING:
     from optlink.report.report_model import ReportModel
-    from optlink.report.stored.stored_study import Studied
+    from optlink.report.stored.stored_study import StoredStudy
 
 SCHEMA = "optlink/written/1"
 
@@ -46,11 +46,11 @@ def report(
         with console.working("Reading or solving the problem"):
             about = _subject(subject, output, problem, backend, starts, seed, changes, design)
             interrupts.check()
-        from optlink.report.stored.stored_study import Studied, write_studied
+        from optlink.report.stored.stored_study import StoredStudy, write_study
 
         with console.working(f"Writing {output}"):
-            if isinstance(about, Studied):
-                write_studied(about, output)
+            if isinstance(about, StoredStudy):
+                write_study(about, output)
             else:
                 from optlink.report.html.page import write_page
 
@@ -97,9 +97,9 @@ def export(
         with console.working("Reading or solving the problem"):
             about = _subject(subject, output, problem, backend, starts, seed, changes, design)
             interrupts.check()
-        from optlink.report.stored.stored_study import Studied
+        from optlink.report.stored.stored_study import StoredStudy
 
-        if isinstance(about, Studied):
+        if isinstance(about, StoredStudy):
             remedy = f"Export the problem, with the design that you want: optlink export {about.problem.name} --design NAME=VALUE"
             raise InputError(Fault(f"a {about.kind} is no one design that could be drawn", remedy, subject))
         if not (about.valid or even_invalid):
@@ -117,17 +117,17 @@ def _subject(
     seed: int,
     changes: list[str] | None,
     design: list[str] | None,
-) -> ReportModel | Studied:
+) -> ReportModel | StoredStudy:
     """Return the subject of the command: a stored result, or a problem with its solution."""
     from optlink.report.report_model import report_model_of, solve_or_validate
-    from optlink.report.stored.loader import is_result, opened
+    from optlink.report.stored.loader import is_result, load_stored
 
     if output.exists() and os.path.exists(text) and os.path.samefile(output, text):
         raise InputError(Fault("this would overwrite what it is made of", "Choose another name", key="-o", value=str(output)))
     if is_result(text):
         remedy = "Leave it out, or name the problem instead of its result"
         console.refuse({"--design": design, "--starts": starts}, "a result has its design already", remedy, text)
-        return opened(text, problem, changes or ())
+        return load_stored(text, problem, changes or ())
     remedy = "Leave it out, or name a result.json first"
     console.refuse({"--problem": problem}, "only a RESULT belongs to another problem", remedy, text)
     file = console.load(text, changes)
@@ -147,12 +147,12 @@ def _refuse(about: ReportModel, as_json: bool) -> None:
     raise typer.Exit(1)
 
 
-def _written(about: ReportModel | Studied, output: Path, as_json: bool) -> None:
+def _written(about: ReportModel | StoredStudy, output: Path, as_json: bool) -> None:
     """Report the written file, and exit with code 1 for an invalid design."""
     from optlink.report.html.page import verdict
-    from optlink.report.stored.stored_study import Studied
+    from optlink.report.stored.stored_study import StoredStudy
 
-    size, told = output.stat().st_size, about.verdict if isinstance(about, Studied) else verdict(about)
+    size, told = output.stat().st_size, about.verdict if isinstance(about, StoredStudy) else verdict(about)
     if as_json:
         from optlink.io import head
 

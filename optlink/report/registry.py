@@ -15,7 +15,7 @@ from optlink.report.view import View
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.record import ResultRecord
-    from optlink.report.stored.stored_study import Studied
+    from optlink.report.stored.stored_study import StoredStudy
     from optlink.report.table_spec import Summary
 
 
@@ -37,11 +37,11 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
 
             return function_table
         case "path":
-            from optlink.report.views.path_tables import generation as path_table
+            from optlink.report.views.path_tables import path_result as path_table
 
             return path_table
         case "cycle":
-            from optlink.report.views.cycle_tables import machine_design as cycle_table
+            from optlink.report.views.cycle_tables import cycle_result as cycle_table
 
             return cycle_table
         case "balance":
@@ -77,7 +77,7 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
 
             return tolerance_table
         case "pareto":
-            from optlink.report.views.pareto_tables import front as pareto_table
+            from optlink.report.views.pareto_tables import pareto_front as pareto_table
 
             return pareto_table
     return REGISTERED[kind].table
@@ -125,7 +125,7 @@ def view_of(kind: str) -> View:
     return views[kind]
 
 
-def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], Studied]:
+def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], StoredStudy]:
     """Import the function that makes a page of a stored result of a kind.
 
     Raises
@@ -135,14 +135,14 @@ def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], Studied]:
     """
     from optlink.report.views import balance_page, clearance_page, pareto, simulation_page, sweep, tolerance
 
-    pages: dict[str, Callable[[Any, ProblemFile, Path], Studied]] = {
-        "simulation": simulation_page.studied,
-        "clearance": clearance_page.studied,
+    pages: dict[str, Callable[[Any, ProblemFile, Path], StoredStudy]] = {
+        "simulation": simulation_page.stored_study,
+        "clearance": clearance_page.stored_study,
         "control comparison": clearance_page.compared,
-        "balance": balance_page.studied,
-        "sweep": sweep.studied,
-        "tolerance": tolerance.studied,
-        "pareto": pareto.studied,
+        "balance": balance_page.stored_study,
+        "sweep": sweep.stored_study,
+        "tolerance": tolerance.stored_study,
+        "pareto": pareto.stored_study,
     }
     return pages[kind]
 

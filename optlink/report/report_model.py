@@ -112,14 +112,14 @@ def report_model_of(
     if isinstance(outcome, Analysis):
         return ReportModel(problem, outcome, outcome, limits=limits, notes=notes)
     try:
-        machine = machine_found(outcome)
+        machine = resulting_machine(outcome)
         cycle = None if machine is None else analyze(machine)
     except InputError as error:
         return ReportModel(problem, outcome, None, error.faults[0].message, limits, notes)
     return ReportModel(problem, outcome, cycle, "" if cycle else "no linkage was found", limits, notes)
 
 
-def machine_found(outcome: FunctionResult | PathResult | CycleResult) -> ProblemFile | None:
+def resulting_machine(outcome: FunctionResult | PathResult | CycleResult) -> ProblemFile | None:
     """Return the resulting machine with all dimensions fixed; its crank starts and turns as the task requires.
 
     None if the search found no design.

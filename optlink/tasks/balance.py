@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from optlink.balancing import optimum as search
 from optlink.balancing.certificate import GAP
-from optlink.balancing.socp import NOTHING, BalancingProgramme, Limits, version
+from optlink.balancing.socp import NOTHING, BalanceLimits, BalancingProgramme, version
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Affine, BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
@@ -85,7 +85,7 @@ class _Task:
         self._check_finite()
         self.effects = Effects(self.moving, [weight.body for weight in self.counterweights], self.springs, self.about)
         ceilings = tuple(ceiling for ceiling in section.limits.values())
-        self.limits = Limits(
+        self.limits = BalanceLimits(
             tuple((c.measure, c.of(c.measure.value(self.effects.affine(c.measure).offset))) for c in ceilings),
             math.inf if section.mass is None or section.mass.high is None else section.mass.high,
         )

@@ -23,7 +23,7 @@ from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, place_labels
 from optlink.report.registry import view_of
 from optlink.report.views import analysis, analysis_charts, analysis_forces
-from optlink.report.views.analysis_curves import Course
+from optlink.report.views.analysis_curves import CycleCurves
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 
@@ -107,8 +107,8 @@ def analysed(name: str) -> Analysis:
 
 
 @functools.cache
-def course(name: str) -> Course:
-    return Course(analysed(name))
+def course(name: str) -> CycleCurves:
+    return CycleCurves(analysed(name))
 
 
 @functools.cache
@@ -191,7 +191,7 @@ def test_curves_pass_through_every_row_of_the_table(name, kind, column, unit):
 @pytest.mark.parametrize("points", [7, 30_000])
 def test_curves_are_smooth_whatever_the_table(points):
     """A coarse table makes no polygon, a fine one no heavy file."""
-    coarse = Course(analyze(optlink.load("six-bar"), points=points))
+    coarse = CycleCurves(analyze(optlink.load("six-bar"), points=points))
     x, y = coarse.line("input.torque_Nm")
     assert 700 < len(x) < 3000
     np.testing.assert_allclose(np.interp(100.0, x, y), np.interp(100.0, *course("six-bar").line("input.torque_Nm")), rtol=1e-4)
@@ -245,7 +245,7 @@ def test_jumps_of_loads_are_gaps_between_one_sided_values():
 
 
 def test_a_jump_drawn_as_a_slope_would_be_noticed():
-    blind = Course(replace(analysed("shaper"), jumps=np.empty(0)))
+    blind = CycleCurves(replace(analysed("shaper"), jumps=np.empty(0)))
     x, y = blind.line("F.normal_N")
     assert slopes(np.stack([x, y], axis=-1)) > 0.2
 
@@ -558,7 +558,7 @@ def test_axes_are_labelled_in_the_unit_that_is_drawn():
 
 def test_a_title_with_dollars_or_strange_letters_breaks_nothing(tmp_path):
     raw = four_bar(100, 412.865, 232.246, 500, title="Costs $5 or $6_{x}: 连杆机构 🙂 " + "and so on " * 15)
-    strange = Course(analyze(optlink.read(raw)))
+    strange = CycleCurves(analyze(optlink.read(raw)))
     figure = pictures(analysis_forces.torque(strange))["torque"]
     style.save(figure, tmp_path / "torque.png")  # no warning about letters that the font lacks
     assert "$5 or $6_{x}" in figure.get_suptitle()
@@ -578,8 +578,8 @@ def test_no_forces_no_pictures_of_them(tmp_path):
 def test_a_four_bar_has_no_guides_and_massless_links_shake_nothing():
     assert picture("partial", "guides") is None
     loaded = analyze(optlink.read({**YOKE, "bodies": {}}))
-    assert analysis_forces.shaking(Course(loaded)) == []
-    assert analysis_forces.guides(Course(loaded))
+    assert analysis_forces.shaking(CycleCurves(loaded)) == []
+    assert analysis_forces.guides(CycleCurves(loaded))
 
 
 def test_singular_positions_are_gaps_and_do_not_set_the_scale():
@@ -605,7 +605,7 @@ def test_rounding_is_not_drawn_as_motion():
             "links": {"crank": {"joints": ["A", "B"], "length": "1 m"}},
         },
     }
-    figure = pictures(analysis_charts.motion(Course(analyze(optlink.read(alone)))))["motion"]
+    figure = pictures(analysis_charts.motion(CycleCurves(analyze(optlink.read(alone)))))["motion"]
     bottom = figure.axes[-1]
     assert not [line for line in bottom.get_lines() if str(line.get_gid()).startswith("extreme")]
     curve = drawn(figure, "crank.alpha_rad_s2")

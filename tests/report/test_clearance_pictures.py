@@ -22,7 +22,7 @@ from optlink.report.chart_mpl import pictures
 from optlink.report.drawing import Sketch
 from optlink.report.registry import view_of
 from optlink.report.views import clearance, clearance_joints, control_comparison, magnified_joints
-from optlink.report.views.revolutions import FULL, Turns, fold, rough, round_below, runs
+from optlink.report.views.revolutions import FULL, RevolutionCurves, fold, rough, round_below, runs
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.control_comparison import compare
 from optlink.tasks.results.clearance import ClearanceSimulation
@@ -181,18 +181,18 @@ def test_small_helpers() -> None:
 
 
 def test_turns_know_their_revolutions() -> None:
-    turns = Turns(simulated("periodic"))
+    turns = RevolutionCurves(simulated("periodic"))
     assert (turns.points, turns.kept, turns.begin, turns.shown) == (72, 13, 6, 8)
     assert turns.counted == "revolutions 6 to 13"
     assert turns.rows(1) == slice(12 * 72 - 1, 13 * 72)
     assert turns.span(3) == "revolutions 11 to 13"
     assert turns.rms == simulated("periodic").figures["rms_m"]
-    early = Turns(simulated("interrupted"))
+    early = RevolutionCurves(simulated("interrupted"))
     assert (early.kept, early.begin, early.shown, early.whole, early.broken) == (3, 1, 3, 144, True)
     assert early.span(1) == "the last revolution"
     assert early.rms == early.result.figures["rms_from_start_m"]
-    assert math.isclose(Turns(simulated("drag link")).advance, 2.0 * math.pi)
-    assert Turns(simulated("four-bar")).advance == 0.0
+    assert math.isclose(RevolutionCurves(simulated("drag link")).advance, 2.0 * math.pi)
+    assert RevolutionCurves(simulated("four-bar")).advance == 0.0
 
 
 # --- every picture of every machine ------------------------------------------------------------------------------------------
@@ -308,7 +308,7 @@ def test_orbit_has_contact_outside_the_circle_and_flight_inside() -> None:
             assert np.nanmax(lines["apart"]) < radius * (1.0 + 1e-6)
             assert np.nanmin(lines["in contact"]) > radius * (1.0 - 1e-6)
             np.testing.assert_allclose(lines["impact"], radius)
-            depth = result[f"{gap.point}.penetration_m"][Turns(result).rows(3)]
+            depth = result[f"{gap.point}.penetration_m"][RevolutionCurves(result).rows(3)]
             deepest = float(np.max(result.turns[f"{gap.point}.penetration_max_m"][-3:]))
             assert deepest >= np.max(depth)
             factor = clearance_joints.exaggeration(gap, deepest)
@@ -325,7 +325,7 @@ def test_force_shades_the_contact() -> None:
     result, made = simulated("chaotic"), shown("chaotic", "force")
     assert len(made.axes) == 2
     top, bottom = made.axes
-    last = Turns(result).rows(1)
+    last = RevolutionCurves(result).rows(1)
     normal = result["C.normal_N"][last]
     (bold,) = (line for line in top.lines if line.get_gid() == "last revolution")
     assert math.isclose(np.nanmax(bold.get_ydata()), np.max(normal) * 1e-3)
@@ -390,7 +390,7 @@ def test_section_tells_whether_the_motion_repeats() -> None:
     told = words(made)
     assert "periodic: the journals' places repeat every revolution" in told
     assert "keep together for the 13 revolutions watched" in told
-    assert clearance_joints.repetition(Turns(simulated("periodic")))[0] == 1
+    assert clearance_joints.repetition(RevolutionCurves(simulated("periodic")))[0] == 1
     assert len(by_gid(made, "early")[0].get_xdata()) == 5
     told = words(shown("chaotic", "section"))
     assert "not periodic" in told
@@ -405,7 +405,7 @@ def test_section_finds_longer_periods() -> None:
     count = 12
     places = {"C.ex_m": np.tile([0.0, 1e-4, 2e-4], 4), "C.ey_m": np.zeros(count)}
     other = replace(result, section={"revolution": np.arange(1.0, 13.0), "slider.error_m": np.zeros(count), **places})
-    assert clearance_joints.repetition(Turns(other))[0] == 3
+    assert clearance_joints.repetition(RevolutionCurves(other))[0] == 3
 
 
 def test_impacts() -> None:
@@ -423,7 +423,7 @@ def test_the_loupe_shows_journals_where_they_are() -> None:
     for name in ("three gaps", "four-bar", "clockwise"):
         result, made = simulated(name), shown(name, "mechanism")
         stage, strip = made.axes
-        turns = Turns(result)
+        turns = RevolutionCurves(result)
         last = slice(len(turns.time) - turns.points, None)
         forces = np.max([result[f"{gap.point}.normal_N"][last] for gap in result.gaps], axis=0)
         row = len(turns.time) - turns.points + int(np.argmax(forces))
@@ -444,8 +444,8 @@ def test_the_loupe_shows_journals_where_they_are() -> None:
 
 def test_ideal_joints_stay_closed_where_deviations_are_exaggerated() -> None:
     for name, pin, bodies in (("four-bar", "B", ("crank", "coupler")), ("clockwise", "B", ("crank", "rod"))):
-        turns = Turns(simulated(name))
-        sketch = magnified_joints.Loosened(turns, np.arange(72, 144, 5))
+        turns = RevolutionCurves(simulated(name))
+        sketch = magnified_joints.MagnifiedMachine(turns, np.arange(72, 144, 5))
         assert sketch.factor > 1.0
         ends = []
         for body in bodies:

@@ -27,7 +27,7 @@ from optlink.report.views import path as view
 from optlink.report.views import path_outputs
 from optlink.report.views import path_tables as tables
 from optlink.report.views.path_closeup import Close
-from optlink.report.views.path_view import Track
+from optlink.report.views.path_view import PathView
 from optlink.solvers.evidence import evidence
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.validation.path import validate_path
@@ -292,11 +292,11 @@ def test_the_curve_from_near_leaves_out_what_is_far():
     """A few points on a part of a large curve: they fill the picture."""
     phi = np.radians([60.0, 70.0, 80.0, 90.0])
     tight = made(path_raw(oracle.planted_path(PLANTED, phi)), values_of(PLANTED), phi)
-    low, high = Close(Track(tight)).limits()
+    low, high = Close(PathView(tight)).limits()
     reach = np.ptp(oracle.planted_path(PLANTED, phi), axis=0).max()
     assert np.max(high - low) < 2.0 * reach
     closed = made(path_raw(oracle.planted_path(PLANTED, phi), closed=True), values_of(PLANTED), phi)
-    low, high = Close(Track(closed)).limits()
+    low, high = Close(PathView(closed)).limits()
     assert np.max(high - low) < 2.2 * reach < 0.7 * np.ptp(PLACED, axis=0).max()
 
 
@@ -545,7 +545,7 @@ def test_the_mark_of_the_film_is_the_mechanism(name, monkeypatch):
 
 
 def test_points_light_up_when_they_are_passed():
-    track = Track(result("path").best)
+    track = PathView(result("path").best)
     sketch = view.Passing(track)
     from optlink.report.style import figure
 
@@ -593,7 +593,7 @@ def test_labels_keep_in_and_off_one_another(name, kind):
 
 def told(found: PathResult, width: int) -> str:
     page = Console(file=io.StringIO(), width=width, highlight=False, markup=False, emoji=False)
-    page.print(terminal.rendered(tables.generation(found)))
+    page.print(terminal.rendered(tables.path_result(found)))
     return page.file.getvalue()
 
 

@@ -18,10 +18,10 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.record import LARGEST as LARGEST_NUMBER
-from optlink.report.html.shell import LARGEST, Sheet
+from optlink.report.html.shell import LARGEST, PageContent
 from optlink.report.registry import records
-from optlink.report.stored.loader import KNOWN, opened
-from optlink.report.stored.stored_study import Studied, _sheet, studied_page
+from optlink.report.stored.loader import KNOWN, load_stored
+from optlink.report.stored.stored_study import StoredStudy, _sheet, study_page
 from tests.browser import browser, console, requests
 from tests.browser import opened as shown
 from tests.cli.test_cli import run
@@ -88,13 +88,13 @@ def document(results: Path, name: str) -> dict:
     return json.loads((results / name / "result.json").read_text())
 
 
-def sheet(results: Path, name: str) -> Sheet:
-    found = opened(str(results / name))
-    assert isinstance(found, Studied)
+def sheet(results: Path, name: str) -> PageContent:
+    found = load_stored(str(results / name))
+    assert isinstance(found, StoredStudy)
     return _sheet(found, 90)
 
 
-def trace(made: Sheet, name: str) -> dict:
+def trace(made: PageContent, name: str) -> dict:
     return next(one for chart in made.charts for one in chart.figure["data"] if one["name"].startswith(name))
 
 
@@ -161,16 +161,16 @@ def test_a_simulation_is_drawn_with_the_sizes_that_ran(tmp_path):
     run = optlink.simulate(problem, speed=5.0, rows=90, design={"coupler": 0.43, "rocker": 0.22})
     told = json.loads(json.dumps(run.to_dict()))
     (tmp_path / "result.json").write_text(json.dumps(told))
-    moving = _sheet(opened(str(tmp_path)), 90).moving
+    moving = _sheet(load_stored(str(tmp_path)), 90).moving
     places = moving.scene.points["C"] - moving.scene.points["B"]
     assert np.hypot(*places.T) == pytest.approx(430.0, abs=1e-3)
     del told["sizes_SI"]["coupler"]
     (tmp_path / "result.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match=r"sizes_SI\.coupler"):
-        _sheet(opened(str(tmp_path)), 90)
+        _sheet(load_stored(str(tmp_path)), 90)
     told["sizes_SI"] = optlink.simulate(problem, rows=1).to_dict()["sizes_SI"]
     (tmp_path / "result.json").write_text(json.dumps(told))
-    assert _sheet(opened(str(tmp_path)), 90).moving is None  # the sizes of the file are those of another linkage
+    assert _sheet(load_stored(str(tmp_path)), 90).moving is None  # the sizes of the file are those of another linkage
 
 
 def test_an_orbit_stays_in_its_gap(results):
@@ -200,7 +200,7 @@ def test_a_balance_is_proven_anew(results, tmp_path):
     told["counterweights"][0]["first_moment_along_kg_m"] *= 1.02
     (tmp_path / "result.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match="with these counterweights, not"):
-        opened(str(tmp_path))
+        load_stored(str(tmp_path))
 
 
 def test_the_tolerances_of_a_page_add_up(results):
@@ -236,7 +236,7 @@ def test_a_sweep_by_its_table(results):
     ]
     assert places  # from some angle on the limit holds no more
     assert [shape["x0"] for shape in made.charts[0].figure["layout"]["shapes"]] == pytest.approx(places)
-    frame = 1e3 * opened(str(results / "sweep")).problem.model.quantities["frame"].value
+    frame = 1e3 * load_stored(str(results / "sweep")).problem.model.quantities["frame"].value
     assert made.moving.scene.points["D"][0][0] == pytest.approx(frame)
 
 
@@ -279,7 +279,7 @@ def test_three_objectives_have_a_colour(results, tmp_path):
     told["ends"]["swing_deg"], told["knee"] = 1, None
     told["given"]["swing_deg"] = 41.0
     (tmp_path / "result.json").write_text(json.dumps(told))
-    made = _sheet(opened(str(tmp_path)), 90)
+    made = _sheet(load_stored(str(tmp_path)), 90)
     cloud = made.charts[0].figure["data"][0]
     assert cloud["marker"]["color"] == [40.0 + k for k in range(len(told["front"]))]
     assert "swing [deg] (more is better)" in made.charts[0].picks.names
@@ -325,7 +325,7 @@ def test_a_sensitivity_that_is_no_optimum_is_found_out(results, tmp_path):
     told["design"]["rocker"] += 1.0
     (tmp_path / "result.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match="not the optimum"):
-        opened(str(tmp_path))
+        load_stored(str(tmp_path))
 
 
 # --- what is damaged -----------------------------------------------------------------------------------------------------------
@@ -361,7 +361,7 @@ def test_whatever_is_damaged_is_shown_or_refused_in_a_sentence(results, tmp_path
     for place, value, copy in damaged(results, name):
         (tmp_path / "result.json").write_text(json.dumps(copy))
         try:
-            opened(str(tmp_path))
+            load_stored(str(tmp_path))
         except InputError as error:
             refused += 1
             [fault] = error.faults
@@ -378,7 +378,7 @@ def test_a_simulation_without_its_largest_values_is_refused(results, tmp_path, w
     del old["turns"][name]
     (tmp_path / "result.json").write_text(json.dumps(old))
     with pytest.raises(InputError, match=rf"turns\.{name}.*this is missing.*Write it again"):
-        opened(str(tmp_path))
+        load_stored(str(tmp_path))
 
 
 def test_the_sentences_of_damaged_results(results, tmp_path):
@@ -420,7 +420,7 @@ def test_a_sweep_needs_its_table(results, tmp_path):
         if text is not None:
             (folder / "sweep.csv").write_text(text)
         with pytest.raises(InputError, match=words):
-            opened(str(folder))
+            load_stored(str(folder))
 
 
 def test_a_folder_without_a_result(tmp_path):
@@ -452,18 +452,18 @@ def test_texts_of_a_result_stay_texts(results, tmp_path):
         point["active"] = [evil]
         point["mark"] = evil
     (tmp_path / "result.json").write_text(json.dumps(told))
-    read = Reader(studied_page(opened(str(tmp_path))))
+    read = Reader(study_page(load_stored(str(tmp_path))))
     assert read.scripts == 4
     assert read.handlers == []
     assert "img" not in read.texts
-    for trace_ in _sheet(opened(str(tmp_path)), 90).charts[0].figure["data"]:
+    for trace_ in _sheet(load_stored(str(tmp_path)), 90).charts[0].figure["data"]:
         assert evil not in str(trace_.get("text", ""))  # plotly reads texts of points as markup
 
 
 def test_known_schemas_are_told(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps({"schema": "optlink/other/1"}))
     with pytest.raises(InputError, match="study pareto") as caught:
-        opened(str(tmp_path / "a.json"))
+        load_stored(str(tmp_path / "a.json"))
     for command, _ in KNOWN.values():
         assert command in str(caught.value)
 
@@ -616,7 +616,7 @@ def test_a_table_with_numbers_without_measure_is_refused(results, tmp_path):
     cells[1] = "1e308"
     (tmp_path / "sweep.csv").write_text("\n".join([lines[0], ",".join(cells), *lines[2:]]))
     with pytest.raises(InputError, match="holds no number"):
-        opened(str(tmp_path))
+        load_stored(str(tmp_path))
 
 
 @pytest.mark.parametrize(("counted", "row"), [("yield", "largest as drawn"), ("3 standard deviations", "largest")])
@@ -628,7 +628,7 @@ def test_the_largest_figure_of_a_robust_design_says_what_it_is_of(results, tmp_p
     told["robust"] |= {"status": "optimal", "monte_carlo_of_the_nominal_design": None, "the_nominal_design_yields_more": False}
     told["robust"] |= {"largest_rad": 0.04, "largest_of_the_nominal_design_rad": 0.05}
     (tmp_path / "result.json").write_text(json.dumps(told))
-    texts = [text.strip() for told in Reader(studied_page(opened(str(tmp_path)))).texts.values() for text in told]
+    texts = [text.strip() for told in Reader(study_page(load_stored(str(tmp_path)))).texts.values() for text in told]
     assert row in texts
     assert ("largest as drawn" in texts) is (counted == "yield")
 
@@ -639,7 +639,7 @@ def test_a_front_along_no_or_endless_values_is_damaged(results, tmp_path, count)
     told["held"][0]["values"] = count
     (tmp_path / "result.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match="no front has so many"):
-        opened(str(tmp_path))
+        load_stored(str(tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -652,7 +652,7 @@ def test_what_shares_are_taken_of_is_not_zero(results, tmp_path, place):
     at[place[-1]] = 0
     (tmp_path / "result.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match=f"{place[-1]} = 0"):
-        opened(str(tmp_path))
+        load_stored(str(tmp_path))
 
 
 @pytest.mark.parametrize(("key", "value"), [("before", [0.0, 1.0]), ("before", [1.0, None]), ("first_point_s", 0)])
@@ -661,4 +661,4 @@ def test_a_trade_is_told_against_what_was_before(results, tmp_path, key, value):
     told["trade"][key] = value
     (tmp_path / "result.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match=f"trade.{key}.*(not above zero|not a number)"):
-        opened(str(tmp_path))
+        load_stored(str(tmp_path))

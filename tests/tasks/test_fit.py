@@ -208,7 +208,7 @@ def test_an_objective_without_a_target_stands_beside_that_of_the_initial_design(
     assert 2000.0 * crank < result.objective == pytest.approx(torque(crank, rod), rel=1e-6)
     console = terminal.console()
     with console.capture() as text:
-        console.print(terminal.rendered(cycle_tables.machine_design(result)))
+        console.print(terminal.rendered(cycle_tables.cycle_result(result)))
     shown = " ".join(text.get().split())
     change = torque(crank, rod) / torque(0.05, 0.13) - 1.0
     assert f"initial design {torque(0.05, 0.13):.5g} N*m ({change:+.1%})" in shown

@@ -9,7 +9,7 @@ from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.report.html.shell import fragment
 from optlink.report.registry import table_of, view_of
-from optlink.report.report_model import machine_found
+from optlink.report.report_model import resulting_machine
 from optlink.report.scene import scene
 from optlink.report.stored.loader import KNOWN
 from optlink.tasks.analyze import analyze
@@ -43,7 +43,7 @@ def _linkage(result: Any) -> str:
     machine: ProblemFile | None = result.balanced if isinstance(result, Balance) else None
     try:
         if isinstance(result, FunctionResult | PathResult | CycleResult):
-            machine = machine_found(result)
+            machine = resulting_machine(result)
         cycle = analyze(machine) if machine is not None else cycle
     except InputError:  # a design that cannot be assembled
         return ""

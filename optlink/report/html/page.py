@@ -10,21 +10,21 @@ from optlink.errors import Status
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
-from optlink.report.html.shell import LARGEST, Section, Sheet, fitted, write
+from optlink.report.html.shell import LARGEST, PageContent, PageSection, fitted, write
 from optlink.report.html.sources import closing
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, ReportModel
 from optlink.report.scene import scene
 from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
 from optlink.report.views import analysis_charts, analysis_forces, function_tables, path_tables, sensitivity, study_tables
-from optlink.report.views.analysis_curves import Course
+from optlink.report.views.analysis_curves import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathResult
 
-__all__ = ["LARGEST", "page", "sensitivities_of", "told", "verdict", "write_page"]
+__all__ = ["LARGEST", "page", "result_tables", "sensitivities_of", "verdict", "write_page"]
 
 
 def write_page(subject: ReportModel, path: Path) -> None:
@@ -49,10 +49,10 @@ def page(subject: ReportModel) -> str:
     return fitted(lambda steps: _sheet(subject, answers, steps))
 
 
-def _sheet(subject: ReportModel, answers: Sensitivities | None, steps: int) -> Sheet:
-    moving, shown = moved(subject, steps), told(subject)
+def _sheet(subject: ReportModel, answers: Sensitivities | None, steps: int) -> PageContent:
+    moving, shown = moved(subject, steps), result_tables(subject)
     notes = Paragraph(*(f"Note: {note}" for note in subject.notes))
-    return Sheet(
+    return PageContent(
         title=subject.problem.model.title,
         kind=f"{subject.problem.name} · {subject.problem.kind}",
         verdict=verdict(subject),
@@ -81,28 +81,30 @@ def moved(subject: ReportModel, steps: int) -> Moving | None:
 # --- layout ------------------------------------------------------------------------------------------------------------------
 
 
-def _sections(subject: ReportModel, shown: Summary, moving: Moving | None, answers: Sensitivities | None) -> Iterator[Section]:
+def _sections(
+    subject: ReportModel, shown: Summary, moving: Moving | None, answers: Sensitivities | None
+) -> Iterator[PageSection]:
     if answers is not None and subject.answers is not None:  # the requested study comes first
         yield _matters(answers)
     if moving is not None:
-        yield Section("Linkage in motion", (moving,))
+        yield PageSection("Linkage in motion", (moving,))
     elif subject.unmoved:
-        yield Section("Linkage", (Paragraph(f"It cannot be shown in motion: {subject.unmoved}."),))
+        yield PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {subject.unmoved}."),))
     result = _with_recorded_limits(subject, shown)
     if result:
-        yield Section("Analysis" if isinstance(subject.outcome, Analysis) else "Design and proof", (result,))
+        yield PageSection("Analysis" if isinstance(subject.outcome, Analysis) else "Design and proof", (result,))
     if answers is not None and subject.answers is None:
         yield _matters(answers)
     curves = chart_plotly.charts(charts(subject))
     if curves:
-        yield Section("Curves", curves)
+        yield PageSection("Curves", curves)
     yield from closing(subject.problem, _by(subject))
 
 
-def _matters(answers: Sensitivities) -> Section:
+def _matters(answers: Sensitivities) -> PageSection:
     """Return the section of the sensitivities."""
     drawn = chart_plotly.charts(sensitivity.charts(answers))
-    return Section("What matters", (*drawn, tuple(study_tables.sensitivity_parts(answers))))
+    return PageSection("What matters", (*drawn, tuple(study_tables.sensitivity_parts(answers))))
 
 
 def sensitivities_of(subject: ReportModel) -> Sensitivities | None:
@@ -147,7 +149,7 @@ def _failed(subject: ReportModel) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
-def told(subject: ReportModel) -> Summary:
+def result_tables(subject: ReportModel) -> Summary:
     """Return the summary of the result."""
     return table_of(_kind(subject))(subject.outcome)
 
@@ -162,8 +164,8 @@ def charts(subject: ReportModel) -> list[ChartSpec]:
     view = view_of(kind)
     found = [*view.charts(view.subject(outcome))]
     if subject.cycle is not None and kind != "analysis":
-        course, cycle = Course(subject.cycle), isinstance(outcome, CycleResult)
-        given = Course(outcome.given) if isinstance(outcome, CycleResult) and outcome.given is not None else None
+        course, cycle = CycleCurves(subject.cycle), isinstance(outcome, CycleResult)
+        given = CycleCurves(outcome.given) if isinstance(outcome, CycleResult) and outcome.given is not None else None
         if cycle or subject.forces:
             found += analysis_charts.motion(course, given)
         if cycle or (isinstance(outcome, PathResult) and outcome.best is not None and outcome.best.task.pointed):
@@ -193,10 +195,10 @@ def _recorded(subject: ReportModel) -> Part:
     outcome, limits = subject.outcome, subject.limits
     if isinstance(outcome, PathResult) and outcome.best is not None:
         best = outcome.best
-        shown = path_tables.people_objective(best)
+        shown = path_tables.displayed_objective(best)
         size = shown / best.objective if best.objective > 0.0 else 1.0
         scaled = [replace(limit, multiplier=limit.multiplier * size) for limit in limits]
-        return function_tables.active(scaled, shown, path_tables.people_objective_unit(best))
+        return function_tables.active(scaled, shown, path_tables.displayed_objective_unit(best))
     unit = outcome.unit if isinstance(outcome, FunctionResult | CycleResult) else ""
     return function_tables.active(limits, subject.objective, unit)
 

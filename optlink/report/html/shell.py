@@ -30,7 +30,7 @@ WIDE, HUGE = 72, 105  # widths [characters] beyond which a table spans the page,
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """Part of a page under a heading: charts, the moving linkage, paragraphs, facts by name, and groups of tables in order."""
 
     name: str
@@ -43,7 +43,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class PageContent:
     """Content of a page: `kind` above the title, the verdict and whether it is positive, and the status below it."""
 
     title: str
@@ -51,7 +51,7 @@ class Sheet:
     verdict: str
     good: bool
     status: Paragraph
-    sections: Sequence[Section]
+    sections: Sequence[PageSection]
     moving: Moving | None = None
 
     @cached_property
@@ -78,7 +78,7 @@ class Sheet:
         )
 
 
-def fitted(made: Callable[[int], Sheet]) -> str:
+def fitted(made: Callable[[int], PageContent]) -> str:
     """Return the document of a sheet with the most positions per revolution that keep it below `LARGEST`."""
     for steps in STEPS:
         text = made(steps).html()

@@ -10,13 +10,13 @@ from importlib.metadata import version
 import numpy as np
 
 from optlink.problem.file import ProblemFile
-from optlink.report.html.shell import Section
+from optlink.report.html.shell import PageSection
 from optlink.report.table_spec import Paragraph
 from optlink.report.views import function_tables
 from optlink.version import VERSION
 
 
-def closing(file: ProblemFile, by: str) -> Iterable[Section]:
+def closing(file: ProblemFile, by: str) -> Iterable[PageSection]:
     """Yield the section of the problem and the section of sources, versions and method.
 
     Parameters
@@ -26,8 +26,8 @@ def closing(file: ProblemFile, by: str) -> Iterable[Section]:
         Method by which the result was found.
     """
     about = (" ".join(piece.split()) for piece in file.model.about.split("\n\n") if piece.strip())
-    yield Section("Problem", (Paragraph(*about), function_tables.problem(file).parts))
-    yield Section("Sources", (dict(_sources(file, by)),))
+    yield PageSection("Problem", (Paragraph(*about), function_tables.problem(file).parts))
+    yield PageSection("Sources", (dict(_sources(file, by)),))
 
 
 def _sources(file: ProblemFile, by: str) -> list[tuple[str, str]]:

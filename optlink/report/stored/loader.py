@@ -14,7 +14,7 @@ from optlink.report.registry import page_of, records
 from optlink.report.report_model import ReportModel
 from optlink.report.stored.problem_lookup import problem_of
 from optlink.report.stored.stored_result import read_subject
-from optlink.report.stored.stored_study import Studied
+from optlink.report.stored.stored_study import StoredStudy
 from optlink.version import VERSION
 
 RESULT = "result.json"
@@ -46,7 +46,7 @@ def is_result(text: str) -> bool:
     return text.endswith(".json") or (os.path.isdir(text) and text not in shipped())
 
 
-def opened(text: str, problem: str | None = None, changes: Sequence[str] = ()) -> ReportModel | Studied:
+def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = ()) -> ReportModel | StoredStudy:
     """Load a result file.
 
     Parameters

@@ -11,7 +11,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
-from optlink.report.html.shell import Section, Sheet, fitted, write
+from optlink.report.html.shell import PageContent, PageSection, fitted, write
 from optlink.report.html.sources import closing
 from optlink.report.scene import scene
 from optlink.report.table_spec import Line, Paragraph, Part
@@ -21,7 +21,7 @@ from optlink.units import KINDS, factor
 
 
 @dataclass(frozen=True, eq=False)
-class Studied:
+class StoredStudy:
     """Report of a stored result.
 
     `kind` describes the task; `status` are lines below the verdict; `sections` contain tables and charts; `moving` returns the
@@ -34,7 +34,7 @@ class Studied:
     verdict: str
     valid: bool
     status: Sequence[Line]
-    sections: Sequence[Section]
+    sections: Sequence[PageSection]
     moving: Callable[[int], Moving | None]
     by: str
     drawn: str = ""
@@ -42,12 +42,12 @@ class Studied:
     notes: tuple[str, ...] = ()
 
 
-def write_studied(studied: Studied, path: Path) -> None:
+def write_study(studied: StoredStudy, path: Path) -> None:
     """Write the page of a stored result.
 
     Parameters
     ----------
-    studied : Studied
+    studied : StoredStudy
     path : Path
 
     Raises
@@ -55,21 +55,21 @@ def write_studied(studied: Studied, path: Path) -> None:
     InputError
         If the file cannot be written; then no file is left behind.
     """
-    write(studied_page(studied), path)
+    write(study_page(studied), path)
 
 
-def studied_page(studied: Studied) -> str:
+def study_page(studied: StoredStudy) -> str:
     """Return the HTML page of a stored result."""
     return fitted(lambda steps: _sheet(studied, steps))
 
 
-def _sheet(studied: Studied, steps: int) -> Sheet:
+def _sheet(studied: StoredStudy, steps: int) -> PageContent:
     file, moving = studied.problem, studied.moving(steps)
     sections = list(studied.sections)
     if moving is not None:
         lead = (Paragraph(studied.drawn, lead=True),) if studied.drawn else ()
-        sections.insert(studied.after, Section("Linkage in motion", (*lead, moving)))
-    return Sheet(
+        sections.insert(studied.after, PageSection("Linkage in motion", (*lead, moving)))
+    return PageContent(
         title=file.model.title,
         kind=f"{file.name} · {studied.kind}",
         verdict=studied.verdict,
@@ -83,7 +83,7 @@ def _sheet(studied: Studied, steps: int) -> Sheet:
 # --- parts -------------------------------------------------------------------------------------------------------------------
 
 
-def figures_of(parts: Iterable[Part], name: str = "Figures") -> Iterator[Section]:
+def figures_of(parts: Iterable[Part], name: str = "Figures") -> Iterator[PageSection]:
     """Yield a section of tables, if there are any.
 
     Parameters
@@ -94,7 +94,7 @@ def figures_of(parts: Iterable[Part], name: str = "Figures") -> Iterator[Section
     """
     listed = tuple(parts)
     if listed:
-        yield Section(name, (listed,))
+        yield PageSection(name, (listed,))
 
 
 def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float]:

@@ -24,12 +24,12 @@ from optlink.report.style import CRANK, WANTED, degrees, figure, heading, panels
 from optlink.report.view import View
 from optlink.report.views import analysis_charts, analysis_forces
 from optlink.report.views.analysis_charts import output
-from optlink.report.views.analysis_curves import NOTHING, Course
+from optlink.report.views.analysis_curves import NOTHING, CycleCurves
 
 FRAMES = 80
 
 
-def charts(course: Course) -> list[ChartSpec]:
+def charts(course: CycleCurves) -> list[ChartSpec]:
     """Return the charts of an analysis: motion, transmission angles and, as far as there are any, forces."""
     return [*analysis_charts.motion(course), *analysis_charts.transmission(course), *analysis_forces.forces(course)]
 
@@ -37,7 +37,7 @@ def charts(course: Course) -> list[ChartSpec]:
 # --- mechanism -------------------------------------------------------------------------------------------------------------
 
 
-def positions(course: Course) -> dict[str, float]:
+def positions(course: CycleCurves) -> dict[str, float]:
     """Return the characteristic crank angles [rad] by name.
 
     These are the start (or start, middle and end of a limited range), the dead centres of the output and the torque extremes.
@@ -59,7 +59,7 @@ def positions(course: Course) -> dict[str, float]:
 
 
 @styled
-def mechanism(course: Course) -> Figure:
+def mechanism(course: CycleCurves) -> Figure:
     """Draw the mechanism at its characteristic positions with joint traces, and the joint velocities at one of them."""
     result = course.result
     machine = result.machine
@@ -127,7 +127,7 @@ def _arrow(axes: Axes, begin: NDArray[np.float64], end: NDArray[np.float64], gid
     return drawn
 
 
-def _state(course: Course, at: float) -> str:
+def _state(course: CycleCurves, at: float) -> str:
     """Format crank angle, output position and driving torque at a position."""
     out = output(course)
     parts = [
@@ -150,14 +150,14 @@ def _round(value: float) -> float:
 
 
 @styled
-def frames(course: Course, count: int = FRAMES) -> list[Image.Image]:
+def frames(course: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
     """Draw the frames of the animation: one revolution, or back and forth over a limited crank range.
 
     Beside the mechanism, the driving torque or the output motion is drawn.
 
     Parameters
     ----------
-    course : Course
+    course : CycleCurves
     count : int, optional
         Number of frames.
     """
@@ -184,7 +184,7 @@ def frames(course: Course, count: int = FRAMES) -> list[Image.Image]:
 
 
 VIEW = View(
-    subject=Course,
+    subject=CycleCurves,
     charts=charts,
     drawings={"mechanism": mechanism},
     tables=lambda result: {"cycle": result.columns},

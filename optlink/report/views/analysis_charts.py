@@ -15,7 +15,7 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import TURN, Travel
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, Scale, degrees, scale
-from optlink.report.views.analysis_curves import NOTHING, Course
+from optlink.report.views.analysis_curves import NOTHING, CycleCurves
 from optlink.tasks.results.analysis import Extreme
 
 Array = NDArray[np.float64]
@@ -35,18 +35,18 @@ class Output(NamedTuple):
         """Whether the output is a slider [m] rather than a rotating body [rad]."""
         return self.columns[0].endswith(".s_m")
 
-    def floors(self, course: Course) -> tuple[float, float, float]:
+    def floors(self, course: CycleCurves) -> tuple[float, float, float]:
         """Return the ranges of position, velocity and acceleration [SI] below which variation is rounding error."""
         size = 1e-8 * (course.peak(self.columns[0]) if self.slides else 1.0)
         turning = abs(course.result.speed)
         return size, size * turning, size * turning * turning
 
-    def scales(self, course: Course, others: Sequence[Output] = ()) -> tuple[Scale, Scale, Scale]:
+    def scales(self, course: CycleCurves, others: Sequence[Output] = ()) -> tuple[Scale, Scale, Scale]:
         """Return the display units of position, velocity and acceleration, common to all outputs of the same kind.
 
         Parameters
         ----------
-        course : Course
+        course : CycleCurves
         others : sequence of Output, optional
             Other outputs in the same picture.
         """
@@ -59,22 +59,22 @@ class Output(NamedTuple):
         return s, v, a
 
 
-def _slider(course: Course, name: str) -> Output:
+def _slider(course: CycleCurves, name: str) -> Output:
     return Output(name, (f"{name}.s_m", f"{name}.v_m_s", f"{name}.a_m_s2"), course.result.strokes.get(name))
 
 
-def _body(course: Course, body: str) -> Output:
+def _body(course: CycleCurves, body: str) -> Output:
     columns = (f"{body}.angle_rad", f"{body}.omega_rad_s", f"{body}.alpha_rad_s2")
     return Output(body, columns, course.result.swings.get(body))
 
 
-def output(course: Course) -> Output:
+def output(course: CycleCurves) -> Output:
     """Return the main output of the machine: its last slider on the frame, otherwise its last oscillating body."""
     name, slides = last_output(course.result.machine, course.result.swings, course.result.strokes)
     return _slider(course, name) if slides else _body(course, name)
 
 
-def outputs(course: Course) -> list[Output]:
+def outputs(course: CycleCurves) -> list[Output]:
     """Return the outputs shown in motion.png: the sliders, those on the frame last, or the main output."""
     names = slider_names(course.result.machine)
     ordered = sorted(course.result.machine.mechanism.guides, key=lambda guide: guide.on == FRAME)
@@ -86,7 +86,7 @@ def outputs(course: Course) -> list[Output]:
 
 
 def curves(
-    course: Course,
+    course: CycleCurves,
     column: str,
     shown: Scale,
     name: str,
@@ -94,13 +94,13 @@ def curves(
     width: float = 1.7,
     dash: Dash = "solid",
     *,
-    given: Course | None = None,
+    given: CycleCurves | None = None,
 ) -> list[Curve]:
     """Return a column as a curve, with dotted lines at its jumps; that of the initial machine in grey comes first.
 
     Parameters
     ----------
-    course : Course
+    course : CycleCurves
     column : str
         Column name; also the `gid` of the curve.
     shown : Scale
@@ -110,7 +110,7 @@ def curves(
     colour : str
     width : float [pt], optional
     dash : str, optional
-    given : Course or None, optional
+    given : CycleCurves or None, optional
         Initial machine.
     """
     found = []
@@ -124,12 +124,12 @@ def curves(
     return found
 
 
-def axis(course: Course, name: str, traces: Iterable[Curve], *, least: float = 0.0, room: float = 0.16) -> Axis:
+def axis(course: CycleCurves, name: str, traces: Iterable[Curve], *, least: float = 0.0, room: float = 0.16) -> Axis:
     """Return a y axis; values that grow without bound are cut off, and rounding errors are not enlarged.
 
     Parameters
     ----------
-    course : Course
+    course : CycleCurves
     name : str
     traces : iterable of Curve
     least : float, optional
@@ -150,7 +150,7 @@ def axis(course: Course, name: str, traces: Iterable[Curve], *, least: float = 0
 
 
 def panel(
-    course: Course,
+    course: CycleCurves,
     name: str,
     traces: list[Curve],
     height: float = 1.0,
@@ -173,12 +173,12 @@ def _held(mark: Mark, low: float, high: float) -> Mark:
     return Mark(mark.x, high if up else low, mark.text, mark.colour, "triangle", mark.size, prefer, angle=angle, gid=mark.gid)
 
 
-def extremes(course: Course, name: str, shown: Scale, colour: str = WANTED, extreme: Extreme | None = None) -> list[Mark]:
+def extremes(course: CycleCurves, name: str, shown: Scale, colour: str = WANTED, extreme: Extreme | None = None) -> list[Mark]:
     """Return marks at the least and largest value of a column at their exact crank angles.
 
     Parameters
     ----------
-    course : Course
+    course : CycleCurves
     name : str
         Column name.
     shown : Scale
@@ -198,7 +198,7 @@ def extremes(course: Course, name: str, shown: Scale, colour: str = WANTED, extr
 
 
 def chart(
-    course: Course,
+    course: CycleCurves,
     file: str,
     title: str,
     panels: Sequence[Panel],
@@ -219,7 +219,7 @@ def chart(
     return ChartSpec(file, title, panels, x, heading, remark, [*found, *lines], spans, row=row, width=width)
 
 
-def titled(course: Course, words: str) -> str:
+def titled(course: CycleCurves, words: str) -> str:
     """Return the title of the problem with the title of a chart."""
     return f"{course.result.problem.model.title}: {words[:1].lower()}{words[1:]}"
 
@@ -227,7 +227,7 @@ def titled(course: Course, words: str) -> str:
 # --- motion ------------------------------------------------------------------------------------------------------------------
 
 
-def motion(course: Course, given: Course | None = None) -> list[ChartSpec]:
+def motion(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
     """Return displacement, velocity and acceleration of every slider, or of the last oscillating body."""
     shown = outputs(course)
     found = []
@@ -249,7 +249,7 @@ def motion(course: Course, given: Course | None = None) -> list[ChartSpec]:
     return found
 
 
-def _strokes(course: Course, travel: Travel | None) -> tuple[list[Line], list[Span]]:
+def _strokes(course: CycleCurves, travel: Travel | None) -> tuple[list[Line], list[Span]]:
     """Return dead centres as lines, and the quick stroke as shaded ranges, named with the crank rotation of both strokes."""
     centres = [math.degrees(at) for at in course.in_order(travel.dead_centres)] if travel else []
     lines = [Line(at, "", QUIET, 1.0, gid="dead centre") for at in (centres if len(centres) <= MANY else [])]
@@ -263,7 +263,7 @@ def _strokes(course: Course, travel: Travel | None) -> tuple[list[Line], list[Sp
     return lines, [Span(min(ends), max(ends), "" if k else words, gid="shade") for k, ends in enumerate(quick)]
 
 
-def _limits(course: Course, out: Output) -> Extreme | None:
+def _limits(course: CycleCurves, out: Output) -> Extreme | None:
     travel = out.travel
     if travel is None:
         return None
@@ -273,7 +273,7 @@ def _limits(course: Course, out: Output) -> Extreme | None:
     return Extreme(travel.low + turn, travel.low_at, travel.high + turn, travel.high_at)
 
 
-def _travelled(course: Course, out: Output) -> str:
+def _travelled(course: CycleCurves, out: Output) -> str:
     """Describe stroke or swing, time ratio and dead centres of an output."""
     if out.travel is None:
         angles = course[out.columns[0]]
@@ -289,7 +289,7 @@ def _travelled(course: Course, out: Output) -> str:
     return ", ".join(parts)
 
 
-def transmission(course: Course) -> list[ChartSpec]:
+def transmission(course: CycleCurves) -> list[ChartSpec]:
     """Return the transmission angles of all two-link groups over the motion, for the page."""
     names = [name for name in course.columns if name.endswith(".transmission_rad")]
     unit = scale(0.0, "deg")

@@ -17,7 +17,7 @@ TABLE = 2000  # largest number of analysis rows that are added to the points of 
 NOTHING = 1e-9  # share of the largest value below which a value is rounding error
 
 
-class Course:
+class CycleCurves:
     """Time history of a machine over the crank angle, in the order of the motion.
 
     It contains every row of the analysis table (unless there are more than `TABLE`), points between them, the crank angles of all

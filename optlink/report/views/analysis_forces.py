@@ -13,7 +13,7 @@ from optlink.linkage import extrema
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel
 from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, WANTED, Scale, degrees, scale
 from optlink.report.views.analysis_charts import axis, chart, curves, extremes, panel, titled
-from optlink.report.views.analysis_curves import NOTHING, Course
+from optlink.report.views.analysis_curves import NOTHING, CycleCurves
 
 Array = NDArray[np.float64]
 TORQUE = "input.torque_Nm"
@@ -21,13 +21,13 @@ SHAKING = ("frame.shaking_fx_N", "frame.shaking_fy_N", "frame.shaking_moment_Nm"
 DASHES: tuple[Dash, ...] = ("solid", "dash", "dashdot")
 
 
-def forces(course: Course, given: Course | None = None) -> list[ChartSpec]:
+def forces(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
     """Return the charts of torque, joint reactions, guide forces, work and shaking, as far as there are any.
 
     Parameters
     ----------
-    course : Course
-    given : Course or None, optional
+    course : CycleCurves
+    given : CycleCurves or None, optional
         Initial machine, drawn in grey.
     """
     return [
@@ -39,7 +39,7 @@ def forces(course: Course, given: Course | None = None) -> list[ChartSpec]:
     ]
 
 
-def torque(course: Course, given: Course | None = None) -> list[ChartSpec]:
+def torque(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
     """Return the driving torque, its inertia, gravity and load parts, and its mean, with extremes marked."""
     if not course.has(TORQUE):
         return []
@@ -62,7 +62,7 @@ def torque(course: Course, given: Course | None = None) -> list[ChartSpec]:
     return [chart(course, "torque", "Driving torque", [shown], remark=speed)]
 
 
-def joints(course: Course) -> dict[str, str]:
+def joints(course: CycleCurves) -> dict[str, str]:
     """Return the column of the force magnitude of every joint reaction, by label."""
     found = {}
     for point, bodies in course.result.machine.mechanism.pins.items():
@@ -73,7 +73,7 @@ def joints(course: Course) -> dict[str, str]:
     return found
 
 
-def reactions(course: Course) -> list[ChartSpec]:
+def reactions(course: CycleCurves) -> list[ChartSpec]:
     """Return the crank-pivot reaction over the crank angle and as a hodograph, and the magnitudes of all joint reactions."""
     amounts = joints(course)
     if not any(course.has(name) for name in amounts.values()):
@@ -112,7 +112,7 @@ def reactions(course: Course) -> list[ChartSpec]:
     return [one, around, chart(course, "reactions", "Joint reactions, with their largest amounts", [every], row=1, width=11.0)]
 
 
-def _together(course: Course, names: dict[str, str]) -> dict[str, str]:
+def _together(course: CycleCurves, names: dict[str, str]) -> dict[str, str]:
     """Merge columns with identical values under one combined label."""
     found: dict[str, str] = {}
     for label, name in names.items():
@@ -127,13 +127,13 @@ def _together(course: Course, names: dict[str, str]) -> dict[str, str]:
 
 
 def hodograph(
-    course: Course, x: str, y: str, unit: Scale, file: str, title: str, more: Sequence[Mark] = (), heading: str = ""
+    course: CycleCurves, x: str, y: str, unit: Scale, file: str, title: str, more: Sequence[Mark] = (), heading: str = ""
 ) -> ChartSpec:
     """Return the hodograph of a force on equal scales: the origin, the direction of motion and round crank angles are marked.
 
     Parameters
     ----------
-    course : Course
+    course : CycleCurves
     x : str
         Column of the x component [N].
     y : str
@@ -172,7 +172,7 @@ def hodograph(
     return ChartSpec(file, title, [shown], name, heading or titled(course, title), equal=True, cursor=False, width=4.8)
 
 
-def _window(course: Course, xs: Array, ys: Array) -> list[tuple[float, float]]:
+def _window(course: CycleCurves, xs: Array, ys: Array) -> list[tuple[float, float]]:
     """Return limits that contain the curve and the origin; forces that grow without bound are cut off."""
     ends = [(min(0.0, low), max(0.0, high)) for low, high in (course.window(xs), course.window(ys))]
     size = max(high - low for low, high in ends) or 1.0
@@ -195,7 +195,7 @@ def _sense(xs: Array, ys: Array, taken: Sequence[tuple[float, float]]) -> list[M
     return [Mark(float(p[0]), float(p[1]), "", FOUND, "triangle", 8.0, angle=angle)]
 
 
-def guides(course: Course) -> list[ChartSpec]:
+def guides(course: CycleCurves) -> list[ChartSpec]:
     """Return the normal force, friction force and moment of every guide on its slider."""
     every = course.result.machine.mechanism.guides
     normals = [f"{guide.name}.normal_N" for guide in every]
@@ -229,12 +229,12 @@ def guides(course: Course) -> list[ChartSpec]:
     return found
 
 
-def _extent(course: Course) -> float:
+def _extent(course: CycleCurves) -> float:
     """Return a characteristic length of the machine [m]."""
     return max((course.peak(name) for name in course.columns if name.endswith((".x_m", ".y_m"))), default=1.0)
 
 
-def work(course: Course, given: Course | None = None) -> list[ChartSpec]:
+def work(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
     """Return the work of the drive since the start with its extremes, and below it the kinetic and potential energy."""
     name, energies = "input.work_J", ("energy.kinetic_J", "energy.potential_J")
     if not course.has(name):
@@ -256,7 +256,7 @@ def work(course: Course, given: Course | None = None) -> list[ChartSpec]:
     return [chart(course, "work", "Work of the drive", panels, remark=told)]
 
 
-def shaking(course: Course, given: Course | None = None) -> list[ChartSpec]:
+def shaking(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
     """Return the hodograph of the shaking force, and over the crank angle its components and the moment about the pivot."""
     x, y, moment = SHAKING
     forced = any(course.has(name, [x, y, *joints(course).values()]) for name in (x, y))
@@ -284,7 +284,7 @@ def shaking(course: Course, given: Course | None = None) -> list[ChartSpec]:
     return found
 
 
-def _largest_shaking(course: Course) -> tuple[float, float, float]:
+def _largest_shaking(course: CycleCurves) -> tuple[float, float, float]:
     """Return the components [N] of the largest shaking force and its crank angle [rad]."""
     machine, speed = course.result.machine, course.result.speed
 

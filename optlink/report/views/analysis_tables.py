@@ -60,9 +60,9 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
     yield table("[drive] and loads", "<<", drive)
     yield from _clearances(file, built)
     if model.balance is not None:
-        from optlink.report.views.balance_tables import asked
+        from optlink.report.views.balance_tables import balance_problem
 
-        yield asked(model.balance)
+        yield balance_problem(model.balance)
     yield table("Reactions: force of which body on which", "<<", reaction_conventions(built).items())
 
 

@@ -15,8 +15,8 @@ from optlink.problem.machine.balance import BalanceSection, read_measure
 from optlink.problem.quantity import Unusable
 from optlink.record import Contradiction
 from optlink.report.html import chart_plotly
-from optlink.report.html.shell import Section
-from optlink.report.stored.stored_study import Studied, figures_of, still, turning
+from optlink.report.html.shell import PageSection
+from optlink.report.stored.stored_study import StoredStudy, figures_of, still, turning
 from optlink.report.views import balance_tables
 from optlink.report.views.balance import courses, trade_off
 from optlink.tasks.balance import balanced_problem, measure_changes, positions
@@ -127,7 +127,7 @@ def _rows(record: BalanceRecord, machine: Machine, heavier: Machine, angles: Arr
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def studied(record: BalanceRecord, file: ProblemFile, _: Path) -> Studied:
+def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStudy:
     """Build the report of a stored balancing result.
 
     Parameters
@@ -145,10 +145,10 @@ def studied(record: BalanceRecord, file: ProblemFile, _: Path) -> Studied:
     shown = balance_tables.balance(found)
     sections = list(figures_of(shown.parts, "Balance and proof"))
     if found.trade is not None and len(found.trade.points) > 1:
-        sections.append(Section("Trade-off", chart_plotly.charts(trade_off(found))))
+        sections.append(PageSection("Trade-off", chart_plotly.charts(trade_off(found))))
     if found.heavier is not None:
-        sections.append(Section("Before and after", chart_plotly.charts(courses(found))))
-    return Studied(
+        sections.append(PageSection("Before and after", chart_plotly.charts(courses(found))))
+    return StoredStudy(
         problem=file,
         kind="balance",
         verdict=VERDICTS[found.status] if found.valid or found.status == "infeasible" else "Not valid",

@@ -137,7 +137,7 @@ def _trade(trade: TradeOff) -> TableSpec:
     return table(title, ["", f">{one} {one.unit}", ">", f">{other} {other.unit}", ">", ">price", ">gap"], rows)
 
 
-def asked(section: BalanceSection) -> TableSpec:
+def balance_problem(section: BalanceSection) -> TableSpec:
     """List the settings of the `[balance]` section."""
     goal = section.goal
     rows = [("minimise", str(goal[0][0]) if len(goal) == 1 else " + ".join(f"{w:g} {measure}" for measure, w in goal))]

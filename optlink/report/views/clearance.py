@@ -13,7 +13,7 @@ from optlink.report.chart_spec import TIME, Axis, ChartSpec, Curve, Dash, Panel,
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, ROCKER, SHADE, WANTED, scale
 from optlink.report.view import View
 from optlink.report.views import clearance_joints, magnified_joints
-from optlink.report.views.revolutions import FULL, TORQUE, WINDOW, Turns, from_zero, hold, numbered, rough
+from optlink.report.views.revolutions import FULL, TORQUE, WINDOW, RevolutionCurves, from_zero, hold, numbered, rough
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ def charts(result: ClearanceSimulation) -> list[ChartSpec]:
     result : ClearanceSimulation
         As computed or as stored.
     """
-    turns = Turns(result)
+    turns = RevolutionCurves(result)
     if not turns:
         return []
     joints = clearance_joints.charts(turns)
@@ -39,7 +39,7 @@ def charts(result: ClearanceSimulation) -> list[ChartSpec]:
 # --- output --------------------------------------------------------------------------------------------------------------
 
 
-def displacement(turns: Turns) -> list[ChartSpec]:
+def displacement(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot the output with and without clearance and its deviation over the last revolutions, over time and crank angle."""
     out, value, deviation, rows, advance = turns.result.output, turns.output, turns.error, turns.rows(WINDOW), turns.advance
     unit = turns.shares(float(np.max(np.abs(value))))
@@ -69,7 +69,7 @@ def displacement(turns: Turns) -> list[ChartSpec]:
     ]
 
 
-def _course(turns: Turns, rows: slice) -> ChartSpec:
+def _course(turns: RevolutionCurves, rows: slice) -> ChartSpec:
     """Plot contact forces and driving torque over time."""
     names = [f"{gap.point}.normal_N" for gap in turns.result.gaps]
     force = scale(max(turns.peak(name, WINDOW) for name in names), "N")
@@ -84,7 +84,7 @@ def _course(turns: Turns, rows: slice) -> ChartSpec:
     return ChartSpec("", f"Forces and torque over time, {turns.span(WINDOW)}", panels, Axis(TIME), lines=turns.ends(rows))
 
 
-def error(turns: Turns) -> list[ChartSpec]:
+def error(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot deviation and largest contact forces of every revolution, and the RMS over all revolutions after the running-in."""
     result, out = turns.result, turns.result.output
     unit, numbers = out.unit, result.turns.get("revolution")
@@ -125,7 +125,7 @@ def error(turns: Turns) -> list[ChartSpec]:
 # --- drive ---------------------------------------------------------------------------------------------------------------
 
 
-def _ideal_torque(turns: Turns) -> tuple[Array, Array] | None:
+def _ideal_torque(turns: RevolutionCurves) -> tuple[Array, Array] | None:
     """Return crank angles [deg] and the driving torque [N m] of the machine without clearance at constant speed."""
     if turns.free:
         return None
@@ -134,7 +134,7 @@ def _ideal_torque(turns: Turns) -> tuple[Array, Array] | None:
     return angles, np.broadcast_to(np.asarray(values, dtype=float), angles.shape)
 
 
-def torque(turns: Turns) -> list[ChartSpec]:
+def torque(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot the driving torque of the last revolution with and without clearance; a small ideal torque is enlarged below."""
     own, ideal = turns.result[TORQUE], _ideal_torque(turns)
     last, largest = own[turns.rows(1)], turns.peak(TORQUE, 1)
@@ -164,7 +164,7 @@ def torque(turns: Turns) -> list[ChartSpec]:
 # --- energy --------------------------------------------------------------------------------------------------------------
 
 
-def _works(turns: Turns) -> tuple[dict[str, Array], dict[str, Array]]:
+def _works(turns: RevolutionCurves) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return the work of drive and loads, and the energy lost at the joints, since the first stored row [J]."""
     names = [name.removesuffix(".work_J") for name in turns.result.figures if name.endswith(".work_J")]
     points = {gap.point for gap in turns.result.gaps}
@@ -178,7 +178,7 @@ def _works(turns: Turns) -> tuple[dict[str, Array], dict[str, Array]]:
     return fed, lost
 
 
-def energy(turns: Turns) -> list[ChartSpec]:
+def energy(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot the work of drive and loads, the energy gained, the losses at each joint, and the imbalance of the energy account."""
     result, time = turns.result, turns.time
     largest = result.figures["largest_energy_J"]

@@ -16,7 +16,7 @@ from optlink.report.views.revolutions import (
     CIRCLE,
     FULL,
     WINDOW,
-    Turns,
+    RevolutionCurves,
     beside,
     crown,
     from_zero,
@@ -36,9 +36,9 @@ FEW = 6  # smallest number of revolutions for a decision
 ring = partial(Curve, mode="markers", symbol="open circle")
 
 
-def charts(turns: Turns) -> list[ChartSpec]:
+def charts(turns: RevolutionCurves) -> list[ChartSpec]:
     """Return the charts of all joints with clearance."""
-    return [*orbit(turns), *force(turns), *impacts(turns), *section(turns)]
+    return [*journal_orbit(turns), *force(turns), *impacts(turns), *poincare_map(turns)]
 
 
 # --- orbits --------------------------------------------------------------------------------------------------------------
@@ -57,7 +57,9 @@ def exaggeration(gap: Gap, deepest: float) -> float:
     return max(1.0, min(round_below(DEEP * gap.clearance / deepest), MOST)) if deepest > 0.0 else 1.0
 
 
-def _path(turns: Turns, k: int, rows: slice, factor: float) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.intp]]:
+def _path(
+    turns: RevolutionCurves, k: int, rows: slice, factor: float
+) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.intp]]:
     """Return the journal centre relative to the bearing centre [m], with penetrations magnified by `factor`.
 
     Where a contact begins or ends between two rows, the path has a point on the clearance circle. Also returned: which segments
@@ -90,7 +92,7 @@ def _path(turns: Turns, k: int, rows: slice, factor: float) -> tuple[Array, Arra
     return x * more, y * more, closed[:-1] & (closed[1:] | is_event[1:]), np.flatnonzero(is_event & closed)
 
 
-def _own(turns: Turns, k: int, since: float = -math.inf) -> list[Impact]:
+def _own(turns: RevolutionCurves, k: int, since: float = -math.inf) -> list[Impact]:
     return [impact for impact in turns.result.impacts if impact.gap == k and impact.begin >= since]
 
 
@@ -101,7 +103,7 @@ def _circle(gap: Gap, unit: Scale) -> list[Curve]:
     return [centre, Curve(size * np.cos(CIRCLE), size * np.sin(CIRCLE), "clearance", GROUND, 1.2, hover=False, gid="clearance")]
 
 
-def _round(turns: Turns, k: int, file: str, title: str, curves: list[Curve], unit: Scale, **more: object) -> ChartSpec:
+def _round(turns: RevolutionCurves, k: int, file: str, title: str, curves: list[Curve], unit: Scale, **more: object) -> ChartSpec:
     """Return a chart of an eccentricity with equal scales around the clearance circle."""
     gap, count = turns.result.gaps[k], len(turns.result.gaps)
     furthest = max(float(np.nanmax(np.hypot(one.x, one.y), initial=0.0)) for one in curves)
@@ -113,7 +115,7 @@ def _round(turns: Turns, k: int, file: str, title: str, curves: list[Curve], uni
     return ChartSpec(file, title, [panel], x, **style)  # type: ignore[arg-type]
 
 
-def orbit(turns: Turns) -> list[ChartSpec]:
+def journal_orbit(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot the orbit of every journal centre over the last revolutions with contacts and impacts; penetrations are magnified."""
     found, rows = [], turns.rows(WINDOW)
     for k, gap in enumerate(turns.result.gaps):
@@ -148,7 +150,7 @@ def _masked(x: Array, y: Array, segments: NDArray[np.bool_]) -> tuple[Array, Arr
 # --- forces --------------------------------------------------------------------------------------------------------------
 
 
-def force(turns: Turns) -> list[ChartSpec]:
+def force(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot the normal force, friction and penetration of every joint over the crank angle; contact phases are shaded."""
     result, found = turns.result, []
     rows, last = turns.rows(turns.shown), turns.rows(1)
@@ -196,7 +198,7 @@ def force(turns: Turns) -> list[ChartSpec]:
 # --- impacts -------------------------------------------------------------------------------------------------------------
 
 
-def impacts(turns: Turns) -> list[ChartSpec]:
+def impacts(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot approach speed and largest penetration of every contact over the revolutions, and where in a revolution it begins."""
     result = turns.result
     if not result.impacts:
@@ -237,7 +239,7 @@ def impacts(turns: Turns) -> list[ChartSpec]:
 # --- Poincaré section ----------------------------------------------------------------------------------------------------
 
 
-def repetition(turns: Turns) -> tuple[int | None, float] | None:
+def repetition(turns: RevolutionCurves) -> tuple[int | None, float] | None:
     """Return the period of the motion in revolutions and the largest difference as a share of the clearance.
 
     The second half of the run is used, at most 200 revolutions. The period is None if the motion does not repeat; the result is
@@ -254,7 +256,7 @@ def repetition(turns: Turns) -> tuple[int | None, float] | None:
     return period, away[period or 1]
 
 
-def _verdict(turns: Turns) -> str:
+def _verdict(turns: RevolutionCurves) -> str:
     """Describe whether the motion is periodic and whether it is predictable."""
     found, predicted = repetition(turns), turns.result.prediction
     if turns.free:
@@ -274,7 +276,7 @@ def _verdict(turns: Turns) -> str:
     return told
 
 
-def section(turns: Turns) -> list[ChartSpec]:
+def poincare_map(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot the Poincaré section: output deviation and journal positions at the ends of the revolutions."""
     result, out = turns.result, turns.result.output
     if not result.section:

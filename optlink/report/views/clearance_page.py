@@ -18,12 +18,12 @@ from optlink.problem.file import ProblemFile
 from optlink.record import Contradiction
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, even, in_time
-from optlink.report.html.shell import Section
+from optlink.report.html.shell import PageSection
 from optlink.report.scene import through
-from optlink.report.stored.stored_study import Studied, cycle_of, figures_of, still
+from optlink.report.stored.stored_study import StoredStudy, cycle_of, figures_of, still
 from optlink.report.style import Scale, scale
 from optlink.report.views import clearance, clearance_tables, control_comparison
-from optlink.report.views.revolutions import TORQUE, WINDOW, Turns
+from optlink.report.views.revolutions import TORQUE, WINDOW, RevolutionCurves
 from optlink.report.views.simulation import largest
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceRecord, ClearanceSimulation
@@ -92,7 +92,7 @@ def _check_keys(found: ClearanceSimulation) -> None:
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def studied(record: ClearanceRecord, file: ProblemFile, _: Path) -> Studied:
+def stored_study(record: ClearanceRecord, file: ProblemFile, _: Path) -> StoredStudy:
     """Build the report of a stored simulation with clearance.
 
     Parameters
@@ -110,9 +110,9 @@ def studied(record: ClearanceRecord, file: ProblemFile, _: Path) -> Studied:
     shown = clearance_tables.simulation(found)
     sections = list(figures_of(shown.parts))
     if found.revolutions:
-        sections.append(Section("Curves", chart_plotly.charts(clearance.charts(found))))
+        sections.append(PageSection("Curves", chart_plotly.charts(clearance.charts(found))))
     control = "" if found.control is Control.NONE else f"; control: {found.control}"
-    return Studied(
+    return StoredStudy(
         problem=file,
         kind="simulation with clearance",
         verdict="Finished" if found.finished else f"Not finished: {found.ending.value}",
@@ -132,7 +132,7 @@ def _moving(found: ClearanceSimulation) -> Callable[[int], Moving | None]:
         cycle = cycle_of(found.problem, {}) if found.revolutions else None
         if cycle is None:
             return None
-        turns = Turns(found)
+        turns = RevolutionCurves(found)
         span = turns.rows(WINDOW)
         rows = span.start + even(span.stop - span.start, steps + 1)
         crank = found["crank_angle_deg"][rows]
@@ -151,7 +151,7 @@ def _moving(found: ClearanceSimulation) -> Callable[[int], Moving | None]:
 # --- control comparison ------------------------------------------------------------------------------------------------------
 
 
-def compared(record: ComparisonRecord, file: ProblemFile, _: Path) -> Studied:
+def compared(record: ComparisonRecord, file: ProblemFile, _: Path) -> StoredStudy:
     """Build the report of a stored control comparison.
 
     Parameters
@@ -168,13 +168,13 @@ def compared(record: ComparisonRecord, file: ProblemFile, _: Path) -> Studied:
     trials = {name: one.build(Trials) for name, one in record.trials.items()}
     found = record.build(Comparison, problem=file, trials=trials, examples={})
     shown = clearance_tables.comparison(found)
-    return Studied(
+    return StoredStudy(
         problem=file,
         kind="comparison of control",
         verdict="Finished" if found.finished else "Not every run was finished",
         valid=found.finished,
         status=shown.status.lines,
-        sections=[*figures_of(shown.parts), Section("Chart", chart_plotly.charts(control_comparison.charts(found)))],
+        sections=[*figures_of(shown.parts), PageSection("Chart", chart_plotly.charts(control_comparison.charts(found)))],
         moving=still,
         by=f"event-driven integration from {len(found.starts)} crank angles, seed {found.seed}",
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Panel
 from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, WANTED, scale
 from optlink.report.view import View
-from optlink.report.views.revolutions import FULL, Turns, fold
+from optlink.report.views.revolutions import FULL, RevolutionCurves, fold
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison
 
@@ -24,7 +24,7 @@ def charts(found: Comparison) -> list[ChartSpec]:
     return [*compensation(found.examples), trials(found)]
 
 
-def _mean_turn(turns: Turns, values: Array) -> tuple[Array, Array, Array, Array]:
+def _mean_turn(turns: RevolutionCurves, values: Array) -> tuple[Array, Array, Array, Array]:
     """Return crank angles [deg] and the mean, least and largest values over the revolutions after the running-in."""
     count = max(1, min(turns.whole // turns.points, turns.last - turns.begin + 1))
     rows = slice(turns.whole - count * turns.points, turns.whole)
@@ -41,7 +41,7 @@ def _closed(values: Array) -> Array:
     return np.concatenate([values[-1:], values])
 
 
-def _standstills(turns: Turns) -> list[float]:
+def _standstills(turns: RevolutionCurves) -> list[float]:
     """Return the crank angles [deg] at which the ideal output reverses, where crank corrections have no effect."""
     angles, ideal, _, _ = _mean_turn(turns, turns.output - turns.error)
     if turns.advance:
@@ -54,7 +54,7 @@ def _standstills(turns: Turns) -> list[float]:
 
 def compensation(results: Mapping[str, ClearanceSimulation]) -> list[ChartSpec]:
     """Plot the deviation over the crank angle under several kinds of control, and the corrections of the crank command."""
-    every = {name: Turns(result) for name, result in results.items()}
+    every = {name: RevolutionCurves(result) for name, result in results.items()}
     every = {name: turns for name, turns in every.items() if turns and turns.last}
     if not every:
         return []

@@ -14,7 +14,7 @@ from optlink.report.views.function_tables import active, checks, conflict, grade
 from optlink.tasks.results.cycle import CycleResult, display_unit
 
 
-def machine_design(outcome: CycleResult) -> Summary:
+def cycle_result(outcome: CycleResult) -> Summary:
     """Summarise a cycle optimisation: design, cycle quantities, active constraints, validation, optima."""
     limits: Part | None = None
     if outcome.conflict:
@@ -35,7 +35,7 @@ def machine_design(outcome: CycleResult) -> Summary:
     )
 
 
-def asked(task: CycleProblem) -> TableSpec:
+def cycle_problem(task: CycleProblem) -> TableSpec:
     """List the objective and the limits of a problem."""
     rows = []
     for goal in task.goals:

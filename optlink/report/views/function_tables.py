@@ -254,9 +254,9 @@ def problem(file: ProblemFile) -> Summary:
         task = holding(model) if isinstance(model, PathProblem) else None
         parts += [_section("requirement", model.requirement, task), _section("limits", model.limits, over)]
     if isinstance(model, CycleProblem):
-        from optlink.report.views.cycle_tables import asked
+        from optlink.report.views.cycle_tables import cycle_problem
 
-        parts.append(asked(model))
+        parts.append(cycle_problem(model))
     if not isinstance(model, DesignProblem | PathProblem) or model.bodies or model.loads:
         from optlink.report.views.analysis_tables import machine
 

@@ -25,7 +25,7 @@ from optlink.report.chart_mpl import FONT, TITLE
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, in_points, place_labels
 from optlink.report.style import GROUND, QUIET, WANTED, degrees, figure, heading, styled
-from optlink.report.views.revolutions import FULL, Turns, named, rough, round_below
+from optlink.report.views.revolutions import FULL, RevolutionCurves, named, rough, round_below
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
@@ -41,18 +41,18 @@ LONGEST = 0.62  # length of the longest force arrow, in bearing radii
 FELT = 0.02  # share of the largest force above which a force is drawn
 
 
-class Loosened(Sketch):
+class MagnifiedMachine(Sketch):
     """Sketch of a mechanism with clearance, with deviations from the ideal machine magnified by `factor`.
 
     Parameters
     ----------
-    turns : Turns
+    turns : RevolutionCurves
         The simulated revolutions.
     rows : array of int (positions,)
         Rows of the simulation to draw; `steps` is the motion of the ideal machine at these rows.
     """
 
-    def __init__(self, turns: Turns, rows: NDArray[np.intp]) -> None:
+    def __init__(self, turns: RevolutionCurves, rows: NDArray[np.intp]) -> None:
         result = turns.result
         machine, speed = result.machine, result.speed
         turn = np.radians(turns.angle[rows[-1]]) + np.linspace(0.0, 2.0 * math.pi, TRACE)
@@ -276,7 +276,7 @@ def _circle(at: Array, radius: float, face: Any, edge: str, width: float, above:
     return Circle((at[0], at[1]), radius, facecolor=face, edgecolor=edge, linewidth=width, zorder=above, gid=gid)
 
 
-def _exaggerated(sketch: Loosened) -> str:
+def _exaggerated(sketch: MagnifiedMachine) -> str:
     return (
         f"deviations of the bodies drawn {sketch.factor:g}-fold"
         if sketch.factor > 1.0
@@ -287,12 +287,12 @@ def _exaggerated(sketch: Loosened) -> str:
 @styled
 def mechanism(result: ClearanceSimulation) -> Figure | None:
     """Draw the mechanism at the largest contact force of the last revolution, with close-ups of its joints with clearance."""
-    turns = Turns(result)
+    turns = RevolutionCurves(result)
     if not turns:
         return None
     last = np.arange(max(0, len(turns.time) - turns.points), len(turns.time))
     row = int(last[np.argmax(np.max([result[f"{gap.point}.normal_N"][last] for gap in result.gaps], axis=0))])
-    sketch, count = Loosened(turns, np.array([row])), len(result.gaps)
+    sketch, count = MagnifiedMachine(turns, np.array([row])), len(result.gaps)
     if sketch.ratio < (0.75 if count > 1 else WIDE):  # close-ups below the mechanism
         width, columns = 8.4, min(count, 4)
         low = 2.35 if count > 1 else 2.7
@@ -329,12 +329,12 @@ def frames(result: ClearanceSimulation, count: int = FRAMES) -> list[Image.Image
     count : int, optional
         Largest number of frames.
     """
-    turns = Turns(result)
+    turns = RevolutionCurves(result)
     if not turns:
         return []
     begin, end = max(-1, len(turns.time) - 1 - turns.points), len(turns.time) - 1
     rows = np.unique(np.linspace(begin, end, min(count, end - begin) + 1).round().astype(np.intp)[1:])
-    sketch, gaps = Loosened(turns, rows), len(result.gaps)
+    sketch, gaps = MagnifiedMachine(turns, rows), len(result.gaps)
     columns = gaps if sketch.ratio < WIDE else 1 if gaps < 3 else 2
     title = f"{result.problem.model.title}: play drawn {sketch.factor:g}-fold"
     return film(sketch, sketch.steps, lambda axes: sketch.lay(axes, columns), np.full((len(rows), 2), np.nan), title)

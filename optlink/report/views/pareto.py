@@ -15,8 +15,8 @@ from optlink.record import Contradiction
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Mark, Panel, Picks
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
-from optlink.report.html.shell import Section
-from optlink.report.stored.stored_study import Studied, figures_of, named_si, still, turning
+from optlink.report.html.shell import PageSection
+from optlink.report.stored.stored_study import StoredStudy, figures_of, named_si, still, turning
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
 from optlink.report.view import View
 from optlink.report.views import pareto_tables
@@ -92,7 +92,7 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def studied(record: ParetoRecord, file: ProblemFile, path: Path) -> Studied:
+def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredStudy:
     """Build the report of a stored Pareto front.
 
     Parameters
@@ -107,17 +107,17 @@ def studied(record: ParetoRecord, file: ProblemFile, path: Path) -> Studied:
         If the record is damaged.
     """
     found = read(record, file, path)
-    shown = pareto_tables.front(found)
+    shown = pareto_tables.pareto_front(found)
     chosen = _chosen(found)
     words = f"The design of point {chosen + 1}: {found.points[chosen].mark or 'the first'}." if chosen is not None else ""
     drawn = chart_plotly.charts(charts(found))
-    return Studied(
+    return StoredStudy(
         problem=file,
         kind=f"front of {len(found.aims)} objectives",
         verdict="Every point of the front is proven" if found.complete else "Not every point could be proven",
         valid=found.complete,
         status=shown.status.lines,
-        sections=[*([Section("Front", drawn)] if drawn else []), *figures_of(shown.parts, "Points and designs")],
+        sections=[*([PageSection("Front", drawn)] if drawn else []), *figures_of(shown.parts, "Points and designs")],
         moving=still if chosen is None else turning(file, named_si(file, found.points[chosen].design)),
         by="optima along limits on all objectives but one, each proven by the validator (epsilon constraint method)",
         drawn=words,

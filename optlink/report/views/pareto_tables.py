@@ -13,7 +13,7 @@ MANY = 3.0  # ratio above which a change is not given in per cent
 SHOWN = 24  # largest number of listed points, besides the end points and the knee
 
 
-def front(result: Pareto) -> Summary:
+def pareto_front(result: Pareto) -> Summary:
     """Summarise a Pareto front: points, end points, knee, and the change of each objective from the reference design."""
     title = result.problem.model.title
     if not result.points:

@@ -23,16 +23,16 @@ from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.labels import place_labels
-from optlink.report.report_model import machine_found
+from optlink.report.report_model import resulting_machine
 from optlink.report.style import CRANK, WANTED, degrees, figure, heading, styled
 from optlink.report.view import View
 from optlink.report.views.path_alternatives import designs
 from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, failed, headed, wrapped
 from optlink.report.views.path_closeup import Close, dots, points_on, small_frames
-from optlink.report.views.path_initial_pose import BESIDE, HIGH, standing, trim
+from optlink.report.views.path_initial_pose import BESIDE, HIGH, initial_pose, trim
 from optlink.report.views.path_outputs import curve, mechanism, output_film
 from optlink.report.views.path_residuals import errors
-from optlink.report.views.path_view import Track, best
+from optlink.report.views.path_view import PathView, best
 from optlink.tasks.results.path import PathDesign, PathResult
 
 Array = NDArray[np.float64]
@@ -88,7 +88,7 @@ def path(result: PathResult) -> Figure | None:
     made = figure(width, height + 1.3 + LINE * (title.count("\n") + 1))
     entitle(made, track, title)
     left, right = made.subplots(1, 2, width_ratios=widths)
-    labels = standing(left, track) + close.draw(right, track.factor)
+    labels = initial_pose(left, track) + close.draw(right, track.factor)
     what = "pose" if close.motion else "point"
     crank = f"{what} {track.first + 1}: crank at {degrees(float(track.design.crank_angles[track.first]))}"
     left.set_title(wrapped([crank, *assembly(track.design)], widths[0] - 0.6, ", ", SMALL), fontsize=SMALL)
@@ -105,7 +105,7 @@ def path(result: PathResult) -> Figure | None:
 class Passing(Sketch):
     """Sketch of a mechanism that highlights the precision points it has passed."""
 
-    def __init__(self, track: Track) -> None:
+    def __init__(self, track: PathView) -> None:
         super().__init__(track.motion)
         self.widen(track.wanted * self.scale.factor)
         self.track, self.close = track, Close(track)
@@ -177,7 +177,7 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
 
 
 def _design(result: PathResult) -> tuple[ProblemFile, str] | None:
-    design, machine = result.best, machine_found(result)
+    design, machine = result.best, resulting_machine(result)
     if design is None or machine is None:
         return None
     return machine, verdict(design.status.value, design.valid, failed(design))

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from optlink.report.labels import Label, place_labels
 from optlink.report.style import figure, heading, panels, styled
 from optlink.report.views.path_captions import assembly, objective, transmission, wrapped
-from optlink.report.views.path_initial_pose import BESIDE, standing, trim
+from optlink.report.views.path_initial_pose import BESIDE, initial_pose, trim
 from optlink.report.views.path_tables import kin
-from optlink.report.views.path_view import Track
+from optlink.report.views.path_view import PathView
 from optlink.report.views.revolutions import beside
 from optlink.tasks.results.path import PathResult
 
@@ -24,7 +24,7 @@ def designs(result: PathResult) -> Figure | None:
     if len(result.designs) < 2:
         return None
     related = kin(result.designs)
-    tracks = [Track(design) for design in result.designs[:PANELS]]
+    tracks = [PathView(design) for design in result.designs[:PANELS]]
     sizes = np.array([np.ptp(track.sketch.limits, axis=1) / track.sketch.scale.factor for track in tracks])
     reach = sizes.max(axis=1)
     common = sizes[reach <= APART * float(np.min(reach))].max(axis=0)
@@ -35,7 +35,7 @@ def designs(result: PathResult) -> Figure | None:
     made = figure(panel * columns, ((panel - BESIDE) * tall + 1.35) * rows + 0.4)
     labels: list[Label] = []
     for number, (axes, track) in enumerate(zip(panels(made, len(tracks), columns), tracks, strict=True)):
-        labels += standing(axes, track)
+        labels += initial_pose(axes, track)
         smaller = max(1.0, float(np.max(sizes[number] / common)))
         half = 0.5 * common * smaller * track.sketch.scale.factor
         middle = np.mean(track.sketch.limits, axis=1)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from optlink.problem.path import MARK
 from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
 from optlink.report.views.path_tables import exact, measure, words
-from optlink.report.views.path_view import Track
+from optlink.report.views.path_view import PathView
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign
@@ -83,7 +83,7 @@ def failed(design: PathDesign | FunctionResult | CycleResult) -> str:
     return f"fails {', '.join(names[: 2 if more else 3])}{more}" if names else design.status.text
 
 
-def objective(track: Track) -> str:
+def objective(track: PathView) -> str:
     """Format the objective with its measure."""
     design, unit, task = track.design, track.sketch.scale, track.task
     if exact(design):
@@ -110,7 +110,7 @@ def transmission(design: PathDesign) -> str:
     return f"least transmission angle {math.degrees(least):.1f}°" if math.isfinite(least) else ""
 
 
-def figures(track: Track) -> list[str]:
+def figures(track: PathView) -> list[str]:
     """Return the captions of objective, deviations and transmission angle."""
     design, task, unit = track.design, track.task, track.sketch.scale
     distances, turned = design.measured.distances, design.measured.turned
@@ -135,7 +135,7 @@ def figures(track: Track) -> list[str]:
     return [*told, *filter(None, [transmission(design)])]
 
 
-def _error(track: Track) -> list[str]:
+def _error(track: PathView) -> list[str]:
     """Return the caption of the output error of a function."""
     task, errors = track.task, track.design.measured.distances
     if not task.unit or track.exact:
@@ -146,7 +146,7 @@ def _error(track: Track) -> list[str]:
     return ["error: rms {}, largest {}".format(*shown)]
 
 
-def sizes(track: Track) -> list[str]:
+def sizes(track: PathView) -> list[str]:
     """Return the captions of all dimensions, or of the design variables only if there are too many."""
     task, unit, values = track.task, track.sketch.scale, track.design.values
     names = [*task.mechanism.quantities, *([MARK] if MARK in task.quantities else [])]
@@ -193,12 +193,12 @@ def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -
     return f"{gap.rstrip()}\n".join(best)
 
 
-def title_of(track: Track, width: float, title: str, *more: str) -> str:
+def title_of(track: PathView, width: float, title: str, *more: str) -> str:
     """Compose a title with further lines below it; an invalid design is marked as not valid.
 
     Parameters
     ----------
-    track : Track
+    track : PathView
     width : float [inch]
     title : str
     *more : str
@@ -212,25 +212,25 @@ def title_of(track: Track, width: float, title: str, *more: str) -> str:
     return "\n".join([*text, *filter(None, more)])
 
 
-def headed(track: Track, width: float) -> str:
+def headed(track: PathView, width: float) -> str:
     """Compose the title of a mechanism with its deviations and dimensions.
 
     Parameters
     ----------
-    track : Track
+    track : PathView
     width : float [inch]
     """
     told = wrapped(figures(track), width, "; "), wrapped(sizes(track), width, "   ")
     return title_of(track, width, track.task.title, *told)
 
 
-def entitle(made: Figure, track: Track, title: str) -> None:
+def entitle(made: Figure, track: PathView, title: str) -> None:
     """Write the title of a figure, in red if the design is not valid.
 
     Parameters
     ----------
     made : Figure
-    track : Track
+    track : PathView
     title : str
     """
     made.suptitle(title, fontsize=TITLE, color=WANTED if track.design.valid else LIMIT)

@@ -13,7 +13,7 @@ from optlink.report.chart_spec import Axis, ChartSpec, Curve, Mark, Panel
 from optlink.report.labels import Label
 from optlink.report.shapes import finite
 from optlink.report.style import BODIES, LIMIT, WANTED, scale
-from optlink.report.views.path_view import Track
+from optlink.report.views.path_view import PathView
 
 Array = NDArray[np.float64]
 NUMBERED = 20  # number of points up to which each is numbered
@@ -87,7 +87,7 @@ def _fold(magnified: float) -> str:
 class Close:
     """Close-up of the coupler curve in its own axes: precision points, tolerances, deviations, poses."""
 
-    def __init__(self, track: Track) -> None:
+    def __init__(self, track: PathView) -> None:
         self.track = track
         self.unit = scale(float(np.nanmax(np.abs(np.concatenate([track.wanted, track.generated])))), "m")
         self.length = FRAME * track.size * self.unit.factor

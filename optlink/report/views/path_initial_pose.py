@@ -14,13 +14,13 @@ from matplotlib.path import Path as Outline
 from optlink.report.labels import Label
 from optlink.report.style import CRANK
 from optlink.report.views.path_closeup import NUMBERED, points_on, some
-from optlink.report.views.path_view import Track
+from optlink.report.views.path_view import PathView
 
 HIGH, BESIDE = 4.3, 0.75  # largest height of a panel and width of its axis labels [inch]
 GHOSTS = 8  # largest number of poses in which the body is drawn
 
 
-def _turning(axes: Axes, track: Track) -> None:
+def _turning(axes: Axes, track: PathView) -> None:
     """Draw an arrow on the crank circle in the direction of rotation."""
     crank = track.sketch.mechanism.crank
     pivot, pin = (track.sketch.position(track.here, name)[0] for name in (crank.start, crank.end))
@@ -37,7 +37,7 @@ def _turning(axes: Axes, track: Track) -> None:
     axes.add_patch(drawn)
 
 
-def _ghosts(axes: Axes, track: Track) -> None:
+def _ghosts(axes: Axes, track: PathView) -> None:
     """Draw the guided body in its poses."""
     sketch, body = track.sketch, track.task.body
     for part in sketch.parts[body]:
@@ -70,13 +70,13 @@ def trim(made: Figure, rows: int = 1) -> None:
         made.set_figheight(made.get_figheight() - rows * empty / made.dpi)
 
 
-def standing(axes: Axes, track: Track) -> list[Label]:
+def initial_pose(axes: Axes, track: PathView) -> list[Label]:
     """Draw the mechanism at the first point with its coupler curve and the precision points, and return the labels.
 
     Parameters
     ----------
     axes : Axes
-    track : Track
+    track : PathView
     """
     sketch = track.sketch
     factor = sketch.scale.factor

@@ -18,8 +18,8 @@ from optlink.report.chart_spec import Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.labels import place_labels
 from optlink.report.style import BODIES, LIMIT, WANTED, degrees, figure, scale, styled
 from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, figures, headed, title_of, wrapped
-from optlink.report.views.path_initial_pose import BESIDE, HIGH, standing, trim
-from optlink.report.views.path_view import Track, best
+from optlink.report.views.path_initial_pose import BESIDE, HIGH, initial_pose, trim
+from optlink.report.views.path_view import PathView, best
 from optlink.tasks.results.path import PathResult
 from optlink.validation.path import deviations, transmission_angles
 
@@ -37,7 +37,7 @@ class Output(NamedTuple):
     curves: list[str]
 
 
-def output(track: Track) -> Output:
+def output(track: PathView) -> Output:
     """Return the output of a function over its range, or the transmission angles over the revolution."""
     task, values = track.task, track.design.values
     if task.requirement.kind == "transmission":
@@ -68,7 +68,7 @@ def mechanism(result: PathResult) -> Figure | None:
     made = figure(width, height + 1.0 + LINE * (title.count("\n") + 1))
     entitle(made, track, title)
     axes = made.subplots()
-    labels = standing(axes, track)
+    labels = initial_pose(axes, track)
     crank = f"crank at {degrees(float(track.design.crank_angles[track.first]))}"
     axes.set_title(wrapped([crank, *assembly(track.design)], width - 0.6, ", ", SMALL), fontsize=SMALL)
     trim(made)
@@ -76,7 +76,7 @@ def mechanism(result: PathResult) -> Figure | None:
     return made
 
 
-def curve(track: Track) -> ChartSpec:
+def curve(track: PathView) -> ChartSpec:
     """Return the prescribed and generated output of a function with their difference, or the transmission angles."""
     shown = output(track)
     panels = [_outputs(shown)]
@@ -92,7 +92,7 @@ def curve(track: Track) -> ChartSpec:
     return ChartSpec("curve", title, panels, _crank(track, shown), heading, warning=not track.design.valid)
 
 
-def _crank(track: Track, shown: Output) -> Axis:
+def _crank(track: PathView, shown: Output) -> Axis:
     ends = sorted((float(shown.crank[0]), float(shown.crank[-1])))
     return crank_angle(clockwise=track.way < 0.0, limits=(ends[0], ends[1]))
 
@@ -111,12 +111,12 @@ def _outputs(shown: Output) -> Panel:
     return Panel(Axis(shown.name), traces, 1.6)
 
 
-def output_film(track: Track, count: int) -> list[Image.Image]:
+def output_film(track: PathView, count: int) -> list[Image.Image]:
     """Draw the frames of the mechanism beside its output or its transmission angles.
 
     Parameters
     ----------
-    track : Track
+    track : PathView
     count : int
         Number of frames.
     """

@@ -12,7 +12,7 @@ from optlink.report.style import FOUND, LIMIT, QUIET
 from optlink.report.views.path_captions import figures, fitting, length, title_of, wrapped
 from optlink.report.views.path_closeup import ALLOWED, NUMBERED
 from optlink.report.views.path_tables import exact, exact_angles
-from optlink.report.views.path_view import Track
+from optlink.report.views.path_view import PathView
 from optlink.tasks.results.path import LEVEL
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ CUT = 4.0  # points without tolerance are cut off beyond this multiple of the de
 NOTHING = 1e-3  # components below this share of the largest deviation are not shown
 
 
-def errors(track: Track) -> ChartSpec:
+def errors(track: PathView) -> ChartSpec:
     """Return the deviation at every point: distance, components, and for poses the angle."""
     turned = track.design.measured.turned
     panels = [_distances(track)]
@@ -52,7 +52,7 @@ def _rounding(name: str, values: Array, level: float, unit: str) -> Panel:
     return Panel(Axis(f"{name} [{unit}]", (low / 3.0, 1e4 * level), "log"), [trace], lines=[line])
 
 
-def _bulk(track: Track) -> NDArray[np.bool_]:
+def _bulk(track: PathView) -> NDArray[np.bool_]:
     """Return the points whose bars set the scale.
 
     These are all points, or only those with a tolerance if the others deviate so far that they would hide them.
@@ -64,7 +64,7 @@ def _bulk(track: Track) -> NDArray[np.bool_]:
     return known if float(np.nanmax(distances[~known])) > CUT * near else np.ones(len(known), dtype=bool)
 
 
-def _distances(track: Track) -> Panel:
+def _distances(track: PathView) -> Panel:
     distances, tolerances = track.design.measured.distances, track.tolerances
     if track.exact:
         unit = track.sketch.scale
@@ -89,7 +89,7 @@ def _distances(track: Track) -> Panel:
     return Panel(Axis(f"distance [{unit.unit}]", (0.0, 1.1 * top * unit.factor)), traces)
 
 
-def _directions(track: Track) -> Panel:
+def _directions(track: PathView) -> Panel:
     """Return the components along and across the curve, to the left of the motion; x and y where the velocity vanishes."""
     miss = track.generated - track.wanted
     speed = track.way * track.at.velocity(track.task.requirement.point)
@@ -116,7 +116,7 @@ def _directions(track: Track) -> Panel:
     return Panel(Axis(f"generated minus wanted [{unit.unit}]", (low - room, high + room)), traces)
 
 
-def _turned(track: Track, turned: Array) -> Panel:
+def _turned(track: PathView, turned: Array) -> Panel:
     name = "generated minus wanted angle"
     if exact_angles(track.design):
         return _rounding(name, np.degrees(np.abs(turned)), math.degrees(LEVEL), "deg")

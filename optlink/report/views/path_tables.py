@@ -31,7 +31,7 @@ BOUNDED = " within its bounds"
 SHOWN = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
-def generation(outcome: PathResult) -> Summary:
+def path_result(outcome: PathResult) -> Summary:
     """Summarise a synthesis result: best design, deviations, active constraints, validation, alternatives, cognates."""
     from optlink.report.views.analysis_tables import machine_strokes
 
@@ -99,8 +99,8 @@ def _objective(design: PathDesign) -> TableSpec:
     remark = f"{what}: rms {number(factor * rms, 4)}, largest {number(factor * largest, 4)} {unit}".rstrip()
     if measured.turned is not None:
         remark += f"; angle: largest {number(math.degrees(float(abs(measured.turned).max())), 4)} deg"
-    objective = strong(precise(people_objective(design), 8))
-    rows: list[Row] = [(measure(task), objective, people_objective_unit(design), quiet(remark))]
+    objective = strong(precise(displayed_objective(design), 8))
+    rows: list[Row] = [(measure(task), objective, displayed_objective_unit(design), quiet(remark))]
     least = math.degrees(design.least_transmission)
     if math.isfinite(least):
         remark = "from 0 or 180 deg, at its worst " + ("of the revolution" if design.turns else "between the points")
@@ -113,13 +113,13 @@ def measure(task: PathProblem) -> str:
     return task.measure + (", weighted" if task.wanted.weights is not None else "")
 
 
-def people_objective_unit(design: PathDesign) -> str:
+def displayed_objective_unit(design: PathDesign) -> str:
     """Return the display unit of the objective."""
     unit = OUTPUT[design.task.unit][1]
     return f"{unit}^2" if design.task.measure == "sum of squares" and unit else unit
 
 
-def people_objective(design: PathDesign) -> float:
+def displayed_objective(design: PathDesign) -> float:
     """Return the objective in its display unit."""
     factor = OUTPUT[design.task.unit][0]
     return design.objective * (factor**2 if design.task.measure == "sum of squares" else factor)
@@ -127,9 +127,9 @@ def people_objective(design: PathDesign) -> float:
 
 def _active(design: PathDesign) -> Part:
     """Tabulate the active constraints with their shadow prices in the display unit of the objective."""
-    factor = people_objective(design) / design.objective if design.objective > 0.0 else 1.0
+    factor = displayed_objective(design) / design.objective if design.objective > 0.0 else 1.0
     held = [replace(limit, multiplier=limit.multiplier * factor) for limit in design.limits]
-    return active(held, people_objective(design), people_objective_unit(design))
+    return active(held, displayed_objective(design), displayed_objective_unit(design))
 
 
 def _points(design: PathDesign) -> TableSpec:
@@ -161,7 +161,7 @@ def _alternatives(outcome: PathResult) -> TableSpec:
     designs, related = outcome.designs, kin(outcome.designs)
     best, task = designs[0], designs[0].task
     columns = [_column(design, related.get(k)) for k, design in enumerate(designs)]
-    names = [(measure(task), people_objective_unit(best)), ("least transmission angle", "deg"), ("same curve as", "")]
+    names = [(measure(task), displayed_objective_unit(best)), ("least transmission angle", "deg"), ("same curve as", "")]
     names += [(name, display_unit(task, name)[1]) for name in task.quantities if task.quantities[name].free]
     names += [(joint, "") for joint in dict.fromkeys(f"assembly {one}".rstrip() for design in designs for one in modes(design))]
     rows: list[Row] = [
@@ -175,7 +175,7 @@ def _alternatives(outcome: PathResult) -> TableSpec:
 
 def _column(design: PathDesign, related: int | None) -> dict[str, str]:
     """Return the cells of a design by row; `related` is the design whose cognate it is."""
-    found = {measure(design.task): "exact" if exact(design) else precise(people_objective(design), 5)}
+    found = {measure(design.task): "exact" if exact(design) else precise(displayed_objective(design), 5)}
     if math.isfinite(design.least_transmission):
         found["least transmission angle"] = fixed(math.degrees(design.least_transmission), 1)
     if related is not None:

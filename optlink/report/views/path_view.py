@@ -21,7 +21,7 @@ FINE = 721  # positions per revolution
 STICK = 0.07  # length of the largest magnified deviation, as a share of the extent of the points
 
 
-class Track:
+class PathView:
     """Motion of a synthesised design relative to its precision points.
 
     `motion` is the whole motion: a revolution, or the assembled range around the points. `run` is the motion from the first point
@@ -128,9 +128,9 @@ class Track:
         return max(1.0, round_below(limit))
 
 
-def best(result: PathResult) -> Track | None:
+def best(result: PathResult) -> PathView | None:
     """Return the best design or the nearest miss; None if there is nothing to draw."""
     if result.best is None:
         return None
-    track = Track(result.best)
+    track = PathView(result.best)
     return track if track.reached else None

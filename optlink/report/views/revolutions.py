@@ -22,7 +22,7 @@ BULK = 99.8  # percentile of the values that the limits of y include
 CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
 
 
-class Turns:
+class RevolutionCurves:
     """Stored rows of a simulation with clearance, assigned to revolutions.
 
     If the simulation stopped early, its last rows belong to no complete revolution; "last revolution" then means the last period
@@ -318,12 +318,12 @@ def from_zero(largest: float) -> tuple[float, float]:
     return 0.0, 1.08 * largest if 0.0 < largest < math.inf else 1.0
 
 
-def crown(turns: Turns, values: Array, low: float = 0.0, high: float = 0.0) -> tuple[tuple[float, float], str]:
+def crown(turns: RevolutionCurves, values: Array, low: float = 0.0, high: float = 0.0) -> tuple[tuple[float, float], str]:
     """Return limits of the last revolution and most of the others, and ", cut off" if values exceed them.
 
     Parameters
     ----------
-    turns : Turns
+    turns : RevolutionCurves
     values : array (n,)
         Values at all rows, in the unit of the axis.
     low : float, optional

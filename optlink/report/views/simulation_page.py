@@ -13,9 +13,9 @@ from optlink.problem.file import ProblemFile
 from optlink.record import Contradiction
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, even, in_time
-from optlink.report.html.shell import Section
+from optlink.report.html.shell import PageSection
 from optlink.report.scene import through
-from optlink.report.stored.stored_study import Studied, cycle_of, figures_of, still
+from optlink.report.stored.stored_study import StoredStudy, cycle_of, figures_of, still
 from optlink.report.style import Scale, scale
 from optlink.report.views import analysis_tables
 from optlink.report.views.simulation import History, charts, largest
@@ -28,7 +28,7 @@ AGREES = 1e-6  # tolerance of stored positions, as a share of the size of the ma
 VERDICTS = {Ending.FINISHED: "Finished", Ending.AT_REST: "Came to rest"}
 
 
-def studied(record: SimulationRecord, file: ProblemFile, _: Path) -> Studied:
+def stored_study(record: SimulationRecord, file: ProblemFile, _: Path) -> StoredStudy:
     """Build the report of a stored forward dynamics simulation.
 
     Parameters
@@ -47,13 +47,13 @@ def studied(record: SimulationRecord, file: ProblemFile, _: Path) -> Studied:
     run = History(file.model.title, machine_of(file), record.driven, ending.value, columns, figures)
     curves = chart_plotly.charts(charts(run))
     tables = analysis_tables.simulation_parts(figures, columns, record.steps, record.evaluations)
-    return Studied(
+    return StoredStudy(
         problem=file,
         kind="simulation in time",
         verdict=VERDICTS.get(ending, f"Not finished: {ending.value}"),
         valid=record.finished,
         status=[f"{ending.value}, driven by {record.driven}; {record.message}", *record.notes],
-        sections=[*figures_of(tables), *([Section("Over time", curves)] if curves else [])],
+        sections=[*figures_of(tables), *([PageSection("Over time", curves)] if curves else [])],
         moving=_moving(file, columns, crank_body, _sizes(record, file)) if curves else still,
         by=f"integration in time; driven by {record.driven}",
         drawn="As the crank turned in time: the slider goes from row to row of the simulation.",

@@ -16,8 +16,8 @@ from optlink.report import chart_spec
 from optlink.report.chart_spec import ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
-from optlink.report.html.shell import Section
-from optlink.report.stored.stored_study import Studied, figures_of, named_si, still, turning
+from optlink.report.html.shell import PageSection
+from optlink.report.stored.stored_study import StoredStudy, figures_of, named_si, still, turning
 from optlink.report.stored.stored_sweep import read
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET
 from optlink.report.view import View
@@ -99,7 +99,7 @@ class Table:
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def studied(record: SweepRecord, file: ProblemFile, path: Path) -> Studied:
+def stored_study(record: SweepRecord, file: ProblemFile, path: Path) -> StoredStudy:
     """Build the report of a stored sweep.
 
     Parameters
@@ -124,13 +124,13 @@ def studied(record: SweepRecord, file: ProblemFile, path: Path) -> Studied:
         proven = "every optimum proven" if found.complete else f"{found.valid:,} proven, {found.grid.count - found.valid:,} not"
         by = "an optimum at every point, each proven by the validator; "
         by += f"{found.searched:,} needed a search, the others followed a neighbour"
-    return Studied(
+    return StoredStudy(
         problem=file,
         kind="sweep",
         verdict=proven[0].upper() + proven[1:],
         valid=found.successful,
         status=shown.status.lines,
-        sections=[*([Section("Sweep", drawn)] if drawn else []), *figures_of(shown.parts)],
+        sections=[*([PageSection("Sweep", drawn)] if drawn else []), *figures_of(shown.parts)],
         moving=still if table.best is None else turning(*_design(file, table, table.best)),
         by=by,
         drawn="The best point of the sweep.",

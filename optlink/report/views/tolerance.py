@@ -13,8 +13,8 @@ from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Axis, Band, Bars, ChartSpec, Curve, Line, Panel, Trace, crank_angle
 from optlink.report.format import percent
 from optlink.report.html import chart_plotly
-from optlink.report.html.shell import Section
-from optlink.report.stored.stored_study import Studied, figures_of, turning
+from optlink.report.html.shell import PageSection
+from optlink.report.stored.stored_study import StoredStudy, figures_of, turning
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, WANTED
 from optlink.report.view import View
 from optlink.report.views import tolerance_tables
@@ -31,7 +31,7 @@ BARS = 60  # largest number of bars in a histogram
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def studied(record: ToleranceRecord, file: ProblemFile, _: Path) -> Studied:
+def stored_study(record: ToleranceRecord, file: ProblemFile, _: Path) -> StoredStudy:
     """Build the report of a stored tolerance analysis.
 
     Parameters
@@ -46,18 +46,18 @@ def studied(record: ToleranceRecord, file: ProblemFile, _: Path) -> Studied:
         If a tolerance or a size of the problem is missing in its parts.
     """
     allocation, robust = record.allocation, record.robust
-    shown = tolerance_tables.recorded(record, file)
+    shown = tolerance_tables.tolerance_result(record, file)
     by = "exact derivatives at the drawing"
     if record.monte_carlo is not None:
         samples, seed = record.monte_carlo.samples, record.monte_carlo.seed
         by += f", and {samples:,} linkages with deviations drawn (Sobol, seed {seed}), moved exactly"
-    return Studied(
+    return StoredStudy(
         problem=file,
         kind="study of tolerances",
         verdict=_verdict(record),
         valid=(allocation is None or allocation.kept) and (robust is None or robust.valid),
         status=shown.status.lines,
-        sections=[Section("Scatter", chart_plotly.charts(charts(record))), *figures_of(shown.parts)],
+        sections=[PageSection("Scatter", chart_plotly.charts(charts(record))), *figures_of(shown.parts)],
         moving=turning(file, {name: value for name, value in record.sizes_SI.items() if name in file.model.mechanism.quantities}),
         by=by,
         drawn="The linkage as drawn.",

@@ -23,10 +23,10 @@ SURE = f"{100.0 * CONFIDENCE:g} % sure"
 
 def tolerances(result: Tolerance) -> Summary:
     """Summarise a tolerance analysis."""
-    return recorded(ToleranceRecord.of(result), result.problem)
+    return tolerance_result(ToleranceRecord.of(result), result.problem)
 
 
-def recorded(record: ToleranceRecord, file: ProblemFile) -> Summary:
+def tolerance_result(record: ToleranceRecord, file: ProblemFile) -> Summary:
     """Summarise the record of a tolerance analysis.
 
     Parameters

@@ -81,7 +81,7 @@ class PointRecord(Record):
     mark: str | None
 
 
-class HeldRecord(AxisRecord):
+class ActiveLimitRecord(AxisRecord):
     """A limit on an objective, varied along the front."""
 
     key: str = Field(alias="limit")
@@ -100,7 +100,7 @@ class ParetoRecord(ResultRecord):
     format: Literal["optlink/pareto/2"] = Field(alias="schema")
     objectives: Annotated[tuple[ObjectiveRecord, ...], "aims", Len(2, 3)]
     minimised: str
-    held: Annotated[tuple[HeldRecord, ...], "grid.axes"]
+    held: Annotated[tuple[ActiveLimitRecord, ...], "grid.axes"]
     front: tuple[PointRecord, ...]
     ends: dict[str, int]
     knee: KneeRecord | None
