@@ -82,6 +82,13 @@ Columns = Annotated[dict[str, Column], AfterValidator(_equally_long)]
 def check_length(values: Sequence[Any] | NDArray[Any], count: int, key: str) -> None:
     """Raise if a list has another length than another one.
 
+    Parameters
+    ----------
+    values : sequence
+    count : int
+    key : str
+        Key of the list.
+
     Raises
     ------
     Contradiction
@@ -161,7 +168,14 @@ class ResultRecord(Record):
 
     @classmethod
     def of(cls, result: Any, **values: Any) -> Self:
-        """As `Record.of`."""
+        """As `Record.of`.
+
+        Parameters
+        ----------
+        result : object
+        **values
+            Values of fields, in place of those of the result.
+        """
         [schema] = get_args(cls.model_fields["format"].annotation)
         return super().of(result, **{"format": schema, "optlink": VERSION, "seed": getattr(result, "seed", None)} | values)
 

@@ -86,7 +86,19 @@ class Curve:
 
     @classmethod
     def through(cls, places: Array, name: str = "", colour: str = INK, width: float = 1.6, **more: Any) -> Curve:
-        """Return a curve through places (n, 2); `more` are further attributes."""
+        """Return a curve through places (n, 2); `more` are further attributes.
+
+        Parameters
+        ----------
+        places : array (n, 2)
+        name : str, optional
+            Entry in the legend.
+        colour : str, optional
+        width : float, optional
+            Line width [pt].
+        **more
+            Further attributes of the curve.
+        """
         return cls(places[:, 0], places[:, 1], name, colour, width, **more)
 
 

@@ -68,7 +68,14 @@ class AxisRecord(Record):
 
     @classmethod
     def of(cls, result: Axis, **values: Any) -> Self:
-        """As `Record.of`, with the ends and the number of the values."""
+        """As `Record.of`, with the ends and the number of the values.
+
+        Parameters
+        ----------
+        result : Axis
+        **values
+            Values of fields, in place of those of the result.
+        """
         return super().of(result, first=result.values[0], last=result.values[-1], values=len(result.values), **values)
 
 

@@ -113,7 +113,14 @@ class SensitivitiesRecord(ResultRecord):
 
     @classmethod
     def of(cls, result: Sensitivities, **values: Any) -> Self:
-        """As `Record.of`, with the objective."""
+        """As `Record.of`, with the objective.
+
+        Parameters
+        ----------
+        result : Sensitivities
+        **values
+            Values of fields, in place of those of the result.
+        """
         return super().of(result, objective=OptimumValueRecord.of(result), **values)
 
 

@@ -98,7 +98,14 @@ class SweepRecord(ResultRecord):
 
     @classmethod
     def of(cls, result: Any, **values: Any) -> Self:
-        """As `Record.of`, without the figures of optima where there are none."""
+        """As `Record.of`, without the figures of optima where there are none.
+
+        Parameters
+        ----------
+        result : object
+        **values
+            Values of fields, in place of those of the result.
+        """
         optima = ("infeasible_points", "searched_points", "active_set_changes", "changes", "best")
         return super().of(result, **dict.fromkeys(optima) if result.evaluated else {}, **values)
 

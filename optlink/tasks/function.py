@@ -73,7 +73,14 @@ class FunctionObjectiveRecord(Record):
 
     @classmethod
     def of(cls, result: FunctionResult, **values: Any) -> Self:
-        """As `Record.of`, with the errors."""
+        """As `Record.of`, with the errors.
+
+        Parameters
+        ----------
+        result : FunctionResult
+        **values
+            Values of fields, in place of those of the result.
+        """
         task, error = result.problem.spec, result.error()
         robust = task.requirement.robust
         return super().of(
@@ -99,7 +106,14 @@ class FunctionRecord(SingleRecord):
 
     @classmethod
     def of(cls, result: FunctionResult, **values: Any) -> Self:
-        """As `Record.of`, with the strokes of the machine."""
+        """As `Record.of`, with the strokes of the machine.
+
+        Parameters
+        ----------
+        result : FunctionResult
+        **values
+            Values of fields, in place of those of the result.
+        """
         machine, first = turning_machine(result.problem, result.design), result.first
         return super().of(
             result,

@@ -159,7 +159,21 @@ def panel(
     *,
     least: float = 0.0,
 ) -> Panel:
-    """Return a panel; marks beyond its limits are moved to them and point outwards."""
+    """Return a panel; marks beyond its limits are moved to them and point outwards.
+
+    Parameters
+    ----------
+    course : CycleCurves
+    name : str
+        Label of the y axis.
+    traces : list of Curve
+    height : float, optional
+        Relative height.
+    marks : iterable of Mark, optional
+    lines : sequence of Line, optional
+    least : float, optional
+        Least range of the y axis, in its unit.
+    """
     y = axis(course, name, traces, least=least)
     moved = [_held(mark, *y.limits) if y.limits else mark for mark in marks]
     return Panel(y, traces, height, lines, moved)
@@ -210,7 +224,18 @@ def chart(
     row: int = 0,
     width: float = 7.6,
 ) -> ChartSpec:
-    """Return a chart over the crank angle with its singular positions; the parameters are those of `ChartSpec`."""
+    """Return a chart over the crank angle with its singular positions.
+
+    Parameters
+    ----------
+    course : CycleCurves
+    file : str
+        Name of the picture.
+    title : str
+    panels : sequence of Panel
+    heading, remark, lines, spans, row, width
+        As in `ChartSpec`.
+    """
     ends = sorted((math.degrees(course.start), math.degrees(course.end)))
     x = crank_angle(clockwise=course.way < 0.0, limits=(ends[0], ends[1]))
     places = [math.degrees(course.inside(position.crank_angle)) for position in course.result.ranges.singular]
@@ -220,7 +245,14 @@ def chart(
 
 
 def titled(course: CycleCurves, words: str) -> str:
-    """Return the title of the problem with the title of a chart."""
+    """Return the title of the problem with the title of a chart.
+
+    Parameters
+    ----------
+    course : CycleCurves
+    words : str
+        Title of the chart.
+    """
     return f"{course.result.problem.model.title}: {words[:1].lower()}{words[1:]}"
 
 
@@ -228,7 +260,14 @@ def titled(course: CycleCurves, words: str) -> str:
 
 
 def motion(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return displacement, velocity and acceleration of every slider, or of the last oscillating body."""
+    """Return displacement, velocity and acceleration of every slider, or of the last oscillating body.
+
+    Parameters
+    ----------
+    course : CycleCurves
+    given : CycleCurves, optional
+        Those of the initial machine, drawn in grey.
+    """
     shown = outputs(course)
     found = []
     for out in shown:

@@ -40,7 +40,14 @@ def forces(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartS
 
 
 def torque(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the driving torque, its inertia, gravity and load parts, and its mean, with extremes marked."""
+    """Return the driving torque, its inertia, gravity and load parts, and its mean, with extremes marked.
+
+    Parameters
+    ----------
+    course : CycleCurves
+    given : CycleCurves, optional
+        Those of the initial machine, drawn in grey.
+    """
     if not course.has(TORQUE):
         return []
     result = course.result
@@ -235,7 +242,14 @@ def _extent(course: CycleCurves) -> float:
 
 
 def work(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the work of the drive since the start with its extremes, and below it the kinetic and potential energy."""
+    """Return the work of the drive since the start with its extremes, and below it the kinetic and potential energy.
+
+    Parameters
+    ----------
+    course : CycleCurves
+    given : CycleCurves, optional
+        Those of the initial machine, drawn in grey.
+    """
     name, energies = "input.work_J", ("energy.kinetic_J", "energy.potential_J")
     if not course.has(name):
         return []
@@ -257,7 +271,14 @@ def work(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpe
 
 
 def shaking(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the hodograph of the shaking force, and over the crank angle its components and the moment about the pivot."""
+    """Return the hodograph of the shaking force, and over the crank angle its components and the moment about the pivot.
+
+    Parameters
+    ----------
+    course : CycleCurves
+    given : CycleCurves, optional
+        Those of the initial machine, drawn in grey.
+    """
     x, y, moment = SHAKING
     forced = any(course.has(name, [x, y, *joints(course).values()]) for name in (x, y))
     if not forced and not course.has(moment):

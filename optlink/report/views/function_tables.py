@@ -77,7 +77,13 @@ def _status(outcome: FunctionResult) -> Iterator[Line]:
 
 
 def verdict(word: str, positive: bool) -> Inline:
-    """Return a verdict as good or bad."""
+    """Return a verdict as good or bad.
+
+    Parameters
+    ----------
+    word : str
+    positive : bool
+    """
     return good(word) if positive else bad(word)
 
 

@@ -38,6 +38,8 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
     file : ProblemFile
         The problem of the study.
     path : Path
+        Of result.json.
+    path : Path
         File of the record.
 
     Raises
@@ -100,6 +102,8 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
     record : ParetoRecord
     file : ProblemFile
         The problem of the study.
+    path : Path
+        Of result.json.
 
     Raises
     ------

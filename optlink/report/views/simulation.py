@@ -35,7 +35,22 @@ class History:
     def curve(
         self, name: str, factor: float, words: str, colour: str, width: float = 1.6, dash: Dash = "solid", *, legend: bool = True
     ) -> Curve:
-        """Return a column times a factor over time as a curve."""
+        """Return a column times a factor over time as a curve.
+
+        Parameters
+        ----------
+        name : str
+            Name of the column.
+        factor : float
+            Display unit per SI unit.
+        words : str
+            Entry in the legend.
+        colour : str
+        width : float, optional
+            Line width [pt].
+        dash : str, optional
+        legend : bool, optional
+        """
         return Curve(self.columns["time_s"], self.columns[name] * factor, words, colour, width, dash, legend=legend, gid=name)
 
     def largest(self, names: Iterable[str]) -> float:

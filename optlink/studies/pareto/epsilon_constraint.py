@@ -118,7 +118,14 @@ class ParetoRecord(ResultRecord):
 
     @classmethod
     def of(cls, result: Any, **values: Any) -> Self:
-        """As `Record.of`, with the objectives of every point by column."""
+        """As `Record.of`, with the objectives of every point by column.
+
+        Parameters
+        ----------
+        result : object
+        **values
+            Values of fields, in place of those of the result.
+        """
         named = [aim.column for aim in result.aims]
         front = [
             PointRecord(

@@ -92,7 +92,14 @@ class ToleranceRecord(ResultRecord):
 
     @classmethod
     def of(cls, result: Tolerance, **values: Any) -> Self:
-        """As `Record.of`, with the figures of every deviation."""
+        """As `Record.of`, with the figures of every deviation.
+
+        Parameters
+        ----------
+        result : Tolerance
+        **values
+            Values of fields, in place of those of the result.
+        """
         at, (low, high) = result.where, result.worst
         tolerances = [
             DeviationRecord.of(

@@ -86,7 +86,14 @@ class HistogramRecord(Record):
 
     @classmethod
     def of(cls, result: MonteCarlo, **values: Any) -> Self:
-        """As `Record.of`, without the empty bins at both ends."""
+        """As `Record.of`, without the empty bins at both ends.
+
+        Parameters
+        ----------
+        result : MonteCarlo
+        **values
+            Values of fields, in place of those of the result.
+        """
         held = np.flatnonzero(result.counts)
         first, last = (int(held[0]), int(held[-1]) + 1) if len(held) else (0, 0)
         return super().of(result, edges=result.edges[first : last + 1], counts=result.counts[first:last], **values)
@@ -117,7 +124,14 @@ class MonteCarloRecord(Record):
 
     @classmethod
     def of(cls, result: MonteCarlo, **values: Any) -> Self:
-        """As `Record.of`, with quantiles and without bounds of a yield that has no limit."""
+        """As `Record.of`, with quantiles and without bounds of a yield that has no limit.
+
+        Parameters
+        ----------
+        result : MonteCarlo
+        **values
+            Values of fields, in place of those of the result.
+        """
         below = {f"{100.0 * share:g}_percent": result.below(share) for share in (0.5, 0.95, 0.99, 0.999)}
         interval = result.interval if result.good >= 0 else None
         histogram = HistogramRecord.of(result)

@@ -102,7 +102,14 @@ class AnalysisRecord(ResultRecord):
 
     @classmethod
     def of(cls, result: Analysis, **values: Any) -> Self:
-        """As `Record.of`, with crank angles in degrees."""
+        """As `Record.of`, with crank angles in degrees.
+
+        Parameters
+        ----------
+        result : Analysis
+        **values
+            Values of fields, in place of those of the result.
+        """
         deg, machine, wheel = math.degrees, result.machine, result.flywheel
         positions = (*result.ranges.singular, *result.ranges.followed)
         angles = {f"{name}_deg": result.within(getattr(result, name)) for name in ("singular", "jammed", "undefined")}
@@ -219,7 +226,14 @@ class Analysis(Recorded):
         return acting_loads(self.machine, self.speed) if self.full else ()
 
     def travel(self, travel: Travel, unit: str) -> dict[str, Any]:
-        """Return a stroke or swing as JSON, in `unit`."""
+        """Return a stroke or swing as JSON, in `unit`.
+
+        Parameters
+        ----------
+        travel : Travel
+            [m, rad]
+        unit : "m" or "rad"
+        """
         return {
             f"span_{unit}": travel.span,
             f"low_{unit}": travel.low,

@@ -73,7 +73,14 @@ class ClearanceRecord(ResultRecord):
 
     @classmethod
     def of(cls, result: Any, **values: Any) -> Self:
-        """As `Record.of`, with the names of the joints."""
+        """As `Record.of`, with the names of the joints.
+
+        Parameters
+        ----------
+        result : object
+        **values
+            Values of fields, in place of those of the result.
+        """
         impacts = tuple(ImpactRecord.of(one, gap=result.gaps[one.gap].point) for one in result.impacts)
         return super().of(result, impacts=impacts, **values)
 

@@ -133,7 +133,14 @@ class SingleRecord(SearchRecord):
 
     @classmethod
     def of(cls, result: Any, **values: Any) -> Self:
-        """As `Record.of`, with the designs of solvers and optima in display units."""
+        """As `Record.of`, with the designs of solvers and optima in display units.
+
+        Parameters
+        ----------
+        result : object
+        **values
+            Values of fields, in place of those of the result.
+        """
         solution = result.solution
         values |= {name: getattr(solution, name, None) for name in ("kkt", "violation", "curvature")}
         values |= {"limits": solution.limits if solution else (), "iterations": solution.iterations if solution else 0}

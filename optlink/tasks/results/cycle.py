@@ -69,7 +69,14 @@ class CycleRecord(SingleRecord):
 
     @classmethod
     def of(cls, result: CycleResult, **values: Any) -> Self:
-        """As `Record.of`, with the objective in SI."""
+        """As `Record.of`, with the objective in SI.
+
+        Parameters
+        ----------
+        result : CycleResult
+        **values
+            Values of fields, in place of those of the result.
+        """
         kind = result.task.unit_kind
         objective = CycleObjectiveRecord(value=result.objective, unit=KINDS[kind].si if kind else "")
         design = display_values(result.task, {**sizes_of(result.problem.model.quantities), **result.values})

@@ -220,7 +220,14 @@ class CognateRecord(Record):
 
     @classmethod
     def of(cls, result: Cognate, **values: Any) -> Self:
-        """As `Record.of`, in display units."""
+        """As `Record.of`, in display units.
+
+        Parameters
+        ----------
+        result : Cognate
+        **values
+            Values of fields, in place of those of the result.
+        """
         linkage = result.linkage
         values |= {f"{name}_mm": 1e3 * getattr(linkage, name) for name in (*LENGTHS, "along", "across", "x", "y")}
         return super().of(result, direction_deg=math.degrees(linkage.direction), **values)
@@ -246,7 +253,14 @@ class PathDesignRecord(Record):
 
     @classmethod
     def of(cls, result: PathDesign, **values: Any) -> Self:
-        """As `Record.of`, with the points in display units."""
+        """As `Record.of`, with the points in display units.
+
+        Parameters
+        ----------
+        result : PathDesign
+        **values
+            Values of fields, in place of those of the result.
+        """
         measured, task = result.measured, result.task
         size, unit = OUTPUT[task.unit]
         points: dict[str, Array] = {"crank_deg": np.degrees(result.crank_angles)}
@@ -290,7 +304,14 @@ class PathRecord(SearchRecord):
 
     @classmethod
     def of(cls, result: PathResult, **values: Any) -> Self:
-        """As `Record.of`, with the figures of the best design."""
+        """As `Record.of`, with the figures of the best design.
+
+        Parameters
+        ----------
+        result : PathResult
+        **values
+            Values of fields, in place of those of the result.
+        """
         best, designs = result.best, tuple(PathDesignRecord.of(one) for one in result.designs)
         miss = None if result.nearest is None or designs else PathDesignRecord.of(result.nearest)
         first = designs[0] if designs else miss
