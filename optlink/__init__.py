@@ -109,7 +109,7 @@ def __getattr__(name: str) -> Any:
 
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from optlink.record import Recorded
+    from optlink.problem.base_model import Recorded
 
     Recorded.notebook = staticmethod(_notebook)
     return getattr(importlib.import_module(_HOME[name]), name)

@@ -1,9 +1,14 @@
-"""Atomic files and JSON documents: a file is written under a temporary name in its folder, then renamed."""
+"""Atomic files, JSON documents, and registries of the parts that further modules can add.
+
+A file is written under a temporary name in its folder, then renamed. Only installed Python packages can extend optlink, through
+the entry-point group `optlink.extensions`: problem files cannot name code.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import enum
+import functools
 import json
 import math
 import os
@@ -12,12 +17,15 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from optlink.errors import Fault, InputError
 from optlink.version import VERSION
+
+GROUP = "optlink.extensions"
+Item = TypeVar("Item")
 
 LOCK = ".optlink.lock"
 _records: list[set[Path]] = []
@@ -239,3 +247,41 @@ class Summary:
         name = f" {problem.name!r}" if problem is not None else ""
         told = ", ".join(filter(None, words))
         return f"<{type(self).__name__}{name}{f': {told}' if told else ''}>"
+
+
+class Registry(dict[str, Item]):
+    """Parts by name, in the order of registration."""
+
+    def add(self, name: str, item: Item) -> Item:
+        """Register a part.
+
+        Parameters
+        ----------
+        name : str
+        item : Item
+
+        Raises
+        ------
+        ValueError
+            if the name is already taken.
+        """
+        if name in self:
+            raise ValueError(f"{name!r} is already registered")
+        self[name] = item
+        return item
+
+
+@functools.cache
+def load_extensions() -> None:
+    """Import the modules that installed packages name in the entry-point group `optlink.extensions`, once.
+
+    A module that cannot be imported, or registers a name that is taken, is reported on standard error.
+    """
+    from importlib.metadata import entry_points
+
+    for entry in entry_points(group=GROUP):
+        try:
+            entry.load()
+        except (ImportError, AttributeError, ValueError) as error:
+            message = f"the extension {entry.name} ({entry.value}) cannot be loaded: {error}"
+            print(f"Warning: {message}. Repair or uninstall its package", file=sys.stderr)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from optlink.registry import load_extensions
+from optlink.io import load_extensions
 from optlink.solvers.contract import selectable
 
 load_extensions()

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
+from optlink.io import Registry
 from optlink.linkage.dyad_types import PRP, RPP, RPR, RRP, RRR
 from optlink.linkage.mechanism import Guide
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus
-from optlink.registry import Registry
 
 if TYPE_CHECKING:
     from optlink.dynamics.inverse import ForceBalance

@@ -13,9 +13,9 @@ from functools import cached_property, partial
 from itertools import combinations
 from typing import Any
 
+from optlink.io import Registry
 from optlink.linkage.dyad_types import FORWARD, PRP, RPP, RPR, RRP, RRR
 from optlink.linkage.mechanism import FRAME, BodyPoint, Ground, Group, Guide, Link, Mechanism
-from optlink.registry import Registry
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
 CONTINUE = "continue"

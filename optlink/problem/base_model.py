@@ -1,14 +1,34 @@
-"""Base class of all sections of a problem file, and names."""
+"""Base models: tables of problem files, and records of results, which write themselves and are read with one check."""
 
 from __future__ import annotations
 
+import json
+import math
 import re
-from typing import Annotated
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from operator import attrgetter
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    WithJsonSchema,
+)
 
+from optlink.errors import Fault, InputError
+from optlink.io import Summary, finite
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.quantity import Unusable
+from optlink.version import VERSION
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
 RESERVED = (FRAME, "input", "energy")
@@ -28,3 +48,273 @@ def _read_name(raw: object) -> str:
 
 Name = Annotated[str, BeforeValidator(_read_name)]
 """Of a body, a point, a guide or a load."""
+
+
+AGAIN = "Write it again with --out"
+LARGEST = 1e60  # bound on valid values; products of several of them do not overflow
+
+R = TypeVar("R", bound="Record")
+T = TypeVar("T")
+
+
+class Contradiction(ValueError):
+    """A value of a record that does not fit the others or the problem; `key` leads to it from where this is raised."""
+
+    def __init__(self, key: str, message: str, value: object = None) -> None:
+        super().__init__(message)
+        self.key, self.value = key, value
+
+
+def _array(value: Any) -> NDArray[np.float64]:
+    if isinstance(value, np.ndarray):
+        return value
+    if not isinstance(value, list) or any(isinstance(x, bool) or not isinstance(x, int | float | None) for x in value):
+        raise ValueError("this is not a list of numbers")
+    return np.array([math.nan if x is None else float(x) for x in value])
+
+
+def _rows(value: Any) -> NDArray[np.float64]:
+    nested = isinstance(value, list) and bool(value) and all(isinstance(row, list) for row in value)
+    return np.array([_array(row) for row in value]) if nested else _array(value)
+
+
+def _equally_long(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    if len({len(values) for values in columns.values()}) > 1:
+        raise ValueError("its columns differ in length")
+    return columns
+
+
+Number = Annotated[
+    float, BeforeValidator(lambda value: math.nan if value is None else value, json_schema_input_type=float | None)
+]
+"""A number, or null where it is not finite."""
+Never = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value, json_schema_input_type=float | None)]
+"""A number, or null where it is infinite."""
+_NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
+_LIST = {"type": "array", "items": _NUMBER}
+Column = Annotated[NDArray[np.float64], PlainValidator(_array), WithJsonSchema(_LIST)]
+"""An array of numbers; null where one is not finite."""
+Rows = Annotated[
+    NDArray[np.float64], PlainValidator(_rows), WithJsonSchema({"anyOf": [_LIST, {"type": "array", "items": _LIST}]})
+]
+"""A column, or a table of equally long rows."""
+Columns = Annotated[dict[str, Column], AfterValidator(_equally_long)]
+"""A table: arrays of equal length by name."""
+
+
+def check_length(values: Sequence[Any] | NDArray[Any], count: int, key: str) -> None:
+    """Raise if a list has another length than another one.
+
+    Parameters
+    ----------
+    values : sequence
+    count : int
+    key : str
+        Key of the list.
+
+    Raises
+    ------
+    Contradiction
+        If it has not `count` entries.
+    """
+    if len(values) != count:
+        raise Contradiction(key, f"there are {len(values)} numbers where {count} belong")
+
+
+def absent() -> Any:
+    """Return the default of a key that is left out where there is nothing to tell."""
+    return Field(None, exclude_if=lambda value: value is None)
+
+
+class Record(BaseModel):
+    """Part of a JSON document. A text in the annotation of a field is the attribute of the result that it comes from."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, serialize_by_alias=True, validate_by_name=True, defer_build=True)
+
+    @classmethod
+    def of(cls, result: Any, **values: Any) -> Self:
+        """Return the record of a result.
+
+        Parameters
+        ----------
+        result : object
+            Its attributes are the values of the fields that are not given.
+        **values
+            Values of fields.
+        """
+        for name, field in cls.model_fields.items():
+            if name not in values:
+                source = next((text for text in field.metadata if isinstance(text, str)), name)
+                values[name] = attrgetter(source)(result)
+            kinds = (field.annotation, *get_args(field.annotation))
+            for kind in (kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Record)):
+                values[name] = _records(kind, values[name])
+        return cls.model_construct(**values)  # type: ignore[return-value]
+
+    def build(self, kind: type[T], **values: Any) -> T:
+        """Return a result, a dataclass, from the fields of this record that it has under the name of their source.
+
+        Parameters
+        ----------
+        kind : type
+        **values
+            Values of its other attributes.
+        """
+        for name, field in type(self).model_fields.items():
+            values.setdefault(next((text for text in field.metadata if isinstance(text, str)), name), getattr(self, name))
+        return kind(**{field.name: values[field.name] for field in fields(kind) if field.name in values})  # type: ignore[arg-type]
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document: SI, or the unit that ends the key; null where there is no finite value."""
+        return finite(self.model_dump(warnings=False))  # type: ignore[no-any-return]
+
+
+def _records(kind: type[Record], value: Any) -> Any:
+    """Return the records of one part of a result, or of several in a tuple or a dictionary."""
+    if value is None or isinstance(value, Record):
+        return value
+    if isinstance(value, Mapping):
+        return {name: _records(kind, item) for name, item in value.items()}
+    return tuple(_records(kind, item) for item in value) if isinstance(value, list | tuple) else kind.of(value)
+
+
+class ResultRecord(Record):
+    """The common first entries of the document of every result."""
+
+    format: str = Field(alias="schema")
+    optlink: str
+    problem: Annotated[str, "problem.name"]
+    title: Annotated[str, "problem.model.title"]
+    problem_hash: Annotated[str, "problem.hash"]
+    seed: int | None
+    status: Any
+
+    @classmethod
+    def of(cls, result: Any, **values: Any) -> Self:
+        """As `Record.of`.
+
+        Parameters
+        ----------
+        result : object
+        **values
+            Values of fields, in place of those of the result.
+        """
+        [schema] = get_args(cls.model_fields["format"].annotation)
+        return super().of(result, **{"format": schema, "optlink": VERSION, "seed": getattr(result, "seed", None)} | values)
+
+
+class Recorded(Summary):
+    """Base class of results that write themselves as records."""
+
+    record: ClassVar[type[ResultRecord]]
+
+    notebook: ClassVar[Callable[[Any], str | None] | None] = None
+    """Renderer of notebooks, which the package installs: records know nothing of reports."""
+
+    def _repr_html_(self) -> str | None:
+        return None if Recorded.notebook is None else Recorded.notebook(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
+        return self.record.of(self).document()
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Read the JSON object of a result file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is not a JSON object.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        reason = getattr(error, "strerror", None) or "it is not a JSON document"
+        remedy = "Give a result.json that --out wrote, the folder it is in, or a problem"
+        raise InputError(Fault(f"cannot read a result: {reason}", remedy, str(path))) from None
+    if not isinstance(found, dict):
+        raise InputError(Fault("not a result of optlink", "Give a result.json that --out wrote", str(path)))
+    return found
+
+
+def read_record(kind: type[R], document: Mapping[str, Any], path: Path) -> R:
+    """Read a document as a record.
+
+    Parameters
+    ----------
+    kind : type of Record
+    document : mapping
+    path : Path
+        File of the document.
+
+    Raises
+    ------
+    InputError
+        If a key is missing or unknown, or a value does not belong there.
+    """
+    _check_numbers(document, (), path)
+    try:
+        return kind.model_validate(document)
+    except ValidationError as error:
+        raise damaged(error, path) from None
+
+
+def _check_numbers(value: Any, place: tuple[str | int, ...], path: Path) -> None:
+    """Refuse numbers that are not finite or too large, anywhere in a document."""
+    if isinstance(value, dict | list):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            _check_numbers(item, (*place, key), path)
+    elif isinstance(value, int | float) and not abs(value) <= LARGEST:
+        raise _fault("this is not finite or too large", _key(place), value, path)
+
+
+WORDS = {
+    "missing": "this is missing",
+    "extra_forbidden": "no result has this key",
+    "float": "this is not a number",
+    "int": "this is not a whole number",
+    "string": "this is not a text",
+    "bool": "this is not true or false",
+    "list": "this is not a list",
+    "tuple": "this is not a list",
+    "dict": "this is not an object",
+    "model": "this is not an object",
+    "dataclass": "this is not an object",
+    "greater": "this is not above zero",
+    "too": "it has another number of entries",
+}
+"""What a type of pydantic's errors, or its first word, says of a value."""
+
+
+def damaged(error: ValidationError | Contradiction, path: Path) -> InputError:
+    """Return the error for a record that does not pass its checks, in one sentence.
+
+    Parameters
+    ----------
+    error : ValidationError or Contradiction
+    path : Path
+        File of the record.
+    """
+    if isinstance(error, Contradiction):
+        return _fault(str(error), error.key, error.value, path)
+    first = error.errors()[0]
+    cause, place, value = first.get("ctx", {}).get("error"), _key(first["loc"]), first["input"]
+    if isinstance(cause, Contradiction):
+        return _fault(str(cause), ".".join(filter(None, (place, cause.key))), cause.value, path)
+    words = (
+        getattr(cause, "message", str(cause))
+        if cause is not None
+        else WORDS.get(first["type"], WORDS.get(first["type"].partition("_")[0], ""))
+    )
+    return _fault(words or first["msg"][:1].lower() + first["msg"][1:], place, value, path)
+
+
+def _fault(message: str, key: str, value: object, path: Path) -> InputError:
+    shown = None if isinstance(value, dict | list) else value
+    return InputError(Fault(f"the result is damaged: {message}", AGAIN, str(path), key or None, shown))
+
+
+def _key(place: Sequence[str | int]) -> str:
+    """Return the key of a place in a document, such as `points[2].gap`."""
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).removeprefix(".")

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.inverse import Reactions, reported_on, shaking
 from optlink.dynamics.machine import Moving
+from optlink.io import Registry
 from optlink.linkage.dyad_types import RRP, RRR
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Value, cross, dot, magnitude, minus
-from optlink.registry import Registry
 
 if TYPE_CHECKING:
     from optlink.problem.cycle_terms import Term

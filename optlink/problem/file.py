@@ -15,6 +15,7 @@ from typing import Any
 import pydantic
 
 from optlink.errors import Fault, InputError, shown
+from optlink.io import load_extensions
 from optlink.problem.cycle import CycleProblem, cross_check_cycle
 from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads
 from optlink.problem.function import DesignProblem, cross_check_design
@@ -24,7 +25,6 @@ from optlink.problem.path import PathProblem
 from optlink.problem.path_checks import cross_check_path, four_bar_limits
 from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
-from optlink.registry import load_extensions
 
 MAX_BYTES = 1_000_000
 GENERATED = ("path", "motion", "transmission")

@@ -8,6 +8,7 @@ from typing import Any
 import pydantic
 
 from optlink.errors import Fault
+from optlink.io import Registry
 from optlink.problem.cycle import CycleLimits, CycleProblem
 from optlink.problem.cycle_terms import Limit
 from optlink.problem.function import DesignProblem
@@ -15,7 +16,6 @@ from optlink.problem.machine.model import Problem
 from optlink.problem.path import PathProblem
 from optlink.problem.path_checks import inapplicable_keys
 from optlink.problem.quantity import Unusable, nearest
-from optlink.registry import Registry
 
 SECTIONS: Registry[type[Problem]] = Registry()
 """Models of further kinds of problems by the section that marks them; their property `task` is the name of the kind."""

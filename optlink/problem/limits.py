@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import AfterValidator
 from pydantic.fields import FieldInfo
 
+from optlink.io import Registry
 from optlink.linkage.fourbar import LENGTHS, lengths_of, swing, time_ratio
 from optlink.linkage.margins import LEAST_ALIGNMENT, LEAST_LENGTH_MARGIN, SMALLEST_ALIGNMENT, SMALLEST_LENGTH_MARGIN
 from optlink.linkage.mechanism import Mechanism
@@ -32,7 +33,6 @@ from optlink.problem.quantity import (
     RatioOfStrokes,
     Unusable,
 )
-from optlink.registry import Registry
 
 MARGINS: dict[str, str | float] = {"alignment": f"{np.degrees(LEAST_ALIGNMENT):g} deg", "length_margin": LEAST_LENGTH_MARGIN}
 """Limits that every design problem has, as the file would state their defaults."""

@@ -13,8 +13,8 @@ from optlink.errors import Fault, InputError
 from optlink.report.view import View
 
 if TYPE_CHECKING:
+    from optlink.problem.base_model import ResultRecord
     from optlink.problem.file import ProblemFile
-    from optlink.record import ResultRecord
     from optlink.report.stored.stored_study import StoredStudy
     from optlink.report.table_spec import Summary
 

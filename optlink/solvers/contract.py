@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from optlink.registry import Registry
+from optlink.io import Registry
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP

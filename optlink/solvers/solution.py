@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.io import Summary
-from optlink.record import Number
+from optlink.problem.base_model import Number
 
 if TYPE_CHECKING:
     from optlink.optimization.constraints import Scale

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from optlink.errors import Fault, InputError
+from optlink.problem.base_model import Record
 from optlink.problem.file import ProblemFile
-from optlink.record import Record
 from optlink.studies.toml_keys import Raw, exact_text
 
 MAX_POINTS = 10_000_000

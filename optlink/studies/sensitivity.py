@@ -17,9 +17,9 @@ from pydantic import Field
 from optlink.errors import Fault, InputError, Status
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.nlp import NLP
+from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
-from optlink.record import Number, Record, Recorded, ResultRecord, absent
 from optlink.solvers import interrupts
 from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution

@@ -21,8 +21,8 @@ from pydantic import Field
 
 from optlink.errors import Fault, InputError, Status
 from optlink.optimization.objectives import MEASURES
+from optlink.problem.base_model import Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
-from optlink.record import Recorded, ResultRecord, absent
 from optlink.studies.analysis_task import MANY, AnalysisTask, quantity_of
 from optlink.studies.cycle_task import CycleTask
 from optlink.studies.execution.runner import run

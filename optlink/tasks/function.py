@@ -19,17 +19,16 @@ from optlink.errors import Fault, InputError, Status
 from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.objectives import MEASURES
+from optlink.problem.base_model import Number, Record, Recorded, absent
 from optlink.problem.file import ProblemFile, parse_assignment
 from optlink.problem.quantity import Quantity, input_of, nearest, read_quantity
-from optlink.record import Number, Record, Recorded, absent
-from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.common import Optimum, SingleRecord, proven, shortest_link
 from optlink.tasks.results.fit import Fit, law_fit
-from optlink.tasks.search import Timer, agreement, back_ends, part
+from optlink.tasks.search import Evidence, Timer, agreement, back_ends, evidence, part
 from optlink.units import show
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove

@@ -20,13 +20,12 @@ from optlink.problem.function import FULL_TURN, DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE
-from optlink.solvers.evidence import evidence
 from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
 from optlink.synthesis import function_starts
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.results.common import Optimum, optimality, proven
-from optlink.tasks.search import tally
+from optlink.tasks.search import evidence, tally
 from optlink.validation import Validation
 from optlink.validation import validate as prove
 

@@ -14,11 +14,10 @@ from optlink.errors import Status
 from optlink.problem.file import ProblemFile
 from optlink.solvers import interrupts
 from optlink.solvers.contract import MINIMAX
-from optlink.solvers.evidence import evidence
 from optlink.tasks.path_search import DesignCollection, Polisher, has_several_dyads, path_model
 from optlink.tasks.results.common import shortest_link
 from optlink.tasks.results.path import PathDesign, PathResult
-from optlink.tasks.search import Timer, back_ends, check_count
+from optlink.tasks.search import Timer, back_ends, check_count, evidence
 from optlink.validation.path import validate_path
 
 if TYPE_CHECKING:
@@ -151,7 +150,7 @@ class _Search:
     def _grow(self) -> None:
         """Add designs derived from the best four-bars that the linkage contains."""
         from optlink.synthesis.growth import contained_four_bar
-        from optlink.tasks.path_growth import designs_from_four_bar
+        from optlink.tasks.path_search import designs_from_four_bar
 
         part = contained_four_bar(self.problem)
         if part is None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,15 +14,19 @@ from optlink.errors import Status
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.solvers.contract import MINIMAX
-from optlink.solvers.evidence import Evidence, evidence
 from optlink.solvers.solution import Solution
+from optlink.synthesis.batch import Batch
+from optlink.synthesis.batch_search import MISSED, Candidate, pass_in_order
+from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
+from optlink.synthesis.levenberg_marquardt import minimise
 from optlink.tasks.results.common import OPTIMALITY_CHECK, optimality
 from optlink.tasks.results.path import PathDesign
+from optlink.tasks.search import Evidence, evidence
 from optlink.validation.path import validate_path
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP
-    from optlink.synthesis.batch_search import Candidate, Exploration
+    from optlink.synthesis.batch_search import Exploration
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
 PER_ROUND = 10  # candidates refined in a later round
@@ -277,3 +283,63 @@ def _rank(design: PathDesign) -> tuple[float, float]:
     """Return a sort key: the objective; exact designs by decreasing worst transmission angle."""
     transmission = design.least_transmission
     return (0.0 if design.exact else design.objective), -(transmission if math.isfinite(transmission) else 0.0)
+
+
+STARTS = 12  # per design of the four-bar and combination of assembly modes
+POLISHED = 4  # candidates refined, in total
+STEPS = 120
+
+
+def designs_from_four_bar(
+    part: ContainedFourBar, four_bars: Sequence[PathDesign], polisher: Polisher, seed: int
+) -> list[PathDesign]:
+    """Return valid designs derived from designs of the four-bar, best first; empty if its curve cannot be repeated.
+
+    If no local search ends at an optimum as good as the best four-bar, the starts themselves and the feasible designs
+    at which the searches stalled are included.
+
+    Parameters
+    ----------
+    part : ContainedFourBar
+    four_bars : sequence of PathDesign
+        Valid designs of `part.file`.
+    polisher : Polisher
+        For the whole linkage.
+    seed : int
+        Seed of the random dimensions.
+    """
+    files = polisher.files
+    rng = np.random.default_rng([seed, len(files)])
+    begun: list[Candidate] = []
+    ended: list[Candidate] = []
+    for variant, file in enumerate(files):
+        task = file.model
+        assert isinstance(task, PathProblem)
+        batch = Batch(task)
+        for design in four_bars:
+            x, t = grow_from_four_bar(replace(part, file=design.problem), batch, design.values, design.crank_angles, STARTS, rng)
+            if not len(x):
+                continue
+            begun += _candidates(variant, batch, x, t)
+            ends = minimise(batch, x, t, STEPS, slow=1e-9)
+            good = pass_in_order(batch, ends)[0] & (ends.missed <= MISSED)
+            ended += _candidates(variant, batch, ends.x[good], ends.t[good])
+    polished: list[PathDesign] = []
+    best = min(four_bars, key=lambda design: design.objective, default=None)
+    for near, candidates in ((False, ended), (True, begun)):
+        if best is None or not any(design.valid and no_worse_fit(design, best) for design in polished):
+            candidates.sort(key=lambda candidate: candidate.cost)
+            polished += [polisher.polish(c, near=near) for c in candidates[:POLISHED]]
+    found = [design for design in polished if design.valid]
+    if best is not None and not any(no_worse_fit(design, best) for design in found):
+        found += [design for end in polished if (design := feasible(end)).valid]
+        found += itertools.islice(filter(lambda start: start.valid, map(polisher.unpolished, begun)), 1)
+    return sorted(found, key=lambda design: design.objective)
+
+
+def _candidates(variant: int, batch: Batch, x: np.ndarray, t: np.ndarray) -> list[Candidate]:
+    angles = batch.crank_angles(x, t)
+    r = batch.residuals(x, angles)[0]
+    cost = np.einsum("bpk,bpk->b", r, r)
+    way = np.where(angles[:, -1] >= angles[:, 0], 1, -1)
+    return [Candidate(variant, x[i], t[i], float(cost[i]), int(way[i])) for i in range(len(x))]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import Fault, InputError
+from optlink.io import Registry
 from optlink.problem.file import ProblemFile
-from optlink.registry import Registry
 
 if TYPE_CHECKING:
     from optlink.tasks.function import FunctionResult

@@ -17,8 +17,8 @@ from optlink.dynamics.forward import Run, reduced_inertia, run
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.linkage.continuation import continue_through_singularities
+from optlink.problem.base_model import Columns, Contradiction, Number, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
-from optlink.record import Columns, Contradiction, Number, Recorded, ResultRecord
 from optlink.tasks.machine import machine_of, motion_range, with_flywheel
 
 Array = NDArray[np.float64]

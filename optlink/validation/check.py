@@ -10,9 +10,9 @@ import numpy as np
 
 from optlink.linkage.mechanism import Link
 from optlink.linkage.motion import Motion
+from optlink.problem.base_model import Number
 from optlink.problem.limits import Limits, Moved, stated
 from optlink.problem.quantity import Interval, Quantity
-from optlink.record import Number
 
 POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and extremes are refined
 ANGLE_TOLERANCE = 1e-6  # deg; solvers satisfy limits to 1e-8 of a radian

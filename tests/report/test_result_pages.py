@@ -17,7 +17,7 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.record import LARGEST as LARGEST_NUMBER
+from optlink.problem.base_model import LARGEST as LARGEST_NUMBER
 from optlink.report.html.shell import LARGEST, PageContent
 from optlink.report.registry import records
 from optlink.report.stored.loader import KNOWN, load_stored

@@ -17,7 +17,7 @@ import pytest
 
 import optlink
 from optlink import load
-from optlink.record import Recorded, read_record
+from optlink.problem.base_model import Recorded, read_record
 from optlink.report.html.page import page
 from optlink.report.registry import view_of
 from optlink.report.report_model import report_model_of

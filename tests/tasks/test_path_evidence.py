@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.solvers.evidence import percent
 from optlink.synthesis.batch_search import Exploration, Searcher
 from optlink.tasks.path import SMALL, solve
 from optlink.tasks.path_search import DesignCollection, Polisher, path_model
+from optlink.tasks.search import percent
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, free
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from optlink.errors import Fault, InputError
+from optlink.problem.base_model import Contradiction, damaged, read_document, read_record
 from optlink.problem.file import shipped
-from optlink.record import Contradiction, damaged, read_document, read_record
 from optlink.report.registry import page_of, records
 from optlink.report.report_model import ReportModel
 from optlink.report.stored.problem_lookup import problem_of

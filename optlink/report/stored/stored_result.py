@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import Status
+from optlink.problem.base_model import Contradiction, ResultRecord, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
-from optlink.record import Contradiction, ResultRecord, check_length
 from optlink.report.report_model import Outcome, ReportModel, report_model_of
 from optlink.report.stored.resolved_result import generated_optimum, law_optimum, machine_optimum
 from optlink.report.stored.stored_study import named_si

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.counterweights import BalanceMeasure, quantities, quantities_of
 from optlink.dynamics.machine import Machine
+from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import BalanceSection, read_measure
 from optlink.problem.quantity import Unusable
-from optlink.record import Contradiction
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, figures_of, still, turning

@@ -14,8 +14,8 @@ from optlink.clearance.controller import Control
 from optlink.clearance.integration import Impact
 from optlink.clearance.output import outputs
 from optlink.clearance.statistics import Prediction
+from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
-from optlink.record import Contradiction
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, even, in_time
 from optlink.report.html.shell import PageSection

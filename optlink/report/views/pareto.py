@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
-from optlink.record import Contradiction
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Mark, Panel, Picks
 from optlink.report.format import number
 from optlink.report.html import chart_plotly

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.ending import Ending
+from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
-from optlink.record import Contradiction
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, even, in_time
 from optlink.report.html.shell import PageSection

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import CONTACT
-from optlink.record import Contradiction
 from optlink.report.format import fixed, number, percent
 from optlink.report.table_spec import Row, Summary, TableSpec, bad, good, quiet, strong, summary, table
 from optlink.studies.tolerance.allocation import AllocationRecord

@@ -26,10 +26,10 @@ from pydantic import Field
 
 from optlink.errors import Fault, InputError, Status
 from optlink.optimization.pareto_front import ends, knee, undominated
+from optlink.problem.base_model import Record, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Quantity
-from optlink.record import Record, Recorded, ResultRecord
 from optlink.studies.cycle_task import CycleTask
 from optlink.studies.execution.runner import check
 from optlink.studies.execution.store import Progress, Store

@@ -20,7 +20,7 @@ from annotated_types import Gt
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, SolverError
-from optlink.record import Record
+from optlink.problem.base_model import Record
 from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, monte_carlo
 
 if TYPE_CHECKING:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from optlink.errors import Fault, InputError
+from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
-from optlink.record import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length
 from optlink.studies.motion_sensitivity import output_sensitivity
 from optlink.studies.tolerance.allocation import Allocation, AllocationRecord
 from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, Progress, monte_carlo

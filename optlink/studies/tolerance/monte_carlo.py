@@ -13,8 +13,8 @@ from annotated_types import Gt
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from optlink.problem.base_model import Column, Contradiction, Number, Record
 from optlink.problem.tolerances import Deviation
-from optlink.record import Column, Contradiction, Number, Record
 from optlink.studies.tolerance.nominal import Nominal
 from optlink.studies.tolerance.sampling import sample_deviations, wilson
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 from optlink.errors import Fault, InputError, Status
+from optlink.problem.base_model import Record, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.robust import MOST, WORST
 from optlink.problem.tolerances import NORMAL
-from optlink.record import Record, absent
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 from optlink.studies.tolerance.options import read_tolerances
 from optlink.tasks.function import FunctionResult, solve, validate

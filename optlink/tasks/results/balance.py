@@ -16,9 +16,9 @@ from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, mod
 from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, FreeSpring, quantities, quantities_of
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.machine import Machine
+from optlink.problem.base_model import Contradiction, Never, Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import read_measure
-from optlink.record import Contradiction, Never, Number, Record, Recorded, ResultRecord, absent
 
 Array = NDArray[np.float64]
 AGREES = 1e-8

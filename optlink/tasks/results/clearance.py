@@ -17,8 +17,8 @@ from optlink.clearance.output import Output
 from optlink.clearance.statistics import Prediction
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
+from optlink.problem.base_model import Columns, Number, Record, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
-from optlink.record import Columns, Number, Record, Recorded, ResultRecord
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Self
 
 from optlink.errors import Status
 from optlink.linkage.fourbar import LENGTHS
+from optlink.problem.base_model import Number, Record, ResultRecord, absent
 from optlink.problem.quantity import Quantity
-from optlink.record import Number, Record, ResultRecord, absent
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.fit import FitRecord
 from optlink.validation.check import Check, Validation

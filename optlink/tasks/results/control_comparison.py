@@ -11,8 +11,8 @@ from annotated_types import MinLen
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from optlink.problem.base_model import Column, Columns, Number, Record, Recorded, ResultRecord, check_length
 from optlink.problem.file import ProblemFile
-from optlink.record import Column, Columns, Number, Record, Recorded, ResultRecord, check_length
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]

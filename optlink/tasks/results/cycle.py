@@ -12,13 +12,13 @@ from pydantic import Field
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
+from optlink.problem.base_model import Number, Record, Recorded
 from optlink.problem.cycle import CycleProblem
 from optlink.problem.cycle_terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
-from optlink.record import Number, Record, Recorded
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis, stroke_document

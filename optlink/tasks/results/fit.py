@@ -25,11 +25,11 @@ from pydantic import Field
 
 from optlink.linkage.fourbar import LENGTHS, grashof
 from optlink.linkage.motion import sweep
+from optlink.problem.base_model import Record
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import STEP, PathProblem
 from optlink.problem.quantity import Quantity
-from optlink.record import Record
 from optlink.solvers.solution import LimitState
 from optlink.units import show
 from optlink.validation.path import MeasuredDeviations

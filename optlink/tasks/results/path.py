@@ -19,17 +19,17 @@ from optlink.linkage.dyad_types import RRR
 from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
+from optlink.problem.base_model import Number, Record, Recorded, Rows, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, TURN, PathProblem
-from optlink.record import Number, Record, Recorded, Rows, absent
-from optlink.solvers.evidence import Evidence
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.common import SearchRecord, proven
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
+from optlink.tasks.search import Evidence
 from optlink.units import KINDS, factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.path import MeasuredDeviations, deviations, transmission_angles
