@@ -18,11 +18,15 @@ MANIFEST = ".optlink-run.json"
 RESULT = "result.json"
 WRITERS = {
     "result": ("solve", "validate"),
+    "function": ("solve", "validate"),
+    "path": ("solve", "validate"),
+    "cycle": ("solve", "validate"),
     "generation": ("solve", "validate"),
     "machine-design": ("solve", "validate"),
     "analysis": ("analyze",),
     "simulation": ("simulate",),
     "clearance": ("simulate",),
+    "control-comparison": ("simulate",),
     "compensation": ("simulate",),
     "tuning": ("simulate",),
     "balance": ("balance",),
@@ -32,7 +36,7 @@ WRITERS = {
     "sweep": ("sweep",),
     "pareto": ("pareto",),
 }
-"""Commands that write a result, by the kind in its schema: for folders without a manifest."""
+"""Commands that write a result, by the kind in its schema (of earlier versions too): for folders without a manifest."""
 
 
 def check_owner(path: Path, command: str, problem: str) -> None:

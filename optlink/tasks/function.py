@@ -96,7 +96,7 @@ class FunctionObjectiveRecord(Record):
 class FunctionRecord(SingleRecord):
     """Document of a function synthesis: SI, or the unit that ends the key."""
 
-    format: Literal["optlink/result/2"] = Field(alias="schema")
+    format: Literal["optlink/function/2"] = Field(alias="schema")
     assembly: str
     objective: FunctionObjectiveRecord
     evidence: Evidence | None = absent()

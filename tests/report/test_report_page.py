@@ -265,7 +265,7 @@ def test_results_that_cannot_be_shown(results, tmp_path):
     good = json.loads((results / "crank-rocker" / "result.json").read_text())
     bad = {
         "schema": ({**good, "schema": "optlink/list/1"}, "not a result that can be shown here"),
-        "version": ({**good, "schema": "optlink/result/99"}, "of another version of its format"),
+        "version": ({**good, "schema": "optlink/function/99"}, "of another version of its format"),
         "none": ({"a": 1}, "not a result of optlink"),
         "hash": ({**good, "problem_hash": "0" * 16}, "of another problem or version"),
         "name": ({**good, "problem": "nobodys"}, "is not found"),

@@ -203,7 +203,7 @@ def test_compare_puts_all_kinds_in_one_table(problem):
     assert np.all(found.trials["none"].correction == 0.0)
     assert found.gain("inverse") > 0.25
     document = found.to_dict()
-    assert document["schema"] == "optlink/compensation/2"
+    assert document["schema"] == "optlink/control-comparison/2"
     json.dumps(document, allow_nan=False)
 
 

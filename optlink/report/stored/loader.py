@@ -19,9 +19,9 @@ from optlink.version import VERSION
 
 RESULT = "result.json"
 SOLVED = {
-    "optlink/result/2": ("solve", "function"),
-    "optlink/generation/2": ("solve", "path"),
-    "optlink/machine-design/2": ("solve", "cycle"),
+    "optlink/function/2": ("solve", "function"),
+    "optlink/path/2": ("solve", "path"),
+    "optlink/cycle/2": ("solve", "cycle"),
     "optlink/analysis/2": ("analyze", "analysis"),
     "optlink/sensitivity/2": ("study sensitivity", "sensitivity"),
 }
@@ -29,7 +29,7 @@ SOLVED = {
 STUDIES = {
     "optlink/simulation/2": ("simulate", "simulation"),
     "optlink/clearance/2": ("simulate", "clearance"),
-    "optlink/compensation/2": ("simulate --control compare", "control comparison"),
+    "optlink/control-comparison/2": ("simulate --control compare", "control comparison"),
     "optlink/balance/2": ("balance", "balance"),
     "optlink/sweep/2": ("study sweep", "sweep"),
     "optlink/tolerance/2": ("study tolerance", "tolerance"),
@@ -37,6 +37,13 @@ STUDIES = {
 }
 """Schemas of results that are shown as stored: the command that writes them, and the kind of their page."""
 KNOWN = {**SOLVED, **STUDIES}
+EARLIER = {
+    "optlink/result": "solve",
+    "optlink/generation": "solve",
+    "optlink/machine-design": "solve",
+    "optlink/compensation": "simulate --control compare",
+}
+"""Names of schemas of earlier versions: the command that writes the present one."""
 PAGELESS = {"optlink/output-sensitivity/1": "Slopes of an output stand in the sensitivity.csv beside it"}
 """Schemas of results that are not drawn, and where to read them."""
 
@@ -89,14 +96,14 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
 
 def _unknown(schema: object, path: Path) -> InputError:
     """Return the error for a document of an unknown schema."""
-    known = {name: command for name, (command, _) in KNOWN.items()}
+    known = {name.rpartition("/")[0]: command for name, (command, _) in KNOWN.items()}
     if not isinstance(schema, str) or not schema.startswith("optlink/"):
         return InputError(Fault("not a result of optlink", "Give a result.json that --out wrote", str(path), "schema", schema))
     if schema in PAGELESS:
         return InputError(Fault("a result of this kind has no page", PAGELESS[schema], str(path), "schema", schema))
     stem = schema.rpartition("/")[0]
-    if stem in {name.rpartition("/")[0] for name in known}:
-        remedy = f"Run `{next(c for n, c in known.items() if n.startswith(stem + '/'))}` again, or use the version that wrote it"
+    if command := (known | EARLIER).get(stem):
+        remedy = f"Run `{command}` again, or use the version that wrote it"
         return InputError(Fault("the result is of another version of its format", remedy, str(path), "schema", schema))
     commands = ", ".join(dict.fromkeys(known.values()))
     remedy = f"Give what --out of one of these wrote: {commands}; or the problem itself"

@@ -57,7 +57,7 @@ class TrialsRecord(Record):
 class ComparisonRecord(ResultRecord):
     """Document of a comparison of control (SI)."""
 
-    format: Literal["optlink/compensation/2"] = Field(alias="schema")
+    format: Literal["optlink/control-comparison/2"] = Field(alias="schema")
     seed: int
     revolutions: int
     unit: Literal["m", "rad"]

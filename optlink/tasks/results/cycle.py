@@ -61,7 +61,7 @@ class InitialRecord(Record):
 class CycleRecord(SingleRecord):
     """Document of a cycle optimisation: SI, or the unit that ends the key."""
 
-    format: Literal["optlink/machine-design/2"] = Field(alias="schema")
+    format: Literal["optlink/cycle/2"] = Field(alias="schema")
     free: tuple[str, ...]
     objective: CycleObjectiveRecord
     initial: InitialRecord

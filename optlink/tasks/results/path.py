@@ -165,6 +165,10 @@ class PathDesign(Summary):
         """All bounds and limits in display units."""
         return self.solution.limits if self.solution is not None else ()
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the design as a JSON document: SI, or the unit that ends the key."""
+        return PathDesignRecord.of(self).document()
+
 
 def display_unit(task: PathProblem, name: str) -> tuple[float, str]:
     """Return the factor from SI and the display unit of a quantity.
@@ -290,7 +294,7 @@ class PathDesignRecord(Record):
 class PathRecord(SearchRecord):
     """Document of a path, motion, function or transmission synthesis: the figures of the best design, and all designs."""
 
-    format: Literal["optlink/generation/2"] = Field(alias="schema")
+    format: Literal["optlink/path/2"] = Field(alias="schema")
     starts_that_reached_the_best: Annotated[int, "hits"]
     evidence: Evidence
     design: dict[str, float] | None = absent()
