@@ -265,14 +265,16 @@ def _wrong_figures(design: PathDesign, task: RandomTask, linkage: oracle.Design,
     measure, told = task.raw["requirement"]["measure"], design.to_dict()
     root = {"sum of squares": np.sum, "rms": np.mean, "max": np.max}[measure](squares) ** 0.5
     claimed = 1e3 * (math.sqrt(design.objective) if measure == "sum of squares" else design.objective)
+    objective, points = told["objective"], told["points"]
     figures = {
         "objective": (claimed, root),
-        "rms": (told["objective"]["rms_mm"], report.rms),
-        "largest": (told["objective"]["largest_mm"], report.largest),
-        "distances": (np.array(told["points"]["distance_mm"]), report.errors),
-        "x": (np.array(told["points"]["x_mm"]), places.real),
-        "y": (np.array(told["points"]["y_mm"]), places.imag),
+        "rms": (objective["rms_mm"], report.rms),
+        "largest": (objective["largest_mm"], report.largest),
+        "distances": (points["distance_mm"], report.errors),
+        "x": (points["x_mm"], places.real),
+        "y": (points["y_mm"], places.imag),
     }
+    figures = {name: (np.array(one, dtype=float), other) for name, (one, other) in figures.items()}  # null is not a number
     rounding = ROUNDING * max(task.size, oracle.size(linkage))
     return [
         f"{name}: {np.max(one)!r} is told, {np.max(other)!r} found"

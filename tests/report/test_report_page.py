@@ -21,7 +21,7 @@ from optlink.report.html import chart_plotly
 from optlink.report.html.page import LARGEST, charts, page, sensitivities_of, write_page
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
-from optlink.report.stored.stored_result import read_subject
+from optlink.report.stored.loader import load_stored
 from optlink.report.views import sensitivity
 from tests.browser import browser, console, opened, requests
 from tests.cli.test_cli import run
@@ -249,7 +249,7 @@ def test_a_result_is_shown_as_the_problem_would_be(results, tmp_path, name):
     assert done.exit_code == 0
     assert json.loads(done.stdout)["valid"] is True
     document = json.loads((results / name / "result.json").read_text())
-    about = read_subject(results / name / "result.json")
+    about = load_stored(str(results / name / "result.json"))
     if name == "shaper":
         assert about.cycle.speed == pytest.approx(64 * math.pi / 30)
     else:
