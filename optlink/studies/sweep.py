@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from annotated_types import MinLen
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from optlink.errors import Fault, InputError, Status
 from optlink.optimization.objectives import MEASURES
@@ -74,6 +74,16 @@ class _Summary:
     changes: list[ActiveSetChange] = field(default_factory=list)
 
 
+def _numbers(best: dict[str, str] | None) -> dict[str, str] | None:
+    for name, value in (best or {}).items():
+        if name not in (*TEXT, "valid", CHANGED):
+            try:
+                float(value)
+            except ValueError:
+                raise ValueError(f"its {name} is not a number") from None
+    return best
+
+
 class SweepRecord(ResultRecord):
     """Document of a sweep; the last five keys only where designs were optimised."""
 
@@ -94,7 +104,7 @@ class SweepRecord(ResultRecord):
     searched_points: Annotated[int | None, "searched"] = absent()
     active_set_changes: Annotated[int | None, "changed"] = absent()
     changes: tuple[ActiveSetChange, ...] | None = absent()
-    best: dict[str, str] | None = absent()
+    best: Annotated[dict[str, str] | None, AfterValidator(_numbers)] = absent()
 
     @classmethod
     def of(cls, result: Any, **values: Any) -> Self:

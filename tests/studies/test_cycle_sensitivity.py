@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
-from optlink.report.stored.stored_result import read_subject
+from optlink.report.stored.loader import load_stored
 from optlink.studies.sensitivity import sensitivities
 from optlink.tasks.cycle import solve
 
@@ -157,7 +157,7 @@ def test_a_result_is_shown_as_it_was_found(pump, tmp_path):
     run = CliRunner().invoke(app, ["study", "sensitivity", str(file), "--starts", "2", "--out", str(out)])
     assert run.exit_code == 0, run.output
     told = {row["key"]: row for row in json.loads((out / "result.json").read_text(encoding="utf-8"))["parameters"]}
-    subject = read_subject(out / "result.json", str(file))
+    subject = load_stored(str(out / "result.json"), str(file))
     for row in subject.answers.rows:
         one = told[row.parameter.key]
         assert row.objective == pytest.approx(one["objective_per_unit"], rel=1e-5, abs=1e-9)
