@@ -123,6 +123,7 @@ def judged(design: optlink.PathDesign) -> oracle.Report:
     return oracle.judge_motion(linkage, poses, design.crank_angles, design.values["mark"], **how)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in POINTED if isinstance(optlink.load(name).model.mechanism, FourBarSection)])
 def test_four_bars_are_free_of_defects_before_the_oracle(name):
     for design in solution(name).designs:

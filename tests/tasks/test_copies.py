@@ -92,7 +92,7 @@ def test_a_result_crosses_processes(result: Any, pool: ProcessPoolExecutor) -> N
     assert document(pool.submit(copy.copy, result).result()) == document(result)
 
 
-@pytest.mark.parametrize("kind", ["law", "points", "cycle"])
+@pytest.mark.parametrize("kind", ["law", "points", pytest.param("cycle", marks=pytest.mark.slow)])
 def test_a_copied_optimum_has_its_proof(kind: str) -> None:
     """The programme in the copy is alive: limits, curvature and sensitivities are computed from it."""
     result = RESULTS[kind]()
