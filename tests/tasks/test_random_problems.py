@@ -24,7 +24,7 @@ from tests.random_linkages import (
     transmission_range,
 )
 
-FEW, ENOUGH = 8, 60
+FEW, ENOUGH = 8, 45
 STARTS = 240  # of the batch: enough for answers, not for the best of them
 
 

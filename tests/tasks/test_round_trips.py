@@ -13,7 +13,7 @@ from tests import synthesis_oracle as oracle
 from tests.random_linkages import RECOVERED, TIMINGS, VARIANTS, defects, four_bar_of, recover, round_trip
 
 COUNTS = (5, 9, 18, 60)
-FEW, MANY = 5, 24
+FEW, MANY = 5, 16
 MISSES = {"from start": 0, "given": 0, "free, even": 1, "free, uneven": 1}  # permitted, of many linkages
 
 
