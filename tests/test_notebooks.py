@@ -15,7 +15,7 @@ from nbformat import NotebookNode
 
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
-LONG = {"balancing", "clearance", "crank_rocker", "draw_a_curve", "shaper"}  # five seconds of processor time and more
+LONG = {path.stem for path in NOTEBOOKS} - {"six_bar"}  # five seconds of processor time and more
 LARGEST = 1_500_000  # bytes of a notebook in the repository
 FOREIGN = {
     "traceback": re.compile(r"Traceback \(most recent call last\)"),

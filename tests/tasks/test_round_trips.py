@@ -17,7 +17,7 @@ FEW, MANY = 5, 16
 MISSES = {"from start": 0, "given": 0, "free, even": 1, "free, uneven": 1}  # permitted, of many linkages
 
 
-@pytest.mark.parametrize("count", [*COUNTS[:2], *(pytest.param(count, marks=pytest.mark.slow) for count in COUNTS[2:])])
+@pytest.mark.parametrize("count", [*COUNTS[:1], *(pytest.param(count, marks=pytest.mark.slow) for count in COUNTS[1:])])
 @pytest.mark.parametrize("timing", TIMINGS)
 def test_own_curve_is_recovered(timing: str, count: int) -> None:
     for seed in range(FEW):
