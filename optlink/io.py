@@ -19,8 +19,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from optlink.errors import Fault, InputError
 from optlink.version import VERSION
 
@@ -197,10 +195,16 @@ def _taken(handle: int) -> bool:
 
 def finite(value: Any) -> Any:
     """Return a document with plain Python numbers, and null for non-finite ones."""
+    if type(value) is float:
+        return value if math.isfinite(value) else None
+    if value is None or type(value) in (str, int, bool):
+        return value
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [finite(item) for item in value]
+    import numpy as np  # not at the top: `optlink --help` needs none
+
     if isinstance(value, np.ndarray):
         return finite(value.tolist())
     if isinstance(value, np.generic):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,8 @@ import typer
 from optlink.io import load_extensions
 from optlink.solvers.contract import selectable
 
-load_extensions()
+if sys.argv[1:] not in ([], ["-h"], ["--help"], ["--version"]):  # the overview names nothing of an extension
+    load_extensions()
 BACK_ENDS = f"<{'|'.join((*selectable(), 'both'))}>"
 
 
