@@ -62,7 +62,7 @@ def crank_angle(*, clockwise: bool = False, limits: tuple[float, float] | None =
 class Curve:
     """A line, markers, or both, over points (n,); `width` and `size` of the markers in points.
 
-    `text` is told when pointing at a point, `picks` are the numbers of the selectable points (see `Picks`), `shade` colours the
+    `text` is shown when pointing at a point, `picks` are the numbers of the selectable points (see `Picks`), `shade` colours the
     markers by a value named `shade_name`. `gid` identifies the curve in a picture. Without `legend` it has no legend entry.
     """
 
@@ -106,7 +106,7 @@ class Curve:
 class Bars:
     """Bars at places `x` with heights `y` from zero (lengths if `horizontal`); `colours` one for all or one each.
 
-    `width` is that of a bar in the unit of `x`, one for all or (n,); `error` (n,) is drawn as an error bar, `text` is told when
+    `width` is that of a bar in the unit of `x`, one for all or (n,); `error` (n,) is drawn as an error bar, `text` is shown when
     pointing at a bar.
     """
 
@@ -125,7 +125,7 @@ class Bars:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """The area between two curves over points (n,); `values` (n,) are told instead of `high` when pointing at it."""
+    """The area between two curves over points (n,); `values` (n,) are shown instead of `high` when pointing at it."""
 
     x: Array
     low: Array

@@ -180,7 +180,7 @@ def trade_off(result: Balance) -> list[ChartSpec]:
         weights = [mass(np.array(own), body, colours[body], gid=f"mass {body}") for body, own in masses.items()]
         highest = max(max(own) for own in masses.values())
         panels.append(Panel(Axis("mass [kg]", (0.0, 1.06 * highest) if highest > 0.0 else None), weights))
-    title, heading = f"{found.second} against {found.first}", f"{result.problem.model.title}: what one costs in the other"
+    title, heading = f"{found.second} against {found.first}", f"{result.problem.model.title}: trade-off"
     ends = (*real[:, 0], *bound[:, 0], given[0])
     room = 0.08 * (max(ends) - min(ends))
     x = Axis(f"{found.first} [{units[0].unit}]", (float(min(ends) - room), float(max(ends) + room)))

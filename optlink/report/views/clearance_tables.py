@@ -111,7 +111,7 @@ def comparison(outcome: Comparison) -> Summary:
         row = [kind, *sizes, gain, fixed(effort, 3), fixed(torque, 3)]
         rows.append([*row] if trials.finished else [bad(cell) for cell in row])
     columns = ["control", f">rms {displayed}", ">scatter", ">peak", ">gain", ">crank deg", ">torque Nm"]
-    title = "Deviation of the output, and what the control costs: rms of correction and torque"
+    title = "Deviation of the output, and effort of the control: rms of correction and torque"
     return summary(outcome.problem.model.title, [status], table(title, columns, rows))
 
 

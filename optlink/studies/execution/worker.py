@@ -77,7 +77,7 @@ def run_chunk(task: ChunkTask, index: int) -> ChunkOutcome:
             return ChunkOutcome(faults=error.faults)
         except OptlinkError as error:
             return ChunkOutcome(broken=str(error))
-        except Exception:  # noqa: BLE001 - told where the study is run
+        except Exception:  # noqa: BLE001 - reported by the process that runs the study
             return ChunkOutcome(broken=traceback.format_exc())
 
 
