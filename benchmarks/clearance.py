@@ -94,7 +94,7 @@ def ours(rpm: float, tolerance: float, revolutions: int = REVOLUTIONS) -> Motion
     given: dict[str, Any] = {"start": 0.0, "speed": omega, "nominal": omega, "points": SAMPLES, "tolerance": tolerance}
     plant = ClosedLoop(machine, model.gaps(machine), Drive(), default_output(machine), **given)
     begin, step = plant.integration.state, plant.integration.step
-    slide = [coordinate.kind for coordinate in plant.equations.cut.coordinates].index("slide")
+    slide = [coordinate.kind for coordinate in plant.equations.tree.coordinates].index("slide")
 
     def run() -> Array:
         course = Integration(plant.equations, begin, step, tolerance)

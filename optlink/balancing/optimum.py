@@ -175,7 +175,7 @@ class _Lightest:
     def same(self, x: Array) -> Array | None:
         """Return the lightest parameters with the same effects as `x`; None if the limits allow none."""
         if not self.idle.shape[1]:
-            return x if self.programme.holds(x, self.limits) else None
+            return x if self.programme.satisfies(x, self.limits) else None
         self.given.value = x
         found = solved(self.programme.cp, self.exact)
         if found.status != "optimal" or found.outside > FITS:
@@ -275,7 +275,7 @@ def conflict(programme: BalancingProgramme) -> tuple[Conflict, ...]:
     amounts = np.array(slack.value, dtype=float) if elastic.status == "optimal" else np.full(len(bounds), np.inf)
     found = []
     for k, bound in enumerate(bounds):
-        problem = cp.Problem(cp.Minimize(bound.sense * bound.expression), programme.held(bound))
+        problem = cp.Problem(cp.Minimize(bound.sense * bound.expression), programme.constraints(bound))
         alone = solved(cp, problem)
         value = float(bound.expression.value) * bound.scale if alone.status == "optimal" else math.inf
         together = bound.bound + bound.sense * float(amounts[k]) * sizes[k] * bound.scale
@@ -348,7 +348,7 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
         programme.expression(first) <= at[0] + depth * (a1 - a0),
         programme.expression(second) <= at[1] + depth * (b0 - b1),
     ]
-    problem = cp.Problem(cp.Minimize(depth), [*programme.held(), *rows])
+    problem = cp.Problem(cp.Minimize(depth), [*programme.constraints(), *rows])
     assert problem.is_dcp(dpp=True)
     inner, seconds, lightest = [], [], _Lightest(programme, [first, second])
     for share in np.linspace(0.0, 1.0, count)[1:-1]:
@@ -376,7 +376,7 @@ def _end(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMe
         return best
     cp = programme.cp
     held = programme.expression(first) <= best.value + END
-    then = solved(cp, cp.Problem(cp.Minimize(programme.expression(second)), [*programme.held(), held]))
+    then = solved(cp, cp.Problem(cp.Minimize(programme.expression(second)), [*programme.constraints(), held]))
     if then.status != "optimal":
         return best
     x = _Lightest(programme, [first, second]).like(np.array(programme.x.value, dtype=float))

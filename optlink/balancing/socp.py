@@ -302,7 +302,7 @@ class BalancingProgramme:
 
     # --- solving ---------------------------------------------------------------------------------------------------------------
 
-    def held(self, skip: Bound | None = None) -> list[Any]:
+    def constraints(self, skip: Bound | None = None) -> list[Any]:
         """Return all constraints except one, those that can be relaxed last."""
         return [*self.cones, *self.relaxed, *(self.row(bound) for bound in self.bounds if bound is not skip)]
 
@@ -338,7 +338,7 @@ class BalancingProgramme:
         self.put(x)
         return max((float(np.max(row.violation())) for row in [*self.cones, *map(self.row, self.bounds)]), default=0.0)
 
-    def holds(self, x: Array, rows: Sequence[Any]) -> bool:
+    def satisfies(self, x: Array, rows: Sequence[Any]) -> bool:
         """Return whether parameters satisfy the cones and some constraints.
 
         Parameters

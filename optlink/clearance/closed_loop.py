@@ -112,9 +112,9 @@ class ClosedLoop:
     def _ideal(self, machine: Machine, start: float, speed: float) -> Array:
         """State of the machine without clearance."""
         moving = machine.moving(np.array([start]), speed)
-        both = [jet_parts(value) for value in self.equations.cut.read(moving.pose)]
+        both = [jet_parts(value) for value in self.equations.tree.read(moving.pose)]
         state = np.array([_number(value[order]) for order in (0, 1) for value in both])
-        state[self.equations.cut.driven] = start  # not wrapped, like the command of a servo
+        state[self.equations.tree.driven] = start  # not wrapped, like the command of a servo
         return state
 
     def _check_inertia(self, state: Array) -> None:
@@ -126,7 +126,7 @@ class ClosedLoop:
             return
         matrix, grip = mass.reshape(count, count).T, held.reshape(count, -1).T
         lengths = np.array(
-            [1.0 if equations.cut.coordinates[i].kind == "angle" else equations.machine.size for i in equations.free]
+            [1.0 if equations.tree.coordinates[i].kind == "angle" else equations.machine.size for i in equations.free]
         )
         matrix, grip = matrix * np.outer(lengths, lengths), grip * lengths
         _, values, rows = np.linalg.svd(grip, full_matrices=True) if grip.size else (None, np.zeros(0), np.eye(count))
@@ -134,7 +134,7 @@ class ClosedLoop:
         sizes, ways = np.linalg.eigh(free.T @ matrix @ free)
         if sizes.size and sizes[0] <= 1e-12 * max(sizes[-1], 0.0):
             blame = int(np.argmax(np.abs(free @ ways[:, 0])))
-            raise Weightless(equations.cut.coordinates[equations.free[blame]].body)
+            raise Weightless(equations.tree.coordinates[equations.free[blame]].body)
 
     @property
     def time(self) -> float:

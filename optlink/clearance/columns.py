@@ -45,9 +45,9 @@ class ClearanceColumns:
         self.equations, self.block = equations, block
         n, count = equations.size, len(block.time)
         given = np.column_stack([np.zeros(count), block.time, further, block.entered, block.modes])
-        found = equations.outcome(count)(block.states.ravel(), given.ravel(), np.zeros(count))
+        found = equations.dynamics(count)(block.states.ravel(), given.ravel(), np.zeros(count))
         accelerations, self.torque, self.pull = found[0].reshape(count, n), found[1], found[2].reshape(count, -1)
-        self.motion: ClearanceState = equations.loose(block.states[:, :n].T, block.states[:, n:].T, accelerations.T)
+        self.motion: ClearanceState = equations.state(block.states[:, :n].T, block.states[:, n:].T, accelerations.T)
         self.touches: list[Touch] = equations.touches(self.motion, block.entered.T, block.modes.T)
         self.pins: dict[str, dict[str, Vector]] = {}
         self.guides: dict[str, GuideForce] = {}
@@ -57,7 +57,7 @@ class ClearanceColumns:
 
     def _balance(self) -> None:
         """Compute the forces in the ideal joints: first the closing joints, then body by body from the leaves of the tree."""
-        loose, cut = self.motion, self.equations.cut
+        loose, cut = self.motion, self.equations.tree
         needed = loose.needed()
         forces = [one for several in loose.acting().values() for one in several]
         for gap, contact in zip(self.equations.gaps, self.touches, strict=True):
@@ -87,7 +87,7 @@ class ClearanceColumns:
     def _joint(self, joint: Pin | Guide) -> Vector:
         """Point at which a joint acts: the pin, or the slider's point."""
         if isinstance(joint, Guide):
-            at = self.equations.cut.local.local_line(joint, joint.slider)[0]
+            at = self.equations.tree.local.local_line(joint, joint.slider)[0]
             state = self.motion.state(joint.slider)
             x, y = at[0] * state.axis[0] - at[1] * state.axis[1], at[0] * state.axis[1] + at[1] * state.axis[0]
             return state.start[0] + x, state.start[1] + y
@@ -135,10 +135,10 @@ class ClearanceColumns:
         yield from self._energies()
 
     def _motion(self) -> Iterator[tuple[str, str, Value]]:
-        loose, mechanism = self.motion, self.equations.cut.mechanism
+        loose, mechanism = self.motion, self.equations.tree.mechanism
         for body in mechanism.bodies:
             state = loose.state(body)
-            own = [i for i, coordinate in enumerate(self.equations.cut.coordinates) if coordinate == (body, "angle")]
+            own = [i for i, coordinate in enumerate(self.equations.tree.coordinates) if coordinate == (body, "angle")]
             angle = self.block.states[:, own[0]] if own else np.arctan2(state.axis[1], state.axis[0])
             yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", angle
             yield f"{body}.omega_rad_s", f"angular velocity of {body}", state.omega

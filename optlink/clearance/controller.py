@@ -76,7 +76,7 @@ class Controller:
     Parameters
     ----------
     pid : PID
-    wanted : array (samples per revolution,) [m, rad]
+    target : array (samples per revolution,) [m, rad]
         Target output at the samples of a revolution.
     leverage : array (samples per revolution,) [rad/m, -]
         Crank rotation per change of the output at the samples.
@@ -85,14 +85,14 @@ class Controller:
     """
 
     pid: PID
-    wanted: Array
+    target: Array
     leverage: Array
     angular: bool = False
 
     def __call__(self, sample: int, measured: float) -> float:
         """Return the correction of the crank angle [rad] from this sample on."""
-        k = sample % len(self.wanted)
-        error = float(self.wanted[k]) - measured
+        k = sample % len(self.target)
+        error = float(self.target[k]) - measured
         if self.angular:
             error = float(np.remainder(error + np.pi, 2.0 * np.pi) - np.pi)
         return self.pid(float(self.leverage[k]) * error)

@@ -50,10 +50,10 @@ class Servo:
 
 @dataclass(frozen=True)
 class Drive:
-    """Drive of the crank: a `servo` that follows a `command`, a `torque` [N m] over phi and omega, or a constant speed."""
+    """Drive of the crank: a `servo` that follows a `reference`, a `torque` [N m] over phi and omega, or a constant speed."""
 
     servo: Servo | None = None
-    command: ReferenceSignal | None = None
+    reference: ReferenceSignal | None = None
     torque: Magnitude | None = None
 
 
@@ -74,8 +74,8 @@ class Equations:
 
     def __init__(self, machine: Machine, gaps: Sequence[Gap], drive: Drive, speed: float) -> None:
         self.machine, self.gaps, self.drive, self.speed = machine, tuple(gaps), drive, speed
-        self.cut = SpanningTree(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
-        self.size = len(self.cut.coordinates)
+        self.tree = SpanningTree(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
+        self.size = len(self.tree.coordinates)
         self._outcomes: dict[int, CompiledFunction] = {}
         self._closures: dict[int, CompiledFunction] = {}
         self._watches: dict[int, CompiledFunction] = {}
@@ -83,7 +83,7 @@ class Equations:
         with symbols_in_numpy():
             self._trace()
 
-    def loose(self, q: Iterable[Any], v: Iterable[Any], a: Iterable[Any]) -> ClearanceState:
+    def state(self, q: Iterable[Any], v: Iterable[Any], a: Iterable[Any]) -> ClearanceState:
         """Return the machine at coordinates, rates and accelerations (floats, arrays or symbols).
 
         Parameters
@@ -91,7 +91,7 @@ class Equations:
         q, v, a : iterable of Value
             Coordinates [rad, m] in the order of `cut.coordinates`, their rates and accelerations.
         """
-        return ClearanceState(self.machine, self.cut, [Jet(*three) for three in zip(q, v, a, strict=True)], self.speed)
+        return ClearanceState(self.machine, self.tree, [Jet(*three) for three in zip(q, v, a, strict=True)], self.speed)
 
     def touches(self, loose: ClearanceState, speeds: Iterable[Any], modes: Iterable[Any]) -> list[Touch]:
         """Return the contacts at the gaps.
@@ -121,8 +121,8 @@ class Equations:
         self.begin, self.further = casadi.SX.sym("begin"), casadi.SX.sym("further")  # time; turn beyond the command
         q, v = casadi.vertsplit(x)[:n], casadi.vertsplit(x)[n:]
         still = [casadi.SX(0.0)] * n
-        loose = self.loose(q, v, casadi.vertsplit(a))
-        known = self.loose(q, v, still)  # loads must not depend on the symbols of unknown accelerations
+        loose = self.state(q, v, casadi.vertsplit(a))
+        known = self.state(q, v, still)  # loads must not depend on the symbols of unknown accelerations
         touches = self.touches(known, casadi.vertsplit(self.entered), casadi.vertsplit(self.modes))
         loads = known.acting()
         forces = [one for several in loads.values() for one in several]
@@ -138,11 +138,11 @@ class Equations:
                     fx, fy, total = fx - gx, fy - gy, total - turned
             rates = casadi.vertcat(*state.velocity, state.omega)
             residual += casadi.jacobian(rates, x[n:]).T @ casadi.vertcat(fx, fy, total)
-        opened = [jet_parts(value) for value in self.cut.open(loose.places)]
+        opened = [jet_parts(value) for value in self.tree.open(loose.places)]
         closure = casadi.vertcat(*[value for value, _, _ in opened]) if opened else casadi.SX(0, 1)
         bent = casadi.vertcat(*[twice for _, _, twice in opened]) if opened else casadi.SX(0, 1)
         grip = casadi.jacobian(closure, x[:n])
-        crank = self.cut.driven
+        crank = self.tree.driven
         given, torque = self._driven(known)
         free = [i for i in range(n) if given is None or i != crank]
         # linear in the accelerations: matrix and right-hand side by differentiation, at a = 0 (and the prescribed one)
@@ -191,10 +191,10 @@ class Equations:
         """Acceleration of the crank (or None), and torque on it (or None where it follows from the motion)."""
         if self.drive.torque is not None:
             return None, self.drive.torque(known.variables)
-        if self.drive.servo is None or self.drive.command is None:
+        if self.drive.servo is None or self.drive.reference is None:
             return casadi.SX(0.0), None
         servo, crank = self.drive.servo, known.crank
-        angle, speed = self.drive.command.at(self.begin + self.span * self.tau)
+        angle, speed = self.drive.reference.at(self.begin + self.span * self.tau)
         lag, slow = angle + self.further - crank.value, speed - crank.rate
         return servo.bandwidth * servo.bandwidth * lag + 2.0 * servo.damping * servo.bandwidth * slow, None
 
@@ -227,7 +227,7 @@ class Equations:
             self._watches[copies] = CompiledFunction([self.x, self.parameters, self.tau], self._watched, copies)
         return self._watches[copies]
 
-    def outcome(self, copies: int) -> CompiledFunction:
+    def dynamics(self, copies: int) -> CompiledFunction:
         """Return the function (x, parameters, tau) -> accelerations, drive torque [N m], forces in the closing joints.
 
         It evaluates `copies` points at a time.

@@ -342,7 +342,7 @@ class Integration:
         begins = self.modes[gap] == 0.0
         self.modes = self.modes.copy()
         self.modes[gap] = 1.0 if begins else 0.0
-        angle = float(self.state[self.equations.cut.driven])
+        angle = float(self.state[self.equations.tree.driven])
         if begins:
             self.entered = self.entered.copy()
             self.entered[gap] = max(float(rate), SLOWEST)
@@ -378,7 +378,7 @@ class Integration:
         """Project states (m, 2n) onto the closing joints, from which they drift by the integrator's error."""
         if not self.equations.closing:
             return states
-        n, crank = self.equations.size, self.equations.cut.driven
+        n, crank = self.equations.size, self.equations.tree.driven
         states = states.copy()
         for _ in range(2):
             opened, grip = self.equations.closure(states)

@@ -68,28 +68,28 @@ class Inverse:
 
     def __init__(self, machine: Machine, gaps: Sequence[Gap], output: Output, start: float, speed: float) -> None:
         self.output, self.start, self.speed = output, start, speed
-        self.cut = SpanningTree(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
-        self.size, crank = len(self.cut.coordinates), self.cut.driven
+        self.tree = SpanningTree(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
+        self.size, crank = len(self.tree.coordinates), self.tree.driven
         self.free = [i for i in range(self.size) if i != crank]
         with symbols_in_numpy():
             q, e = casadi.SX.sym("q", self.size), casadi.SX.sym("e", 2 * len(gaps))
-            loose = ClearanceState(machine, self.cut, [Jet(value) for value in casadi.vertsplit(q)], speed)
+            loose = ClearanceState(machine, self.tree, [Jet(value) for value in casadi.vertsplit(q)], speed)
             apart = [loose.play(gap).eccentricity for gap in gaps]
             missing = [value - e[i] for i, value in enumerate(part for pair in apart for part in pair)]
-            missing += [jet_parts(value)[0] for value in self.cut.open(loose.places)]
+            missing += [jet_parts(value)[0] for value in self.tree.open(loose.places)]
             value, gone = output.of(loose), casadi.vertcat(*missing)
             results = [gone, casadi.jacobian(gone, q), value, casadi.jacobian(value, q)]
             self._loops = CompiledFunction([q, e], results, POINTS)
         self.angles: Array = np.asarray(start + np.sign(speed) * np.linspace(0.0, 2.0 * np.pi, POINTS, endpoint=False))
         moving = machine.moving(self.angles, speed)
-        self.wanted = np.asarray(output.ideal(moving)[0])
-        self._ideal = np.stack([np.broadcast_to(jet_parts(c)[0], (POINTS,)) for c in self.cut.read(moving.pose)], axis=-1)
+        self.target = np.asarray(output.ideal(moving)[0])
+        self._ideal = np.stack([np.broadcast_to(jet_parts(c)[0], (POINTS,)) for c in self.tree.read(moving.pose)], axis=-1)
         self.gaps: Array = predicted(machine, gaps, self.angles, speed)
 
     def close(self, crank: Array) -> tuple[Array, Array]:
         """Return the output at crank angles (POINTS,) with the predicted gap vectors, and its derivative over the crank angle."""
         q = self._ideal.copy()
-        q[:, self.cut.driven] = crank
+        q[:, self.tree.driven] = crank
         for _ in range(ROUNDS):
             gone, slopes, value, gradient = self._loops(q.ravel(), self.gaps.ravel())
             gone = gone.reshape(POINTS, -1)
@@ -98,8 +98,8 @@ class Inverse:
                 break
             q[:, self.free] -= np.linalg.solve(slopes[:, :, self.free], gone[:, :, None])[:, :, 0]
         gradient = gradient.reshape(POINTS, self.size)
-        follow = -np.linalg.solve(slopes[:, :, self.free], slopes[:, :, self.cut.driven, None])[:, :, 0]
-        return value, gradient[:, self.cut.driven] + np.sum(gradient[:, self.free] * follow, axis=1)
+        follow = -np.linalg.solve(slopes[:, :, self.free], slopes[:, :, self.tree.driven, None])[:, :, 0]
+        return value, gradient[:, self.tree.driven] + np.sum(gradient[:, self.free] * follow, axis=1)
 
     def solve(self, regularisation: float, order: int) -> NDArray[np.complex128]:
         """Compute the harmonics (order + 1,) of the crank angle correction [rad] that brings the output closest to its target.
@@ -121,7 +121,7 @@ class Inverse:
         for _ in range(ROUNDS):
             turned = basis @ shares
             value, slope = self.close(self.angles + turned)
-            missing = -self.output.difference(value, self.wanted)
+            missing = -self.output.difference(value, self.target)
             rows = np.vstack([slope[:, None] * basis, regularisation * basis])
             step = np.linalg.lstsq(rows, np.concatenate([missing, -regularisation * turned]), rcond=None)[0]
             shares = shares + step
@@ -129,7 +129,7 @@ class Inverse:
                 break
         return np.concatenate([shares[:1], shares[1::2] - 1j * shares[2::2]])
 
-    def command(self, regularisation: float, servo: Servo, bandwidth: float) -> ReferenceSignal:
+    def reference_signal(self, regularisation: float, servo: Servo, bandwidth: float) -> ReferenceSignal:
         """Return the crank command: the correction up to a bandwidth, multiplied by the inverse transfer function of the servo.
 
         A correction of too high a bandwidth excites the machine so that the journals leave their predicted positions.

@@ -56,7 +56,7 @@ class Interval:
     """A part of the motion without a switch: state at its begin, parameters of the integrator (the first: its span [s])."""
 
     state: Array
-    given: Array
+    parameters: Array
     divided: tuple[Array, Watched] | None = None
 
 
@@ -163,20 +163,20 @@ class Peaks:
     def _summit(self, interval: Interval, j: int, least: float, *, deeper: bool) -> float:
         """The maximum of quantity `j` within an interval, or `least` if that is larger."""
         if interval.divided is None:
-            interval.divided = self.solve(interval.state, interval.given, PARTS)
+            interval.divided = self.solve(interval.state, interval.parameters, PARTS)
         states, watched = interval.divided
-        span = float(interval.given[0]) / PARTS
+        span = float(interval.parameters[0]) / PARTS
         values, slopes = (part[:, j] for part in _curves(watched))
         best = max(least, float(np.max(values)))
         if not deeper:
             return max(best, float(np.max(_cubic_summits(values, slopes, span))))
-        entered = interval.given[3 : 3 + len(self.gaps)]
+        entered = interval.parameters[3 : 3 + len(self.gaps)]
         bounds = self._bounds(watched, span, entered)[:, j]
         for i in np.argsort(-bounds).tolist():
             if bounds[i] <= best * (1.0 + SAME):
                 break
-            inner = interval.given.copy()
-            inner[0], inner[1] = span, interval.given[1] + i * span
+            inner = interval.parameters.copy()
+            inner[0], inner[1] = span, interval.parameters[1] + i * span
             best = self._summit(Interval(states[i], inner), j, best, deeper=False)
         return best
 

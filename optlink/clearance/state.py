@@ -29,14 +29,14 @@ class ClearanceState:
     Parameters
     ----------
     machine : Machine
-    cut : SpanningTree
+    tree : SpanningTree
     values : sequence of Jet, in the order of `cut.coordinates`
     speed : float [rad/s]
         Nominal speed of the crank, with its sense: reference for the smoothing of `sense`.
     """
 
     def __init__(self, machine: Machine, cut: SpanningTree, values: Sequence[Value], speed: float) -> None:
-        self.machine, self.cut, self.nominal = machine, cut, speed
+        self.machine, self.tree, self.nominal = machine, cut, speed
         self.direction = -1.0 if speed < 0.0 else 1.0
         self.places = cut.place(values)
         self.crank: Jet = values[cut.driven]
@@ -56,7 +56,7 @@ class ClearanceState:
 
     def _lever(self, point: str, body: str) -> Vector:
         state = self.state(body)
-        x, y = turn(self.cut.local.local(body, point), state.axis)
+        x, y = turn(self.tree.local.local(body, point), state.axis)
         return state.start[0] + x, state.start[1] + y
 
     def position(self, point: str, body: str) -> Vector:
@@ -92,12 +92,12 @@ class ClearanceState:
     def line(self, guide: str) -> Vector:
         """Return the unit vector of a guide's line."""
         found = next(known for known in self.machine.mechanism.guides if known.name == guide)
-        return turn(self.cut.local.local_line(found, found.on)[1], self.state(found.on).axis)
+        return turn(self.tree.local.local_line(found, found.on)[1], self.state(found.on).axis)
 
     @cached_property
     def slides(self) -> dict[str, tuple[Value, Value, Value]]:
         """Slide in every guide, its velocity and acceleration [m, m/s, m/s^2]."""
-        return {guide.name: jet_parts(self.cut.slide(guide, self.places)) for guide in self.machine.mechanism.guides}
+        return {guide.name: jet_parts(self.tree.slide(guide, self.places)) for guide in self.machine.mechanism.guides}
 
     def sense(self, of: Callable[[ClearanceState], tuple[Value, Value]], size: Value = 1.0) -> Value:
         """Return the smoothed sign of a velocity, because no equation of motion is integrated across a jump.
@@ -121,7 +121,7 @@ class ClearanceState:
     def needed(self) -> dict[str, Wrench]:
         """Return the total force, and moment about its start, that each body requires for its inertia and against gravity."""
         nothing = Wrench((0.0, 0.0), 0.0)
-        found = dict.fromkeys(self.cut.mechanism.bodies, nothing)
+        found = dict.fromkeys(self.tree.mechanism.bodies, nothing)
         for body, inertia in self.machine.inertias.items():
             found[body] = wrench(inertia.parameters, self.state(body), self.machine.gravity)
         return found

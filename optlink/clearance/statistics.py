@@ -38,10 +38,10 @@ class Statistics:
     """Accumulated statistics of a simulation."""
 
     def __init__(self, plant: ClosedLoop) -> None:
-        self.plant = plant
+        self.closed_loop = plant
         self.rows: deque[dict[str, Array]] = deque(maxlen=KEPT)
-        self.turns: deque[dict[str, float]] = deque(maxlen=LISTED)
-        self.section: deque[dict[str, float]] = deque(maxlen=LISTED)
+        self.per_revolution: deque[dict[str, float]] = deque(maxlen=LISTED)
+        self.poincare_map: deque[dict[str, float]] = deque(maxlen=LISTED)
         self.impacts: deque[Impact] = deque(maxlen=LISTED)
         self.meanings: dict[str, str] = {}
         self.count = self.contacts = 0
@@ -64,10 +64,10 @@ class Statistics:
         """
         if self.first is None:
             self._at_start()
-        turn = self.plant.turn()
-        record = self.plant.record(turn)
+        turn = self.closed_loop.turn()
+        record = self.closed_loop.record(turn)
         rows = self._rows(turn, record)
-        error = rows[f"{self.plant.output.name}.error_{self.plant.output.unit}"]
+        error = rows[f"{self.closed_loop.output.name}.error_{self.closed_loop.output.unit}"]
         self._sum(rows, error, turn, settled)
         self._energy(record)
         self.rows.append(rows)
@@ -75,7 +75,7 @@ class Statistics:
 
     def _rows(self, turn: Revolution, record: ClearanceColumns) -> dict[str, Array]:
         """The columns, with the ideal output, the error and the correction."""
-        output, columns = self.plant.output, record.columns
+        output, columns = self.closed_loop.output, record.columns
         wanted = self._wanted(record)
         error = output.difference(np.asarray(output.of(record.motion)), wanted)
         unit, own = output.unit, output.name
@@ -84,7 +84,7 @@ class Statistics:
         self.meanings = {name: column.meaning for name, column in columns.items()}
         self.meanings[f"{own}.ideal_{unit}"] = f"what {own} does in the machine without clearance"
         self.meanings[f"{own}.error_{unit}"] = f"deviation of {own} from that"
-        command = self.plant.equations.drive.command
+        command = self.closed_loop.equations.drive.reference
         if command is not None:
             rows["command.correction_rad"] = command.correction(turn.block.time) + turn.further
             self.meanings["command.correction_rad"] = "command of the crank angle minus the evenly turning one"
@@ -92,43 +92,43 @@ class Statistics:
 
     def add_partial(self) -> None:
         """Store the rows of an interrupted revolution; the statistics ignore them."""
-        partial = self.plant.partial
+        partial = self.closed_loop.partial
         if partial is not None:
-            rows = self._rows(partial, self.plant.record(partial))
+            rows = self._rows(partial, self.closed_loop.record(partial))
             if set(rows) == set(self.meanings):
                 self.rows.append(rows)
 
     def save(self) -> dict[str, Any]:
         """Return the accumulated state as plain numbers, without the rows."""
         plain = {name: getattr(self, name) for name in _PLAIN}
-        lists = {name: list(getattr(self, name)) for name in ("turns", "section")}
+        lists = {name: list(getattr(self, name)) for name in ("per_revolution", "poincare_map")}
         return {**plain, **lists, "impacts": [list(impact) for impact in self.impacts]}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Continue from a saved state."""
         for name in _PLAIN:
             setattr(self, name, saved[name])
-        self.turns.extend(saved["turns"])
-        self.section.extend(saved["section"])
+        self.per_revolution.extend(saved["per_revolution"])
+        self.poincare_map.extend(saved["poincare_map"])
         self.impacts.extend(Impact(int(row[0]), *row[1:]) for row in saved["impacts"])
 
     def _wanted(self, record: ClearanceColumns) -> Array:
         """The output of the machine without clearance at the nominal crank angle; with a driving torque at the actual one."""
-        plant, time = self.plant, record.block.time
+        plant, time = self.closed_loop, record.block.time
         free = plant.equations.drive.torque is not None
         angle = np.asarray(record.motion.crank.value) if free else plant.start + plant.nominal * time
         moving = plant.equations.machine.moving(angle)
         return np.broadcast_to(np.asarray(plant.output.ideal(moving)[0]), time.shape)
 
     def _at_start(self) -> None:
-        plant = self.plant
+        plant = self.closed_loop
         self.first = float(plant.record(Revolution(plant.now(), np.zeros(1), ())).energy[0])
         self.largest = abs(self.first)
 
     def _sum(self, rows: Mapping[str, Array], error: Array, turn: Revolution, settled: bool) -> None:
         impacts = turn.impacts
         self.count += 1
-        unit, own = self.plant.output.unit, self.plant.output.name
+        unit, own = self.closed_loop.output.unit, self.closed_loop.output.name
         square, torque = float(np.sum(error * error)), rows["input.torque_Nm"]
         correction = rows.get("command.correction_rad", np.zeros(1))
         self.depths = [max(both) for both in zip(self.depths, turn.depths, strict=True)]
@@ -145,17 +145,17 @@ class Statistics:
             "torque_rms_Nm": math.sqrt(float(np.mean(torque * torque))),
             "torque_max_Nm": turn.torque,
         }
-        for gap, depth, force in zip(self.plant.equations.gaps, turn.depths, turn.forces, strict=True):
+        for gap, depth, force in zip(self.closed_loop.equations.gaps, turn.depths, turn.forces, strict=True):
             figures[f"{gap.point}.contact_share"] = float(np.mean(rows[f"{gap.point}.contact"]))
             figures[f"{gap.point}.normal_max_N"] = force
             figures[f"{gap.point}.penetration_max_m"] = depth
-        self.turns.append(figures)
+        self.per_revolution.append(figures)
         point = {"revolution": float(self.count), f"{own}.error_{unit}": float(error[-1])}
-        for gap in self.plant.equations.gaps:
+        for gap in self.closed_loop.equations.gaps:
             for axis in "xy":
                 point[f"{gap.point}.e{axis}_m"] = float(rows[f"{gap.point}.e{axis}_m"][-1])
             point[f"{gap.point}.approach_m_s"] = float(rows[f"{gap.point}.approach_m_s"][-1])
-        self.section.append(point)
+        self.poincare_map.append(point)
         self.every["square"] += square
         self.every["rows"] += len(error)
         if settled:
@@ -170,17 +170,17 @@ class Statistics:
     def _energy(self, record: ClearanceColumns) -> None:
         assert self.first is not None
         energy, works = record.energy, record.block.works
-        fed = 1 + len(self.plant.equations.machine.loads)
+        fed = 1 + len(self.closed_loop.equations.machine.loads)
         gained = works[:, :fed].sum(axis=1) - works[:, fed:].sum(axis=1)
         self.imbalance = max(self.imbalance, float(np.max(np.abs(energy - self.first - gained))))
         self.largest = max(self.largest, float(np.max(np.abs(energy))))
 
     def figures(self) -> dict[str, float]:
         """Return the summary statistics by name (SI)."""
-        unit = self.plant.output.unit
+        unit = self.closed_loop.output.unit
         rows, every, turns = max(self.sums["rows"], 1.0), max(self.every["rows"], 1.0), max(self.settled, 1)
-        gaps = self.plant.equations.gaps
-        works = dict(zip(self.plant.equations.losses, self.plant.integration.works, strict=True))
+        gaps = self.closed_loop.equations.gaps
+        works = dict(zip(self.closed_loop.equations.losses, self.closed_loop.integration.works, strict=True))
         return {
             "revolutions": float(self.count),
             "settled_revolutions": float(self.settled),
@@ -188,7 +188,7 @@ class Statistics:
             f"mean_square_{unit}2": self.sums["square"] / rows,
             f"peak_{unit}": self.peak,
             f"rms_from_start_{unit}": math.sqrt(self.every["square"] / every),
-            "contacts": float(self.contacts + len(self.plant.integration.open)),
+            "contacts": float(self.contacts + len(self.closed_loop.integration.open)),
             "largest_penetration_m": max(self.depths),
             "largest_normal_N": max(self.forces),
             **{f"{gap.point}.penetration_max_m": depth for gap, depth in zip(gaps, self.depths, strict=True)},
@@ -225,7 +225,7 @@ class PredictabilityCheck:
     """The same motion with another tolerance, simulated until it diverges."""
 
     def __init__(self, plant: ClosedLoop) -> None:
-        self.plant, self.output = plant, plant.output
+        self.closed_loop, self.output = plant, plant.output
         least = min(gap.clearance for gap in plant.equations.gaps)
         self.apart = APART * (least if self.output.guide else least / float(np.max(plant.equations.machine.size)))
         self.parted: float | None = None
@@ -236,11 +236,11 @@ class PredictabilityCheck:
         if self.parted is not None or self.watched >= WATCHED or self.lost:
             return
         try:
-            turn = self.plant.turn()
+            turn = self.closed_loop.turn()
         except Stalled:
             self.lost = True
             return
-        own = np.asarray(self.output.of(self.plant.record(turn).motion))
+        own = np.asarray(self.output.of(self.closed_loop.record(turn).motion))
         away = np.abs(self.output.difference(own, output))
         self.largest = float(np.max(away))
         far = np.flatnonzero(away > self.apart)
@@ -251,12 +251,12 @@ class PredictabilityCheck:
     def save(self) -> dict[str, Any]:
         """Return the state as plain numbers."""
         found = {"parted": self.parted, "watched": self.watched, "largest": self.largest, "lost": self.lost}
-        return {**found, "plant": self.plant.save()}
+        return {**found, "plant": self.closed_loop.save()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Continue from a saved state."""
         self.parted, self.watched, self.largest, self.lost = (saved[name] for name in ("parted", "watched", "largest", "lost"))
-        self.plant.restore(saved["plant"])
+        self.closed_loop.restore(saved["plant"])
 
     @property
     def prediction(self) -> Prediction:

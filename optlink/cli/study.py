@@ -324,13 +324,13 @@ def tolerance(
                 seed=seed,
                 shape=distribution,
                 design=given,
-                wanted=None if allocate is None else read_yield(allocate),
+                target_yield=None if allocate is None else read_yield(allocate),
                 costs=read_costs(cost or []),
                 robust=None if robust is None else read_sigmas(robust),
                 progress=progress,
             )
         console.deliver(result, "tolerance", None, as_json, out)
-        if (result.allocation is not None and not result.allocation.kept) or (
+        if (result.allocation is not None and not result.allocation.achieved) or (
             result.robust is not None and not result.robust.valid
         ):
             raise typer.Exit(1)

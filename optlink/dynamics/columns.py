@@ -31,13 +31,14 @@ class MotionColumns:
     """Columns by name of a machine at crank angles (n,), or of a batch of designs (designs, n).
 
     `singular`: positions without finite reactions; `jammed`: positions in which friction locks a guide; `undefined`: positions in
-    which a load has no finite value; `held`: names of the reaction columns. `wanted`: names of the required columns, default all.
+    which a load has no finite value; `reaction_names`: names of the reaction columns. `requested`: names of the required columns,
+    default all.
     """
 
-    def __init__(self, moving: Moving, wanted: Collection[str] | None = None) -> None:
-        self.moving, self.machine, self.wanted = moving, moving.machine, wanted
+    def __init__(self, moving: Moving, requested: Collection[str] | None = None) -> None:
+        self.moving, self.machine, self.requested = moving, moving.machine, requested
         self.shape = np.shape(moving.motion.assembled)
-        self.held: set[str] = set()
+        self.reaction_names: set[str] = set()
         with np.errstate(all="ignore"):
             self.reactions: Reactions = reactions(moving)
             near = [np.abs(self.full(sine)) < SINGULAR for sine in self.reactions.singularity.values()]
@@ -48,7 +49,7 @@ class MotionColumns:
             self.columns = {column.name: column for column in self._all() if self._wants(column.name)}
 
     def _wants(self, *names: str) -> bool:
-        return self.wanted is None or any(name in self.wanted for name in names)
+        return self.requested is None or any(name in self.requested for name in names)
 
     def full(self, value: Value) -> Array:
         """Broadcast a value to all positions."""
@@ -61,7 +62,7 @@ class MotionColumns:
         for name, meaning, value in self._motion():
             yield Column(name, meaning, self.full(value))
         for name, meaning, value in self._reactions():
-            self.held.add(name)
+            self.reaction_names.add(name)
             yield Column(name, meaning, np.where(self.singular, np.nan, self.full(value)))
         unknown = self.singular & (not self.machine.mechanism.followed)
         for name, meaning, value in self._forces():

@@ -46,7 +46,7 @@ class AlignedPosition(NamedTuple):
     @property
     def followed(self) -> bool:
         """Whether the group is continued smoothly through the position, so that its motion is determined."""
-        return self.group.course is not None
+        return self.group.passages is not None
 
     def __str__(self) -> str:
         return f"{math.degrees(self.crank_angle):.6g} deg ({self.group.kind} group of {self.group.joint})"

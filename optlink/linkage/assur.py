@@ -141,7 +141,7 @@ class Assembly:
         near |= {guide.other(body) for guide in self.rails(body)}
         return sorted(near - self.placed - {body}, key=self.rank.__getitem__)
 
-    def known(self, body: str) -> list[str | Guide]:
+    def placed_joints(self, body: str) -> list[str | Guide]:
         """Return the joints of a body with bodies that are already placed."""
         pins = [point for point in self.pins(body) if self.placed.intersection(self.members[point])]
         return [*pins, *(guide for guide in self.rails(body) if guide.other(body) in self.placed)]
@@ -212,7 +212,7 @@ class Assembly:
 
     def _group(self, first: str, second: str) -> Group | None:
         """Return the dyad of two bodies, if each has one joint with the placed bodies and they share one inner joint."""
-        outer, inner = [self.known(body) for body in (first, second)], self._shared(first, second)
+        outer, inner = [self.placed_joints(body) for body in (first, second)], self._shared(first, second)
         if len(outer[0]) != 1 or len(outer[1]) != 1 or len(inner) != 1:
             return None
         joint = inner[0]
@@ -303,7 +303,7 @@ class Assembly:
     def refusal(self, left: list[str]) -> StructureError:
         """Return the error that explains why no further group can be formed."""
         for body in left:
-            known = [joint if isinstance(joint, str) else joint.name for joint in self.known(body)]
+            known = [joint if isinstance(joint, str) else joint.name for joint in self.placed_joints(body)]
             if len(known) > 1:
                 return StructureError(
                     f"{body} cannot move on its own: {_list(known)} hold it already, which leaves it no freedom",
@@ -328,7 +328,7 @@ class Assembly:
                 f"links.{left[-1]}",
             )
         for first, second in combinations(left, 2):
-            outer, inner = [self.known(body) for body in (first, second)], self._shared(first, second)
+            outer, inner = [self.placed_joints(body) for body in (first, second)], self._shared(first, second)
             if len(outer[0]) == len(outer[1]) == len(inner) == 1 and not any(
                 isinstance(j, str) for j in (*outer[0], *outer[1], *inner)
             ):

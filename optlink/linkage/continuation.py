@@ -77,7 +77,7 @@ def continue_through_singularities(
             part = replace(mechanism, groups=mechanism.groups[: k + 1], points=points)
             course = _course(part, sizes, group, start if group.holds_at is None else group.holds_at)
             if course is not None:
-                groups = (*mechanism.groups[:k], replace(group, course=course), *mechanism.groups[k + 1 :])
+                groups = (*mechanism.groups[:k], replace(group, passages=course), *mechanism.groups[k + 1 :])
                 mechanism = replace(mechanism, groups=groups, cycle=max(mechanism.cycle, course.cycle))
     return mechanism
 

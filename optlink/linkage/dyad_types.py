@@ -50,13 +50,13 @@ class ModalDyad(Dyad):
     """A dyad with two assembly modes; `side` is one of them.
 
     `follow`: continue it smoothly through its singular positions, starting in the mode `side`, which applies at the crank angle
-    `holds_at` [rad], or else at the start of the drive. `course`: its sides and series, once the sizes are known
+    `holds_at` [rad], or else at the start of the drive. `passages`: its sides and series, once the sizes are known
     (`continuation.follow`).
     """
 
     follow: bool = field(default=False, kw_only=True)
     holds_at: float | None = field(default=None, kw_only=True)
-    course: GroupPassages | None = field(default=None, kw_only=True, compare=False)
+    passages: GroupPassages | None = field(default=None, kw_only=True, compare=False)
 
     @property
     def modes(self) -> tuple[str, ...]:
@@ -65,7 +65,7 @@ class ModalDyad(Dyad):
 
     def mode(self, pose: Pose) -> Value:
         """Return the assembly mode at the crank angles of a pose."""
-        return self.side if self.course is None else self.course.side(pose.angle)  # type: ignore[attr-defined]
+        return self.side if self.passages is None else self.passages.side(pose.angle)  # type: ignore[attr-defined]
 
     def through(self, pose: Pose, new: Vector, margin: Value) -> tuple[Vector, Value]:
         """Return the result of the formula, replaced by its smooth continuation near singular positions.
@@ -78,7 +78,7 @@ class ModalDyad(Dyad):
         margin : Value [-]
             Assembly margin.
         """
-        return (new, margin) if self.course is None else self.course.through(pose.angle, new, margin)
+        return (new, margin) if self.passages is None else self.passages.through(pose.angle, new, margin)
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ class RPP(Dyad):
 
     kind = "RPP"
     least = PARALLEL
-    course = None
+    passages = None
 
     @property
     def joint(self) -> str:
@@ -312,7 +312,7 @@ class PRP(Dyad):
 
     kind = "PRP"
     least = PARALLEL
-    course = None
+    passages = None
 
     @property
     def joint(self) -> str:

@@ -134,7 +134,7 @@ class Group(Protocol):
         ...
 
     @property
-    def course(self) -> GroupPassages | None:
+    def passages(self) -> GroupPassages | None:
         """Sides and series through singular positions, if the group is continued through them."""
         ...
 
@@ -338,7 +338,7 @@ class Mechanism:
     @cached_property
     def followed(self) -> bool:
         """Whether a group is continued through change points."""
-        return any(group.course is not None for group in self.groups)
+        return any(group.passages is not None for group in self.groups)
 
     @cached_property
     def links(self) -> tuple[Link, ...]:

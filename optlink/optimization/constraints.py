@@ -22,7 +22,7 @@ from optlink.linkage.fourbar import (
 from optlink.linkage.mechanism import Group, Pose
 from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
-from optlink.problem.limits import Alignment, Reach, stated
+from optlink.problem.limits import Alignment, Reach, limits_in_file
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import PathProblem
 
@@ -226,7 +226,7 @@ def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, s
     size : float [m]
         Reference length of the rows.
     """
-    for term, interval in stated(problem.limits):
+    for term, interval in limits_in_file(problem.limits):
         low, high = interval.bounds
         for label, value in term.values(problem, values, reach, interval):
             if interval.kind == "length":

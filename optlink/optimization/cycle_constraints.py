@@ -125,7 +125,7 @@ class CycleTerms:
         Design variables at the start.
     nodes : int
         Positions per revolution.
-    roaming : int
+    exchange : int
         Roaming positions per stroke.
     size : float [m], optional
         Unit of length; default: the longest length of the file.
@@ -137,7 +137,7 @@ class CycleTerms:
         structure: EventOrder,
         start: Mapping[str, float],
         nodes: int,
-        roaming: int,
+        exchange: int,
         size: float | None = None,
     ) -> None:
         self.trace, self.structure, self.problem = trace, structure, trace.problem
@@ -155,7 +155,7 @@ class CycleTerms:
         self.variables += [Variable(f"{goal.words} {k + 1}", 1.0, PLAIN) for k, goal in enumerate(self.epigraphs)]
         self.constants = [scaled_variable(name, problem.quantities[name], self.size) for name in self.fixed]
         self.x = casadi.SX.sym("x", len(self.variables))
-        self.roaming, self.slots = roaming, self.strokes * roaming
+        self.exchange, self.slots = exchange, self.strokes * exchange
         self.p = casadi.SX.sym("p", 1 + len(self.fixed) + self.slots)
         self.values: dict[str, Any] = {v.name: v.size * self.x[i] for i, v in enumerate(self.variables[: len(self.free)])}
         self.values |= {v.name: v.size * self.p[1 + i] for i, v in enumerate(self.constants)}
@@ -171,7 +171,7 @@ class CycleTerms:
     # --- positions -------------------------------------------------------------------------------------------------------
 
     def _cut(self, nodes: int) -> None:
-        """Define nodes and roaming positions of every stroke, with the signals there."""
+        """Define nodes and exchange points of every stroke, with the signals there."""
         edges: list[Any] = [*self.events[: self.cuts], self.events[0] + TURN] if self.cuts else [0.0, TURN]
         self.edges = edges
         if self.cuts:
@@ -182,8 +182,8 @@ class CycleTerms:
             shares, weights = np.arange(nodes) / nodes, np.full(nodes, 1.0 / nodes)
         self.spans = [b - a for a, b in itertools.pairwise(edges)]
         self.at: list[tuple[int, Any, Any]] = []  # stroke, weight or None, signals
-        self.roamed: list[Any] = []  # signals at the roaming positions
-        roaming = [self.p[1 + len(self.fixed) + k] for k in range(self.slots)]
+        self.exchanged: list[Any] = []  # signals at the exchange points
+        exchange = [self.p[1 + len(self.fixed) + k] for k in range(self.slots)]
         for j, span in enumerate(self.spans):
             senses = self.trace.sensed(casadi.vertcat(self.known, edges[j] + 0.5 * span))
             for share, weight in zip(shares, weights, strict=True):
@@ -191,9 +191,9 @@ class CycleTerms:
                 self.at.append((j, weight * span, self.trace.at(phi, senses)))
             for share in (0.0, 1.0) if self.cuts else ():  # forces are often largest where they jump
                 self.at.append((j, None, self.trace.at(casadi.vertcat(self.known, edges[j] + share * span), senses)))
-            for share in roaming[j * self.roaming : (j + 1) * self.roaming]:
-                self.roamed.append(self.trace.at(casadi.vertcat(self.known, edges[j] + share * span), senses))
-                self.at.append((j, None, self.roamed[-1]))
+            for share in exchange[j * self.exchange : (j + 1) * self.exchange]:
+                self.exchanged.append(self.trace.at(casadi.vertcat(self.known, edges[j] + share * span), senses))
+                self.at.append((j, None, self.exchanged[-1]))
 
     def _at_events(self) -> None:
         """Evaluate the functions at the events: event values, which must vanish, and the positions of the outputs."""
@@ -325,7 +325,7 @@ class CycleTerms:
             place += width
         ends = self._ends(term)
         numbers = [
-            np.asarray(self.trace.at_event([*self.trace.known(self.start), self.structure.angles[k]])).ravel() for k in ends
+            np.asarray(self.trace.at_event([*self.trace.inputs(self.start), self.structure.angles[k]])).ravel() for k in ends
         ]
         if width == 1:
             low, high = (ends[pick([row[place] for row in numbers])] for pick in (np.argmin, np.argmax))

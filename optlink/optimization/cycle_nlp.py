@@ -1,7 +1,7 @@
 """build_cycle(...) -> CycleNLP: cycle optimisation as one scaled nonlinear programme.
 
 Its variables are the design variables, the crank angles of the events (their equations are rows) and, for every objective term
-that is a maximum over the cycle, its largest value. Rows apply at the nodes of every stroke and at roaming positions.
+that is a maximum over the cycle, its largest value. Rows apply at the nodes of every stroke and at exchange points.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from optlink.units import KINDS
 Array = NDArray[np.float64]
 
 NODES = 48  # per revolution with integral terms; half of it with maxima only
-ROAMING = 24  # positions that are moved to the maxima of terms, shared among the strokes ...
+EXCHANGE_POINTS = 24  # positions that are moved to the maxima of terms, shared among the strokes ...
 ROUNDING = 1e-6  # share of the signal's magnitude below which a mean or a work counts as zero
 SLOTS = (4, 6)  # ... least and most per stroke
 
@@ -60,8 +60,8 @@ class CycleNLP(NLP):
     free: tuple[str, ...] = ()
     watched: tuple[WatchedTerm, ...] = ()
     level_symbols: Any = None
-    slots: int = 0  # of roaming positions, all strokes together
-    roamed: tuple[Any, ...] = ()  # signals there
+    slots: int = 0  # of exchange points, all strokes together
+    exchanged: tuple[Any, ...] = ()  # signals there
     nodes: int = 0  # per revolution
     scales: tuple[float, tuple[float, ...]] = (1.0, ())  # units: of length [m]; of each objective term [SI]
 
@@ -141,16 +141,16 @@ def build_cycle(
         value at the start).
     """
     problem = trace.problem
-    roaming = min(max(ROAMING // max(1, trace.cuts(structure)), SLOTS[0]), SLOTS[1]) if slots is None else slots
+    exchange = min(max(EXCHANGE_POINTS // max(1, trace.cuts(structure)), SLOTS[0]), SLOTS[1]) if slots is None else slots
     integral = any(term.integral for term in trace.terms)
     with symbols_in_numpy():
-        parts = CycleTerms(trace, structure, start, nodes if integral else nodes // 2, roaming, scales[0])
+        parts = CycleTerms(trace, structure, start, nodes if integral else nodes // 2, exchange, scales[0])
         x, p, events, count = parts.x, parts.p, len(structure.which), len(parts.free)
         figures = [casadi.SX(0.0) if goal.extreme else parts.figure(goal) for goal in parts.goals]
         tops = [parts.heights(goal, 1.0) if goal.extreme else figure for goal, figure in zip(parts.goals, figures, strict=True)]
         begin = np.array([start[v.name] / v.size for v in parts.variables[:count]])
         at = np.concatenate([begin, structure.angles, np.ones(len(parts.epigraphs))])
-        shares = np.tile(np.linspace(0.0, 1.0, roaming), parts.strokes)
+        shares = np.tile(np.linspace(0.0, 1.0, exchange), parts.strokes)
         p_start = np.concatenate([[1.0], parts.x_fixed, shares])
         found = [float(np.max(value)) for value in CompiledFunction([x, p], tops)(at, p_start)]
         courses = CompiledFunction([x, p], [parts.natural(goal) for goal in parts.goals])
@@ -203,7 +203,7 @@ def build_cycle(
         watched=tuple(item for item in watched if item is not None),
         level_symbols=tuple(heights),
         slots=parts.slots,
-        roamed=tuple(parts.roamed),
+        exchanged=tuple(parts.exchanged),
         nodes=nodes,
         scales=(parts.size, tuple(sizes)),
     )

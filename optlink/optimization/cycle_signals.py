@@ -269,14 +269,14 @@ class TracedCycle:
         """Signals, then margins, as functions of (quantities, crank angle, senses)."""
         return NumpyEvaluator([self._known], [self._outputs])
 
-    def known(self, values: Mapping[str, float]) -> list[float]:
+    def inputs(self, values: Mapping[str, float]) -> list[float]:
         """Return the quantities in the order of the inputs; values of the file for missing ones."""
         sizes = {**sizes_of(self.problem.quantities), **values}
         return [sizes[name] for name in self.names]
 
     def structure(self, values: Mapping[str, float]) -> EventOrder | None:
         """Return the events of a design; None if the crank cannot rotate fully."""
-        known, groups = self.known(values), len(self.mechanism.groups)
+        known, groups = self.inputs(values), len(self.mechanism.groups)
         grid = np.linspace(0.0, TURN, GRID + 1) + 0.37 * TURN / GRID
         there = self._watch(*known, grid)
         if not np.all(np.isfinite(there)) or np.any(there[:groups] < 0.0):

@@ -19,7 +19,7 @@ from optlink.linkage.vector2d import turn, unit
 from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.objectives import MEASURES, ErrorMeasure, output_error
-from optlink.optimization.output_derivatives import ErrorSlopes
+from optlink.optimization.output_derivatives import ErrorDerivatives
 from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.quantity import Quantity
@@ -63,7 +63,7 @@ class NLP:
     """Nonlinear programme: minimise f(x, p) subject to low <= g(x, p) <= high, x_low <= x <= x_high.
 
     `x` (n,) are the scaled design variables (and, last, the largest error of a minimax problem); `p` is the scale of the
-    objective followed by the fixed quantities, the relevant tolerances and the roaming positions, so that they can be varied
+    objective followed by the fixed quantities, the relevant tolerances and the exchange points, so that they can be varied
     without retracing.
     """
 
@@ -85,7 +85,7 @@ class NLP:
     factor: float = 1.0  # from f * p[0] to the measure of the residuals (for rms: their mean square)
     states: frozenset[str] = frozenset()  # variables and rows that are never relaxed, such as those defined by equations
     constants: tuple[Variable, ...] = ()  # the fixed quantities and tolerances in `p`, from its second component on
-    roaming_rows: tuple[int, int] = (0, 0)  # index of the first row of the roaming positions, number of rows per position
+    exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
 
     def __getstate__(self) -> dict[str, Any]:
@@ -185,7 +185,7 @@ class NLP:
         """Return the residuals of the objective, not scaled."""
         return self._residuals(x, self.p)[0]
 
-    def residual_slopes(self, x: Array) -> Array:
+    def residual_derivatives(self, x: Array) -> Array:
         """Return the exact derivatives (residuals, n) of the residuals with respect to x."""
         return self._residual_slopes(x, self.p)[0].reshape((-1, len(x)), order="F")
 
@@ -200,12 +200,12 @@ class NLP:
         return self.lifted(np.clip(x, self.x_low, self.x_high))
 
     @property
-    def roaming(self) -> int:
-        """Number of roaming positions."""
+    def exchange_count(self) -> int:
+        """Number of exchange points."""
         return len(self.p) - 1 - len(self.constants)
 
-    def roam(self, offsets: Array) -> None:
-        """Set the last roaming positions (at most `roaming`): crank rotations [rad], or shares of the motion or stroke."""
+    def set_exchange_points(self, offsets: Array) -> None:
+        """Set the last exchange points (at most `exchange_count`): crank rotations [rad], or shares of the motion or stroke."""
         self.p[len(self.p) - len(offsets) :] = offsets
 
     def limit(self, entry: int, bound: float, *, upper: bool) -> None:
@@ -238,11 +238,11 @@ class NLP:
 SMALLEST_SCALE = 1e-6  # least scale of the objective: for an exact solution, rounding errors must not be magnified
 
 
-ROAMING = 12  # positions that are moved to the maxima of the error
+EXCHANGE_POINTS = 12  # positions that are moved to the maxima of the error
 
 
 def _residuals(
-    problem: DesignProblem, values: dict[str, Any], counted: dict[str, Any], start: StartPosition, roaming: list[Any]
+    problem: DesignProblem, values: dict[str, Any], counted: dict[str, Any], start: StartPosition, exchange: list[Any]
 ) -> list[Any]:
     """Return the residuals at each position, one column each: those of `optlink.problem.robust.residuals`.
 
@@ -255,7 +255,7 @@ def _residuals(
     at = StartPosition((inputs[-6], inputs[-5]), inputs[-4], inputs[-3])
     error, slopes, robust = output_error(problem, given, at, inputs[-2], inputs[-1]), [], problem.requirement.robust
     if robust is not None:
-        slopes = ErrorSlopes(problem).symbolic(given, turn(at.crank, unit(inputs[-2])))
+        slopes = ErrorDerivatives(problem).symbolic(given, turn(at.crank, unit(inputs[-2])))
     deviations = [replace(d, tolerance=given.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
     one = casadi.Function("error", [inputs], [casadi.vertcat(*residuals(robust, deviations, error, slopes))])
     known = [*values.values(), *counted.values(), *start.crank, start.phi0, start.psi0]
@@ -264,7 +264,7 @@ def _residuals(
         one(casadi.vertcat(*known, float(offset), float(tabulated)))
         for offset, tabulated in zip(law.offsets, law.tabulated, strict=True)
     ]
-    return fixed + [one(casadi.vertcat(*known, offset, 0.0)) for offset in roaming]
+    return fixed + [one(casadi.vertcat(*known, offset, 0.0)) for offset in exchange]
 
 
 def boxed(quantity: Quantity, variable: Variable) -> tuple[float, float, float]:
@@ -296,7 +296,9 @@ def build(problem: DesignProblem) -> NLP:
         measure = replace(measure, width=1 + len(problem.deviations))
 
     x = casadi.SX.sym("x", len(free) + minimax)
-    many = 0 if not problem.everywhere else ROAMING if robust is None else 2 * ROAMING  # with scatter the error is flatter
+    many = (
+        0 if not problem.everywhere else EXCHANGE_POINTS if robust is None else 2 * EXCHANGE_POINTS
+    )  # with scatter the error is flatter
     constant = len(fixed) + len(counted)
     p = casadi.SX.sym("p", 1 + constant + many)
     values = {name: x[i] * sizes[name] for i, name in enumerate(free)}

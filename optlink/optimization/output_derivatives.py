@@ -21,7 +21,7 @@ from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 Array = NDArray[np.float64]
 
 
-def output_slopes(
+def output_derivatives(
     mechanism: Mechanism, sizes: Mapping[str, Any], crank: Vector, output: str, by: Sequence[str]
 ) -> tuple[Any, list[Any]]:
     """Return an output and its derivatives with respect to dimensions, as symbols; call it while `tracing`.
@@ -48,7 +48,7 @@ def output_slopes(
     return value, [casadi.jacobian(value, sizes[n]) for n in by]
 
 
-class ErrorSlopes:
+class ErrorDerivatives:
     """Derivatives of the error of a law (prescribed minus actual) with respect to the dimension of every deviation."""
 
     def __init__(self, problem: DesignProblem) -> None:
@@ -58,7 +58,7 @@ class ErrorSlopes:
         symbols = {name: casadi.SX.sym(name) for name in self._names}
         crank = casadi.SX.sym("crank direction", 2)
         with symbols_in_numpy():
-            _, slopes = output_slopes(
+            _, slopes = output_derivatives(
                 mechanism, symbols, (crank[0], crank[1]), "rocker", list(dict.fromkeys(d.size for d in self.deviations))
             )
         self._inputs, self._outputs = [*symbols.values(), crank[0], crank[1]], [-slope for slope in slopes]
@@ -102,7 +102,7 @@ class ErrorResiduals:
 
     def __init__(self, problem: DesignProblem) -> None:
         self.problem, self.robust = problem, problem.requirement.robust
-        self.slopes = None if self.robust is None else ErrorSlopes(problem)
+        self.slopes = None if self.robust is None else ErrorDerivatives(problem)
 
     def objective(self, values: Mapping[str, Value]) -> Array:
         """Return the objective at the design positions; arrays of dimensions have a last axis of one."""

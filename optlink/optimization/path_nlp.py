@@ -28,7 +28,7 @@ from optlink.symbolic import symbols_in_numpy
 Array = NDArray[np.float64]
 
 GRID = 36  # crank angles at which the assembly of a mechanism other than a four-bar is checked
-ROAMING = 24  # further ones, moved by the exchange method to where a limit is exceeded
+EXCHANGE_POINTS = 24  # further ones, moved by the exchange method to where a limit is exceeded
 BETWEEN = 3  # positions between two points if full crank rotation is not required
 EXACT = 1e-10  # share of the size of the curve: residual that counts as zero
 
@@ -77,7 +77,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
 
     Returns
     -------
-    NLP; its roaming positions are shares of the motion over which position limits apply, see `required_motion`
+    NLP; its exchange points are shares of the motion over which position limits apply, see `required_motion`
     """
     size, share, free, data = problem.size, problem.whole, problem.free, problem.data
     fixed = tuple(name for name in problem.quantities if name not in free)
@@ -92,7 +92,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
     constants = [scaled_variable(problem, name) for name in fixed]
 
     x = casadi.SX.sym("x", len(variables))
-    many = ROAMING if has_position_limits(problem) else 0
+    many = EXCHANGE_POINTS if has_position_limits(problem) else 0
     p = casadi.SX.sym("p", 1 + len(fixed) + many)
     values: dict[str, Any] = {v.name: v.origin + v.size * x[i] for i, v in enumerate(variables[: len(free)])}
     values |= {v.name: v.origin + v.size * p[1 + i] for i, v in enumerate(constants)}
@@ -149,7 +149,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
         f = x[-1] if minimax else casadi.sumsqr(vector) / (share**2 * (count if measure.name == "rms" else 1))
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
 
-    between = (np.arange(ROAMING) + 0.5) / ROAMING  # initially half-way between two positions of the grid
+    between = (np.arange(EXCHANGE_POINTS) + 0.5) / EXCHANGE_POINTS  # initially half-way between two positions of the grid
     box = [boxed(problem.quantities[v.name], v) for v in variables[: len(free)]]
     if own:
         box += [(-4.0 * math.pi, 4.0 * math.pi, direction * TURN / count * i) for i in range(count)]
@@ -174,7 +174,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
         exact=EXACT * share,
         factor=share if minimax else share**2,
         helpers=frozenset(helpers),
-        roaming_rows=(first, len(at_angle[1])),
+        exchange_rows=(first, len(at_angle[1])),
         constants=tuple(constants),
     )
 

@@ -1,7 +1,7 @@
 """Quantities of a machine cycle that can be optimised or limited: one entry of `QUANTITIES` per value of the key `quantity`.
 
 An entry contains the formula of the optimiser (`signal`, elementwise on floats, arrays and symbols) and, written separately, the
-columns from which the validator reads it (`course`).
+columns from which the validator reads it (`history`).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class QuantityType:
         The names that `of` may take.
     signal : function of (machine in motion, reactions, term), optional
         Formula at one crank angle [SI]; two components for a vector, of which only the magnitude counts.
-    course : function of (columns of a motion, term), optional
+    history : function of (columns of a motion, term), optional
         Measurement at all crank angles [SI].
     forces : bool
         Whether `signal` needs the reactions; it can then also be evaluated without the inertia of the bodies.
@@ -100,7 +100,7 @@ class QuantityType:
     of: str = ""
     element: Element | None = None
     signal: Signal | None = None
-    course: Course | None = None
+    history: Course | None = None
     forces: bool = False
     vector: bool = False
     at: str = "of"
@@ -171,7 +171,7 @@ QUANTITIES |= {
         "torque",
         _SIGNED,
         signal=lambda moving, reactions, term: (reactions.torque,),
-        course=lambda record, term: record["input.torque_Nm"],
+        history=lambda record, term: record["input.torque_Nm"],
         forces=True,
     ),
     "reaction": QuantityType(
@@ -209,14 +209,14 @@ QUANTITIES |= {
         "force",
         _SIZE,
         signal=lambda moving, reactions, term: shaking(moving).force,
-        course=_size("frame.shaking_fx_N", "frame.shaking_fy_N"),
+        history=_size("frame.shaking_fx_N", "frame.shaking_fy_N"),
         vector=True,
     ),
     "shaking moment": QuantityType(
         "torque",
         _SIGNED,
         signal=lambda moving, reactions, term: (shaking(moving).moment,),
-        course=lambda record, term: record["frame.shaking_moment_Nm"],
+        history=lambda record, term: record["frame.shaking_moment_Nm"],
     ),
     "velocity": QuantityType(
         "velocity",

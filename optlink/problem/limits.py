@@ -126,7 +126,7 @@ def check_limits(limits: Limits) -> None:
                     f"limits.{key}",
                     str(interval),
                 )
-    for term, _ in stated(limits) if limits.crank != "full rotation" else ():
+    for term, _ in limits_in_file(limits) if limits.crank != "full rotation" else ():
         if term.crank_rocker:
             raise Unusable("only a crank-rocker has it", 'Set limits.crank = "full rotation", or leave the limit out', term.key)
     if limits.crank == "span" and limits.transmission_over == "revolution":
@@ -207,7 +207,7 @@ class LimitTerm:
 LIMITS: Registry[LimitTerm] = Registry()
 
 
-def stated(limits: Limits) -> Iterator[tuple[LimitTerm, Interval]]:
+def limits_in_file(limits: Limits) -> Iterator[tuple[LimitTerm, Interval]]:
     """Yield the registered limits that a file states, with their bounds."""
     for term in LIMITS.values():
         interval = getattr(limits, term.name, None)

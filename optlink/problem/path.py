@@ -224,7 +224,7 @@ class PathProblem(Problem):
         tabulated : float, array or symbol
             `Law.tabulated` at that offset.
         """
-        return self.law.wanted(offset, tabulated, values[START], values.get(ZERO, 0.0))
+        return self.law.target(offset, tabulated, values[START], values.get(ZERO, 0.0))
 
     def prescribed_outputs(self, values: Mapping[str, float]) -> Array:
         """Return the prescribed output [rad or m] at every position, (positions,)."""
@@ -261,7 +261,7 @@ class PathProblem(Problem):
         return self.size if self.unit == "m" else 1.0
 
     @property
-    def wanted(self) -> TargetPoints:
+    def target_points(self) -> TargetPoints:
         """The target points; none for a function or transmission."""
         points = self.requirement.points
         return points if isinstance(points, TargetPoints) else TargetPoints(points=())
@@ -273,14 +273,14 @@ class PathProblem(Problem):
             return "from start"
         if self.requirement.kind == "transmission":
             return "given"
-        return self.requirement.timing or ("free" if self.wanted.crank is None else "given")
+        return self.requirement.timing or ("free" if self.target_points.crank is None else "given")
 
     @cached_property
     def closed(self) -> bool:
         """Whether the points form a closed curve: the last step leads back to the first point."""
         if self.requirement.closed is not None:
             return self.requirement.closed
-        return len(self.wanted.points) > 3 and closed(self.wanted)
+        return len(self.target_points.points) > 3 and closed(self.target_points)
 
     @property
     def meets_again(self) -> bool:
@@ -297,7 +297,7 @@ class PathProblem(Problem):
     @cached_property
     def data(self) -> TargetArrays:
         """The targets as arrays."""
-        wanted, task = self.wanted, self.requirement
+        wanted, task = self.target_points, self.requirement
         if task.kind == "function":
             law = self.law
             return _plain(np.column_stack([law.offsets, law.tabulated]), law.offsets)

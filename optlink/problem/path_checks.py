@@ -145,7 +145,7 @@ def _check_values(problem: PathProblem) -> None:
 
 
 def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
-    task, wanted = problem.requirement, problem.wanted
+    task, wanted = problem.requirement, problem.target_points
     named = [name for name, bodies in mechanism.owners.items() if FRAME not in bodies]
     if task.point not in named:
         remedy = nearest(task.point, named)

@@ -37,7 +37,7 @@ class ReportModel:
     """
 
     problem: ProblemFile
-    outcome: Outcome
+    result: Outcome
     cycle: Analysis | None
     unmoved: str = ""
     limits: tuple[LimitState, ...] = ()
@@ -47,12 +47,12 @@ class ReportModel:
     @property
     def valid(self) -> bool:
         """Whether the design is valid; for an analysis, whether all reactions are finite."""
-        return self.outcome.sound if isinstance(self.outcome, Analysis) else self.outcome.valid
+        return self.result.sound if isinstance(self.result, Analysis) else self.result.valid
 
     @property
     def objective(self) -> float:
         """Value of the objective [SI]; NaN for an analysis."""
-        return math.nan if isinstance(self.outcome, Analysis) else self.outcome.objective
+        return math.nan if isinstance(self.result, Analysis) else self.result.objective
 
     @property
     def forces(self) -> bool:

@@ -44,7 +44,7 @@ class View:
     table : function
         Returns the summary that the terminal shows. The kinds of optlink name it in `registry.table_of` instead, since a terminal
         needs no plotting library.
-    subject : function
+    model : function
         Returns what `charts`, `drawings` and `frames` take, such as the motion of the result, computed once; default: the result.
     charts : function
         Returns the charts, which the page shows too.
@@ -59,7 +59,7 @@ class View:
     """
 
     table: Callable[[Any], Summary] = _none
-    subject: Callable[[Any], Any] = _itself
+    model: Callable[[Any], Any] = _itself
     charts: Callable[[Any], Iterable[ChartSpec]] = _none
     drawings: Mapping[str, Callable[[Any], Figure | None]] = field(default_factory=dict)
     tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float | str]]]] = _no_tables
@@ -91,7 +91,7 @@ class View:
         design = self.design(result)
         if design is not None:
             written += write_design(folder, *design)
-        shown = self.subject(result)
+        shown = self.model(result)
         drawings = {name: draw(shown) for name, draw in self.drawings.items()}
         for name, drawn in {**drawings, **pictures(self.charts(shown))}.items():
             if drawn is not None:

@@ -99,7 +99,7 @@ def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solutio
     finally:
         nlp.limit(lead, low, upper=False)
         nlp.limit(lead, high, upper=True)
-        nlp.roam(places)
+        nlp.set_exchange_points(places)
     same = abs(other.objective - solution.objective) <= EQUAL * max(abs(solution.objective), 1e-300)
     return other if other.usable and same else None
 

@@ -133,7 +133,7 @@ def further_start_groups(
 
 
 def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
-    """Return the NLP of one order of events, with its roaming positions at the peaks of the first starting point.
+    """Return the NLP of one order of events, with its exchange points at the peaks of the first starting point.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
     if slow and slow != trace.slow:
         trace = TracedCycle(trace.problem, slow=slow)
     nlp = build_cycle(trace, begin.structure, begin.starts[0])
-    nlp.roam(peaks(nlp, nlp.lifted(nlp.x_start)).shares)
+    nlp.set_exchange_points(peaks(nlp, nlp.lifted(nlp.x_start)).shares)
     return nlp
 
 
@@ -152,7 +152,7 @@ def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
 class OrderSearch:
     """The searches of one NLP, one starting point after the other.
 
-    `runs`: for each back end, one solution per starting point so far, refined by the exchange method. The roaming positions of
+    `runs`: for each back end, one solution per starting point so far, refined by the exchange method. The exchange points of
     the NLP are those of the best design so far, so that a solution depends only on the starting points before it.
     """
 
@@ -164,15 +164,15 @@ class OrderSearch:
 
     def __post_init__(self) -> None:
         self.runs = {name: [] for name in self.names}
-        self._places = {name: self._roaming() for name in self.names}
+        self._places = {name: self._exchange_points() for name in self.names}
 
-    def _roaming(self) -> Array:
+    def _exchange_points(self) -> Array:
         return self.nlp.p[len(self.nlp.p) - self.nlp.slots :].copy()
 
     def advance(self, k: int) -> None:
         """Search from the k-th starting point with every back end."""
         for name in self.names:
-            self.nlp.roam(self._places[name])
+            self.nlp.set_exchange_points(self._places[name])
             best = self.best(name)
             found = self._from(self.nlp.x_of(self.begin.starts[k]), name, insist=self.insists and k == 0)
             worse = best is not None and found.status is not Status.OPTIMAL and rank(best) < rank(found)
@@ -180,7 +180,7 @@ class OrderSearch:
                 found = exchange(self.nlp, found)
             self.runs[name].append(found)
             if best is None or rank(found) < rank(best):
-                self._places[name] = self._roaming()
+                self._places[name] = self._exchange_points()
 
     def _from(self, x: Array, name: str, *, insist: bool) -> Solution:
         """Search locally from a feasible point near x; with `insist`, if there is none, from the end of a run of the back end."""
@@ -212,7 +212,7 @@ class CycleSearchResult:
     """
 
     nlp: CycleNLP
-    found: dict[str, Solution]
+    best: dict[str, Solution]
     orders: tuple[OrderSearch, ...]
     starts: int
     conflict: tuple[Relaxation, ...] = ()
@@ -222,7 +222,7 @@ class CycleSearchResult:
     @property
     def usable(self) -> bool:
         """Whether a design satisfies all limits."""
-        return any(solution.usable for solution in self.found.values())
+        return any(solution.usable for solution in self.best.values())
 
     @property
     def begin(self) -> StartGroup:
@@ -332,13 +332,13 @@ def explain_infeasibility(found: CycleSearchResult, names: Sequence[str]) -> Cyc
     points = [coarse.x_of(values) for values in (*order.begin.starts[:TRIED], *ends)]
 
     def follow(x: Array) -> Array:
-        coarse.roam(peaks(coarse, x).shares)
+        coarse.set_exchange_points(peaks(coarse, x).shares)
         return coarse.p
 
     reason = explain(replace(coarse, states=kept), points=points, quick=True, follow=follow)
     if isinstance(reason, Explanation):
         miss = multistart.infeasible_at(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design")
-        return replace(found, nlp=nlp, found=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
+        return replace(found, nlp=nlp, best=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
     x = nlp.x_of(coarse.design(reason))
     again = {name: exchange(nlp, multistart.solve_from(nlp, x, name)) for name in names}
-    return replace(found, nlp=nlp, found=reconcile_backends(nlp, again))
+    return replace(found, nlp=nlp, best=reconcile_backends(nlp, again))

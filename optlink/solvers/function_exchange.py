@@ -78,15 +78,15 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
         if not solution.usable:
             break
         design = problem.design(solution.design)
-        peaks = _peaks(lambda at: np.abs(error(design, at)), grid, nlp.roaming)  # noqa: B023
+        peaks = _peaks(lambda at: np.abs(error(design, at)), grid, nlp.exchange_count)  # noqa: B023
         if max(height for _, height in peaks) <= solution.objective * (1.0 + LEVELLED) + 1e-12:
             break
         new = [at for at, _ in peaks if _apart(at, ends)]
         if not new:
             break
         known = [at for at in sorted(known, key=lambda at: -(error(design, np.array([at]))[0] ** 2)) if _apart(at, new)]
-        known = (new + known)[: nlp.roaming]
-        nlp.roam(np.array(known))
+        known = (new + known)[: nlp.exchange_count]
+        nlp.set_exchange_points(np.array(known))
         found = multistart.solve_from(nlp, solution.x, MINIMAX)
         solution = found if found.status is Status.OPTIMAL else multistart.solve_from(nlp, solution.x, backend)
     return solution

@@ -151,7 +151,7 @@ class _Search:
     """Searches for the least total slack: some limits are relaxed, others enforced, the rest dropped.
 
     Both back ends are used, so that the result does not depend on the back end selected. `follow` returns the parameters of the
-    NLP with its roaming positions at the peaks of a point.
+    NLP with its exchange points at the peaks of a point.
     """
 
     def __init__(
@@ -172,7 +172,7 @@ class _Search:
     def least(self, weights: Array, loose: Array) -> tuple[float, Array]:
         """Return the least weighted slack, and x with the slacks; `loose` (k,) are the upper bounds of the slacks.
 
-        The roaming positions are moved to the peaks of the solution until all limits hold there too (exchange method): always if
+        The exchange points are moved to the peaks of the solution until all limits hold there too (exchange method): always if
         the solution needs no slack, else if the `amount` is required. `settled` says whether the exchange converged.
         """
         self.programme.x_high[self.n :] = loose  # in place: the compiled functions of the NLP are kept
@@ -195,7 +195,7 @@ class _Search:
         return float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
 
     def _searched(self, weights: Array, loose: Array, enough: int) -> tuple[float, Array]:
-        """Return the least weighted slack for fixed roaming positions; the search ends when `enough` runs agree."""
+        """Return the least weighted slack for fixed exchange points; the search ends when `enough` runs agree."""
         nlp, p = self.programme, np.concatenate([weights, self.p])
         best, found = math.inf, np.full(self.n + self.k, math.inf)
         ends: list[float] = []
@@ -245,7 +245,7 @@ def explain(
     quick : bool
         For large NLPs: use the interior-point method alone, and after the first verdict one search per question, two per amount.
     follow : function, optional
-        Function of a point x (n,) that returns the parameters of the NLP with its roaming positions at the peaks there.
+        Function of a point x (n,) that returns the parameters of the NLP with its exchange points at the peaks there.
     """
     limits = limit_sides(nlp)
     k = len(limits)

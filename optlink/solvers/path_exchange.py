@@ -1,4 +1,4 @@
-"""Exchange method for limits over a whole range: roaming positions move to the violated positions, and the search resumes.
+"""Exchange method for limits over a whole range: exchange points move to the violated positions, and the search resumes.
 
 References
 ----------
@@ -50,7 +50,7 @@ class RowPeak:
 def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
     """Return an optimum near a start that satisfies its limits also between the positions of the NLP.
 
-    In every round the roaming positions move to where limits are exceeded or nearly so, and the NLP is solved within a radius, in
+    In every round the exchange points move to where limits are exceeded or nearly so, and the NLP is solved within a radius, in
     which these positions hardly move; a step is accepted only if the merit over all positions decreases.
 
     Parameters
@@ -64,9 +64,9 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
         Whether the start satisfies its limits everywhere, so that the first search stays within the radius too.
     """
     nlp = start.nlp
-    if not nlp.roaming:
+    if not nlp.exchange_count:
         return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend)
-    nlp.roam((np.arange(nlp.roaming) + 0.5) / nlp.roaming)
+    nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
     found = local.solution_at(nlp, start.x, start.message)
     if not near and found.status is not Status.OPTIMAL:
         found = local.solve_from(nlp, start.x, backend)
@@ -74,7 +74,7 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     for _ in range(EXCHANGES):
         if not math.isfinite(found.objective):
             break
-        nlp.roam(_places(tops, nlp.roaming))
+        nlp.set_exchange_points(_places(tops, nlp.exchange_count))
         found = local.solution_at(nlp, found.x, found.message)
         if (found.status is Status.OPTIMAL and tops[0].height <= 0.0) or radius < SMALLEST:
             break
@@ -90,15 +90,15 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
 
 def _followed(nlp: NLP, start: Solution, count: int, radius: float, backend: str, tops: list[RowPeak]) -> Solution:
     """Return the optimum with the first `count` variables within a radius, the positions of active peaks being unknowns."""
-    chosen = [top for top in tops[: nlp.roaming] if top.height > -CLOSE and EDGE < top.at < 1.0 - EDGE]
+    chosen = [top for top in tops[: nlp.exchange_count] if top.height > -CLOSE and EDGE < top.at < 1.0 - EDGE]
     chosen.sort(key=lambda top: (top.row, top.at))
     rows = tuple(top.row for top in chosen)
     key = f"following {rows}"
-    nlp.roam(_places([*chosen, *tops], nlp.roaming))
+    nlp.set_exchange_points(_places([*chosen, *tops], nlp.exchange_count))
     if key not in nlp.cache:
-        first, each = nlp.roaming_rows
+        first, each = nlp.exchange_rows
         heights = {k: nlp.g_expression[first + k * each + row] for k, row in enumerate(rows)}
-        nlp.cache[key] = with_places(nlp, nlp.roaming, heights)
+        nlp.cache[key] = with_places(nlp, nlp.exchange_count, heights)
     moving: NLP = nlp.cache[key]
     moving.p[:] = nlp.p
     x, n = np.concatenate([start.x, [top.at for top in chosen]]), len(start.x)

@@ -45,7 +45,7 @@ NEAR = 0.3  # share of its level by which a local peak may be lower and still be
 class Peaks:
     """Maxima of the terms along every stroke.
 
-    `shares` (slots,): positions within the strokes, 0 at the begin and 1 at the end, for the roaming positions. `excess`:
+    `shares` (slots,): positions within the strokes, 0 at the begin and 1 at the end, for the exchange points. `excess`:
     relative excess of the worst peak over its level. `inner`: (slot, index of the watched term) of peaks inside a stroke. `tops`:
     largest value of every watched term, in its own scale; -inf if it is far below its level.
     """
@@ -57,7 +57,7 @@ class Peaks:
 
 
 def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
-    """Move the roaming positions to the peaks and continue the search until no peak exceeds the values at those positions.
+    """Move the exchange points to the peaks and continue the search until no peak exceeds the values at those positions.
 
     With fixed positions the NLP does not account for the shift of a peak with the design: where the limits alone do not determine
     the design, steps overshoot alternately. Therefore the positions of the peaks are unknowns too, the design variables move
@@ -78,13 +78,13 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
         return solution
     found, radius = peaks(nlp, solution.x), RADIUS
     for _ in range(EXCHANGES):
-        nlp.roam(found.shares)
+        nlp.set_exchange_points(found.shares)
         solution = _examined(nlp, Attempt(nlp.lifted(solution.x), solution.iterations, solution.message))
         if (found.excess <= LEVELLED and solution.status is Status.OPTIMAL) or radius < SMALLEST:
             break
         merit = _merit(nlp, solution.x, found)
         for step in (_polished, _followed):
-            nlp.roam(found.shares)
+            nlp.set_exchange_points(found.shares)
             near = step(nlp, nlp.lifted(solution.x), found, radius)
             if near is None:
                 continue
@@ -113,7 +113,7 @@ def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
         Back end.
     """
     found = peaks(nlp, solution.x)
-    nlp.roam(found.shares)
+    nlp.set_exchange_points(found.shares)
     near = _followed(nlp, nlp.lifted(solution.x), found, RADIUS, name)
     return solution if near is None else exchange(nlp, near)
 
@@ -171,7 +171,7 @@ def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = 
             continue
         shares = found.shares.copy()
         shares[[slot for slot, _ in found.inner]] = attempt.x[n:]
-        nlp.roam(shares)
+        nlp.set_exchange_points(shares)
         near = _examined(nlp, Attempt(nlp.lifted(attempt.x[:n]), attempt.iterations, attempt.message))
         if near.status is Status.OPTIMAL or attempt is end:
             return near
@@ -188,14 +188,14 @@ def refine_peaks(nlp: CycleNLP, solution: Solution) -> Solution:
         The optimum; it is returned unchanged if the refined point is not optimal.
     """
     n, found = len(nlp.variables), peaks(nlp, solution.x)
-    nlp.roam(found.shares)
+    nlp.set_exchange_points(found.shares)
     moving, start = _moving(nlp, nlp.lifted(solution.x), found)
     begin, p = Attempt(start, solution.iterations, solution.message), multistart.scaled_parameters(moving, start)
     tries = (polish(moving, begin, p, near) for near in SHARP)
     end = next((found for found in tries if found is not begin), begin)
     shares = found.shares.copy()
     shares[[slot for slot, _ in found.inner]] = end.x[n:]
-    nlp.roam(shares)
+    nlp.set_exchange_points(shares)
     near = _examined(nlp, replace(end, x=nlp.lifted(end.x[:n])))
     return near if near.status is Status.OPTIMAL else solution
 
@@ -222,20 +222,20 @@ def with_following_peaks(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> N
     inner : tuple of (int, int)
         Slot and index of the watched term for each inner peak.
     """
-    return with_places(nlp, nlp.slots, {slot: nlp.watched[index].height(nlp.roamed[slot]) for slot, index in inner})
+    return with_places(nlp, nlp.slots, {slot: nlp.watched[index].height(nlp.exchanged[slot]) for slot, index in inner})
 
 
 def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
-    """Return an NLP with some roaming positions as additional unknowns: each where the derivative of a height vanishes.
+    """Return an NLP with some exchange points as additional unknowns: each where the derivative of a height vanishes.
 
     Parameters
     ----------
     nlp : NLP
-        Its last `slots` parameters are the roaming positions.
+        Its last `slots` parameters are the exchange points.
     slots : int
-        Number of roaming positions.
+        Number of exchange points.
     heights : mapping of int to casadi expression
-        For the number of a roaming position, the height as a function of x and p of the NLP.
+        For the number of a exchange point, the height as a function of x and p of the NLP.
     """
     n, first, count = len(nlp.variables), len(nlp.p) - slots, len(heights)
     x = casadi.SX.sym("x", n + count)
@@ -278,7 +278,7 @@ def peaks(nlp: CycleNLP, x: Array) -> Peaks:
         Scaled point.
     """
     trace, edges, slots = nlp.traced, nlp.edges(x), nlp.slots // nlp.strokes
-    known = trace.known(nlp.design(x))
+    known = trace.inputs(nlp.design(x))
     grid = np.linspace(0.0, 1.0, ALONG)
     shares = nlp.p[len(nlp.p) - nlp.slots :].copy()  # earlier peaks are kept as far as there is room
     worst, tops, inner = -math.inf, [-math.inf] * len(nlp.watched), []

@@ -54,7 +54,7 @@ class AnalysisTask(FiguresTask):
     ----------
     quantities : tuple of str
         Quantity of the mechanism that each axis varies.
-    asked : tuple of str
+    requested : tuple of str
         Columns of the analysis, each with its least, largest and rms value, or single figures.
     points : int
         Crank angles per revolution, for rms values.
@@ -63,7 +63,7 @@ class AnalysisTask(FiguresTask):
     """
 
     quantities: tuple[str, ...]
-    asked: tuple[str, ...]
+    requested: tuple[str, ...]
     points: int
     design: tuple[tuple[str, float], ...]
 
@@ -76,9 +76,9 @@ class AnalysisTask(FiguresTask):
         InputError
             For a name that the analysis does not have.
         """
-        columns, single = known_figures(self.problem)
+        columns, single = available_figures(self.problem)
         found: dict[str, None] = {}
-        for name in self.asked:
+        for name in self.requested:
             if name in columns:
                 found |= dict.fromkeys(f"{name}.{kind}" for kind in FIGURES)
             elif name in single or (name.rpartition(".")[0] in columns and name.rpartition(".")[2] in FIGURES):
@@ -109,7 +109,7 @@ class AnalysisTask(FiguresTask):
     def _batched(self, designs: Mapping[str, Array]) -> dict[int, AnalysedPoint]:
         """Return the outcomes of the designs clear of all singular positions, by their index."""
         stems = {name.rpartition(".")[0] for name in self.figures}
-        columns, _ = known_figures(self.problem)
+        columns, _ = available_figures(self.problem)
         jumps = machine_of(self.problem).switching or any(load.by_pace for load in self.problem.model.loads.values())
         if jumps or not stems <= {name for name in columns if not name.endswith(ANGLE)}:
             return {}
@@ -154,7 +154,7 @@ class AnalysisTask(FiguresTask):
                 yield f"{name}.max", float(np.max(found[name])) if swing is None else swing.high
 
 
-def known_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def available_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the columns of the analysis, whose extremes and rms values can be columns of a sweep, and its other figures."""
     machine, drive = machine_of(problem), problem.model.drive
     mechanism = machine.mechanism

@@ -121,7 +121,7 @@ class CycleTask(OptimumTask):
             valid=found.valid,
             failed=dict.fromkeys(missed),
             active=active(found.solution) if usable and found.solution is not None else (),
-            found=how,
+            method=how,
         )
 
 
@@ -168,7 +168,7 @@ class CycleProgramme:
             return None
         nlp = with_bounds(self.nlp, bounds)
         x = nlp.x_of(near)
-        nlp.roam(peaks(nlp, x).shares)
+        nlp.set_exchange_points(peaks(nlp, x).shares)
         built = time.perf_counter()
         found = exchange(nlp, multistart.solve_from(nlp, x, self.backend))
         self.nlp.cache.update(nlp.cache)

@@ -116,9 +116,9 @@ class KKTSystem:
         self.by_p = gradient[n:]
         # such positions are determined by the vanishing slope of the quantity that is largest there
         first, bend = 1 + len(nlp.constants), float(np.max(np.abs(hessian), initial=1.0))
-        roaming = [n + k for k in range(first, len(p)) if abs(hessian[n + k, n + k]) > CURVED * bend and p[k] != 0.0]
-        roaming = [k for k in roaming if abs(gradient[k]) <= 1e-4 * abs(hessian[k, k])]
-        self.unknown = np.array([*range(n), *roaming], dtype=int)
+        exchange = [n + k for k in range(first, len(p)) if abs(hessian[n + k, n + k]) > CURVED * bend and p[k] != 0.0]
+        exchange = [k for k in exchange if abs(gradient[k]) <= 1e-4 * abs(hessian[k, k])]
+        self.unknown = np.array([*range(n), *exchange], dtype=int)
         self.free, self.count = n, len(self.unknown)
         self.jacobian, self.hessian = whole, hessian
         held = whole[self.active][:, self.unknown]

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from optlink.errors import Fault, InputError
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import unit
-from optlink.optimization.output_derivatives import output_slopes
+from optlink.optimization.output_derivatives import output_derivatives
 from optlink.problem.quantity import nearest
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
@@ -73,7 +73,7 @@ def output_sensitivity(
     symbols = {name: casadi.SX.sym(name) for name in names}
     crank = casadi.SX.sym("crank angle")
     with symbols_in_numpy():
-        value, slopes = output_slopes(mechanism, symbols, unit(crank), output, chosen)
+        value, slopes = output_derivatives(mechanism, symbols, unit(crank), output, chosen)
     angles = np.atleast_1d(np.asarray(crank_angles, dtype=float))
     tape = NumpyEvaluator([*symbols.values(), crank], [value, *slopes])
     found = np.asarray(tape(*[np.full(angles.shape, sizes[name]) for name in names], angles), dtype=float)

@@ -32,7 +32,7 @@ class Parameter:
     entries: tuple[int, ...] = ()
     upper: bool = False
     equal: bool = False
-    stated: bool = True  # whether the problem file contains this number, so that it can be changed there
+    in_file: bool = True  # whether the problem file contains this number, so that it can be changed there
 
     @property
     def kind(self) -> str:

@@ -79,7 +79,7 @@ class _Optimum:
     valid: bool
     failed: tuple[str, ...]
     active: tuple[str, ...]
-    found: str
+    method: str
 
 
 @dataclass(frozen=True)

@@ -311,7 +311,7 @@ def _searched_again(
     for value in (parameter.value - step, parameter.value + step):
         if problem.task == "cycle":
             found.append(search_again(problem, solution, parameter, value, step * _pace(solution.nlp, row)))
-        elif isinstance(problem.model, DesignProblem) and parameter.stated:
+        elif isinstance(problem.model, DesignProblem) and parameter.in_file:
             found.append(_rebuilt(problem, solution, parameter, value, backend))
         else:
             found.append(_moved(problem, solution, parameter, value, backend))

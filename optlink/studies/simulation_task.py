@@ -40,7 +40,7 @@ class SimulationTask(FiguresTask):
         """Return the rows of a chunk."""
         rows = []
         for point in self.span(index):
-            figures, status, reason = self.outcome(point)
+            figures, status, reason = self.simulated(point)
             cells = [figures.get(name, math.nan) for name in self.figures]
             rows.append(self.row(point, cells, status, str(not reason).lower(), reason))
         return rows
@@ -50,7 +50,7 @@ class SimulationTask(FiguresTask):
         """Whether there are joints with clearance."""
         return has_clearance(self.problem.override(self.grid.changes(0)))
 
-    def outcome(self, point: int) -> tuple[Figures, str, str]:
+    def simulated(self, point: int) -> tuple[Figures, str, str]:
         """Return the figures of a simulation, its ending, and the reason of an incomplete one."""
         try:
             file = self.problem.override(self.grid.changes(point))

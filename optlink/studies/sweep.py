@@ -36,7 +36,7 @@ CHANGED = "active_set_changed"
 OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
 MOST_ANGLES = 10_000  # largest number of crank angles of an analysis
 KEPT = 200  # active-set changes listed in a result; the table marks all
-TEXT = ("status", "failed", "active", "found", "reason")
+TEXT = ("status", "failed", "active", "method", "reason")
 
 
 def objective_column(problem: ProblemFile) -> str:
@@ -314,14 +314,14 @@ def _task(
     design: Mapping[str, float] | None,
     backend: str,
 ) -> SweepTask:
-    stated = SweepTask.stated(problem)
+    stated = SweepTask.problem_fields(problem)
     if analyze:
         if not 2 <= points <= MOST_ANGLES:
             raise InputError(Fault("out of range", f"Give 2 to {MOST_ANGLES:,} crank angles", key="--points", value=points))
         quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
         given = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
         whole = AnalysisTask(
-            **stated, grid=grid, chunk=MANY, quantities=quantities, asked=tuple(columns), points=points, design=given
+            **stated, grid=grid, chunk=MANY, quantities=quantities, requested=tuple(columns), points=points, design=given
         )
         first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
         replace(whole, grid=first).lines(0)  # detects invalid columns or dimensions early
@@ -350,7 +350,12 @@ def _simulating(
     figures, _, _ = simulate_machine(first, short, design, loose=has_clearance(first))
     own = tuple((design or {}).items())
     return SimulationTask(
-        **SweepTask.stated(problem), grid=grid, chunk=1, figures=tuple(figures), options=tuple(options.items()), design=own
+        **SweepTask.problem_fields(problem),
+        grid=grid,
+        chunk=1,
+        figures=tuple(figures),
+        options=tuple(options.items()),
+        design=own,
     )
 
 
@@ -410,7 +415,7 @@ def _count(summary: _Summary, grid: Grid, names: list[str], number: int, row: li
     if summary.objective is None:
         summary.valid += found["valid"] == "true"
         return
-    summary.searched += found["found"] == SEARCHED
+    summary.searched += found["method"] == SEARCHED
     if found[CHANGED] == "true":
         summary.changed += 1
         if len(summary.changes) < KEPT and before is not None:

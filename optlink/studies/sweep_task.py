@@ -23,7 +23,7 @@ from optlink.studies.grid import Axis, Grid
 from optlink.units import KINDS, factor
 from optlink.version import VERSION
 
-OUTCOME = ("status", "valid", "failed", "active", "found")
+OUTCOME = ("status", "valid", "failed", "active", "method")
 """Columns of the outcome of an optimum."""
 
 
@@ -50,7 +50,7 @@ class SweepTask(ABC):
     version: str
 
     @classmethod
-    def stated(cls, problem: ProblemFile) -> dict[str, Any]:
+    def problem_fields(cls, problem: ProblemFile) -> dict[str, Any]:
         """Return the fields that come from the problem."""
         return {
             "raw": problem.raw,
@@ -189,7 +189,7 @@ class OptimumTask(SweepTask):
         valid: bool,
         failed: Iterable[str],
         active: Iterable[str],
-        found: str,
+        method: str,
     ) -> list[str]:
         """Return the row of an optimum.
 
@@ -203,10 +203,10 @@ class OptimumTask(SweepTask):
         valid : bool
         failed, active : iterable of str
             Names of failed checks and of active limits.
-        found : str
+        method : str
             How the optimum was found.
         """
         usable = status in (Status.OPTIMAL, Status.STALLED)
         sizes = [design.get(name, math.nan) / factor(KINDS[q.kind].display, q.kind) for name, q in self.free.items()]
         figures = [value if usable else math.nan for value in (*sizes, objective)]
-        return self.row(point, figures, status.value, str(valid).lower(), "; ".join(failed), "; ".join(active), found)
+        return self.row(point, figures, status.value, str(valid).lower(), "; ".join(failed), "; ".join(active), method)

@@ -32,21 +32,21 @@ class Batch:
     """Residuals of many designs of one problem with definite assembly modes.
 
     `x` (designs, n) are the scaled design variables, `t` (designs, points) the crank angles [rad] of the points. With prescribed
-    timing the crank angles follow from x, and `own` is False.
+    timing the crank angles follow from x, and `free_timing` is False.
     """
 
     def __init__(self, problem: PathProblem) -> None:
         self.problem, self.data = problem, problem.data
         self.names = problem.free
         self.variables = [scaled_variable(problem, name) for name in self.names]
-        self.own = self.data.offsets is None
+        self.free_timing = self.data.offsets is None
         self.start = self.names.index(START) if START in self.names else -1
         bounds = np.array([problem.quantities[name].bounds for name in self.names]).reshape(-1, 2)
         self.origin = np.array([v.origin for v in self.variables])
         self.scale = np.array([v.size for v in self.variables])
         self.low, self.high = ((side - self.origin) / self.scale for side in bounds.T)
         self.four_bar = isinstance(problem.mechanism, FourBarSection)
-        self.turns = problem.limits.crank != "span"
+        self.crank_turns = problem.limits.crank != "span"
         self._trace()
 
     def thinned(self, most: int) -> tuple[Batch, Array]:
@@ -82,12 +82,12 @@ class Batch:
             self._residual = NumpyEvaluator([*inputs, t, *(more[k] for k in range(width + 1))], [residual, slopes])
             span = casadi.SX.sym("span")
             reach = Reach(t, span, casadi.sign(span))
-            rows = limit_rows(problem, values, reach, problem.size) if self.turns or not self.four_bar else []
+            rows = limit_rows(problem, values, reach, problem.size) if self.crank_turns or not self.four_bar else []
             self.bounds = np.array([(row.low + INSIDE * (row.limit in STRUCTURAL), row.high) for row in rows]).reshape(-1, 2)
             g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
             self._limits = NumpyEvaluator([*inputs, t, span], [g, casadi.jacobian(g, x)]) if rows else None
             self._grid = None
-            if self.turns and not self.four_bar:
+            if self.crank_turns and not self.four_bar:
                 asked = position_rows(problem, pose)
                 self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in asked])
                 g = casadi.vertcat(*[row.value for row in asked])
@@ -110,7 +110,7 @@ class Batch:
         t : array (designs, points) [rad]
             Free crank angles of the points; ignored with prescribed timing.
         """
-        if self.own:
+        if self.free_timing:
             return t
         start = self.problem.quantities[START].value if START in self.problem.quantities else 0.0
         begin = x[:, self.start : self.start + 1] if self.start >= 0 else np.full((len(x), 1), start)
@@ -135,12 +135,12 @@ class Batch:
         r = np.moveaxis(out[:k], 0, -1)
         slopes = np.moveaxis(out[k:].reshape(n + 1, k, *t.shape), (0, 1), (-1, -2))
         by_x, by_t = slopes[..., :n], slopes[..., n]
-        if not self.own and self.start >= 0:
+        if not self.free_timing and self.start >= 0:
             by_x = by_x.copy()
             by_x[..., self.start] += by_t
         return r, by_x, by_t
 
-    def misses(self, x: Array, t: Array) -> tuple[Array, Array]:
+    def violations(self, x: Array, t: Array) -> tuple[Array, Array]:
         """Return weighted limit violations (designs, rows), zero where satisfied, and their derivatives (designs, rows, n).
 
         Parameters

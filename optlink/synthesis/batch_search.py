@@ -71,11 +71,11 @@ class Searcher:
         few = [batch.thinned(FEW) for batch in self.batches]
         self.thin, self.lifts = [fit.of(thin) for fit, (thin, _) in zip(self.fits, few, strict=True)], [lift for _, lift in few]
         self.seed = seed
-        self.found = Exploration()
+        self.exploration = Exploration()
 
     def advance(self) -> Exploration:
         """Run one round of starting points, and return all candidates so far."""
-        found = self.found
+        found = self.exploration
         share = -(-min(PER_ROUND, FIRST_ROUND << min(found.rounds, 8)) // len(self.batches))
         found.repaired = []
         for variant, (batch, fit) in enumerate(zip(self.batches, self.thin, strict=True)):
@@ -97,7 +97,7 @@ class Searcher:
             return x, t
         if fit.applies:
             fitted, turned = fit.fit(x, batch.crank_angles(x, t))
-            x, t = np.clip(fitted, batch.low, batch.high), turned if batch.own else t
+            x, t = np.clip(fitted, batch.low, batch.high), turned if batch.free_timing else t
         r, _, _ = batch.residuals(x, batch.crank_angles(x, t))
         cost = np.einsum("bpk,bpk->b", r, r)
         order = np.argsort(np.where(np.isfinite(cost), cost, np.inf))
@@ -137,20 +137,22 @@ class Searcher:
         proper, way = pass_in_order(batch, ends)
         wrong = np.isfinite(ends.cost) & ~(proper & (ends.missed <= MISSED))
         for i in np.argsort(np.where(wrong, ends.cost, np.inf))[: min(REPAIRED, int(wrong.sum()))]:
-            t, direction = (nearest_in_order(batch.problem, ends.t[i]), int(way[i])) if batch.own else (ends.t[i], int(way[i]))
-            if batch.own:
+            t, direction = (
+                (nearest_in_order(batch.problem, ends.t[i]), int(way[i])) if batch.free_timing else (ends.t[i], int(way[i]))
+            )
+            if batch.free_timing:
                 direction = 1 if t[-1] >= t[0] else -1
             angles = batch.crank_angles(ends.x[i : i + 1], t[None])
             r, _, _ = batch.residuals(ends.x[i : i + 1], angles)
-            h, _ = batch.misses(ends.x[i : i + 1], angles)
+            h, _ = batch.violations(ends.x[i : i + 1], angles)
             cost = float(np.sum(r * r) + np.sum(h * h))
             if np.isfinite(cost):
-                self.found.repaired.append(Candidate(variant, ends.x[i], t, cost, direction))
-        self.found.repaired.sort(key=lambda c: c.cost)
+                self.exploration.repaired.append(Candidate(variant, ends.x[i], t, cost, direction))
+        self.exploration.repaired.sort(key=lambda c: c.cost)
 
     def _keep(self, variant: int, batch: Batch, ends: FinalDesigns) -> None:
         proper, way = pass_in_order(batch, ends)
-        known = self.found.candidates
+        known = self.exploration.candidates
         for i in np.argsort(ends.cost):
             if not proper[i] or ends.missed[i] > MISSED or not np.isfinite(ends.cost[i]):
                 continue
@@ -180,9 +182,9 @@ def pass_in_order(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], 
     way = np.where(whole >= 0.0, 1, -1)
     proper = np.all(steps * way[:, None] >= STEP, axis=1) & (np.abs(whole) <= TURN + 1e-9)
     rotation = {"counter-clockwise": 1, "clockwise": -1}.get(batch.problem.requirement.rotation)
-    if rotation is not None and batch.own:
+    if rotation is not None and batch.free_timing:
         proper &= way == rotation
-    return proper if batch.own else np.ones(len(whole), dtype=bool), way
+    return proper if batch.free_timing else np.ones(len(whole), dtype=bool), way
 
 
 def nearest_in_order(problem: PathProblem, t: Array) -> Array:

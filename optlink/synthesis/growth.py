@@ -272,7 +272,7 @@ def _enlarge(
     """
     mechanism, point = batch.problem.linkage, batch.problem.requirement.point
     arm, leg = arms
-    free = 1.0 if batch.own else 0.0
+    free = 1.0 if batch.free_timing else 0.0
     turned = free * AROUND * rng.standard_normal((SAMPLES, 1)) * (rng.random((SAMPLES, 1)) < 0.5)
     ratio = np.exp(rng.uniform(*ENLARGED, (SAMPLES, 1)))
     s = ratio * np.exp(1j * turned)

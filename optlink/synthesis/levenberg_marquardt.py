@@ -66,7 +66,7 @@ class _State:
 def _look(batch: Batch, x: Array, t: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
     angles = batch.crank_angles(x, t)
     r, by_x, by_t = batch.residuals(x, angles)
-    h, by_h = batch.misses(x, angles)
+    h, by_h = batch.violations(x, angles)
     cost = np.einsum("bpk,bpk->b", r, r) + np.einsum("bm,bm->b", h, h)
     smooth = np.isfinite(cost) & np.isfinite(by_x.sum(axis=(1, 2, 3)) + by_t.sum(axis=(1, 2)))  # none where modes meet
     return r, by_x, by_t, h, by_h, np.where(smooth, cost, np.inf)
@@ -150,7 +150,7 @@ def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: 
     damp = weight * np.maximum(diagonal, 1e-8 * np.max(diagonal, axis=1, keepdims=True) + 1e-300)
     system = normal + (state.damping[:, None] * damp)[:, :, None] * np.eye(n)
     right = -slope
-    if batch.own:
+    if batch.free_timing:
         own = np.einsum("bpk,bpk->bp", state.by_t, state.by_t) * (1.0 + state.damping[:, None]) + 1e-300
         along = np.einsum("bpk,bpk->bp", state.by_t, state.r)
         mixed = np.einsum("bpkn,bpk->bpn", state.by_x, state.by_t)
@@ -162,13 +162,13 @@ def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: 
     right = np.where(held, 0.0, right)
     step = np.linalg.solve(system, right[..., None])[..., 0]
     t = state.t
-    if batch.own:
+    if batch.free_timing:
         t = t + np.clip(-(along + np.einsum("bpn,bn->bp", mixed, step)) / own, -LONGEST_TURN, LONGEST_TURN)
     x = np.clip(state.x + step, batch.low, batch.high)
     if fit is not None:
         fitted, turned = fit(x, batch.crank_angles(x, t))
         inside = np.all((fitted >= batch.low) & (fitted <= batch.high), axis=1)[:, None]
-        x, t = np.where(inside, fitted, x), np.where(inside, turned, t) if batch.own else t
+        x, t = np.where(inside, fitted, x), np.where(inside, turned, t) if batch.free_timing else t
     r, by_x, by_t, h, by_h, cost = _look(batch, x, t)
     better = cost < state.cost
     decrease = np.where(better, (state.cost - np.where(better, cost, 0.0)) / np.maximum(state.cost, 1e-300), 0.0)

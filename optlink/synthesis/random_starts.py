@@ -58,7 +58,7 @@ def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
 def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
     """Give half of the designs (count, n) a four-bar whose crank can turn, if all dimensions of the first one are free."""
     loop = next(inner_four_bars(batch.problem.linkage), None)
-    if loop is None or not loop.plain or not batch.turns:
+    if loop is None or not loop.plain or not batch.crank_turns:
         return
     names = [str(link.length) for link in (loop.crank, loop.coupler, loop.rocker)] + list(loop.ground)
     if not set(names) <= set(batch.names):
@@ -111,7 +111,7 @@ def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> A
     """
     problem, points = batch.problem, batch.data.columns[:, :2]
     number = len(points)
-    if not batch.own:
+    if not batch.free_timing:
         return np.zeros((count, number))
     chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if problem.closed:
@@ -142,7 +142,7 @@ def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> 
         Crank angles of the points.
     rng : numpy.random.Generator
     """
-    if batch.turns or not batch.four_bar or not batch.own:
+    if batch.crank_turns or not batch.four_bar or not batch.free_timing:
         return t
     values = batch.values(x)
     crank, coupler, rocker, frame = (values[name][:, 0] for name in LENGTHS)
@@ -177,7 +177,7 @@ def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
     angles = batch.crank_angles(x, t)
     with np.errstate(all="ignore"):
         asked = [angles]
-        if batch.turns and not batch.four_bar:
+        if batch.crank_turns and not batch.four_bar:
             asked.append(np.broadcast_to(batch.angles, (len(x), len(batch.angles))))
         found = np.ones(len(x), dtype=bool)
         for at in asked:

@@ -59,7 +59,7 @@ class SimilarityFit:
         placed = problem.mechanism.placed if isinstance(problem.mechanism, FourBarSection) else True
         free = [name for name in (*sizes, *ground, *turning) if name not in names and quantities[name].value != 0.0]
         bound = [name for name in (*ground, *turning) if name not in names]
-        timed = not batch.own and batch.start < 0 and not isinstance(problem.mechanism, FourBarSection)
+        timed = not batch.free_timing and batch.start < 0 and not isinstance(problem.mechanism, FourBarSection)
         self.applies = problem.requirement.kind == "path" and placed and not free and not bound and not timed
         self.counted_from_x = not isinstance(problem.mechanism, FourBarSection)
         if self.applies:
@@ -143,7 +143,7 @@ class SimilarityFit:
                 y[:, i] = np.remainder(x[:, i] + by[:, 0] + np.pi, 2.0 * np.pi) - np.pi
             moved = t
             if self.counted_from_x:
-                moved = t + by if batch.own else t
+                moved = t + by if batch.free_timing else t
                 if batch.start >= 0:
                     y[:, batch.start] = np.remainder(x[:, batch.start] + by[:, 0] + np.pi, 2.0 * np.pi) - np.pi
         good = np.all(np.isfinite(y), axis=1) & np.all(np.isfinite(moved), axis=1)

@@ -184,7 +184,7 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
         apart = np.abs(np.remainder(angles[:, None] - passed + 0.5 * cycle, cycle) - 0.5 * cycle)
         singular = record.singular | np.any(apart < ROUNDED, axis=1)
         rows = [
-            np.where(singular, np.nan, column.values) if name in record.held else column.values
+            np.where(singular, np.nan, column.values) if name in record.reaction_names else column.values
             for name, column in record.columns.items()
             if not name.endswith(".angle_rad")
         ]

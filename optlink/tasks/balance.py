@@ -133,11 +133,11 @@ class _Task:
         found = np.zeros(self.effects.count)
         for k, weight in enumerate(self.counterweights):
             for one in added:
-                if one.asked is weight:
+                if one.specification is weight:
                     found[4 * k : 4 * k + 4] = one.parameters
         for k, spring in enumerate(self.springs):
             for own in springs:
-                if own.asked is spring:
+                if own.specification is spring:
                     place = 4 * len(self.counterweights) + 2 * k
                     found[place : place + 2] = own.stiffness, own.stiffness * own.free
         return found
@@ -207,7 +207,7 @@ def balance(
     added, springs = task.parts(best)
     after = search.evaluate(programme, goal, best)
     scale = before if len(goal) == 1 else 1.0
-    size = max(found.value, 1e-3)  # a negligible value is related to the given machine
+    size = max(found.value, 1e-3)  # a negligible value is related to the initial machine
     gap, slack = max(found.gap, 0.0) / size, max(after - found.value, 0.0) / size
     status = "stalled" if gap > GAP else "relaxed" if slack > GAP else "optimal"
     begin = time.perf_counter()
@@ -302,8 +302,8 @@ def balanced_problem(
             "inertia": f"{float(whole.moment)!r} kg*m^2",
         }
     for spring in springs:
-        changes[f"loads.{spring.asked.name}"] = {
-            "between": [point for _, point in spring.asked.ends],
+        changes[f"loads.{spring.specification.name}"] = {
+            "between": [point for _, point in spring.specification.ends],
             "stiffness": f"{spring.stiffness!r} N/m",
             **({"free_length": f"{spring.free!r} m"} if spring.free > 0.0 else {}),
         }
@@ -391,7 +391,7 @@ def _heavier(machine: Machine, added: Sequence[AddedCounterweight], springs: Seq
     inertias = dict(machine.inertias)
     for one in added:
         inertias[one.body] = with_counterweight(inertias.get(one.body, Inertia()), one.parameters)
-    loads = (*machine.loads, *(spring.asked.spring(spring.stiffness, spring.free) for spring in springs))
+    loads = (*machine.loads, *(spring.specification.spring(spring.stiffness, spring.free) for spring in springs))
     return machine.with_(inertias=inertias, loads=loads)
 
 

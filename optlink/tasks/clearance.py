@@ -98,7 +98,7 @@ class _Setting:
             bandwidth = 0.5 * self.servo.bandwidth if section.bandwidth is None else section.bandwidth.value
             if known:
                 inverse = Inverse(self.machine, known, self.output, self.start, self.nominal)
-                command = inverse.command(self.regularisation, self.servo, bandwidth)
+                command = inverse.reference_signal(self.regularisation, self.servo, bandwidth)
         return Drive(self.servo, command)
 
     @property
@@ -210,7 +210,7 @@ def simulate_clearance(
 
     kept_at, saved = time.monotonic(), save()
     ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_told(setting, plant))
-    plants = [plant] if pair is None else [plant, pair.plant]
+    plants = [plant] if pair is None else [plant, pair.closed_loop]
     try:
         with _interruptible(plants):
             for k in range(account.count, revolutions):
@@ -228,7 +228,7 @@ def simulate_clearance(
     except Stalled as error:
         account.add_partial()
         ending = Ending.STALLED
-        angle = float(plant.integration.state[plant.equations.cut.driven])
+        angle = float(plant.integration.state[plant.equations.tree.driven])
         message = (
             f"{error.reason}, at {plant.time:.9g} s, crank angle {math.degrees(angle):.6g} deg, revolution {account.count + 1}"
         )
@@ -260,9 +260,9 @@ def simulate_clearance(
         plant.sample_time if plant.controller else None,
         kept,
         account.meanings,
-        table(account.turns),
+        table(account.per_revolution),
         (*account.impacts, *plant.integration.lasting),
-        table(account.section),
+        table(account.poincare_map),
         account.figures(),
         prediction,
         ending,
@@ -420,7 +420,7 @@ def _check(revolutions: int, points: int, tolerance: float) -> None:
 
 def _state(plant: ClosedLoop) -> str:
     """Return the coordinates and their rates as text."""
-    cut, state = plant.equations.cut, plant.integration.state
+    cut, state = plant.equations.tree, plant.integration.state
     units = {"angle": "rad", "x": "m", "y": "m", "slide": "m"}
     pairs = zip(cut.coordinates, state[: plant.equations.size], state[plant.equations.size :], strict=True)
     return "; ".join(f"{c.name} {q:.6g} {units[c.kind]}, {v:.6g} {units[c.kind]}/s" for c, q, v in pairs)

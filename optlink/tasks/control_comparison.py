@@ -15,7 +15,7 @@ from optlink.io import finite
 from optlink.problem.file import ProblemFile
 from optlink.tasks.clearance import checked_output
 from optlink.tasks.machine import machine_of
-from optlink.tasks.parallel_runs import RunOutcome, job_of, run_jobs
+from optlink.tasks.parallel_runs import RunResult, job_of, run_jobs
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ def random_crank_angles(count: int, seed: int) -> Array:
     return np.random.default_rng(seed).uniform(0.0, TURN, count)
 
 
-def _trials(runs: Sequence[RunOutcome]) -> Trials:
+def _trials(runs: Sequence[RunResult]) -> Trials:
     """Return the figures of one kind of control from its runs."""
     unit = runs[0].unit
     names = (f"rms_{unit}", f"peak_{unit}", "correction_rms_rad", "torque_rms_Nm")
@@ -125,7 +125,7 @@ def compare(
     kept = {} if resume is None else _resumed(resume, label, _runs)
     # ordered by start, so that the progress predicts the remaining time; figures need the whole first run of each kind
     order = [(kind, k) for k in range(starts) for kind in kinds]
-    runs: dict[tuple[str, int], RunOutcome] = {key: kept[key] for key in order if key in kept and key[1] > 0}
+    runs: dict[tuple[str, int], RunResult] = {key: kept[key] for key in order if key in kept and key[1] > 0}
     todo = [key for key in order if key not in runs]
     jobs = [job_of(problem, control=kind, start=float(angles[k]), whole=k == 0, **common) for kind, k in todo]
     if progress is not None:
@@ -142,17 +142,17 @@ def compare(
     return Comparison(problem, every, angles, seed, revolutions, examples, runs[kinds[0], 0].unit)
 
 
-def _document(key: tuple[str, int], ran: RunOutcome) -> dict[str, Any]:
+def _document(key: tuple[str, int], ran: RunResult) -> dict[str, Any]:
     figures = {name: value for name, value in ran.figures.items() if np.isfinite(value)}
     return {"control": key[0], "start": key[1], "unit": ran.unit, "finished": ran.finished, "figures": figures}
 
 
-def _runs(resume: Mapping[str, Any]) -> dict[tuple[str, int], RunOutcome]:
+def _runs(resume: Mapping[str, Any]) -> dict[tuple[str, int], RunResult]:
     """Return the runs of a checkpoint."""
     found = {}
     for one in resume["runs"]:
         figures = {str(name): float(value) for name, value in one["figures"].items()}
-        ran = RunOutcome(figures, str(one["unit"]), one["finished"] is True)
+        ran = RunResult(figures, str(one["unit"]), one["finished"] is True)
         _trials([ran])
         found[str(one["control"]), int(one["start"])] = ran
     return found

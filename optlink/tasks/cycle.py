@@ -93,7 +93,7 @@ def solve(
     result = search_all(trace, firsts, names, advance, lambda: further_start_groups(samples, firsts, count, fits))
     if not result.usable:
         result = explain_infeasibility(result, names)
-    nlp, found = _dense(result.nlp, result.found)
+    nlp, found = _dense(result.nlp, result.best)
     winner = min(found.values(), key=rank)
     chosen = next(name for name, solution in found.items() if solution is winner)
     equal = continuum(nlp, winner, chosen) if result.usable else None
@@ -162,7 +162,7 @@ def _notes(
         yield f"only {most} of {count} starts: {why}"
     if result.usable:
         if not result.nlp.structure.like(result.orders[0].begin.structure):
-            yield "its motions reverse in another order than those of the given machine"
+            yield "its motions reverse in another order than those of the initial machine"
         if equal is not None:
             yield _continuum_note(equal)
         made = analysis_of(task, winner.design)
@@ -261,7 +261,7 @@ def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[st
             break
         nodes *= 2
         nlp = build_cycle(trace, nlp.structure, winner.design, nodes)
-        nlp.roam(peaks(nlp, nlp.x_start).shares)
+        nlp.set_exchange_points(peaks(nlp, nlp.x_start).shares)
         found = {
             name: exchange(nlp, multistart.solve_from(nlp, nlp.x_of(solution.design), name)) for name, solution in found.items()
         }

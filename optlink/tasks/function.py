@@ -325,7 +325,7 @@ def solve(
         starts=chosen.starts,
         solution=winner.solution,
         backends=backends if backend == "both" else {},
-        optima=chosen.listed(spec.mechanism.assembly) if begin is None else (),
+        optima=chosen.distinct_optima(spec.mechanism.assembly) if begin is None else (),
         counts=tuple(chosen.counts) if chosen.drawn else (),
         interrupted=interrupted,
         conflict=conflict[0],
@@ -342,7 +342,7 @@ def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conf
     from optlink.solvers import multistart
     from optlink.solvers.infeasibility import Explanation, explain
 
-    nlp.roam(np.zeros(nlp.roaming))
+    nlp.set_exchange_points(np.zeros(nlp.exchange_count))
     reason = explain(nlp, seed)
     if not isinstance(reason, Explanation):
         return reason, None, ((), ())

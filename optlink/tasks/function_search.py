@@ -144,7 +144,7 @@ class FunctionSearch:
     def advance(self, start: SearchStart) -> None:
         """Search from a start; refine the solution over the whole range and validate it."""
         nlp = self.nlp
-        nlp.roam(np.zeros(nlp.roaming))
+        nlp.set_exchange_points(np.zeros(nlp.exchange_count))
         method = self._method(start)
         found = multistart.solve_from(nlp, nlp.lifted(start.x), method, track=self.track and self.starts == 0)
         known = next((one for one in self.optima if _alike(one.coarse, found)), None)
@@ -205,7 +205,7 @@ class FunctionSearch:
         """Whether a random start led to an optimum."""
         return any(one.drawn for one in self.optima)
 
-    def listed(self, assembly: str) -> tuple[Optimum, ...]:
+    def distinct_optima(self, assembly: str) -> tuple[Optimum, ...]:
         """Return distinct optima over the whole range, best first, without those far above the best."""
         ends = sorted(((c, one.count) for one in self.optima if (c := one.candidate)), key=lambda one: one[0].rank)
         found = tally(ends, lambda known, candidate: _alike(known.solution, candidate.solution))

@@ -73,7 +73,7 @@ class RunJob:
 
 
 @dataclass(frozen=True)
-class RunOutcome:
+class RunResult:
     """Outcome of a run: figures, whether it finished or exceeded the error limit; optionally the whole simulation."""
 
     figures: Mapping[str, float]
@@ -108,7 +108,7 @@ def job_of(problem: ProblemFile, **options: Any) -> RunJob:
     return RunJob(problem.raw, problem.name, problem.file, problem.folder, **options)
 
 
-def run_job(job: RunJob) -> RunOutcome:
+def run_job(job: RunJob) -> RunResult:
     """Perform a run.
 
     Raises
@@ -141,14 +141,14 @@ def run_job(job: RunJob) -> RunOutcome:
             **options,
         )
     except ErrorLimitExceeded:
-        return RunOutcome({}, "", finished=False, hopeless=True)
+        return RunResult({}, "", finished=False, hopeless=True)
     if run.ending is Ending.INTERRUPTED:
         raise KeyboardInterrupt
     parts = {one.name: getattr(run, one.name) for one in fields(run) if one.name not in ("problem", "machine")}
-    return RunOutcome(dict(run.figures), run.output.unit, run.finished, parts=parts if job.whole else None)
+    return RunResult(dict(run.figures), run.output.unit, run.finished, parts=parts if job.whole else None)
 
 
-def run_jobs(jobs: Sequence[RunJob], workers: int | None = None) -> Iterator[tuple[int, RunOutcome]]:
+def run_jobs(jobs: Sequence[RunJob], workers: int | None = None) -> Iterator[tuple[int, RunResult]]:
     """Perform runs, and yield each with its index on completion.
 
     Parameters

@@ -78,7 +78,7 @@ def solve(
     timer.lap("search, polish and validate")
     found, told = search.collection, search.collection.evidence()
     task = path_model(problem)
-    notes = [*([task.wanted.note] if task.wanted.note else []), *search.notes]
+    notes = [*([task.target_points.note] if task.target_points.note else []), *search.notes]
     reason = None if found.designs or search.interrupted else search.conflict(seed)
     limits = () if reason is None else reason.conflict
     if search.better is not None and not found.no_worse(search.better):
@@ -86,7 +86,7 @@ def solve(
         notes.append(FOUR_BAR_BETTER.format(1e3 * error))
     notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
     if found.designs and told.missed > SMALL:
-        count = search.searcher.found.starts
+        count = search.searcher.exploration.starts
         notes.append(f"search incomplete: {count} starts, {told.chance}; use --starts {min(4 * count, MAX_STARTS)}")
     return PathResult(
         problem=problem,
@@ -94,7 +94,7 @@ def solve(
         nearest=found.nearest,
         backend=MINIMAX if task.measure == "max" else backend,
         seed=seed,
-        starts=search.searcher.found.starts,
+        starts=search.searcher.exploration.starts,
         evidence=told,
         seconds=timer.seconds,
         interrupted=search.interrupted,
@@ -120,7 +120,7 @@ class _Search:
 
     def run(self, starts: int | None, progress: Callable[[float], None] | None) -> None:
         """Search until `starts` are complete; without a number, until a better design is unlikely."""
-        found, exact = self.searcher.found, -1
+        found, exact = self.searcher.exploration, -1
         try:
             while found.starts < starts if starts else not self._enough(exact):
                 exact = self.collection.exact
@@ -170,11 +170,11 @@ class _Search:
             return COMPOUND_ROUNDS
         if not self.collection.designs:
             return MOST_IN_VAIN
-        return FAR_ROUNDS if self.collection.far else MOST_ROUNDS
+        return FAR_ROUNDS if self.collection.poor_fit else MOST_ROUNDS
 
     def _enough(self, exact: int) -> bool:
         """Return whether to stop; `exact` is the number of exact designs before the latest round."""
-        rounds, collection = self.searcher.found.rounds, self.collection
+        rounds, collection = self.searcher.exploration.rounds, self.collection
         if collection.exact:
             often = collection.evidence().hits >= OFTEN * collection.exact
             return collection.exact >= self.requested or collection.exact == exact or often or rounds >= self._most
@@ -214,5 +214,5 @@ def validate(problem: ProblemFile, given: Mapping[str, float]) -> PathResult:
         starts=0,
         evidence=evidence(()),
         seconds={"validate": time.perf_counter() - clock},
-        notes=tuple(filter(None, [path_model(problem).wanted.note])),
+        notes=tuple(filter(None, [path_model(problem).target_points.note])),
     )

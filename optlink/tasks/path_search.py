@@ -170,7 +170,7 @@ class DesignCollection:
     def add(self, found: Exploration) -> None:
         """Refine the candidates of the latest round."""
         vain = self._vain[0] if self._first else self._vain[1]
-        far = FAR_TRIES if self.far and not self._first else 0
+        far = FAR_TRIES if self.poor_fit and not self._first else 0
         self._follow(found.candidates, vain if self._first else self._tries, max(vain, far), far)
         if far:
             self._follow(found.repaired[:: max(1, len(found.repaired) // far)], far, far, far)
@@ -179,7 +179,7 @@ class DesignCollection:
         self._first = False
 
     @property
-    def far(self) -> bool:
+    def poor_fit(self) -> bool:
         """Whether the best design fits poorly: the order of the points then dominates, and costs without it are uninformative."""
         if not self.designs or has_several_dyads(self.designs[0].task):
             return False

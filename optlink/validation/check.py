@@ -11,7 +11,7 @@ import numpy as np
 from optlink.linkage.mechanism import Link
 from optlink.linkage.motion import Motion
 from optlink.problem.base_model import Number
-from optlink.problem.limits import Limits, Moved, stated
+from optlink.problem.limits import Limits, Moved, limits_in_file
 from optlink.problem.quantity import Interval, Quantity
 
 POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and extremes are refined
@@ -126,7 +126,7 @@ def registered_checks(moved: Moved, limits: Limits, size: float) -> Iterator[Che
     size : float [m]
         Reference length of tolerances.
     """
-    for term, interval in stated(limits):
+    for term, interval in limits_in_file(limits):
         tolerance, factor, unit = {
             "angle": (ANGLE_TOLERANCE, math.degrees(1.0), "deg"),
             "length": (1e-8 * size * 1e3, 1e3, "mm"),

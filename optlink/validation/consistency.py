@@ -69,10 +69,10 @@ def _figures(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterat
     """Yield figures of a machine, matched by name, that differ from those of the design."""
     theirs, ours = (_by_name(document.get("figures")) for document in (recorded, computed))
     for name in theirs.keys() & ours.keys():
-        one, other = theirs[name].get("found"), ours[name].get("found")
+        one, other = theirs[name].get("result"), ours[name].get("result")
         if not (_number(one) and _number(other)) or theirs[name].get("unit") != ours[name].get("unit"):
             continue
-        start = ours[name].get("given")
+        start = ours[name].get("initial")
         size = max(abs(one), abs(other), abs(start) if _number(start) else 0.0)
         if not abs(one - other) <= SHARE * size + FIGURE:
             words = f"{ours[name].get('words', name)} of the result file"

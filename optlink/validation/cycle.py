@@ -155,14 +155,14 @@ class Cycle:
         whole, one = float(self.work(np.array([TURN]))[0]), float(np.diff(self.work(np.array([begin, end])))[0])
         return one if end >= begin else one + whole
 
-    def course(self, term: Term) -> tuple[Machine, Callable[[MotionColumns], Array]]:
+    def history(self, term: Term) -> tuple[Machine, Callable[[MotionColumns], Array]]:
         """Return the machine of a cyclic term, and a function that reads the term from a record."""
-        read = term.nature.course
+        read = term.nature.history
         assert read is not None
         return self._still if term.static else self.machine, lambda record: read(record, term)
 
     def _cyclic(self, term: Term) -> float:
-        machine, read = self.course(term)
+        machine, read = self.history(term)
         if term.how in ("rms", "mean"):
             return self._average(machine, read, square=term.how == "rms")
         jumps = self.work.jumps
@@ -201,7 +201,7 @@ class Cycle:
         if not self.full or (term.how != "mean" and term.quantity != "work"):
             return 0.0
         course = term if term.how == "mean" else Term(quantity="torque")
-        machine, read = self.course(course)
+        machine, read = self.history(course)
         values = read(MotionColumns(machine.moving(np.linspace(0.0, TURN, POSITIONS + 1), self.speed)))
         return float(np.max(np.abs(values))) * (1.0 if term.how == "mean" else TURN)
 

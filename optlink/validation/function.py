@@ -182,7 +182,7 @@ class _Tested:
         motion = self._sweep(np.array([crank_angle]))
         return float(np.linalg.norm(motion.position("C")[0] - motion.position("A")[0]))
 
-    def wanted_minus_actual(self, offsets: Array | None = None) -> Array:
+    def target_minus_actual(self, offsets: Array | None = None) -> Array:
         """Return the error of the rocker angle [rad], from two angles and their difference modulo a turn.
 
         At crank rotations from the start. Default: the design positions.
@@ -191,7 +191,7 @@ class _Tested:
         at, tabulated = (law.offsets, law.tabulated) if offsets is None else (offsets, 0.0)
         _, c, d = self._placed(self.phi0 + at)
         actual = np.arctan2(c[1] - d[1], c[0] - d[0])
-        wanted = np.asarray(law.wanted(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
+        wanted = np.asarray(law.target(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
         error: Array = np.remainder(wanted - actual + np.pi, 2.0 * np.pi) - np.pi
         return error
 
@@ -215,7 +215,7 @@ class _Tested:
         The scatter is the requested number of standard deviations (one for an expected square), or the worst case.
         """
         at, robust = self.problem.law.offsets if offsets is None else offsets, self.problem.requirement.robust
-        middle, spread = self.wanted_minus_actual(offsets), np.zeros(len(at))
+        middle, spread = self.target_minus_actual(offsets), np.zeros(len(at))
         step = STEP * self.design["frame"]
         for deviation in self.problem.deviations if robust is not None else ():
             there, back = (self._rocker(at, deviation.size, way) for way in (step, -step))
@@ -322,7 +322,7 @@ def _requirement(tested: _Tested) -> Iterator[Check]:
         own = math.atan2(c[1] - d[1], c[0] - d[0])
         gap = math.degrees(abs(math.remainder(own - tested.psi0, 2.0 * math.pi)))
         yield Check("psi0 is the rocker's own angle", bool(gap <= 1e-7), gap, "<= 1e-07", "deg")
-    error = tested.wanted_minus_actual()
+    error = tested.target_minus_actual()
     largest = math.degrees(float(np.max(np.abs(error))))
     yield Check("output error has a value everywhere", bool(np.all(np.isfinite(error))), largest, "finite", "deg")
     if problem.requirement.robust is not None:

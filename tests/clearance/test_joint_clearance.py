@@ -851,8 +851,8 @@ def test_longer_run_begins_as_the_shorter_one():
     assert ended(long)[: len(ended(short))] == ended(short)
     for name in short.columns:
         assert np.array_equal(short[name], long[name][:270]), name
-    for name, values in short.turns.items():
-        assert np.array_equal(values, long.turns[name][:3]), name
+    for name, values in short.per_revolution.items():
+        assert np.array_equal(values, long.per_revolution[name][:3]), name
 
 
 def test_twin_does_not_disturb_the_run():
@@ -875,7 +875,7 @@ def test_memory_is_bounded_and_all_rows_are_streamed():
         assert len(whole) == 1200
         assert np.array_equal(found[name], whole[-12 * KEPT :]), name
     assert set(streamed[0]) == set(found.columns)
-    assert len(found.turns["revolution"]) == len(found.section["revolution"]) == 100
+    assert len(found.per_revolution["revolution"]) == len(found.poincare_map["revolution"]) == 100
     error = np.concatenate([rows["slider.error_m"] for rows in streamed])
     assert found.figures["rms_m"] == pytest.approx(math.sqrt(float(np.mean(error[60:] ** 2))), rel=1e-12)
     assert found.figures["rms_from_start_m"] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
@@ -886,13 +886,13 @@ def test_figures_of_revolutions_are_those_of_their_rows():
     for k in range(3):
         rows = slice(90 * k, 90 * (k + 1))
         error = found["slider.error_m"][rows]
-        assert found.turns["rms_m"][k] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
-        assert found.turns["peak_m"][k] == largest(error)
-        assert found.turns["C.contact_share"][k] == pytest.approx(float(np.mean(found["C.contact"][rows])))
-        assert found.turns["C.normal_max_N"][k] >= np.max(found["C.normal_N"][rows])
-        assert found.section["C.ex_m"][k] == found["C.ex_m"][rows][-1]
+        assert found.per_revolution["rms_m"][k] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
+        assert found.per_revolution["peak_m"][k] == largest(error)
+        assert found.per_revolution["C.contact_share"][k] == pytest.approx(float(np.mean(found["C.contact"][rows])))
+        assert found.per_revolution["C.normal_max_N"][k] >= np.max(found["C.normal_N"][rows])
+        assert found.poincare_map["C.ex_m"][k] == found["C.ex_m"][rows][-1]
         during = [impact for impact in found.impacts if k * 0.012 < impact.end <= (k + 1) * 0.012]
-        assert found.turns["impacts"][k] == len(during)
+        assert found.per_revolution["impacts"][k] == len(during)
     assert found.figures["largest_penetration_m"] >= np.max(found["C.penetration_m"])
     assert found.figures["largest_penetration_m"] == pytest.approx(max(i.penetration for i in found.impacts), rel=1e-9)
 
@@ -1003,12 +1003,12 @@ def test_peaks_agree_wherever_they_are_told():
     figures = found.to_dict()["figures"]
     for k, point in enumerate("ABC"):
         depth, force = figures[f"{point}.penetration_max_m"], figures[f"{point}.normal_max_N"]
-        assert depth == np.max(found.turns[f"{point}.penetration_max_m"])
-        assert force == np.max(found.turns[f"{point}.normal_max_N"])
+        assert depth == np.max(found.per_revolution[f"{point}.penetration_max_m"])
+        assert force == np.max(found.per_revolution[f"{point}.normal_max_N"])
         assert depth == max(one.penetration for one in found.impacts if one.gap == k)
         assert depth >= np.max(found[f"{point}.penetration_m"])
         assert force >= np.max(found[f"{point}.normal_N"])
-    assert figures["torque_max_Nm"] == np.max(found.turns["torque_max_Nm"]) >= largest(found["input.torque_Nm"])
+    assert figures["torque_max_Nm"] == np.max(found.per_revolution["torque_max_Nm"]) >= largest(found["input.torque_Nm"])
 
 
 def test_interrupted_run_returns_what_was_computed():
@@ -1073,7 +1073,7 @@ def test_stall_keeps_the_revolutions_before_it():
     assert 2 < found.revolutions < 11
     assert f"revolution {found.revolutions + 1}" in found.message
     assert len(found["time_s"]) >= 90 * found.revolutions
-    assert len(found.turns["rms_m"]) == found.revolutions
+    assert len(found.per_revolution["rms_m"]) == found.revolutions
     assert found["time_s"][-1] <= found.stopped < 0.012 * (found.revolutions + 1)
     assert f"{found.stopped:.9g} s" in found.message
 

@@ -17,7 +17,7 @@ class Yoke(Dyad):
     pin: str
     rail: Guide
 
-    kind, least, course = "yoke", 1e-12, None
+    kind, least, passages = "yoke", 1e-12, None
     joint = property(lambda self: self.slot.name)
     outer_pins = property(lambda self: ((self.first.body, self.pin),))
     prismatic = property(lambda self: (self.slot, self.rail))

@@ -10,9 +10,9 @@ def signal(moving, reactions, term):
     return (moving.state(term.of).omega,)
 
 
-def course(record, term):
+def history(record, term):
     """Return the column that the validator reads [rad/s]."""
     return record[f"{term.of}.omega_rad_s"]
 
 
-QUANTITIES.add("turning", QuantityType("angular velocity", ("peak", "rms", "largest", "least"), "body", BODY, signal, course))
+QUANTITIES.add("turning", QuantityType("angular velocity", ("peak", "rms", "largest", "least"), "body", BODY, signal, history))

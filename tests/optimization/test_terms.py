@@ -128,8 +128,8 @@ def test_static_torque_by_virtual_work():
     power = -5880.0 * np.abs(moving.velocity("E")[0])
     rocker, coupler = (0.5 * (moving.velocity(a)[1] + moving.velocity(b)[1]) for a, b in (("C", "D"), ("D", "E")))
     power = power - 9.8 * (20.0 * rocker + 3.0 * coupler)
-    senses = np.asarray(trace.sensed([*trace.known(nlp.design(x)), 1.4])).ravel()
-    static = trace.signals(*trace.known(nlp.design(x)), at, *senses)[sum(trace.widths[: trace.cyclic.index(_term(trace))])]
+    senses = np.asarray(trace.sensed([*trace.inputs(nlp.design(x)), 1.4])).ravel()
+    static = trace.signals(*trace.inputs(nlp.design(x)), at, *senses)[sum(trace.widths[: trace.cyclic.index(_term(trace))])]
     np.testing.assert_allclose(static, -power / trace.speed, rtol=1e-10)
 
 
@@ -140,7 +140,7 @@ def _term(trace: TracedCycle) -> object:
 def test_a_wrong_sense_of_the_cutting_force_is_seen():
     nlp = programme()
     trace = nlp.traced
-    known, at = trace.known(nlp.design(nlp.x_start)), 1.4
+    known, at = trace.inputs(nlp.design(nlp.x_start)), 1.4
     senses = np.asarray(trace.sensed([*known, at])).ravel()
     good, bad = (trace.signals(*known, np.array([at]), *(sign * senses))[0, 0] for sign in (1.0, -1.0))
     assert abs(good - bad) > 100.0

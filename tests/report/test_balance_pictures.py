@@ -73,7 +73,7 @@ def test_nothing_is_cut_off(picture, case):
 def test_curves_are_the_machine_before_and_after(quantity):
     """Against the inverse dynamics at the drawn crank angles, in the unit of the axis."""
     found, made = result(), drawn("before_after")
-    for name, machine in (("given", found.machine), ("balanced", found.heavier)):
+    for name, machine in (("initial", found.machine), ("balanced", found.heavier)):
         line = lines(made, f"{name} {quantity}")[0]
         x, y = (np.asarray(part, dtype=float) for part in (line.get_xdata(), line.get_ydata()))
         wanted = quantities_of(machine.moving(np.radians(x), found.speed), [BalanceMeasure(quantity)], found.about)[0][:, 0]
@@ -129,7 +129,7 @@ def test_hodograph_has_equal_scales_and_both_paths():
     made, found = drawn("hodograph"), result()
     axes = made.axes[0]
     assert axes.get_aspect() == 1.0
-    for when, name in (("before", "given"), ("after", "balanced")):
+    for when, name in (("before", "initial"), ("after", "balanced")):
         x, y = (np.asarray(part) for part in lines(made, f"hodograph {name}")[0].get_data())
         assert x[:-1] == pytest.approx(found.columns[f"{when}.shaking_force_x_N"])
         assert y[:-1] == pytest.approx(found.columns[f"{when}.shaking_force_y_N"])
@@ -144,13 +144,13 @@ def test_complete_balance_is_told_as_zero():
 def test_trade_off_marks_ends_knee_and_given_machine():
     made, found = drawn("trade"), result().trade
     axes = made.axes[0]
-    x, y = (np.asarray(part) for part in lines(made, "made")[0].get_data())
-    assert x == pytest.approx([point.made[0] for point in found.points])
-    assert y == pytest.approx([point.made[1] for point in found.points])
-    given = lines(made, "given")[0].get_data()
+    x, y = (np.asarray(part) for part in lines(made, "realised")[0].get_data())
+    assert x == pytest.approx([point.realised[0] for point in found.points])
+    assert y == pytest.approx([point.realised[1] for point in found.points])
+    given = lines(made, "initial")[0].get_data()
     assert (given[0][0], given[1][0]) == pytest.approx(found.before)
     told = " ".join(text.get_text() for text in axes.texts)
-    for words in ("least shaking force", "least driving torque", "knee", "given machine"):
+    for words in ("least shaking force", "least driving torque", "knee", "initial machine"):
         assert words in told
     masses = lines(made, "mass crank")[0].get_ydata()
     assert np.asarray(masses) == pytest.approx([point.masses.get("crank", 0.0) for point in found.points])

@@ -288,8 +288,8 @@ def test_clockwise_goes_on_to_the_right() -> None:
 
 def test_error_states_the_statistics() -> None:
     result, made = simulated("periodic"), shown("periodic", "error")
-    np.testing.assert_allclose(by_gid(made, "rms")[0].get_ydata(), result.turns["rms_m"] * 1e6)
-    np.testing.assert_allclose(by_gid(made, "peak")[0].get_ydata(), result.turns["peak_m"] * 1e6)
+    np.testing.assert_allclose(by_gid(made, "rms")[0].get_ydata(), result.per_revolution["rms_m"] * 1e6)
+    np.testing.assert_allclose(by_gid(made, "peak")[0].get_ydata(), result.per_revolution["peak_m"] * 1e6)
     np.testing.assert_allclose(by_gid(made, "whole")[0].get_ydata(), result.figures["rms_m"] * 1e6)
     assert f"RMS {rough(result.figures['rms_m'], 'm')}" in words(made)
     assert "running-in, left out" in words(made)
@@ -309,7 +309,7 @@ def test_orbit_has_contact_outside_the_circle_and_flight_inside() -> None:
             assert np.nanmin(lines["in contact"]) > radius * (1.0 - 1e-6)
             np.testing.assert_allclose(lines["impact"], radius)
             depth = result[f"{gap.point}.penetration_m"][RevolutionCurves(result).rows(3)]
-            deepest = float(np.max(result.turns[f"{gap.point}.penetration_max_m"][-3:]))
+            deepest = float(np.max(result.per_revolution[f"{gap.point}.penetration_max_m"][-3:]))
             assert deepest >= np.max(depth)
             factor = clearance_joints.exaggeration(gap, deepest)
             assert factor > 1.0
@@ -404,7 +404,7 @@ def test_section_finds_longer_periods() -> None:
     result = simulated("periodic")
     count = 12
     places = {"C.ex_m": np.tile([0.0, 1e-4, 2e-4], 4), "C.ey_m": np.zeros(count)}
-    other = replace(result, section={"revolution": np.arange(1.0, 13.0), "slider.error_m": np.zeros(count), **places})
+    other = replace(result, poincare_map={"revolution": np.arange(1.0, 13.0), "slider.error_m": np.zeros(count), **places})
     assert clearance_joints.repetition(RevolutionCurves(other))[0] == 3
 
 

@@ -176,7 +176,7 @@ def test_the_assembly_stands_at_the_crank_angle(crank_rocker_subject, tmp_path):
     assert np.degrees(np.arctan2(*(b - a)[::-1])) == pytest.approx(110.0, abs=1e-9)
     d = np.array([500.0, 0.0])
     # the joint between coupler and rocker by the law of cosines, on the left of B -> D
-    coupler, rocker = (1e3 * crank_rocker_subject.outcome.design[name] for name in ("coupler", "rocker"))
+    coupler, rocker = (1e3 * crank_rocker_subject.result.design[name] for name in ("coupler", "rocker"))
     reach = np.linalg.norm(d - b)
     angle = math.acos((coupler**2 + reach**2 - rocker**2) / (2 * coupler * reach))
     way = math.atan2(*(d - b)[::-1]) + angle
@@ -251,7 +251,7 @@ def test_an_svg_is_in_true_size(crank_rocker_subject, tmp_path):
         if circle.get("data-point"):
             x, y = circle.get("transform").removeprefix("translate(").rstrip(")").split()
             joints[circle.get("data-point")] = np.array([float(x), -float(y)])
-    design = crank_rocker_subject.outcome.design
+    design = crank_rocker_subject.result.design
     for pair, name in {"AB": "crank", "BC": "coupler", "CD": "rocker", "AD": "frame"}.items():
         assert np.linalg.norm(joints[pair[0]] - joints[pair[1]]) == pytest.approx(1e3 * design[name], abs=2e-3)
     assert math.atan2(*(joints["B"] - joints["A"])[::-1]) == pytest.approx(0.5, abs=1e-4)
@@ -265,7 +265,7 @@ def test_a_csv_keeps_the_lengths_and_leaves_out_forces(crank_rocker_subject, tmp
     for row in rows:
         b, c = (np.array([float(row[f"{name}.{axis}_m"]) for axis in "xy"]) for name in "BC")
         assert np.linalg.norm(b) == pytest.approx(0.1, abs=1e-12)
-        assert np.linalg.norm(c - b) == pytest.approx(crank_rocker_subject.outcome.design["coupler"], abs=1e-12)
+        assert np.linalg.norm(c - b) == pytest.approx(crank_rocker_subject.result.design["coupler"], abs=1e-12)
     assert not [name for name in rows[0] if name.endswith(("_N", "_Nm", "_J", "_W"))]
     export(subject("six-bar"), tmp_path / "b.csv")
     assert "input.torque_Nm" in (tmp_path / "b.csv").read_text().splitlines()[0]

@@ -218,9 +218,9 @@ def fold(axes) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", POINTED)
 def test_points_stand_where_they_are_wanted(name):
-    wanted = np.array(result(name).problem.model.wanted.points) * 1e3
+    wanted = np.array(result(name).problem.model.target_points.points) * 1e3
     for axes in picture(name, "path").axes:
-        np.testing.assert_allclose(line(axes, "wanted"), wanted, atol=1e-9)
+        np.testing.assert_allclose(line(axes, "target"), wanted, atol=1e-9)
         assert axes.get_xlabel() == "x [mm]"
         low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
         assert np.all((wanted > low) & (wanted < high))
@@ -239,7 +239,7 @@ def test_the_curve_passes_where_the_oracle_says(name):
 
 def test_a_curve_through_all_points_of_a_six_bar():
     axes = picture("six-bar", "path").axes[1]
-    wanted, drawn = line(axes, "wanted"), line(axes, "run")
+    wanted, drawn = line(axes, "target"), line(axes, "run")
     along = np.diff(drawn, axis=0)
     share = np.clip(np.sum((wanted[:, None] - drawn[:-1]) * along, axis=-1) / np.sum(along**2, axis=-1), 0.0, 1.0)
     feet = drawn[:-1] + share[..., None] * along
@@ -251,7 +251,7 @@ def test_lines_lead_from_wanted_to_generated(name):
     axes = picture(name, "path").axes[1]
     times = fold(axes)
     sticks = line(axes, "deviations").reshape(-1, 3, 2)
-    wanted = np.array(result(name).problem.model.wanted.points) * 1e3
+    wanted = np.array(result(name).problem.model.target_points.points) * 1e3
     np.testing.assert_allclose(sticks[:, 0], wanted, atol=1e-9)
     np.testing.assert_allclose(sticks[:, 1], wanted + times * (generated(name) - wanted), atol=1e-6 * times)
 
@@ -277,9 +277,9 @@ def test_exact_designs_have_no_deviations_to_draw():
 def test_poses_are_frames_at_their_angle():
     axes = picture("poses", "path").axes[1]
     poses = oracle.planted_poses(PLANTED, PART)
-    aims = np.array(result("poses").problem.model.wanted.angles)
-    places = {"wanted poses": np.array(result("poses").problem.model.wanted.points) * 1e3, "poses": poses[:, :2]}
-    for gid, angles in (("wanted poses", aims), ("poses", poses[:, 2])):
+    aims = np.array(result("poses").problem.model.target_points.angles)
+    places = {"target poses": np.array(result("poses").problem.model.target_points.points) * 1e3, "poses": poses[:, :2]}
+    for gid, angles in (("target poses", aims), ("poses", poses[:, 2])):
         strokes = line(axes, gid).reshape(5, -1, 2)
         np.testing.assert_allclose(strokes[:, 0], places[gid], atol=1e-6)
         ahead = strokes[:, 1] - strokes[:, 0]
@@ -317,7 +317,7 @@ def bars(axes, gid: str) -> np.ndarray:
 @pytest.mark.parametrize("name", ["path", "tolerances", "poses", "slider", "miss", "lift"])
 def test_bars_are_the_deviations(name):
     panels = picture(name, "errors").axes
-    wanted = np.array(result(name).problem.model.wanted.points) * 1e3
+    wanted = np.array(result(name).problem.model.target_points.points) * 1e3
     miss = generated(name) - wanted
     np.testing.assert_allclose(bars(panels[0], "distances"), np.linalg.norm(miss, axis=1), rtol=1e-7)
     own = SLIDER if name == "slider" else oracle_of(result(name).best)
@@ -332,7 +332,9 @@ def test_bars_are_the_deviations(name):
 
 def test_bars_of_angles():
     axes = picture("poses", "errors").axes[2]
-    turned = oracle.wrapped(oracle.planted_poses(PLANTED, PART)[:, 2] - np.array(result("poses").problem.model.wanted.angles))
+    turned = oracle.wrapped(
+        oracle.planted_poses(PLANTED, PART)[:, 2] - np.array(result("poses").problem.model.target_points.angles)
+    )
     np.testing.assert_allclose(bars(axes, "turned"), np.degrees(turned), atol=1e-8)
     assert "[deg]" in axes.get_ylabel()
 
@@ -349,7 +351,7 @@ def test_bars_beyond_the_tolerance_are_red():
 
 def test_a_bar_that_would_hide_the_others_is_cut_and_says_how_long_it_is():
     axes = picture("lift", "errors").axes[0]
-    off = np.linalg.norm(generated("lift") - np.array(result("lift").problem.model.wanted.points) * 1e3, axis=1)
+    off = np.linalg.norm(generated("lift") - np.array(result("lift").problem.model.target_points.points) * 1e3, axis=1)
     assert axes.get_ylim()[1] < 2.0 < 50.0 < off[7]
     (told,) = (text for text in axes.texts if text.get_gid() == "cut off")
     assert float(told.get_text().split()[1]) == pytest.approx(off[7], rel=1e-3)
@@ -380,7 +382,7 @@ def test_many_points_are_a_line():
 def test_transmission_angles_are_those_of_the_cosine_law():
     best = result("transmission").best
     a, b, c, d = (best.values[name] for name in ("crank", "coupler", "rocker", "frame"))
-    drawn = line(picture("transmission", "curve").axes[0], "found C")
+    drawn = line(picture("transmission", "curve").axes[0], "generated C")
     diagonal = a * a + d * d - 2.0 * a * d * np.cos(np.radians(drawn[:, 0]))
     np.testing.assert_allclose(drawn[:, 1], np.degrees(np.arccos((b * b + c * c - diagonal) / (2.0 * b * c))), atol=1e-9)
     assert np.ptp(drawn[:, 0]) == pytest.approx(360.0)
@@ -392,7 +394,7 @@ def test_transmission_angles_are_those_of_the_cosine_law():
 
 def test_output_of_a_function_beside_the_law():
     panels = picture("function", "curve").axes
-    found, wanted = line(panels[0], "found generated"), line(panels[0], "wanted")
+    found, wanted = line(panels[0], "generated generated"), line(panels[0], "target")
     np.testing.assert_allclose(found[:, 1], oracle.direct(SLIDER, np.radians(found[:, 0])).output, atol=1e-7)
     share = (np.radians(wanted[:, 0]) - math.radians(-70.0)) / (0.5 * math.pi)
     root = np.sqrt(0.1 + 0.9 * share)
@@ -494,7 +496,7 @@ def test_everything_is_written_and_the_film_is_whole(tmp_path):
         assert film.info["duration"] == 40
     with (tmp_path / "points.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.reader(file))
-    assert rows[0] == ["point", "wanted.x_m", "wanted.y_m", "generated.x_m", "generated.y_m", "distance_m", "crank_angle_rad"]
+    assert rows[0] == ["point", "target.x_m", "target.y_m", "generated.x_m", "generated.y_m", "distance_m", "crank_angle_rad"]
     numbers = np.array(rows[1:], dtype=float)
     np.testing.assert_allclose(numbers[:, 1:3], (PLACED + MISS) * MM, atol=1e-12)
     np.testing.assert_allclose(numbers[:, 3:5], PLACED * MM, atol=1e-12)
@@ -507,13 +509,13 @@ def test_everything_is_written_and_the_film_is_whole(tmp_path):
 
 def test_columns_of_poses_tolerances_functions_and_transmission():
     turned = view.columns(result("poses").best)["turned_rad"]
-    aims = np.array(result("poses").problem.model.wanted.angles)
+    aims = np.array(result("poses").problem.model.target_points.angles)
     np.testing.assert_allclose(turned, oracle.wrapped(oracle.planted_poses(PLANTED, PART)[:, 2] - aims), atol=1e-10)
     np.testing.assert_allclose(view.columns(result("tolerances").best)["tolerance_m"], TOLERANCES * MM)
     found = view.columns(result("function").best)
     outputs_ = oracle.direct(SLIDER, found["crank_angle_rad"]).output * MM
     np.testing.assert_allclose(found["generated_m"], outputs_, atol=1e-10)
-    np.testing.assert_allclose(found["distance_m"], np.abs(found["generated_m"] - found["wanted_m"]), atol=1e-12)
+    np.testing.assert_allclose(found["distance_m"], np.abs(found["generated_m"] - found["target_m"]), atol=1e-12)
     assert list(view.columns(result("transmission").best)) == ["point", "crank_angle_rad", "C.transmission_rad"]
 
 

@@ -113,7 +113,7 @@ def test_the_page_of_the_crank_rocker_tells_the_published_figures(crank_rocker_s
     text = page(crank_rocker_subject)
     for words in ("412.865", "232.246", "0.00759237", "rad^2 per deg", "largest transmission angle", "Valid: every check passed"):
         assert words in text
-    assert text.count('<span class="good">ok</span>') == len(crank_rocker_subject.outcome.validation.checks)
+    assert text.count('<span class="good">ok</span>') == len(crank_rocker_subject.result.validation.checks)
 
 
 def test_an_invalid_design_is_called_so():
@@ -437,13 +437,11 @@ def test_the_slider_of_the_crank_rocker_by_the_law_of_cosines(driver, tmp_path, 
     path = tmp_path / "a.html"
     write_page(crank_rocker_subject, path)
     opened(driver, path)
-    crank, coupler, rocker, frame = (
-        1e3 * crank_rocker_subject.outcome.design[n] for n in ("crank", "coupler", "rocker", "frame")
-    )
+    crank, coupler, rocker, frame = (1e3 * crank_rocker_subject.result.design[n] for n in ("crank", "coupler", "rocker", "frame"))
     script = "return document.querySelector('circle[data-point=C]').getAttribute('transform')"
     for index in (0, 77, 200, 359):
         slide_to(driver, index)
-        phi = crank_rocker_subject.outcome.design["phi0"] + math.radians(index)
+        phi = crank_rocker_subject.result.design["phi0"] + math.radians(index)
         reach = math.sqrt(crank**2 + frame**2 - 2 * crank * frame * math.cos(phi))
         inner = math.atan2(crank * math.sin(phi), frame - crank * math.cos(phi))
         outer = math.acos((reach**2 + rocker**2 - coupler**2) / (2 * reach * rocker))

@@ -277,7 +277,7 @@ def test_three_objectives_have_a_colour(results, tmp_path):
     for k, point in enumerate(told["front"]):
         point["objectives"]["swing_deg"] = 40.0 + k
     told["ends"]["swing_deg"], told["knee"] = 1, None
-    told["given"]["swing_deg"] = 41.0
+    told["reference"]["swing_deg"] = 41.0
     (tmp_path / "result.json").write_text(json.dumps(told))
     made = _sheet(load_stored(str(tmp_path)), 90)
     cloud = made.charts[0].figure["data"][0]
@@ -374,10 +374,10 @@ def test_whatever_is_damaged_is_shown_or_refused_in_a_sentence(results, tmp_path
 def test_a_simulation_without_its_largest_values_is_refused(results, tmp_path, what):
     """Nothing else in the file can stand for the largest values between rows."""
     old = document(results, "play")
-    name = next(name for name in old["turns"] if name.endswith(f".{what}"))
-    del old["turns"][name]
+    name = next(name for name in old["per_revolution"] if name.endswith(f".{what}"))
+    del old["per_revolution"][name]
     (tmp_path / "result.json").write_text(json.dumps(old))
-    with pytest.raises(InputError, match=rf"turns\.{name}.*this is missing.*Write it again"):
+    with pytest.raises(InputError, match=rf"per_revolution\.{name}.*this is missing.*Write it again"):
         load_stored(str(tmp_path))
 
 
@@ -636,14 +636,14 @@ def test_the_largest_figure_of_a_robust_design_says_what_it_is_of(results, tmp_p
 @pytest.mark.parametrize("count", [-7, 0, 10**15])
 def test_a_front_along_no_or_endless_values_is_damaged(results, tmp_path, count):
     told = document(results, "front")
-    told["held"][0]["values"] = count
+    told["constrained"][0]["values"] = count
     (tmp_path / "result.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match="no front has so many"):
         load_stored(str(tmp_path))
 
 
 @pytest.mark.parametrize(
-    "place", [("monte_carlo", "samples"), ("allocation", "check", "samples"), ("allocation", "cost_of_those_given")]
+    "place", [("monte_carlo", "samples"), ("allocation", "check", "samples"), ("allocation", "cost_of_specified")]
 )
 def test_what_shares_are_taken_of_is_not_zero(results, tmp_path, place):
     told = at = document(results, "tolerance")

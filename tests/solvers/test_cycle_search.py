@@ -82,8 +82,8 @@ def pump(**changes: object) -> CycleResult:
 
 def rotations(result: CycleResult) -> dict[str, float]:
     """Crank rotation of each stroke, from the signs of the ordinary analysis alone [deg]."""
-    assert result.found is not None
-    velocity = result.found["piston.v_m_s"][:-1]
+    assert result.analysis is not None
+    velocity = result.analysis["piston.v_m_s"][:-1]
     share = float(np.mean(velocity > 0.0))
     return {"forward": 360.0 * share, "backward": 360.0 * (1.0 - share)}
 

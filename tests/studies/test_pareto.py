@@ -174,10 +174,10 @@ def test_the_tight_end_is_the_tightest_there_is():
 
 def test_the_file_lies_on_the_front():
     front = crank_rocker()
-    assert front.given is not None
-    assert front.given == pytest.approx((0.00759237, 135.0), rel=1e-6)
+    assert front.reference is not None
+    assert front.reference == pytest.approx((0.00759237, 135.0), rel=1e-6)
     error, angle = np.array([point.values for point in front.points]).T
-    assert np.interp(-135.0, -angle, error) == pytest.approx(front.given[0], rel=2e-3)
+    assert np.interp(-135.0, -angle, error) == pytest.approx(front.reference[0], rel=2e-3)
     assert np.all(np.diff(error) > 0.0)
     assert np.all(np.diff(angle) < 0.0)
     assert front.points[0].mark == "least error"
@@ -218,7 +218,7 @@ def test_a_size_is_walked_along_as_well():
 def test_every_limit_can_be_walked_along(limit, sense, end):
     front = pareto(optlink.load("crank-rocker"), f"error, {limit}", points=5, workers=1)
     assert front.complete
-    assert front.aims[1].sense == sense
+    assert front.objectives[1].sense == sense
     error, other = np.array([point.values for point in front.points]).T
     assert np.all(np.diff(error) > 0.0)
     assert np.all(np.diff(sense * other) < 0.0)
@@ -248,11 +248,11 @@ def test_front_of_a_slider_crank_is_its_closed_form(press):
     front = pareto(press, f"rod.length, {LEAST}", points=6, workers=1)
     assert front.complete
     assert len(front.points) == 6
-    assert [aim.sense for aim in front.aims] == [1, -1]
+    assert [aim.sense for aim in front.objectives] == [1, -1]
     length, angle = np.array([point.values for point in front.points]).T
     assert length * np.cos(np.radians(angle)) == pytest.approx(50.0, rel=1e-6)
     assert (length[0], length[-1]) == pytest.approx((120.0, 400.0), rel=1e-3)
-    assert front.given == pytest.approx((200.0, math.degrees(math.acos(0.25))), rel=1e-9)
+    assert front.reference == pytest.approx((200.0, math.degrees(math.acos(0.25))), rel=1e-9)
     assert front.points[0].mark == "least rod.length"
 
 
@@ -479,7 +479,7 @@ def test_command_writes_table_document_and_picture(tmp_path):
     assert document["schema"] == "optlink/pareto/2"
     assert document["status"] == "complete"
     assert document == json.loads((out / "result.json").read_text(encoding="utf-8"))
-    assert document["given"]["error_rad2"] == pytest.approx(0.00759237, rel=1e-6)
+    assert document["reference"]["error_rad2"] == pytest.approx(0.00759237, rel=1e-6)
     with (out / "front.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(document["front"]) == 7
@@ -490,7 +490,7 @@ def test_command_writes_table_document_and_picture(tmp_path):
     assert (out / "front.png").read_bytes()[:4] == b"\x89PNG"
     shown = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--points", "5"])
     assert shown.exit_code == 0
-    for words in ("every one proven", "knee", "least error", "as the file asks"):
+    for words in ("every one proven", "knee", "least error", "limits of the file"):
         assert words in shown.output
 
 
@@ -501,7 +501,7 @@ def test_picture_marks_ends_knee_and_what_was_given():
     front = crank_rocker()
     for k, name in ((0, "least error"), (24, "best largest transmission angle"), (front.knee[0], "knee")):
         assert marked[name] == pytest.approx(np.array([front.points[k].values]))
-    assert marked["given"] == pytest.approx(np.array([front.given]))
+    assert marked["reference"] == pytest.approx(np.array([front.reference]))
     three = pareto(optlink.load("crank-rocker"), f"error, {ANGLE}=100..150 deg, coupler=330..400 mm", points=4, workers=1)
     panels = [panel for panel in draw(charts(three)).axes if panel.get_label() != "<colorbar>"]
     assert len(panels) == 3

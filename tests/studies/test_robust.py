@@ -325,12 +325,12 @@ def test_a_study_of_tolerances_reads_those_of_the_file(problem):
     assert [d.name for d in tolerance(problem, ["coupler=0.1 mm"], samples=0).deviations] == ["coupler"]
     again = tolerance(problem, limit="1.85 deg", samples=1 << 12, robust=3.0)
     assert again.robust.design["coupler"] == pytest.approx(best.design["coupler"], abs=1e-8)
-    assert again.unrobust.share < again.carlo.share
+    assert again.unrobust.share < again.monte_carlo.share
 
 
 @pytest.mark.slow
 def test_costs_of_the_file_count_in_an_allocation(problem):
-    given = {"limit": "2.2 deg", "wanted": 0.99, "samples": 1 << 10, "design": solve(problem).design}
+    given = {"limit": "2.2 deg", "target_yield": 0.99, "samples": 1 << 10, "design": solve(problem).design}
     own = tolerance(problem, **given).allocation
     assert own.costs.tolist() == [1.0, 1.0, 2.0, 1.0, 1.0, 1.0]
     assert tolerance(problem, costs={"rocker": 5.0}, **given).allocation.costs[2] == 5.0
@@ -425,7 +425,7 @@ def test_what_the_safest_design_yields(problem, law, span, limit, texts, better)
     surplus = (gained - lost) / math.sqrt(gained + lost)  # standard deviations by which chance would favour either
     assert surplus > 5.0 if better else surplus < -3.0
     assert found.beaten is not better
-    for carlo, share in ((found.carlo, np.mean(own)), (found.unrobust, np.mean(before))):
+    for carlo, share in ((found.monte_carlo, np.mean(own)), (found.unrobust, np.mean(before))):
         assert carlo.share == pytest.approx(share, abs=4.0 * math.sqrt(max(share * (1.0 - share), 1e-4) / count))
         assert carlo.interval[0] <= carlo.share <= carlo.interval[1]
 
@@ -494,9 +494,9 @@ def test_no_design_yields_more_than_the_one_with_most_yield(problem, law, span, 
 )
 def test_an_allocation_keeps_its_yield_whatever_the_distributions(texts, limit, wanted):
     design = {"coupler": 0.412865417, "rocker": 0.23224617}
-    given = {"design": design, "wanted": wanted, "samples": 1 << 14}
+    given = {"design": design, "target_yield": wanted, "samples": 1 << 14}
     found = tolerance(optlink.load("crank-rocker"), texts, limit=f"{limit} deg", **given)
-    assert found.allocation.kept
+    assert found.allocation.achieved
     random, count = np.random.default_rng(77), 100_000
     unit = np.stack([SHAPES[d.shape](random, count) for d in found.deviations], axis=1) * found.allocation.tolerances
     unit /= [d.tolerance for d in found.deviations]

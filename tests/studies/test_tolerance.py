@@ -249,7 +249,7 @@ def test_a_machine_with_a_slider():
     long = np.sqrt(length**2 - (r * np.sin(phi)) ** 2)
     np.testing.assert_allclose(found.by[1], length / long, rtol=1e-9)
     np.testing.assert_allclose(found.by[0], np.cos(phi) - r * np.sin(phi) ** 2 / long, rtol=1e-9, atol=1e-12)
-    assert found.carlo.share > 0.99
+    assert found.monte_carlo.share > 0.99
     assert not np.any(found.nominal.base)
 
 
@@ -257,7 +257,7 @@ def test_a_path_is_solved_first():
     found = tolerance(optlink.load("path-arc5"), ["coupler=0.01 mm", "P.along=0.01 mm"], "P.x", samples=0)
     np.testing.assert_allclose(np.degrees(found.nominal.crank_angles), [30.0, 45.0, 60.0, 75.0, 90.0])
     np.testing.assert_allclose(1e3 * found.nominal.value, [3.0, 2.759, 2.372, 1.89, 1.355], atol=2e-3)
-    assert found.carlo is None
+    assert found.monte_carlo is None
     assert np.all(found.sigma > 0.0)
 
 
@@ -290,13 +290,13 @@ def test_least_cost_under_several_limits_is_that_of_a_search():
 
 @pytest.fixture(scope="module")
 def allocated(problem):
-    return tolerance(problem, FOUR, limit="2.32 deg", design=DESIGN, wanted=0.97, costs={"coupler": 3.0}, samples=1 << 15)
+    return tolerance(problem, FOUR, limit="2.32 deg", design=DESIGN, target_yield=0.97, costs={"coupler": 3.0}, samples=1 << 15)
 
 
 def test_the_allocation_keeps_the_yield(problem, allocated):
     """By other samples and the law of cosines; a little looser, and it would not."""
     found = allocated.allocation
-    assert found.kept
+    assert found.achieved
     assert found.gap < 1e-6
     random = np.random.default_rng(2)
     phi = allocated.nominal.crank_angles
@@ -328,7 +328,7 @@ def _texts(sizes):
 def test_what_has_no_effect_stays_as_it_is():
     problem = optlink.load("six-bar")
     found = tolerance(
-        problem, ["link2.length=0.1 mm", "link5.length=0.1 mm"], "link3", limit="0.02 deg", wanted=0.99, samples=512
+        problem, ["link2.length=0.1 mm", "link5.length=0.1 mm"], "link3", limit="0.02 deg", target_yield=0.99, samples=512
     )
     assert found.allocation.free == ("link5.length",)
     assert found.allocation.tolerances[1] == pytest.approx(1e-4)
@@ -375,11 +375,11 @@ def test_a_robust_design_is_the_best_of_a_search_along_its_limit(problem, sigmas
 
 def test_a_robust_design_yields_more_than_the_best_as_drawn(problem):
     found = tolerance(problem, WIDE, limit="2.2 deg", samples=1 << 13, robust=3.0)
-    assert found.carlo.interval[0] > 0.99
+    assert found.monte_carlo.interval[0] > 0.99
     assert found.unrobust.interval[1] < 0.5
     minimax = robust(problem, WIDE, 0.0)
     close = [tolerance(problem, WIDE, limit="1.8 deg", samples=1 << 14, design=d.free) for d in (found.robust, minimax)]
-    assert close[0].carlo.interval[0] > close[1].carlo.share
+    assert close[0].monte_carlo.interval[0] > close[1].monte_carlo.share
 
 
 @pytest.mark.parametrize(
@@ -415,7 +415,7 @@ def test_the_safest_crank_rocker_yields_most(problem):
     best = tolerance(problem, WIDE, limit="1.8 deg", samples=1 << 14, robust="margin")
     assert best.unrobust.share < 0.01
     minimax = tolerance(problem, WIDE, limit="1.8 deg", samples=1 << 14, robust=0.0)
-    assert best.carlo.interval[0] > minimax.carlo.share
+    assert best.monte_carlo.interval[0] > minimax.monte_carlo.share
 
 
 # --- the command -------------------------------------------------------------------------------------------------------

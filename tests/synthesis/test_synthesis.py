@@ -72,7 +72,7 @@ def sample(batch: Batch, count: int, seed: int = 0) -> tuple[Array, Array]:
     found: list[tuple[Array, Array]] = []
     for _ in range(200):
         x = random_starts.random_designs(batch, 400, rng)
-        t = random_starts.random_crank_angles(batch, 400, rng) if batch.own else np.zeros((400, len(batch.data.columns)))
+        t = random_starts.random_crank_angles(batch, 400, rng) if batch.free_timing else np.zeros((400, len(batch.data.columns)))
         x = batch.low + (batch.high - batch.low) * np.clip((x - batch.low) / (batch.high - batch.low), 1e-3, 1.0 - 1e-3)
         mechanism = batch.problem.linkage
         with np.errstate(all="ignore"):
@@ -93,7 +93,7 @@ def residual_of(batch: Batch, x: Array, t: Array) -> Array:
     real = batch.origin + x * batch.scale
     values |= {name: real[:, i : i + 1] for i, name in enumerate(batch.names)}
     angles = t
-    if not batch.own:
+    if not batch.free_timing:
         begin = x[:, batch.start : batch.start + 1] if batch.start >= 0 else np.zeros((len(x), 1))
         angles = begin + np.asarray(batch.data.offsets)
     pose = problem.linkage.pose(values, unit(angles))
@@ -113,7 +113,7 @@ def test_residuals_and_their_slopes_by_complex_step(batch: Batch) -> None:
         moved[:, i] += 1j * tiny
         slope = residual_of(batch, moved, t.astype(complex)).imag / tiny
         assert np.max(np.abs(by_x[..., i] - slope), axis=(1, 2)) / scale == pytest.approx(0.0, abs=1e-9), batch.names[i]
-    if batch.own:
+    if batch.free_timing:
         slope = residual_of(batch, x.astype(complex), t + 1j * tiny).imag / tiny
         assert np.max(np.abs(by_t - slope), axis=(1, 2)) / scale == pytest.approx(0.0, abs=1e-9)
 
@@ -122,7 +122,7 @@ def test_slopes_of_missed_limits_by_differences(batch: Batch) -> None:
     x, t = sample(batch, 12, seed=1)
     n = x.shape[1]
     # off x = 0 for the limits of the whole revolution too, where a design may not close
-    h, by_h = batch.misses(x, batch.crank_angles(x, t))
+    h, by_h = batch.violations(x, batch.crank_angles(x, t))
     assert h.shape == (*by_h.shape[:2],)
     assert by_h.shape[2] == n
     if batch.problem.limits.link_ratio or batch.problem.limits.pivots:
@@ -132,7 +132,7 @@ def test_slopes_of_missed_limits_by_differences(batch: Batch) -> None:
         above, below = x.copy(), x.copy()
         above[:, i] += step
         below[:, i] -= step
-        up, down = (batch.misses(side, batch.crank_angles(side, t))[0] for side in (above, below))
+        up, down = (batch.violations(side, batch.crank_angles(side, t))[0] for side in (above, below))
         slope = (up - down) / (2.0 * step)
         kink = (up == 0.0) | (down == 0.0) | (h == 0.0)  # a limit that holds on one side has no slope, or half of one
         close = np.isclose(by_h[..., i], slope, rtol=2e-5, atol=1e-4 * (1.0 + np.max(np.abs(by_h), initial=0.0)) * 1e-2)
@@ -141,7 +141,7 @@ def test_slopes_of_missed_limits_by_differences(batch: Batch) -> None:
 
 def test_a_limit_that_holds_costs_nothing(batch: Batch) -> None:
     x, t = sample(batch, 30, seed=2)
-    h, by_h = batch.misses(x, batch.crank_angles(x, t))
+    h, by_h = batch.violations(x, batch.crank_angles(x, t))
     assert np.all(np.isfinite(h))
     assert np.all(by_h[h == 0.0] == 0.0)
 
@@ -160,7 +160,7 @@ def test_missed_limits_are_those_of_the_lengths() -> None:
     inside = np.all((ratio >= 0.8) & (ratio <= 1.5), axis=0)
     ends = np.array([values["A.x"], values["A.x"] + frame * np.cos(values["direction"])])
     inside &= np.all(np.abs(ends) <= 5e-3, axis=0)
-    h, _ = batch.misses(x, batch.crank_angles(x, t))
+    h, _ = batch.violations(x, batch.crank_angles(x, t))
     missed = np.any(h != 0.0, axis=1)
     assert np.all(missed[~(proper & inside)])
     sums = np.array([others[0] + others[1] - crank - others[2], others[0] - crank]) / problem.size
@@ -177,7 +177,7 @@ def test_crank_angles_follow_from_the_start() -> None:
     given = Batch(model(TASKS["timed as given, clockwise"]))
     x, t = sample(given, 4)
     np.testing.assert_allclose(given.crank_angles(x, t), np.tile(-ANGLES5, (4, 1)), rtol=0, atol=1e-12)
-    assert Batch(model(TASKS["left, free"])).own
+    assert Batch(model(TASKS["left, free"])).free_timing
 
 
 # --- the linear fit ----------------------------------------------------------------------------------------------------------
@@ -296,18 +296,18 @@ def as_vector(batch: Batch) -> tuple[Callable[[Array], Array], Callable[[Array],
 
     def split(z: Array) -> tuple[Array, Array]:
         x = z[None, :n]
-        return x, batch.crank_angles(x, z[None, n:] if batch.own else np.zeros((1, count)))
+        return x, batch.crank_angles(x, z[None, n:] if batch.free_timing else np.zeros((1, count)))
 
     def f(z: Array) -> Array:
         x, angles = split(z)
-        return np.concatenate([batch.residuals(x, angles)[0].ravel(), batch.misses(x, angles)[0].ravel()])
+        return np.concatenate([batch.residuals(x, angles)[0].ravel(), batch.violations(x, angles)[0].ravel()])
 
     def slopes(z: Array) -> Array:
         x, angles = split(z)
         _, by_x, by_t = batch.residuals(x, angles)
         upper = by_x[0].reshape(-1, n)
-        lower = batch.misses(x, angles)[1][0]
-        if batch.own:
+        lower = batch.violations(x, angles)[1][0]
+        if batch.free_timing:
             k = by_t.shape[2]
             own = np.zeros((count * k, count))
             for p in range(count):
@@ -320,8 +320,8 @@ def as_vector(batch: Batch) -> tuple[Callable[[Array], Array], Callable[[Array],
 
 def minimum_by_scipy(batch: Batch, x: Array, t: Array) -> float:
     f, slopes = as_vector(batch)
-    more = [np.full(len(t), math.inf)] if batch.own else []
-    begin = np.concatenate([x, t]) if batch.own else x
+    more = [np.full(len(t), math.inf)] if batch.free_timing else []
+    begin = np.concatenate([x, t]) if batch.free_timing else x
     bounds = (np.concatenate([batch.low, *(-m for m in more)]), np.concatenate([batch.high, *more]))
     found = least_squares(f, begin, slopes, bounds, xtol=1e-15, ftol=1e-15, gtol=1e-12, max_nfev=4000)
     return 2.0 * float(found.cost)
@@ -347,7 +347,7 @@ def test_descent_ends_where_scipy_does(name: str) -> None:
     checked = 0
     for i in np.argsort(ends.cost)[:4]:
         near = np.clip(ends.x[i] + 1e-3 * rng.normal(size=x.shape[1]), batch.low, batch.high)
-        at = ends.t[i] + (1e-3 * rng.normal(size=t.shape[1]) if batch.own else 0.0)
+        at = ends.t[i] + (1e-3 * rng.normal(size=t.shape[1]) if batch.free_timing else 0.0)
         again = minimise(batch, near[None], at[None], 1000, slow=1e-12)
         inside = np.clip(near, batch.low + 1e-9, batch.high - 1e-9)
         aim = minimum_by_scipy(batch, inside, at)
@@ -362,7 +362,7 @@ def test_descent_keeps_to_bounds_and_never_rises(name: str) -> None:
     fit = SimilarityFit(batch)
     x, t = sample(batch, 60, seed=7)
     angles = batch.crank_angles(x, t)
-    h, _ = batch.misses(x, angles)
+    h, _ = batch.violations(x, angles)
     before = cost_of(batch, x, t) + np.sum(h**2, axis=1)
     least = before
     ways: list[tuple[int, SimilarityFit | None]] = [(1, None), (10, None), (30, None)]
@@ -372,7 +372,7 @@ def test_descent_keeps_to_bounds_and_never_rises(name: str) -> None:
         assert np.all(ends.x <= batch.high + 1e-12)
         assert np.all(ends.cost <= before * (1.0 + 1e-12))
         angles = batch.crank_angles(ends.x, ends.t)
-        h, _ = batch.misses(ends.x, angles)
+        h, _ = batch.violations(ends.x, angles)
         np.testing.assert_allclose(ends.missed, np.sum(h**2, axis=1), rtol=1e-9, atol=1e-15)
         np.testing.assert_allclose(ends.cost, cost_of(batch, ends.x, ends.t) + ends.missed, rtol=1e-9, atol=1e-15)
         if using is None:
@@ -467,7 +467,7 @@ def test_candidates_keep_order_and_rotation(rotation: str) -> None:
         assert np.sum(steps) <= TURN + 1e-9
         batch = searcher.batches[candidate.variant]
         again = cost_of(batch, candidate.x[None], candidate.t[None])[0]
-        h, _ = batch.misses(candidate.x[None], candidate.t[None])
+        h, _ = batch.violations(candidate.x[None], candidate.t[None])
         assert again + np.sum(h**2) == pytest.approx(candidate.cost, rel=1e-9, abs=1e-20)
 
 
@@ -499,7 +499,7 @@ def test_the_programme_measures_what_the_validator_does(name: str, measure: str)
         values = {key: float(v[k, 0]) for key, v in batch.values(x).items()}
         angles = batch.crank_angles(x, t)[k]
         measured = deviations(problem, values, angles)
-        z = np.concatenate([x[k], t[k]]) if batch.own else x[k]
+        z = np.concatenate([x[k], t[k]]) if batch.free_timing else x[k]
         if len(nlp.variables) > len(z):
             z = np.append(z, 0.0)
         solution_x = nlp.lifted(z)

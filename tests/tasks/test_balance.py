@@ -139,7 +139,9 @@ def bodies_of(result: optlink.Balance) -> list[Body]:
     """The balanced four-bar as the textbook has it."""
     found = dict(zip(("crank", "coupler", "rocker"), BARS, strict=True))
     for one in result.added:
-        found[one.body] = found[one.body] + disc(one.mass, complex(*one.place), one.asked.thickness, one.asked.density)
+        found[one.body] = found[one.body] + disc(
+            one.mass, complex(*one.place), one.specification.thickness, one.specification.density
+        )
     return list(found.values())
 
 
@@ -548,7 +550,7 @@ def test_trade_off_is_monotone_convex_and_proven(pair):
     for point in trade.points:
         assert point.gap < 1e-7
         assert point.disagreement < 1e-8
-        assert point.made == pytest.approx((point.first, point.second), rel=1e-6)
+        assert point.realised == pytest.approx((point.first, point.second), rel=1e-6)
 
 
 def test_ends_of_the_trade_off_are_the_single_optima():
@@ -647,13 +649,15 @@ def test_a_point_outside_its_cones_is_not_proven(monkeypatch):
     monkeypatch.setattr(certificate, "_certified", wrong)
     problem = programme_of(optlink.load("balance-six-bar"))
     cp = problem.cp
-    found = certificate.solved(cp, cp.Problem(cp.Minimize(problem.expression(BalanceMeasure("shaking force"))), problem.held()))
+    found = certificate.solved(
+        cp, cp.Problem(cp.Minimize(problem.expression(BalanceMeasure("shaking force"))), problem.constraints())
+    )
     assert not found.proven
 
 
 def test_programmes_are_parametrised():
     problem = programme_of(optlink.load("balance-six-bar"))
-    assert all(constraint.is_dcp(dpp=True) for constraint in problem.held())
+    assert all(constraint.is_dcp(dpp=True) for constraint in problem.constraints())
 
 
 # --- verification catches defects ----------------------------------------------------------------------------------
@@ -719,7 +723,7 @@ def test_a_spring_against_brute_force():
     torque = BalanceMeasure("driving torque")
 
     def value(stiffness: float, free: float) -> float:
-        loads = (spring.asked.spring(stiffness, free),)
+        loads = (spring.specification.spring(stiffness, free),)
         return torque.value(quantities_of(machine.with_(loads=loads).moving(ANGLES, 1.0), [torque], (0.0, 0.0))[0])
 
     assert value(spring.stiffness, spring.free) == pytest.approx(result.objective, rel=1e-9)

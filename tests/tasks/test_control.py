@@ -140,7 +140,7 @@ def test_inverse_solution_is_the_best_of_its_harmonics(parts):
 
     def cost(harmonics, regularisation=3e-3):
         turned = ReferenceSignal(0.0, SPEED, harmonics).correction(np.arange(POINTS) * 2.0 * np.pi / (POINTS * SPEED))
-        missing = inverse.close(inverse.angles + turned)[0] - inverse.wanted
+        missing = inverse.close(inverse.angles + turned)[0] - inverse.target
         return float(np.mean(missing**2 + (regularisation * turned) ** 2))
 
     found = inverse.solve(3e-3, 4)

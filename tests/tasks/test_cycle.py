@@ -51,7 +51,7 @@ def test_shaper_is_designed_by_both_back_ends_alike():
 
 
 def test_shaper_beats_the_given_one_of_the_same_stroke():
-    given, found = given_shaper(), shaper().found
+    given, found = given_shaper(), shaper().analysis
     assert found is not None
     assert given.figures["ram.stroke_m"] == pytest.approx(0.5, rel=1e-12)
     assert found.figures["ram.stroke_m"] == pytest.approx(0.5, rel=1e-8)
@@ -63,7 +63,7 @@ def test_shaper_beats_the_given_one_of_the_same_stroke():
 
 
 def test_start_of_the_file_is_the_given_shaper():
-    given, start = given_shaper(), shaper().given
+    given, start = given_shaper(), shaper().initial_analysis
     assert start is not None
     for name in ("input.torque_Nm.max", "F.normal_N.max", "B.f_N.max", "ram.time_ratio"):
         assert start.figures[name] == pytest.approx(given.figures[name], rel=1e-8)
@@ -145,12 +145,12 @@ def test_toggle_press_with_corners_in_its_load():
     expected = result.task.expected
     assert expected is not None
     assert result.objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
-    assert result.given is not None
-    assert result.found is not None
-    given, found = (peak(analysis, "input.torque_Nm") for analysis in (result.given, result.found))
+    assert result.initial_analysis is not None
+    assert result.analysis is not None
+    given, found = (peak(analysis, "input.torque_Nm") for analysis in (result.initial_analysis, result.analysis))
     assert found <= 0.95 * given
-    assert result.found.figures["ram.s_m.max"] == pytest.approx(0.5989, rel=1e-8)
-    assert result.found.figures["F.normal_N.max"] <= 3500.0 * (1.0 + 1e-6)
+    assert result.analysis.figures["ram.s_m.max"] == pytest.approx(0.5989, rel=1e-8)
+    assert result.analysis.figures["F.normal_N.max"] <= 3500.0 * (1.0 + 1e-6)
 
 
 @pytest.mark.slow
@@ -191,7 +191,9 @@ def test_result_is_json_and_the_design_a_machine(tmp_path):
     assert document["valid"] is True
     machine = optlink.load(tmp_path / "design.toml")
     assert machine.model.free == ()
-    assert peak(optlink.analyze(machine), "input.torque_Nm") == pytest.approx(peak(shaper().found, "input.torque_Nm"), rel=1e-12)
+    assert peak(optlink.analyze(machine), "input.torque_Nm") == pytest.approx(
+        peak(shaper().analysis, "input.torque_Nm"), rel=1e-12
+    )
 
 
 @pytest.mark.slow

@@ -69,7 +69,7 @@ def test_a_poor_fit_does_not_end_at_the_cost_of_candidates_out_of_order() -> Non
     collection = DesignCollection(Polisher(files, "ipopt"), 1)
     search = Searcher([path_model(file) for file in files], 0)
     collection.add(search.advance())
-    assert collection.far
+    assert collection.poor_fit
     best = collection.designs[0].error
     dear = [replace(candidate, cost=1e3) for candidate in search.advance().repaired[:2]]
     before = len(collection._ends)

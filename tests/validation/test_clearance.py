@@ -148,7 +148,7 @@ def test_deviation_over_twenty_revolutions(rpm):
 def test_contact_becomes_permanent_and_the_motion_periodic(rpm):
     found = simulate(rpm, 0.1, 25)
     assert max(impact.end for impact in found.impacts if math.isfinite(impact.end)) * rpm / 60.0 < 1.0  # in the first revolution
-    assert found.turns["C.contact_share"][1:] == pytest.approx(1.0)
+    assert found.per_revolution["C.contact_share"][1:] == pytest.approx(1.0)
     changes = np.max(np.abs(np.diff(found["slider.error_m"].reshape(25, STEPS), axis=0)), axis=1)
     assert np.all(changes[2:13] < changes[1:12])
     assert changes[-1] < 3e-8
@@ -162,7 +162,7 @@ def test_number_of_switches(rpm, switches):
     ends = [impact for impact in found.impacts if math.isfinite(impact.end)]
     assert found["C.contact"][-1] == 1.0
     assert 2 * len(ends) + 1 == switches
-    assert int(np.sum(found.turns["impacts"])) == len(ends)
+    assert int(np.sum(found.per_revolution["impacts"])) == len(ends)
 
 
 @pytest.mark.parametrize("rpm", SPEEDS)

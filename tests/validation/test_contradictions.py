@@ -132,7 +132,7 @@ def test_contradictions_in_the_result_of_a_cycle_are_not_valid(machine):
         own["strokes"]["rod swings"]["forward"]["crank_from_deg"] -= 0.2
 
     def figure(own):
-        next(row for row in own["figures"] if row["name"] == "bearing")["found"] *= 0.999
+        next(row for row in own["figures"] if row["name"] == "bearing")["result"] *= 0.999
 
     def size(own):
         own["design"]["rod.length_mm"] *= 1.01

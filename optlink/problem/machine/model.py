@@ -226,7 +226,7 @@ class Problem(Section):
                 with below(f"joints.{name}"):
                     found.append(joint.gap(name, machine.mechanism))
         if found:
-            Revolution(machine).check_holds(found)
+            Revolution(machine).check_clearances(found)
         return tuple(found)
 
 
@@ -241,7 +241,7 @@ class Revolution:
         """The machine at evenly spaced crank angles."""
         return self.machine.moving(np.linspace(0.0, self.machine.mechanism.cycle, STROKES, endpoint=False) + 1e-4)
 
-    def check_holds(self, gaps: Sequence[Gap]) -> None:
+    def check_clearances(self, gaps: Sequence[Gap]) -> None:
         """Refuse clearances that allow a group of the mechanism to disassemble or to change its assembly mode."""
         mechanism, assembled = self.machine.mechanism, self.moving.motion.assembled
         with np.errstate(all="ignore"):

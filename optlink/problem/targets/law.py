@@ -127,7 +127,7 @@ class Law:
         """Output of a table at each design position, before psi0 is added; zeros for an expression."""
         return self.source.at(self.offsets) if isinstance(self.source, Table) else np.zeros(len(self.offsets))
 
-    def wanted(self, offset: Value, tabulated: Value, phi0: Value, psi0: Value) -> Value:
+    def target(self, offset: Value, tabulated: Value, phi0: Value, psi0: Value) -> Value:
         """Return the prescribed output [rad or m]; elementwise.
 
         Parameters
@@ -158,7 +158,7 @@ class Law:
             Output at the start.
         """
         tabulated = self.source.at(offsets) if isinstance(self.source, Table) else 0.0
-        return np.asarray(self.wanted(offsets, tabulated, phi0, psi0) + 0.0 * offsets, dtype=float)
+        return np.asarray(self.target(offsets, tabulated, phi0, psi0) + 0.0 * offsets, dtype=float)
 
 
 def read_law(raw: object, folder: Path) -> Expression | Function | Table:

@@ -90,7 +90,7 @@ _COLUMNS = {"x": "coordinate", "y": "coordinate", "crank": "angle", "angle": "an
 _LEFT_OUT = {"weight": 1.0, "tolerance": math.inf}  # defaults of a row
 
 
-def read_listed(raw: Sequence[object]) -> PointRows:
+def read_rows(raw: Sequence[object]) -> PointRows:
     """Read rows listed in the problem file, each a list of two or a table."""
     if len(raw) > MAX_ROWS:
         raise Unusable(f"there are {len(raw):,} points, more than {MAX_ROWS:,}", "Thin them out", "")

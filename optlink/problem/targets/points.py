@@ -6,7 +6,7 @@ from pathlib import Path
 
 from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.targets.curves import expression_curve
-from optlink.problem.targets.point_table import check_and_reduce, read_csv_rows, read_listed
+from optlink.problem.targets.point_table import check_and_reduce, read_csv_rows, read_rows
 from optlink.problem.targets.svg_path import svg_points
 from optlink.problem.targets.target_points import DEFAULT_POINTS, MAX_POINTS, TargetPoints, closed, read_count
 
@@ -45,7 +45,7 @@ def read_points(raw: object, folder: Path) -> TargetPoints:
     if isinstance(raw, TargetPoints):
         return raw
     if isinstance(raw, list | tuple):
-        return check_and_reduce(read_listed(raw), None)
+        return check_and_reduce(read_rows(raw), None)
     if not isinstance(raw, dict):
         raise Unusable("points are a list or a table", _FORMS, "", raw)
     forms = [form for form, keys in (("csv", ("csv",)), ("svg", ("svg",)), ("x", ("x", "y"))) if any(key in raw for key in keys)]

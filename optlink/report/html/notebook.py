@@ -56,7 +56,7 @@ def _chart(kind: str, result: Any) -> str:
 
     view = view_of(kind)
     drawings = (made for drawing in view.drawings.values() if (made := drawing(result)) is not None)
-    first = next((draw([chart]) for chart in view.charts(view.subject(result))), None) or next(drawings, None)
+    first = next((draw([chart]) for chart in view.charts(view.model(result))), None) or next(drawings, None)
     if first is None:
         return ""
     text = io.StringIO()

@@ -92,7 +92,7 @@ def _sections(
         yield PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {subject.unmoved}."),))
     result = _with_recorded_limits(subject, shown)
     if result:
-        yield PageSection("Analysis" if isinstance(subject.outcome, Analysis) else "Design and proof", (result,))
+        yield PageSection("Analysis" if isinstance(subject.result, Analysis) else "Design and proof", (result,))
     if answers is not None and subject.answers is None:
         yield _matters(answers)
     curves = chart_plotly.charts(charts(subject))
@@ -112,7 +112,7 @@ def sensitivities_of(subject: ReportModel) -> Sensitivities | None:
 
     None if there was no optimisation, no optimum, an exact solution, or no parameter with an effect.
     """
-    outcome = subject.outcome
+    outcome = subject.result
     if isinstance(outcome, FunctionResult | CycleResult):
         file, solution = outcome.problem, outcome.solution
     elif isinstance(outcome, PathResult) and outcome.best is not None and not path_tables.exact(outcome.best):
@@ -127,20 +127,20 @@ def sensitivities_of(subject: ReportModel) -> Sensitivities | None:
 
 def verdict(subject: ReportModel) -> str:
     """Return the verdict: whether the design is valid, and which checks failed."""
-    if isinstance(subject.outcome, Analysis):
-        return f"{subject.outcome.status[0].upper()}{subject.outcome.status[1:]}"
+    if isinstance(subject.result, Analysis):
+        return f"{subject.result.status[0].upper()}{subject.result.status[1:]}"
     if subject.valid:
-        outcome = subject.outcome.best if isinstance(subject.outcome, PathResult) else subject.outcome
+        outcome = subject.result.best if isinstance(subject.result, PathResult) else subject.result
         fit = getattr(outcome, "fit", None)
         beside = f"; {outcome.comparison}" if isinstance(outcome, CycleResult) and outcome.comparison else ""
         return (f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed") + beside
     failed = _failed(subject)
-    return f"Not valid: {failed}" if failed else f"Not valid: {subject.outcome.status.value}"
+    return f"Not valid: {failed}" if failed else f"Not valid: {subject.result.status.value}"
 
 
 def _failed(subject: ReportModel) -> str:
     """Return the names of the failed checks."""
-    outcome = subject.outcome
+    outcome = subject.result
     if isinstance(outcome, PathResult):
         proof = None if outcome.best is None else outcome.best.validation
     else:
@@ -151,21 +151,25 @@ def _failed(subject: ReportModel) -> str:
 
 def result_tables(subject: ReportModel) -> Summary:
     """Return the summary of the result."""
-    return table_of(_kind(subject))(subject.outcome)
+    return table_of(_kind(subject))(subject.result)
 
 
 def _kind(subject: ReportModel) -> str:
-    return "analysis" if isinstance(subject.outcome, Analysis) else subject.problem.task
+    return "analysis" if isinstance(subject.result, Analysis) else subject.problem.task
 
 
 def charts(subject: ReportModel) -> list[ChartSpec]:
     """Return the charts of the result and, for a design, those of its machine over the cycle."""
-    outcome, kind = subject.outcome, _kind(subject)
+    outcome, kind = subject.result, _kind(subject)
     view = view_of(kind)
-    found = [*view.charts(view.subject(outcome))]
+    found = [*view.charts(view.model(outcome))]
     if subject.cycle is not None and kind != "analysis":
         course, cycle = CycleCurves(subject.cycle), isinstance(outcome, CycleResult)
-        given = CycleCurves(outcome.given) if isinstance(outcome, CycleResult) and outcome.given is not None else None
+        given = (
+            CycleCurves(outcome.initial_analysis)
+            if isinstance(outcome, CycleResult) and outcome.initial_analysis is not None
+            else None
+        )
         if cycle or subject.forces:
             found += analysis_charts.motion(course, given)
         if cycle or (isinstance(outcome, PathResult) and outcome.best is not None and outcome.best.task.pointed):
@@ -178,7 +182,7 @@ def charts(subject: ReportModel) -> list[ChartSpec]:
 def _with_recorded_limits(subject: ReportModel, shown: Summary) -> list[Part]:
     """Return the tables of the result, with the stored active constraints before the validation."""
     parts = list(shown.parts)
-    if subject.limits and not _priced(subject.outcome):
+    if subject.limits and not _priced(subject.result):
         titles = [part.title if isinstance(part, TableSpec) else "" for part in parts]
         parts.insert(next((k for k, title in enumerate(titles) if "Validation" in title), len(parts)), _recorded(subject))
     return parts
@@ -192,7 +196,7 @@ def _priced(outcome: Outcome) -> bool:
 
 def _recorded(subject: ReportModel) -> Part:
     """Tabulate the stored active constraints with their shadow prices in display units."""
-    outcome, limits = subject.outcome, subject.limits
+    outcome, limits = subject.result, subject.limits
     if isinstance(outcome, PathResult) and outcome.best is not None:
         best = outcome.best
         shown = path_tables.displayed_objective(best)
@@ -204,7 +208,7 @@ def _recorded(subject: ReportModel) -> Part:
 
 
 def _by(subject: ReportModel) -> str:
-    outcome = subject.outcome
+    outcome = subject.result
     if isinstance(outcome, Analysis):
         return "analysis of the machine; nothing was optimised"
     if outcome.backend == "none":

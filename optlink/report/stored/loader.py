@@ -13,7 +13,7 @@ from optlink.problem.file import shipped
 from optlink.report.registry import page_of, records
 from optlink.report.report_model import ReportModel
 from optlink.report.stored.problem_lookup import problem_of
-from optlink.report.stored.stored_result import read_subject
+from optlink.report.stored.stored_result import read_report_model
 from optlink.report.stored.stored_study import StoredStudy
 from optlink.version import VERSION
 
@@ -84,7 +84,7 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
     file = problem_of(record.problem, record.problem_hash, path, problem, changes)
     try:
         if schema in SOLVED:
-            return read_subject(record, file, path)
+            return read_report_model(record, file, path)
         found = page_of(kind)(record, file, path)
     except Contradiction as error:
         raise damaged(error, path) from None

@@ -62,7 +62,7 @@ def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution 
     return found if float(np.max(np.abs(away))) <= SAME else None
 
 
-def generated_optimum(design: PathDesign) -> PathDesign:
+def path_optimum(design: PathDesign) -> PathDesign:
     """Return a path, motion or function synthesis design with its solution, which is None if it is not an optimum."""
     from optlink.optimization.path_nlp import angle_name, build_path_nlp
     from optlink.solvers import multistart

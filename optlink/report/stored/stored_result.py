@@ -18,7 +18,7 @@ from optlink.problem.base_model import Contradiction, ResultRecord, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.report.report_model import Outcome, ReportModel, report_model_of
-from optlink.report.stored.resolved_result import generated_optimum, law_optimum, machine_optimum
+from optlink.report.stored.resolved_result import law_optimum, machine_optimum, path_optimum
 from optlink.report.stored.stored_study import named_si
 from optlink.solvers.solution import LimitState
 from optlink.studies.sensitivity import SensitivitiesRecord
@@ -36,7 +36,7 @@ from optlink.validation.path import validate_path
 from optlink.version import VERSION
 
 
-def read_subject(record: ResultRecord, file: ProblemFile, path: Path) -> ReportModel:
+def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> ReportModel:
     """Return the report model of a stored result.
 
     Parameters
@@ -71,7 +71,7 @@ def _solved(outcome: Outcome) -> Outcome:
     if isinstance(outcome, CycleResult) and outcome.status is Status.OPTIMAL:
         return replace(outcome, solution=machine_optimum(outcome.problem, outcome.values))
     if isinstance(outcome, PathResult) and outcome.designs and outcome.designs[0].status is Status.OPTIMAL:
-        return replace(outcome, designs=(generated_optimum(outcome.designs[0]), *outcome.designs[1:]))
+        return replace(outcome, designs=(path_optimum(outcome.designs[0]), *outcome.designs[1:]))
     return outcome
 
 

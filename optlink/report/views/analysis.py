@@ -184,7 +184,7 @@ def frames(course: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
 
 
 VIEW = View(
-    subject=CycleCurves,
+    model=CycleCurves,
     charts=charts,
     drawings={"mechanism": mechanism},
     tables=lambda result: {"cycle": result.columns},

@@ -115,7 +115,7 @@ def curves(
     """
     found = []
     if given is not None and column in given.columns:
-        words = f"{name}, given machine" if name else "given machine"
+        words = f"{name}, initial machine" if name else "initial machine"
         found.append(Curve(*given.line(column, shown.factor), words, QUIET, 1.1, "dot"))
     found.append(Curve(*course.line(column, shown.factor), name, colour, width, dash, gid=column))
     for k in course.breaks(column):

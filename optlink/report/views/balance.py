@@ -96,7 +96,7 @@ def _panel(result: Balance, measure: BalanceMeasure, angles: Array, other: str) 
     name, colour = measure.quantity, COLOURS.get(measure.kind, other)
     before, after = (np.append(values, values[: len(angles) - len(values)]) * unit.factor for values in (old, new))
     curves = [
-        Curve(angles, before, f"given: rms {unit.text(old_rms)}", GIVEN, 1.3, gid=f"given {name}"),
+        Curve(angles, before, f"initial: rms {unit.text(old_rms)}", GIVEN, 1.3, gid=f"initial {name}"),
         Curve(angles, after, f"balanced {name}: {shown}{share}", colour, 2.1, gid=f"balanced {name}"),
     ]
     bounds = [limit.bound for limit in result.limits if limit.name == f"largest {name}"]
@@ -116,7 +116,7 @@ def _same(bare: BalanceMeasure, measure: BalanceMeasure, result: Balance) -> boo
 
 def hodograph(result: Balance) -> ChartSpec:
     """Plot the hodograph of the shaking force over the motion before and after balancing, with equal scales."""
-    names = (("before", GIVEN, 1.4, "given"), ("after", FOUND, 2.1, "balanced"))
+    names = (("before", GIVEN, 1.4, "initial"), ("after", FOUND, 2.1, "balanced"))
     paths = [np.stack([result.columns[f"{when}.shaking_force_{way}_N"] for way in "xy"], axis=-1) for when, *_ in names]
     largest = float(np.max(np.abs(paths[0])))
     unit = scale(largest, "N")
@@ -150,24 +150,24 @@ def trade_off(result: Balance) -> list[ChartSpec]:
     if found is None or len(found.points) < 2:
         return []
     both = (found.first, found.second)
-    units = [scale(max(found.before[k], *(p.made[k] for p in found.points)), m.unit) for k, m in enumerate(both)]
+    units = [scale(max(found.before[k], *(p.realised[k] for p in found.points)), m.unit) for k, m in enumerate(both)]
     factors = np.array([unit.factor for unit in units])
     bound = np.array([[p.first, p.second] for p in found.points]) * factors
-    real, given = np.array([p.made for p in found.points]) * factors, np.array(found.before) * factors
+    real, given = np.array([p.realised for p in found.points]) * factors, np.array(found.before) * factors
     below = Band(bound[:, 0], np.full(len(bound), np.min(bound[:, 1])), bound[:, 1], "", "#888888", 0.14, gid="out of reach")
-    designs = partial(Curve, mode="markers", size=4.0, picks=range(len(real)), gid="made")
+    designs = partial(Curve, mode="markers", size=4.0, picks=range(len(real)), gid="realised")
     curves: list[Curve | Band] = [
         below,
         Curve(bound[:, 0], bound[:, 1], "proven bound", FOUND, 1.8, gid="bound"),
         designs(real[:, 0], real[:, 1], "designs, by inverse dynamics", FOUND),
-        Curve(given[:1], given[1:], "given machine", WANTED, mode="markers", symbol="square", size=6.5, gid="given"),
+        Curve(given[:1], given[1:], "initial machine", WANTED, mode="markers", symbol="square", size=6.5, gid="initial"),
     ]
     names = {0: f"least {found.first.quantity}", len(found.points) - 1: f"least {found.second.quantity}"}
     if found.knee is not None:
         names[found.knee] = "knee"
-    marks = [Mark(float(given[0]), float(given[1]), "given machine", WANTED, "square", 6.5, font=9.0)]
+    marks = [Mark(float(given[0]), float(given[1]), "initial machine", WANTED, "square", 6.5, font=9.0)]
     for k, name in names.items():
-        shares = (change(value / before - 1.0) for value, before in zip(found.points[k].made, found.before, strict=True))
+        shares = (change(value / before - 1.0) for value, before in zip(found.points[k].realised, found.before, strict=True))
         text = f"{name}\n{', '.join(f'{_short(m)} {share}' for m, share in zip(both, shares, strict=True))}"
         marks.append(Mark(float(real[k, 0]), float(real[k, 1]), text, LIMIT, size=7.0, prefer=(0.7, 0.7), gid=name))
     panels = [Panel(Axis(f"{found.second} [{units[1].unit}]"), curves, 2.0, marks=marks)]
@@ -197,12 +197,12 @@ def _picks(trade: TradeOff, places: Array) -> Picks:
     names = [
         words
         for measure in (trade.first, trade.second)
-        for words in (f"{measure} [{measure.unit}]", f"{measure.quantity}: against the given machine")
+        for words in (f"{measure} [{measure.unit}]", f"{measure.quantity}: against the initial machine")
     ]
     rows = []
     for point in trade.points:
-        shares = [change(value / before - 1.0) for value, before in zip(point.made, trade.before, strict=True)]
-        told = [number(point.made[0]), shares[0], number(point.made[1]), shares[1]]
+        shares = [change(value / before - 1.0) for value, before in zip(point.realised, trade.before, strict=True)]
+        told = [number(point.realised[0]), shares[0], number(point.realised[1]), shares[1]]
         rows.append((*told, *(f"{number(point.masses[body])} kg" if body in point.masses else "none" for body in bodies)))
     what = (*names, *(f"counterweight on {body}" for body in bodies))
     return Picks("point", what, tuple(rows), places[:, 0], places[:, 1], trade.knee or 0)
@@ -216,9 +216,9 @@ def _tables(result: Balance) -> dict[str, dict[str, Array]]:
     if result.trade is not None:
         trade, points = result.trade, result.trade.points
         columns = {
-            f"{m}_{m.unit}".replace(" ", "_"): [p.made[k] for p in points] for k, m in enumerate((trade.first, trade.second))
+            f"{m}_{m.unit}".replace(" ", "_"): [p.realised[k] for p in points] for k, m in enumerate((trade.first, trade.second))
         }
-        bodies = [weight.asked.body for weight in result.added] + [b for p in points for b in p.masses]
+        bodies = [weight.specification.body for weight in result.added] + [b for p in points for b in p.masses]
         masses = {f"{body}_kg": [point.masses.get(body, 0.0) for point in points] for body in dict.fromkeys(bodies)}
         found["trade"] = {**columns, "rate": [p.rate for p in points], "gap": [p.gap for p in points], **masses}  # type: ignore[dict-item]
     return found

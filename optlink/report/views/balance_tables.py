@@ -38,8 +38,8 @@ def balance(outcome: Balance) -> Summary:
 
 
 def _objective(outcome: Balance) -> TableSpec:
-    unit = outcome.unit or "of the given machine's"
-    against = f"{change(-outcome.reduction)} against the given {number(outcome.before)}"
+    unit = outcome.unit or "of the initial machine's"
+    against = f"{change(-outcome.reduction)} against the initial {number(outcome.before)}"
     proof = f"duality gap {outcome.gap:.1e}, computed from the dual point"
     if outcome.exact:
         proof = "least squares without any limit: nothing can be below"
@@ -58,7 +58,7 @@ def _added(outcome: Balance) -> TableSpec:
     for one in outcome.added:
         x, y = one.place
         size, what = (one.radius, "disc") if one.radius is not None else (one.gyration, "of gyration")
-        thickness = one.asked.thickness_of(one.mass) if one.asked.kind == "disc" else None
+        thickness = one.specification.thickness_of(one.mass) if one.specification.kind == "disc" else None
         if thickness is not None:
             what += f" x {number(thickness * 1e3, 4)} mm"
         along, across = float(one.parameters.along), _tiny(float(one.parameters.across), float(one.parameters.along))
@@ -66,9 +66,9 @@ def _added(outcome: Balance) -> TableSpec:
         place = f"({number(x * 1e3, 5)}, {number(y * 1e3 if abs(y) > 1e-9 * abs(x) else 0.0, 5)})"
         rows.append((one.body, number(one.mass), place, product, number(size * 1e3, 5), quiet(what)))
     for spring in outcome.springs:
-        ends = "-".join(point for _, point in spring.asked.ends)
+        ends = "-".join(point for _, point in spring.specification.ends)
         made = f"spring {ends}: {number(spring.stiffness)} N/m, free length {number(spring.free * 1e3)} mm"
-        rows.append((spring.asked.name, "", "", "", "", made))
+        rows.append((spring.specification.name, "", "", "", "", made))
     columns = ["body", ">mass kg", ">centre mm", ">m r kg m", ">radius", ""]
     return table("Counterweights; centre and m r along and across their bodies", columns, rows)
 
@@ -131,9 +131,9 @@ def _trade(trade: TradeOff) -> TableSpec:
         mark = ends.get(k, "knee" if k == trade.knee else "")
         if k % step and not mark:
             continue
-        shares = [change(value / before - 1.0) for value, before in zip(point.made, trade.before, strict=True)]
+        shares = [change(value / before - 1.0) for value, before in zip(point.realised, trade.before, strict=True)]
         price = f"{point.rate:.3g}" if math.isfinite(point.rate) else ""
-        rows.append((mark, number(point.made[0]), shares[0], number(point.made[1]), shares[1], price, f"{point.gap:.0e}"))
+        rows.append((mark, number(point.realised[0]), shares[0], number(point.realised[1]), shares[1], price, f"{point.gap:.0e}"))
     return table(title, ["", f">{one} {one.unit}", ">", f">{other} {other.unit}", ">", ">price", ">gap"], rows)
 
 

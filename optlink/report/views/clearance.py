@@ -87,10 +87,10 @@ def _course(turns: RevolutionCurves, rows: slice) -> ChartSpec:
 def error(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot deviation and largest contact forces of every revolution, and the RMS over all revolutions after the running-in."""
     result, out = turns.result, turns.result.output
-    unit, numbers = out.unit, result.turns.get("revolution")
+    unit, numbers = out.unit, result.per_revolution.get("revolution")
     if numbers is None or not len(numbers):
         return []
-    rms, peak = result.turns[f"rms_{unit}"], result.turns[f"peak_{unit}"]
+    rms, peak = result.per_revolution[f"rms_{unit}"], result.per_revolution[f"peak_{unit}"]
     shown = turns.shares(float(np.max(peak)))
     plotted = partial(Curve, numbers, mode="lines+markers" if len(numbers) <= MARKED else "lines", size=3.5)
     low, high = float(numbers[0]) - 0.5, float(numbers[-1]) + 0.5
@@ -100,7 +100,7 @@ def error(turns: RevolutionCurves) -> list[ChartSpec]:
         plotted(rms * shown.factor, "root mean square", FOUND, 1.5, gid="rms"),
         Curve(ends, np.full(2, turns.rms * shown.factor), f"RMS over {turns.counted}", WANTED, 1.1, "dash", gid="whole"),
     ]
-    largest = [result.turns[f"{gap.point}.normal_max_N"] for gap in result.gaps]
+    largest = [result.per_revolution[f"{gap.point}.normal_max_N"] for gap in result.gaps]
     force = scale(float(np.max(largest)), "N")
     forces = [
         plotted(values * force.factor, f"force at {gap.point}", BODIES[k % len(BODIES)], 1.3)

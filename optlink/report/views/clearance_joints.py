@@ -246,10 +246,12 @@ def repetition(turns: RevolutionCurves) -> tuple[int | None, float] | None:
     None if there are too few revolutions.
     """
     result = turns.result
-    count = len(next(iter(result.section.values()), ()))
+    count = len(next(iter(result.poincare_map.values()), ()))
     if count < FEW:
         return None
-    places = np.stack([result.section[f"{gap.point}.e{axis}_m"] / gap.clearance for gap in result.gaps for axis in "xy"], axis=1)
+    places = np.stack(
+        [result.poincare_map[f"{gap.point}.e{axis}_m"] / gap.clearance for gap in result.gaps for axis in "xy"], axis=1
+    )
     late = places[-min(200, -(-count // 2)) :]
     away = {p: float(np.max(np.abs(late[p:] - late[:-p]))) for p in range(1, min(PERIODS, len(late) // 2) + 1)}
     period = next((p for p, most in away.items() if most < REPEATS), None)
@@ -279,9 +281,9 @@ def _verdict(turns: RevolutionCurves) -> str:
 def poincare_map(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot the Poincaré section: output deviation and journal positions at the ends of the revolutions."""
     result, out = turns.result, turns.result.output
-    if not result.section:
+    if not result.poincare_map:
         return []
-    numbers, values = result.section["revolution"], result.section[f"{out.name}.error_{out.unit}"]
+    numbers, values = result.poincare_map["revolution"], result.poincare_map[f"{out.name}.error_{out.unit}"]
     unit, size = turns.shares(float(np.max(np.abs(values)))), 4.5 if len(numbers) < 300 else 2.0
 
     def points(x: Array, y: Array, *, legend: bool = False) -> list[Curve]:
@@ -309,7 +311,7 @@ def poincare_map(turns: RevolutionCurves) -> list[ChartSpec]:
     found = [ChartSpec("section", title, [panel], numbered(numbers), heading, cursor=False, width=4.4)]
     for k, gap in enumerate(result.gaps):
         shown = scale(gap.clearance, "m")
-        x, y_ = (result.section[f"{gap.point}.e{axis}_m"] * shown.factor for axis in "xy")
+        x, y_ = (result.poincare_map[f"{gap.point}.e{axis}_m"] * shown.factor for axis in "xy")
         row = (k + 1) // beside(len(result.gaps) + 1)
         words = f"Journal at {named(gap)}"
         found.append(_round(turns, k, "section", words, points(x, y_), shown, row=row, width=4.4, remark=ends))

@@ -71,7 +71,7 @@ def read(record: ClearanceRecord, file: ProblemFile) -> ClearanceSimulation:
     told = record.prediction
     predicted = None if told is None else Prediction(told.parted_revolutions, told.watched, math.nan)
     output = known[record.output]
-    tables = {name: _Table(name, getattr(record, name)) for name in ("columns", "turns", "section", "figures")}
+    tables = {name: _Table(name, getattr(record, name)) for name in ("columns", "per_revolution", "poincare_map", "figures")}
     found = record.build(
         ClearanceSimulation, problem=file, machine=machine, output=output, impacts=tuple(impacts), prediction=predicted, **tables
     )

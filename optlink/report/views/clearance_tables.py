@@ -51,7 +51,7 @@ def _error(outcome: ClearanceSimulation) -> TableSpec:
         ("mean square", number(found[f"mean_square_{unit}2"] * factor * factor), f"{displayed}^2"),
         ("largest", fixed(found[f"peak_{unit}"] * factor, 6), displayed),
     ]
-    rms = outcome.turns[f"rms_{unit}"][-int(found["settled_revolutions"]) :]
+    rms = outcome.per_revolution[f"rms_{unit}"][-int(found["settled_revolutions"]) :]
     if len(rms) > 1:
         rows.append(("scatter between revolutions", f"{float(np.std(rms)) * factor:.2g}", displayed))
     return table(f"Deviation of {outcome.output.name} from the machine without clearance, {span}", "<><", rows)
@@ -66,7 +66,7 @@ def _contacts(outcome: ClearanceSimulation) -> TableSpec:
             gap.bearing,
             number(gap.clearance * 1e3),
             str(sum(impact.gap == k for impact in outcome.impacts)),
-            f"{float(np.mean(outcome.turns[f'{gap.point}.contact_share'])):.1%}",
+            f"{float(np.mean(outcome.per_revolution[f'{gap.point}.contact_share'])):.1%}",
             number(found[f"{gap.point}.normal_max_N"], 5),
             fixed(found[f"{gap.point}.penetration_max_m"] * 1e6, 2),
         )

@@ -54,7 +54,7 @@ class Line(NamedTuple):
 
 def _line(cycle: Cycle, term: Term) -> Line:
     """Evaluate a cyclic term over the revolution, with one-sided values at load jumps."""
-    machine, read = cycle.course(term)
+    machine, read = cycle.history(term)
     jumps = np.remainder(cycle.work.jumps, TURN)
     even = np.linspace(0.0, TURN, STEPS + 1)
     angles = np.concatenate([even, jumps, jumps])
@@ -87,10 +87,10 @@ def charts(result: CycleResult) -> list[ChartSpec]:
     given, found = Cycle(result.task, {}), Cycle(result.task, result.values)
     if not shown or not found.full:
         return []
-    cycles = {"given": given, "found": found} if given.full else {"found": found}
+    cycles = {"initial": given, "result": found} if given.full else {"result": found}
     panels = [_panel(result, term, cycles, (low, high)) for term, low, high in shown]
     jumps = [
-        chart_spec.Line(math.degrees(at % TURN), colour=FOUND if name == "found" else GIVEN, width=0.8)
+        chart_spec.Line(math.degrees(at % TURN), colour=FOUND if name == "result" else GIVEN, width=0.8)
         for name, cycle in cycles.items()
         for at in cycle.work.jumps
     ]
@@ -104,7 +104,7 @@ def charts(result: CycleResult) -> list[ChartSpec]:
 def _panel(result: CycleResult, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
     lines = {name: _line(cycle, term) for name, cycle in cycles.items()}
     shown = scale(max(float(np.nanmax(np.abs(line.values))) for line in lines.values()), UNITS.get(result.task.kind(term), ""))
-    looks = {"given": (GIVEN, 1.3), "found": (FOUND, 1.8)}
+    looks = {"initial": (GIVEN, 1.3), "result": (FOUND, 1.8)}
     curves = [
         Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *looks[name], gid=name)
         for name, line in lines.items()
@@ -130,7 +130,7 @@ def _named(term: Term) -> str:
 @styled
 def mechanisms(result: CycleResult) -> Figure | None:
     """Draw the initial machine grey and the optimal one in colour, with joint paths, at the crank angle of the largest torque."""
-    given, found = result.given, result.found
+    given, found = result.initial_analysis, result.analysis
     if found is None:
         return None
     at = np.array([_telling(result, found)])
@@ -145,7 +145,7 @@ def mechanisms(result: CycleResult) -> Figure | None:
     if given is not None:
         _ghost(axes, given, main.scale, at)
     main.show(axes, sweep(found.machine.mechanism, found.machine.sizes, at))
-    grey = {} if given is None else {"given_machine": Line2D([], [], color=GIVEN, linewidth=3.0)}
+    grey = {} if given is None else {"initial_machine": Line2D([], [], color=GIVEN, linewidth=3.0)}
     main.add_legend(drawn, 5, **grey)
     drawn.suptitle(heading(f"{result.task.title}: at crank angle {math.degrees(float(at[0])):.1f}°", width))
     return drawn
@@ -180,12 +180,12 @@ def _ghost(axes: Axes, given: Analysis, shown: Scale, at: Array) -> None:
 
 
 def _design(result: CycleResult) -> tuple[ProblemFile, str] | None:
-    return None if result.found is None else (result.machine, verdict(result.status.value, result.valid, failed(result)))
+    return None if result.analysis is None else (result.machine, verdict(result.status.value, result.valid, failed(result)))
 
 
 VIEW = View(
     charts=charts,
     drawings={"mechanisms": mechanisms},
-    tables=lambda result: {} if result.found is None else {"cycle": result.found.columns},
+    tables=lambda result: {} if result.analysis is None else {"cycle": result.analysis.columns},
     design=_design,
 )

@@ -63,18 +63,18 @@ def _sizes(outcome: CycleResult) -> TableSpec:
         low, high = (bound * size for bound in quantity.bounds)
         rows.append((name, strong(fixed(value * size)), unit, fixed(quantity.value * size), quiet(f"{low:g} ... {high:g}")))
     title = "Design" if outcome.status is not Status.INFEASIBLE else "Nearest design found (it does not meet the limits)"
-    return table(title, ["", ">found", "", ">given", ""], rows)
+    return table(title, ["", ">result", "", ">initial", ""], rows)
 
 
 def _figures(outcome: CycleResult) -> TableSpec:
     rows: list[Row] = []
     for one in outcome.figures:
-        change = one.found / one.given - 1.0 if one.given and math.isfinite(one.given) else math.nan
+        change = one.result / one.initial - 1.0 if one.initial and math.isfinite(one.initial) else math.nan
         shown = f"{change:+.2%}" if math.isfinite(change) else "-"
-        rows.append((one.words, number(one.given), strong(number(one.found)), one.unit, shown, quiet(one.limit)))
+        rows.append((one.words, number(one.initial), strong(number(one.result)), one.unit, shown, quiet(one.limit)))
     if not outcome.task.single:
         rows.append(("weighted sum", "", strong(number(outcome.objective, 8)), "", "", quiet("minimised")))
-    return table("What it does, measured over the cycle", ["", ">given", ">found", "", ">change", "asked"], rows)
+    return table("Objective and limits, measured over the cycle", ["", ">initial", ">result", "", ">change", "limit"], rows)
 
 
 def _optima(outcome: CycleResult) -> TableSpec:

@@ -132,7 +132,7 @@ def law(result: FunctionResult) -> list[ChartSpec]:
         return []
     error, at_marks = np.degrees(result.error(offsets)), np.degrees(result.error())
     above = [
-        Curve(crank, wanted, "wanted", WANTED, 1.4, "dash", gid="wanted"),
+        Curve(crank, wanted, "target", WANTED, 1.4, "dash", gid="target"),
         Curve(crank, found, "generated", FOUND, 1.8, gid="generated"),
         Curve(marked, marks, "design positions", WANTED, mode="markers", size=3.0, gid="positions"),
     ]
@@ -146,7 +146,7 @@ def law(result: FunctionResult) -> list[ChartSpec]:
     below.append(Curve(crank, error, "" if robust is None else "as drawn", LIMIT, 1.5, gid="error"))
     below.append(Curve(marked, at_marks, "", LIMIT, mode="markers", size=3.0))
     mark = Mark(float(crank[worst]), top, words, size=1.0, prefer=(0.0, 1.0 if error[worst] > 0.0 else -1.0))
-    panels = [Panel(Axis("rocker angle ψ [deg]"), above, 1.7), Panel(Axis("wanted minus generated [deg]"), below, marks=[mark])]
+    panels = [Panel(Axis("rocker angle ψ [deg]"), above, 1.7), Panel(Axis("target minus generated [deg]"), below, marks=[mark])]
     title = f"{problem.title}: {result.measure} {result.objective:.6g} {unit_of(result)}"
     return [ChartSpec("law", "Motion law over the span", panels, crank_angle(clockwise=_clockwise(result)), title)]
 

@@ -120,7 +120,7 @@ def _design(outcome: FunctionResult) -> TableSpec:
             remark = where if name == "psi0" else f"at the {where}"
         else:
             low, high = (display_value(name, bound)[0] for bound in quantity.bounds)
-            remark = f"free, {low:g} ... {high:g}" if quantity.free else "given"
+            remark = f"free, {low:g} ... {high:g}" if quantity.free else "fixed"
         free = quantity is not None and quantity.free
         rows.append((name, strong(fixed(shown)) if free else fixed(shown), unit, quiet(remark)))
     rows.append(("assembly", outcome.assembly, "", quiet(f"joint C lies to the {outcome.assembly} of B -> D")))
@@ -186,7 +186,7 @@ def checks(asked: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:
     if gathered:
         rows.append((good("ok"), f"{len(gathered)} sizes within their bounds", "all", "", ""))
     title = f"Validation: {sum(check.passed for check in asked)} of {len(asked)} checks passed"
-    return table(title, ["", "check", ">found", "", "allowed"], rows)
+    return table(title, ["", "check", ">value", "", "limit"], rows)
 
 
 def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> TableSpec:

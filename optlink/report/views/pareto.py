@@ -25,7 +25,7 @@ from optlink.studies.pareto.epsilon_constraint import Pareto, ParetoPoint, Paret
 from optlink.studies.pareto.objective import ParetoObjective
 
 Array = NDArray[np.float64]
-OTHERS = {"given machine": "the given machine", "as the file asks": "what the file asks"}
+OTHERS = {"initial machine": "the initial machine", "limits of the file": "the optimum for the limits of the file"}
 SENSES = {"minimise": 1, "maximise": -1}
 
 
@@ -58,7 +58,7 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
         raise Contradiction("front", "its designs differ in what is free")
     places: dict[str, Mapping[str, object]] = {"ends": record.ends if record.front else dict.fromkeys(columns, 0)}
     places |= {f"front[{k}].objectives": point.objectives for k, point in enumerate(record.front)}
-    places |= {} if record.given is None else {"given": record.given}
+    places |= {} if record.reference is None else {"reference": record.reference}
     for where, told in places.items():
         for name in columns:
             if not isinstance(told.get(name), int | float):
@@ -67,25 +67,25 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
     knee = None if record.knee is None else (record.knee.point, record.knee.distance)
     if any(not 0 <= k < len(record.front) for k in (*ends, *([knee[0]] if knee else []))):
         raise Contradiction("ends", "an end or the knee is no point of the front")
-    for k, axis_ in enumerate(record.held):
+    for k, axis_ in enumerate(record.constrained):
         if not 0 < axis_.values <= grid.MAX_POINTS:
-            raise Contradiction(f"held[{k}].values", "no front has so many", axis_.values)
-    spans = [(one.key, one.unit, np.linspace(one.first, one.last, one.values)) for one in record.held]
+            raise Contradiction(f"constrained[{k}].values", "no front has so many", axis_.values)
+    spans = [(one.key, one.unit, np.linspace(one.first, one.last, one.values)) for one in record.constrained]
     points = [
         ParetoPoint(tuple(one.objectives[name] for name in columns), one.design, "; ".join(one.active), one.mark or "")
         for one in record.front
     ]
-    given = record.given or {}
+    given = record.reference or {}
     return record.build(
         Pareto,
         problem=file,
-        aims=aims,
+        objectives=aims,
         minimised=columns.index(record.minimised),
         points=tuple(points),
         ends=ends,
         knee=knee,
-        given=tuple(float(given[name]) for name in columns) if given else None,
-        given_words=str(given.get("what", "")),
+        reference=tuple(float(given[name]) for name in columns) if given else None,
+        reference_label=str(given.get("what", "")),
         grid=grid.Grid(tuple(grid.Axis(key, unit, tuple(values.tolist())) for key, unit, values in spans)),
         path=path,
     )
@@ -117,7 +117,7 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
     drawn = chart_plotly.charts(charts(found))
     return StoredStudy(
         problem=file,
-        kind=f"front of {len(found.aims)} objectives",
+        kind=f"front of {len(found.objectives)} objectives",
         verdict="Every point of the front is proven" if found.complete else "Not every point could be proven",
         valid=found.complete,
         status=shown.status.lines,
@@ -144,13 +144,13 @@ def charts(result: Pareto) -> list[ChartSpec]:
     if len(result.points) < 2:
         return []
     values = np.array([point.values for point in result.points])
-    pairs = list(itertools.combinations(range(len(result.aims)), 2))
+    pairs = list(itertools.combinations(range(len(result.objectives)), 2))
     return [_front(result, values, x, y) for x, y in pairs]
 
 
 def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
     """Plot two objectives as a curve, or as points coloured by the third objective."""
-    two, first = len(result.aims) == 2, (x, y) == (0, 1)
+    two, first = len(result.objectives) == 2, (x, y) == (0, 1)
     along, up = values[:, x], values[:, y]
     numbers = range(len(values)) if first else ()
     if two:
@@ -161,9 +161,9 @@ def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
         ]
     else:
         third = 3 - x - y
-        shade: dict[str, Any] = {"shade": values[:, third], "shade_name": _named(result.aims[third])}
+        shade: dict[str, Any] = {"shade": values[:, third], "shade_name": _named(result.objectives[third])}
         traces = [Curve(along, up, "front", FOUND, mode="markers", picks=numbers, legend=False, **shade, gid="front")]
-    outward = (0.7 * result.aims[x].sense, 0.7 * result.aims[y].sense)  # away from the unattainable side of the front
+    outward = (0.7 * result.objectives[x].sense, 0.7 * result.objectives[y].sense)  # away from the unattainable side of the front
     look: dict[str, Any] = {
         "symbol": "circle" if two else "open circle",
         "size": 7.0,
@@ -176,20 +176,22 @@ def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
         for k, point in enumerate(result.points)
         if point.mark
     ]
-    if result.given is not None:
-        place = result.given[x], result.given[y]
-        marks.append(Mark(*place, result.given_words, WANTED, "square", 6.0, written=True, gid="given"))
+    if result.reference is not None:
+        place = result.reference[x], result.reference[y]
+        marks.append(Mark(*place, result.reference_label, WANTED, "square", 6.0, written=True, gid="reference"))
     axes = [
-        Axis(_named(result.aims[k]), _widened([*values[:, k], *([] if result.given is None else [result.given[k]])]))
+        Axis(
+            _named(result.objectives[k]), _widened([*values[:, k], *([] if result.reference is None else [result.reference[k]])])
+        )
         for k in (x, y)
     ]
-    title = f"{result.aims[x].name} against {result.aims[y].name}"
+    title = f"{result.objectives[x].name} against {result.objectives[y].name}"
     return ChartSpec(
         "front",
         title[0].upper() + title[1:],
         [Panel(axes[1], traces, 2.0, marks=marks)],
         axes[0],
-        heading=f"{result.problem.model.title}: {', '.join(aim.name for aim in result.aims)}",
+        heading=f"{result.problem.model.title}: {', '.join(aim.name for aim in result.objectives)}",
         picks=_picks(result, along, up) if first else None,
         cursor=False,
         width=7.6 if two else 4.4,
@@ -205,8 +207,8 @@ def _widened(values: Sequence[float]) -> tuple[float, float]:
 def _words(result: Pareto, point: ParetoPoint) -> str:
     """Return the label of a marked point with its change from the reference design."""
     words = point.mark.replace(", ", ",\n")
-    if len(result.aims) == 2 and result.given is not None:
-        changes = [pareto_tables.against(value, before) for value, before in zip(point.values, result.given, strict=True)]
+    if len(result.objectives) == 2 and result.reference is not None:
+        changes = [pareto_tables.against(value, before) for value, before in zip(point.values, result.reference, strict=True)]
         words += f"\n{', '.join(filter(None, changes))}"
     return words
 
@@ -219,19 +221,21 @@ def _named(aim: ParetoObjective) -> str:
 def _picks(found: Pareto, x: Array, y: Array) -> Picks:
     """Tabulate the design of every point."""
     names: list[str] = []
-    for aim in found.aims:
-        names += [_named(aim), f"{aim.name}: change"] if found.given is not None else [_named(aim)]
+    for aim in found.objectives:
+        names += [_named(aim), f"{aim.name}: change"] if found.reference is not None else [_named(aim)]
     names += ["{} [{}]".format(*name.rpartition("_")[::2]) for name in found.points[0].design]
     rows = []
     for point in found.points:
         told: list[str] = []
         for k, value in enumerate(point.values):
             told.append(number(value, 7))
-            if found.given is not None:
-                told.append(pareto_tables.against(value, found.given[k]))
+            if found.reference is not None:
+                told.append(pareto_tables.against(value, found.reference[k]))
         told += [number(value, 7) for value in point.design.values()]
         rows.append((*told, point.active or "nothing", point.mark or "–"))
-    told_words = f"point (changes: against {OTHERS.get(found.given_words, found.given_words)})" if found.given else "point"
+    told_words = (
+        f"point (changes: against {OTHERS.get(found.reference_label, found.reference_label)})" if found.reference else "point"
+    )
     return Picks(told_words, (*names, "held by", "mark"), tuple(rows), x, y, _chosen(found) or 0)
 
 

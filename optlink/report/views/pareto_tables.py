@@ -25,7 +25,7 @@ def pareto_front(result: Pareto) -> Summary:
 
 
 def _status(result: Pareto) -> Iterator[Line]:
-    names = [aim.name for aim in result.aims]
+    names = [aim.name for aim in result.objectives]
     found = f"{points(len(result.points))} of the front of {', '.join(names[:-1])} and {names[-1]}, "
     yield found, good("every one proven")
     missed = result.solved - result.valid - result.infeasible
@@ -47,10 +47,10 @@ def _shown(result: Pareto) -> list[int]:
 def _points(result: Pareto) -> TableSpec:
     """Tabulate the objectives of the points and their change from the reference design."""
     rows: list[Row] = [(str(k + 1), *_cells(result, result.points[k].values), result.points[k].mark) for k in _shown(result)]
-    if result.given is not None:
-        rows.append(("", *_cells(result, result.given), quiet(result.given_words)))
+    if result.reference is not None:
+        rows.append(("", *_cells(result, result.reference), quiet(result.reference_label)))
     columns = [">"]
-    for aim in result.aims:
+    for aim in result.objectives:
         columns += [f">{aim.name}\n[{aim.unit}]" if aim.unit else f">{aim.name}", *([">"] if _compared(result) else [])]
     return table("Front", [*columns, ""], rows, unbroken=True)
 
@@ -64,14 +64,14 @@ def _designs(result: Pareto) -> TableSpec:
 
 def _compared(result: Pareto) -> bool:
     """Return whether the table has columns for the change from the reference design."""
-    return result.given is not None and len(result.aims) == 2
+    return result.reference is not None and len(result.objectives) == 2
 
 
 def _cells(result: Pareto, values: tuple[float, ...]) -> Iterator[Inline]:
     for k, value in enumerate(values):
         yield number(value, 6)
-        if result.given is not None and _compared(result):
-            yield quiet("" if values is result.given else against(value, result.given[k]))
+        if result.reference is not None and _compared(result):
+            yield quiet("" if values is result.reference else against(value, result.reference[k]))
 
 
 def against(value: float, before: float) -> str:

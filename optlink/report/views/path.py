@@ -58,18 +58,18 @@ def columns(design: PathDesign) -> dict[str, Array]:
         return {**found, "crank_angle_rad": design.crank_angles, **angles}
     if task.requirement.kind == "function":
         wanted = task.prescribed_outputs(design.values)
-        found |= {f"wanted_{task.unit}": wanted, f"generated_{task.unit}": measured.generated[:, 0]}
+        found |= {f"target_{task.unit}": wanted, f"generated_{task.unit}": measured.generated[:, 0]}
         return {**found, f"distance_{task.unit}": measured.distances, "crank_angle_rad": design.crank_angles}
-    for name, places in (("wanted", data.columns), ("generated", measured.generated)):
+    for name, places in (("target", data.columns), ("generated", measured.generated)):
         found |= {f"{name}.{axis}_m": places[:, k] for k, axis in enumerate("xy")}
     found |= {"distance_m": measured.distances, "crank_angle_rad": design.crank_angles}
     if np.any(np.isfinite(data.tolerances)):
         found["tolerance_m"] = data.tolerances
-    if task.wanted.weights is not None:
+    if task.target_points.weights is not None:
         found["weight"] = data.roots**2
     if measured.turned is not None:
         aim = np.arctan2(data.columns[:, 3], data.columns[:, 2])
-        found |= {"wanted.angle_rad": aim, "generated.angle_rad": aim + measured.turned, "turned_rad": measured.turned}
+        found |= {"target.angle_rad": aim, "generated.angle_rad": aim + measured.turned, "turned_rad": measured.turned}
     return found
 
 
@@ -107,7 +107,7 @@ class Passing(Sketch):
 
     def __init__(self, track: PathView) -> None:
         super().__init__(track.motion)
-        self.widen(track.wanted * self.scale.factor)
+        self.widen(track.targets * self.scale.factor)
         self.track, self.close = track, Close(track)
         self.strip: Axes | None = None
 
@@ -131,8 +131,8 @@ class Passing(Sketch):
         assert self.strip is not None
         passed = track.way * (motion.crank_angle[k] - track.design.crank_angles) >= -1e-9
         for place, factor in ((axes, self.scale.factor), (self.strip, self.close.unit.factor)):
-            x, y = (track.wanted[passed] * factor).T
-            size = dots(len(track.wanted)) + 1.0
+            x, y = (track.targets[passed] * factor).T
+            size = dots(len(track.targets)) + 1.0
             lit = Line2D(x, y, linestyle="none", marker="o", markersize=size, color=LIT, mec=WANTED, mew=0.6, zorder=6, gid="lit")
             more = [lit]
             if self.close.motion:
@@ -164,13 +164,13 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
         return output_film(track, count)
     sketch = Passing(track)
     steps = track.begin + track.way * np.linspace(0.0, TURN, count, endpoint=False)
-    if not track.design.turns:
+    if not track.design.crank_turns:
         steps = there_and_back(track.begin, track.end, count)
     motion = track.sweep(steps)
     marks = track.position(motion) * sketch.close.unit.factor
 
     def points(axes: Axes) -> None:
-        points_on(axes, track.wanted * sketch.scale.factor)
+        points_on(axes, track.targets * sketch.scale.factor)
 
     title = track.task.title if track.design.valid else f"NOT VALID: {track.task.title}"
     return film(sketch, motion, sketch.lay, marks, title, more=points)

@@ -121,7 +121,7 @@ def figures(track: PathView) -> list[str]:
         many = f"all {len(distances)}" if len(distances) > 2 else "both"
         told.append(f"{many} {'points' if turned is None else 'poses'} met exactly, to rounding")
     else:
-        plain = turned is None and task.wanted.weights is None
+        plain = turned is None and task.target_points.weights is None
         rms, largest = math.sqrt(float(np.nanmean(distances**2))), float(np.nanmax(distances))
         if not (plain and task.measure in ("rms", "max")):
             told.append(objective(track))

@@ -42,7 +42,7 @@ def points_on(axes: Axes, places: Array, size: float = 1.0) -> None:
         Factor on the marker size.
     """
     size *= dots(len(places))
-    axes.plot(*places.T, linestyle="none", marker="o", markersize=size, color=WANTED, mew=0.0, zorder=5, gid="wanted")
+    axes.plot(*places.T, linestyle="none", marker="o", markersize=size, color=WANTED, mew=0.0, zorder=5, gid="target")
 
 
 def small_frames(places: Array, angles: Array, length: float) -> Array:
@@ -89,21 +89,21 @@ class Close:
 
     def __init__(self, track: PathView) -> None:
         self.track = track
-        self.unit = scale(float(np.nanmax(np.abs(np.concatenate([track.wanted, track.generated])))), "m")
+        self.unit = scale(float(np.nanmax(np.abs(np.concatenate([track.targets, track.generated])))), "m")
         self.length = FRAME * track.size * self.unit.factor
         self.motion = track.task.requirement.kind == "motion"
-        self.shown = some(len(track.wanted), FRAMED)
+        self.shown = some(len(track.targets), FRAMED)
 
     def _ends(self) -> Array:
         """Return the end points of the deviation lines."""
-        ends: Array = self.track.wanted + self.track.factor * (self.track.generated - self.track.wanted)
+        ends: Array = self.track.targets + self.track.factor * (self.track.generated - self.track.targets)
         return ends * self.unit.factor
 
     def _poses(self) -> tuple[Array, Array]:
         """Return the prescribed and the generated frames as lines."""
         track, k = self.track, self.shown
         aim = np.arctan2(track.task.data.columns[:, 3], track.task.data.columns[:, 2])
-        wanted = small_frames(track.wanted[k] * self.unit.factor, aim[k], self.length)
+        wanted = small_frames(track.targets[k] * self.unit.factor, aim[k], self.length)
         return wanted, small_frames(track.generated[k] * self.unit.factor, track.angles(track.at)[k], self.length)
 
     def limits(self) -> tuple[Array, Array]:
@@ -113,7 +113,7 @@ class Close:
         """
         track, factor = self.track, self.unit.factor
         radii = np.where(np.isfinite(track.tolerances), track.tolerances * track.factor, 0.0)[:, None]
-        seen = [track.wanted - radii, track.wanted + radii, track.generated]
+        seen = [track.targets - radii, track.targets + radii, track.generated]
         must = finite(np.concatenate([*(part * factor for part in seen), self._ends(), *(self._poses() if self.motion else ())]))
         low, high = must.min(axis=0), must.max(axis=0)
         size = high - low
@@ -148,7 +148,7 @@ class Close:
         """
         track, factor, unit = self.track, self.unit.factor, self.unit.unit
         whole, run = (track.position(motion) * factor for motion in (track.motion, track.run))
-        wanted, found = track.wanted * factor, track.generated * factor
+        wanted, found = track.targets * factor, track.generated * factor
         traces = [
             Curve.through(
                 whole, "" if self.once else "rest of the curve", track.colour, 1.2, opacity=0.55, hover=False, gid="curve"
@@ -160,13 +160,13 @@ class Close:
         if self.motion:
             aims, poses = self._poses()
             traces.append(Curve.through(poses, "generated pose", track.colour, 2.6, opacity=0.6, hover=False, gid="poses"))
-            traces.append(Curve.through(aims, "wanted pose", WANTED, 1.1, hover=False, gid="wanted poses"))
+            traces.append(Curve.through(aims, "target pose", WANTED, 1.1, hover=False, gid="target poses"))
         numbers = [f"point {k + 1}" for k in range(len(wanted))]
         if points:
             traces.append(Curve.through(found, "generated", LIMIT, mode="markers", symbol="plus", size=6.0, text=numbers))
         size = dots(len(wanted)) * (0.6 if magnified is not None and np.any(np.isfinite(track.tolerances)) else 1.0)
-        words = f"wanted point{'s' if len(wanted) <= NUMBERED else f's, {len(wanted)}'}"
-        traces.append(Curve.through(wanted, words, WANTED, mode="markers", size=size, text=numbers, gid="wanted"))
+        words = f"target point{'s' if len(wanted) <= NUMBERED else f's, {len(wanted)}'}"
+        traces.append(Curve.through(wanted, words, WANTED, mode="markers", size=size, text=numbers, gid="target"))
         (x0, y0), (x1, y1) = self.limits()
         x, y = Axis(f"x [{unit}]", None if points else (x0, x1)), Axis(f"y [{unit}]", None if points else (y0, y1))
         return ChartSpec("", "Path", [Panel(y, traces, marks=self._numbers(size))], x, equal=True, cursor=False)
@@ -190,7 +190,7 @@ class Close:
         known = np.isfinite(track.tolerances)
         if not np.any(known):
             return []
-        circles = track.wanted[known][:, None] + magnified * track.tolerances[known][:, None, None] * CIRCLE
+        circles = track.targets[known][:, None] + magnified * track.tolerances[known][:, None, None] * CIRCLE
         opacity = 0.9 if len(circles) <= 100 else 0.25
         places = circles.reshape(-1, 2) * self.unit.factor
         return [
@@ -202,15 +202,15 @@ class Close:
         track = self.track
         if track.exact:
             return []
-        ends = track.wanted + magnified * (track.generated - track.wanted)
-        gaps = np.full_like(track.wanted, np.nan)
-        sticks = np.stack([track.wanted, ends, gaps], axis=1).reshape(-1, 2) * self.unit.factor
-        width = 1.4 if len(track.wanted) <= 100 else 0.7
+        ends = track.targets + magnified * (track.generated - track.targets)
+        gaps = np.full_like(track.targets, np.nan)
+        sticks = np.stack([track.targets, ends, gaps], axis=1).reshape(-1, 2) * self.unit.factor
+        width = 1.4 if len(track.targets) <= 100 else 0.7
         return [Curve.through(sticks, f"deviation{_fold(magnified)}", LIMIT, width, hover=False, gid="deviations")]
 
     def _numbers(self, size: float) -> list[Mark]:
         """Return marks with the numbers of the points; every fifth, tenth, ... if there are many."""
-        places = self.track.wanted * self.unit.factor
+        places = self.track.targets * self.unit.factor
         count = len(places)
         every = next(step for step in (1, 5, 10, 20, 50) if count <= NUMBERED * step or step == 50)
         chosen = [k for k in range(count) if k == 0 or (k + 1) % every == 0]

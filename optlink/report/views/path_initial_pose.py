@@ -28,7 +28,7 @@ def _turning(axes: Axes, track: PathView) -> None:
     radius = max(float(np.linalg.norm(arm)), 1.7 * track.sketch.size)
     start = math.atan2(arm[1], arm[0])
     turn = min(math.radians(50.0), 5.0 * track.sketch.size / radius)
-    if not track.design.turns:
+    if not track.design.crank_turns:
         turn = min(turn, 0.8 * abs(track.end - track.begin))
     angles = start + track.way * np.linspace(0.25 * turn, 1.25 * turn, 33)
     arc = pivot + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -83,7 +83,7 @@ def initial_pose(axes: Axes, track: PathView) -> list[Label]:
     labels = sketch.show(axes, track.here)
     if track.task.pointed:
         axes.plot(*(track.position(track.run) * factor).T, color=track.colour, linewidth=2.3, zorder=1.5, gid="run")
-        points_on(axes, track.wanted * factor, 1.0 if len(track.wanted) <= NUMBERED else 0.55)
+        points_on(axes, track.targets * factor, 1.0 if len(track.targets) <= NUMBERED else 0.55)
     if track.task.requirement.kind == "motion":
         _ghosts(axes, track)
     _turning(axes, track)

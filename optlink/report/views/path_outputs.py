@@ -28,11 +28,11 @@ FINEST = 360  # number of positions of the output curve
 
 
 class Output(NamedTuple):
-    """Output over crank angles (n,) [deg]: `found` (n, curves) in the unit of `name`, `wanted` (n,) if prescribed."""
+    """Output over crank angles (n,) [deg]: `generated` (n, curves) in the unit of `name`, `target` (n,) if prescribed."""
 
     crank: Array
-    found: Array
-    wanted: Array | None
+    generated: Array
+    target: Array | None
     name: str
     curves: list[str]
 
@@ -80,15 +80,15 @@ def curve(track: PathView) -> ChartSpec:
     """Return the prescribed and generated output of a function with their difference, or the transmission angles."""
     shown = output(track)
     panels = [_outputs(shown)]
-    if shown.wanted is not None:
+    if shown.target is not None:
         at = np.degrees(track.design.crank_angles)
-        error = shown.found[:, 0] - shown.wanted
+        error = shown.generated[:, 0] - shown.target
         traces = [Curve(shown.crank, error, "", LIMIT, 1.5, gid="error")]
         if len(at) <= 100:
             traces.append(Curve(at, np.interp(at, shown.crank, error), "", LIMIT, mode="markers", size=3.5, gid="positions"))
-        panels.append(Panel(Axis(f"generated minus wanted [{shown.name.rpartition('[')[2]}"), traces))
+        panels.append(Panel(Axis(f"generated minus target [{shown.name.rpartition('[')[2]}"), traces))
     heading = title_of(track, 7.0, track.task.title, wrapped(figures(track), 7.0, "; "))
-    title = "Transmission angle" if shown.wanted is None else "Output over the range"
+    title = "Transmission angle" if shown.target is None else "Output over the range"
     return ChartSpec("curve", title, panels, _crank(track, shown), heading, warning=not track.design.valid)
 
 
@@ -100,14 +100,14 @@ def _crank(track: PathView, shown: Output) -> Axis:
 def _outputs(shown: Output) -> Panel:
     """Return the panel of all curves of an output."""
     traces = []
-    if shown.wanted is not None:
-        traces.append(Curve(shown.crank, shown.wanted, "wanted", WANTED, 1.4, "dash", gid="wanted"))
+    if shown.target is not None:
+        traces.append(Curve(shown.crank, shown.target, "target", WANTED, 1.4, "dash", gid="target"))
     for k, name in enumerate(shown.curves):
         told = name
-        if shown.wanted is None:
-            least, largest = float(np.nanmin(shown.found[:, k])), float(np.nanmax(shown.found[:, k]))
+        if shown.target is None:
+            least, largest = float(np.nanmin(shown.generated[:, k])), float(np.nanmax(shown.generated[:, k]))
             told = f"at {name}: {least:.2f}° to {largest:.2f}°"
-        traces.append(Curve(shown.crank, shown.found[:, k], told, BODIES[k % len(BODIES)], 1.9, gid=f"found {name}"))
+        traces.append(Curve(shown.crank, shown.generated[:, k], told, BODIES[k % len(BODIES)], 1.9, gid=f"generated {name}"))
     return Panel(Axis(shown.name), traces, 1.6)
 
 
@@ -122,10 +122,10 @@ def output_film(track: PathView, count: int) -> list[Image.Image]:
     """
     shown = output(track)
     steps = track.begin + track.way * np.linspace(0.0, TURN, count, endpoint=False)
-    if shown.wanted is not None:
+    if shown.target is not None:
         steps = there_and_back(track.begin, track.end, count)
     order = np.argsort(shown.crank)
-    height = np.interp(np.degrees(steps), shown.crank[order], shown.found[order, 0])
+    height = np.interp(np.degrees(steps), shown.crank[order], shown.generated[order, 0])
     marks = np.stack([np.degrees(steps), height], axis=-1)
     strip = ChartSpec("", "", [_outputs(shown)], _crank(track, shown))
     title = track.task.title if track.design.valid else f"NOT VALID: {track.task.title}"

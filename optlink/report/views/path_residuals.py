@@ -29,7 +29,7 @@ def errors(track: PathView) -> ChartSpec:
         panels.append(_directions(track))
     if turned is not None:
         panels.append(_turned(track, turned))
-    count = len(track.wanted)
+    count = len(track.targets)
     every = next(step for step in (1, 2, 5, 10, 20, 50, 100) if count <= NUMBERED * step or step == 100)
     ticks = [(float(k), str(k)) for k in range(1, count + 1) if k % every == 0]
     what = "point" if turned is None else "pose"
@@ -91,7 +91,7 @@ def _distances(track: PathView) -> Panel:
 
 def _directions(track: PathView) -> Panel:
     """Return the components along and across the curve, to the left of the motion; x and y where the velocity vanishes."""
-    miss = track.generated - track.wanted
+    miss = track.generated - track.targets
     speed = track.way * track.at.velocity(track.task.requirement.point)
     fast = np.linalg.norm(speed, axis=1)
     largest = float(np.nanmax(np.linalg.norm(miss, axis=1)))
@@ -113,11 +113,11 @@ def _directions(track: PathView) -> Panel:
     every = np.array([values[bulk] for values in parts.values()]) * unit.factor
     low, high = min(0.0, float(np.nanmin(every))), max(0.0, float(np.nanmax(every)))
     room = 0.06 * (high - low)
-    return Panel(Axis(f"generated minus wanted [{unit.unit}]", (low - room, high + room)), traces)
+    return Panel(Axis(f"generated minus target [{unit.unit}]", (low - room, high + room)), traces)
 
 
 def _turned(track: PathView, turned: Array) -> Panel:
-    name = "generated minus wanted angle"
+    name = "generated minus target angle"
     if exact_angles(track.design):
         return _rounding(name, np.degrees(np.abs(turned)), math.degrees(LEVEL), "deg")
     return Panel(Axis(f"{name} [deg]"), [_bars(np.degrees(turned), FOUND, "turned")])

@@ -74,9 +74,9 @@ def _sizes(design: PathDesign, chosen: bool) -> TableSpec:
         factor, unit = display_unit(task, name)
         low, high = (bound * factor for bound in quantity.bounds)
         value = significant(design.values[name] * factor)
-        remark = quiet(f"free, {low:g} ... {high:g}" if quantity.free else "given")
+        remark = quiet(f"free, {low:g} ... {high:g}" if quantity.free else "fixed")
         rows.append((name, strong(value) if quantity.free else value, unit, remark))
-    rows.append(("assembly", strong(words(design)), "", quiet("chosen" if chosen else "given")))
+    rows.append(("assembly", strong(words(design)), "", quiet("chosen" if chosen else "fixed")))
     return table("Design", "<><<", rows)
 
 
@@ -103,14 +103,14 @@ def _objective(design: PathDesign) -> TableSpec:
     rows: list[Row] = [(measure(task), objective, displayed_objective_unit(design), quiet(remark))]
     least = math.degrees(design.least_transmission)
     if math.isfinite(least):
-        remark = "from 0 or 180 deg, at its worst " + ("of the revolution" if design.turns else "between the points")
+        remark = "from 0 or 180 deg, at its worst " + ("of the revolution" if design.crank_turns else "between the points")
         rows.append(("transmission angle", fixed(least, 2), "deg", quiet(remark)))
     return table("Objective", "<><<", rows)
 
 
 def measure(task: PathProblem) -> str:
     """Return the name of the measure of the deviations, with a note if it is weighted."""
-    return task.measure + (", weighted" if task.wanted.weights is not None else "")
+    return task.measure + (", weighted" if task.target_points.weights is not None else "")
 
 
 def displayed_objective_unit(design: PathDesign) -> str:
@@ -144,7 +144,7 @@ def _points(design: PathDesign) -> TableSpec:
         if measured.turned is not None:
             row.append(number(math.degrees(measured.turned[i]), 3))
         rows.append(row)
-    columns = [">", ">wanted", ">", ">generated", ">", ">off by", ">crank at"]
+    columns = [">", ">target", ">", ">generated", ">", ">error", ">crank angle"]
     columns += [">turned by"] if measured.turned is not None else []
     notes = [quiet(f"one in {step} of {len(wanted)} points; all of them with --out or --json")] if step > 1 else []
     return table("Points [mm, deg]", columns, rows, notes=notes, unbroken=True)

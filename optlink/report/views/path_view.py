@@ -36,7 +36,7 @@ class PathView:
         self.at = self.sweep(angles)
         self.reached = bool(np.any(self.at.assembled))
         self.first = int(np.argmax(self.at.assembled))
-        around = self.task.closed and design.turns
+        around = self.task.closed and design.crank_turns
         span = TURN if around else abs(self.end - self.begin)
         count = max(61, math.ceil(span / TURN * (FINE - 1)) + 1)
         self.run = self.sweep(self.begin + self.way * np.linspace(0.0, span, count))
@@ -49,7 +49,7 @@ class PathView:
 
     def _whole(self) -> Array:
         once = self.begin + self.way * np.linspace(0.0, TURN, FINE)
-        if self.design.turns:
+        if self.design.crank_turns:
             return once
         low, high = sorted((self.begin, self.end))
         if self._farthest(high, low + TURN) == low + TURN:
@@ -73,11 +73,11 @@ class PathView:
     def sketch(self) -> Sketch:
         """Sketch of the mechanism, with room for the points."""
         found = Sketch(self.motion)
-        found.widen(self.wanted * found.scale.factor)
+        found.widen(self.targets * found.scale.factor)
         return found
 
     @property
-    def wanted(self) -> Array:
+    def targets(self) -> Array:
         """Precision points [m], shape (points, 2); empty for function and transmission synthesis."""
         places: Array = self.task.data.columns[:, :2] if self.task.pointed else np.empty((0, 2))
         return places
@@ -113,7 +113,7 @@ class PathView:
     @cached_property
     def size(self) -> float:
         """Extent of the points [m]."""
-        extent = float(np.max(spread(finite(np.concatenate([self.wanted, self.generated])))))
+        extent = float(np.max(spread(finite(np.concatenate([self.targets, self.generated])))))
         return extent if extent > 0.0 else self.task.size
 
     @cached_property
@@ -123,7 +123,7 @@ class PathView:
         limit = STICK * self.size / largest if largest > 0.0 else math.inf
         tolerances = self.tolerances[np.isfinite(self.tolerances)]
         if tolerances.size:
-            apart = np.linalg.norm(np.diff(self.wanted, axis=0), axis=1)
+            apart = np.linalg.norm(np.diff(self.targets, axis=0), axis=1)
             limit = min(limit, 0.45 * float(np.median(apart)) / float(np.max(tolerances)))
         return max(1.0, round_below(limit))
 

@@ -137,7 +137,7 @@ class RevolutionCurves:
         values = self.result[name][self.rows(count)]
         found = float(np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0))
         stem, _, unit = name.rpartition("_")
-        exact = self.result.turns[f"{stem}_max_{unit}".removeprefix("input.")] if self.last else np.zeros(0)
+        exact = self.result.per_revolution[f"{stem}_max_{unit}".removeprefix("input.")] if self.last else np.zeros(0)
         whole = min(count - self.broken, len(exact))
         return max(found, float(np.max(exact[-whole:]))) if whole else found
 

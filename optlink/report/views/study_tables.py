@@ -42,7 +42,7 @@ def sensitivity_parts(result: Sensitivities) -> Iterator[Part]:
     if result.moving:
         yield from (_effects(result), _prices(result), _events(result))
     else:
-        yield Paragraph("Nothing that is given moves this optimum, to first order.")
+        yield Paragraph("No parameter changes this optimum to first order.")
     still = [row.parameter.name for row in result.rows if not row.moves]
     if still:
         yield Paragraph(quiet(f"Without effect here: {'; '.join(dict.fromkeys(still))}."))
@@ -62,7 +62,7 @@ def _effects(result: Sensitivities) -> TableSpec:
         changed = f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}"
         rows.append((p.name, changed, good(share) if row.effect < 0.0 else share, *responses))
     each = [f">{name}\n[{result.units[name]}]" for name in names] if few else ["moves most"]
-    columns = ["given", ">change", ">objective", *each]
+    columns = ["parameter", ">change", ">objective", *each]
     return table("Sensitivity to prescribed values, largest effect first", columns, rows)
 
 
@@ -132,7 +132,7 @@ def sweep(result: Sweep) -> Summary:
     ]
     parts = [table("Varied", "<<>", axes)]
     if result.best is not None:
-        omitted = ("status", "valid", "failed", "found", "active_set_changed")
+        omitted = ("status", "valid", "failed", "method", "active_set_changed")
         best = {name: value for name, value in result.best.items() if name not in omitted}
         rows = ((name, value if name == "active" else number(float(value), 8)) for name, value in best.items())
         parts.append(table("Best", "<>", rows))

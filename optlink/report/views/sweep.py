@@ -40,10 +40,10 @@ _UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|N|Nm|W|J)")
 
 @dataclass(frozen=True)
 class Table:
-    """Table of a sweep over the parameters with several values, each in rising order; `given` are the other parameters."""
+    """Table of a sweep over the parameters with several values, each in rising order; `fixed` are the other parameters."""
 
     axes: tuple[Axis, ...]
-    given: tuple[str, ...]
+    fixed: tuple[str, ...]
     order: NDArray[np.int_]
     result: Sweep
 
@@ -208,7 +208,7 @@ def charts(result: Sweep) -> list[ChartSpec]:
 
 
 def _heading(table: Table, what: str) -> str:
-    given = f", {', '.join(table.given)}" if table.given else ""
+    given = f", {', '.join(table.fixed)}" if table.fixed else ""
     return f"{table.result.problem.model.title}: {what}{given}"
 
 

@@ -55,7 +55,7 @@ def stored_study(record: ToleranceRecord, file: ProblemFile, _: Path) -> StoredS
         problem=file,
         kind="study of tolerances",
         verdict=_verdict(record),
-        valid=(allocation is None or allocation.kept) and (robust is None or robust.valid),
+        valid=(allocation is None or allocation.achieved) and (robust is None or robust.valid),
         status=shown.status.lines,
         sections=[PageSection("Scatter", chart_plotly.charts(charts(record))), *figures_of(shown.parts)],
         moving=turning(file, {name: value for name, value in record.sizes_SI.items() if name in file.model.mechanism.quantities}),
@@ -66,7 +66,7 @@ def stored_study(record: ToleranceRecord, file: ProblemFile, _: Path) -> StoredS
 
 
 def _verdict(record: ToleranceRecord) -> str:
-    if record.allocation is not None and not record.allocation.kept:
+    if record.allocation is not None and not record.allocation.achieved:
         return "The allocated tolerances do not keep the yield"
     if record.robust is not None and not record.robust.valid:
         return "The robust design is not proven"
@@ -175,4 +175,4 @@ def _histogram(record: ToleranceRecord, sampled: MonteCarloRecord) -> ChartSpec:
     )
 
 
-VIEW = View(subject=ToleranceRecord.of, charts=charts, tables=lambda result: {"tolerance": result.columns})
+VIEW = View(model=ToleranceRecord.of, charts=charts, tables=lambda result: {"tolerance": result.columns})

@@ -157,7 +157,7 @@ def _allocated(file: ProblemFile, record: ToleranceRecord, allocation: Allocatio
         remark = "has no effect" if part.name in allocation.without_effect else ""
         rows.append((part.name, *sizes, number(allocation.cost_coefficients[part.name]), remark))
     checked = f"checked by {check.samples:,} others: {percent(check.share)}, {_between(check)}"
-    share = number(allocation.cost / allocation.cost_of_those_given)
-    title = f"The loosest tolerances for a yield of {percent(allocation.wanted_yield)}: cost {share} of the given"
-    columns = ["", ">given", ">allocated", ">cost coefficient", ""]
-    return table(title, columns, rows, notes=[good(checked) if allocation.kept else bad(checked)])
+    share = number(allocation.cost / allocation.cost_of_specified)
+    title = f"The loosest tolerances for a yield of {percent(allocation.target_yield)}: cost {share} of the specified ones"
+    columns = ["", ">specified", ">allocated", ">cost coefficient", ""]
+    return table(title, columns, rows, notes=[good(checked) if allocation.achieved else bad(checked)])

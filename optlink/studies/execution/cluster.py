@@ -19,7 +19,7 @@ from multiprocessing.context import SpawnProcess
 from typing import Any
 
 from optlink.errors import Fault, InputError, SolverError
-from optlink.studies.execution.worker import ONE_THREAD, ChunkOutcome, ChunkTask, run_chunk
+from optlink.studies.execution.worker import ONE_THREAD, ChunkResult, ChunkTask, run_chunk
 
 PATIENCE = 10  # s, time limit for the scheduler and for a first worker
 AHEAD = 3  # chunks queued per worker
@@ -47,7 +47,7 @@ def import_dask() -> tuple[Any, Any]:
 
 def on_cluster(
     task: ChunkTask, todo: Iterable[int], workers: int, scheduler: str | None, patience: float = PATIENCE
-) -> Iterator[tuple[int, ChunkOutcome]]:
+) -> Iterator[tuple[int, ChunkResult]]:
     """Run chunks as `optlink.studies.execution.runner.run`; repeat a chunk on another worker if its worker dies.
 
     Parameters
@@ -205,7 +205,7 @@ def _client(distributed: Any, where: Any, scheduler: str | None, patience: float
     return client
 
 
-def _gathered(distributed: Any, client: Any, task: ChunkTask, todo: Iterator[int]) -> Iterator[tuple[int, ChunkOutcome]]:
+def _gathered(distributed: Any, client: Any, task: ChunkTask, todo: Iterator[int]) -> Iterator[tuple[int, ChunkResult]]:
     numbers: dict[Any, int] = {}
 
     def ask(index: int) -> Any:
@@ -218,9 +218,9 @@ def _gathered(distributed: Any, client: Any, task: ChunkTask, todo: Iterator[int
     for future in ready:
         index = numbers.pop(future.key)
         try:
-            answer: ChunkOutcome = future.result()
+            answer: ChunkResult = future.result()
         except (distributed.scheduler.KilledWorker, BrokenProcessPool):
             raise SolverError(f"chunk {index} of the study ended several workers; have they enough memory?") from None
         for following in itertools.islice(todo, 1):
             ready.add(ask(following))
-        yield index, ChunkOutcome(*answer).checked(index)
+        yield index, ChunkResult(*answer).checked(index)

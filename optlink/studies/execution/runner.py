@@ -18,7 +18,7 @@ from typing import Any
 
 from optlink.errors import Fault, InputError, SolverError
 from optlink.problem.quantity import nearest
-from optlink.studies.execution.worker import ONE_THREAD, ChunkOutcome, ChunkTask, outcome_from_line, run_chunk, task_to_line
+from optlink.studies.execution.worker import ONE_THREAD, ChunkResult, ChunkTask, chunk_from_line, run_chunk, task_to_line
 
 ENGINES = ("local", "dask")
 ATTEMPTS = 3  # attempts per chunk if its process dies
@@ -59,7 +59,7 @@ def check(engine: str, workers: int | None, scheduler: str | None) -> None:
 
 def run(
     task: ChunkTask, todo: Iterable[int], engine: str = "local", workers: int | None = None, scheduler: str | None = None
-) -> Iterator[tuple[int, ChunkOutcome]]:
+) -> Iterator[tuple[int, ChunkResult]]:
     """Run chunks, and yield each result with its number on completion.
 
     Parameters
@@ -88,7 +88,7 @@ def run(
     return _local(task, list(todo), workers or cores())
 
 
-def _local(task: ChunkTask, todo: list[int], workers: int) -> Iterator[tuple[int, ChunkOutcome]]:
+def _local(task: ChunkTask, todo: list[int], workers: int) -> Iterator[tuple[int, ChunkResult]]:
     count = min(workers, len(todo))
     if count <= 1:
         for index in todo:
@@ -97,7 +97,7 @@ def _local(task: ChunkTask, todo: list[int], workers: int) -> Iterator[tuple[int
     jobs: queue.SimpleQueue[int] = queue.SimpleQueue()
     for index in todo:
         jobs.put(index)
-    answers: queue.Queue[tuple[int, ChunkOutcome | BaseException]] = queue.Queue(2 * count)
+    answers: queue.Queue[tuple[int, ChunkResult | BaseException]] = queue.Queue(2 * count)
     hands = [_Hand(task_to_line(task), jobs, answers) for _ in range(count)]
     try:
         for hand in hands:
@@ -131,7 +131,7 @@ class _Hand(threading.Thread):
             except queue.Empty:
                 break
             try:
-                answer: ChunkOutcome | BaseException = self._asked(index)
+                answer: ChunkResult | BaseException = self._asked(index)
             except Exception as error:  # noqa: BLE001 - raised where the study is run
                 answer = error
             while not self.stopped.is_set():
@@ -140,7 +140,7 @@ class _Hand(threading.Thread):
                     break
         self._end()
 
-    def _asked(self, index: int) -> ChunkOutcome:
+    def _asked(self, index: int) -> ChunkResult:
         for _ in range(ATTEMPTS):
             if self.stopped.is_set():
                 break
@@ -152,7 +152,7 @@ class _Hand(threading.Thread):
                 process.stdin.flush()
                 line = process.stdout.readline()
                 if line.endswith("\n"):
-                    return outcome_from_line(line)
+                    return chunk_from_line(line)
             except BrokenPipeError:
                 pass
             self._end()  # the process died: only this chunk is repeated

@@ -144,7 +144,7 @@ class Store:
 
     # --- documents ----------------------------------------------------------------------------------------------------------
 
-    def kept(self, name: str) -> dict[str, Any]:
+    def document(self, name: str) -> dict[str, Any]:
         """Return a document of the study; empty if there is none that can be read."""
         return _read(self.path / name) or {}
 

@@ -37,7 +37,7 @@ class ChunkTask(Protocol):
 _ALONE = threading.Lock()
 
 
-class ChunkOutcome(NamedTuple):
+class ChunkResult(NamedTuple):
     """Outcome of a chunk: its value and processor time [s], or input errors, or the text of a breakdown."""
 
     value: Any = None
@@ -45,7 +45,7 @@ class ChunkOutcome(NamedTuple):
     faults: tuple[Fault, ...] = ()
     broken: str = ""
 
-    def checked(self, index: int) -> ChunkOutcome:
+    def checked(self, index: int) -> ChunkResult:
         """Return this answer if it is a result.
 
         Raises
@@ -60,7 +60,7 @@ class ChunkOutcome(NamedTuple):
         return self
 
 
-def run_chunk(task: ChunkTask, index: int) -> ChunkOutcome:
+def run_chunk(task: ChunkTask, index: int) -> ChunkResult:
     """Run a chunk and catch all errors; one at a time per process, as a task caches what it builds.
 
     Parameters
@@ -72,13 +72,13 @@ def run_chunk(task: ChunkTask, index: int) -> ChunkOutcome:
     with _ALONE:
         begin = time.process_time()
         try:
-            return ChunkOutcome(task(index), time.process_time() - begin)
+            return ChunkResult(task(index), time.process_time() - begin)
         except InputError as error:
-            return ChunkOutcome(faults=error.faults)
+            return ChunkResult(faults=error.faults)
         except OptlinkError as error:
-            return ChunkOutcome(broken=str(error))
+            return ChunkResult(broken=str(error))
         except Exception:  # noqa: BLE001 - reported by the process that runs the study
-            return ChunkOutcome(broken=traceback.format_exc())
+            return ChunkResult(broken=traceback.format_exc())
 
 
 def task_to_line(task: ChunkTask) -> str:
@@ -94,10 +94,10 @@ def task_from_line(line: str) -> ChunkTask:
     return kind.revived(document["state"])  # type: ignore[no-any-return]
 
 
-def outcome_from_line(line: str) -> ChunkOutcome:
+def chunk_from_line(line: str) -> ChunkResult:
     """Return the answer of a line written by a process."""
     document = json.loads(line)
-    return ChunkOutcome(**{**document, "faults": tuple(Fault(**fault) for fault in document["faults"])})
+    return ChunkResult(**{**document, "faults": tuple(Fault(**fault) for fault in document["faults"])})
 
 
 def main() -> None:

@@ -156,7 +156,7 @@ def _gives_way(limit: Limit, aim: ParetoObjective) -> bool:
     """Return whether a limit constrains the term of an objective on the side that is varied."""
     if not aim.key:
         return False
-    return _same(limit, aim.made) and (limit.exactly is not None or getattr(limit, aim.side) is not None)
+    return _same(limit, aim.cycle_term) and (limit.exactly is not None or getattr(limit, aim.side) is not None)
 
 
 def _rest(problem: ProblemFile, name: str, aims: Sequence[ParetoObjective]) -> dict[str, Any] | None:
@@ -190,6 +190,6 @@ def cycle_figures(problem: ProblemFile, aims: Sequence[ParetoObjective], values:
         if not aim.key:
             found.append(cycle.objective() if cycle.full else math.nan)
             continue
-        kind = task.kind(aim.made)
-        found.append(cycle.figure(aim.made) / (factor(aim.unit, kind) if kind else 1.0))
+        kind = task.kind(aim.cycle_term)
+        found.append(cycle.figure(aim.cycle_term) / (factor(aim.unit, kind) if kind else 1.0))
     return tuple(found)

@@ -98,13 +98,13 @@ class ParetoRecord(ResultRecord):
     """Document of a Pareto front."""
 
     format: Literal["optlink/pareto/2"] = Field(alias="schema")
-    objectives: Annotated[tuple[ObjectiveRecord, ...], "aims", Len(2, 3)]
+    objectives: Annotated[tuple[ObjectiveRecord, ...], Len(2, 3)]
     minimised: str
-    held: Annotated[tuple[ActiveLimitRecord, ...], "grid.axes"]
+    constrained: Annotated[tuple[ActiveLimitRecord, ...], "grid.axes"]
     front: tuple[PointRecord, ...]
     ends: dict[str, int]
     knee: KneeRecord | None
-    given: dict[str, str | float] | None
+    reference: dict[str, str | float] | None
     points: Annotated[int, "solved"]
     valid_points: Annotated[int, "valid"]
     infeasible_points: Annotated[int, "infeasible"]
@@ -126,7 +126,7 @@ class ParetoRecord(ResultRecord):
         **values
             Values of fields, in place of those of the result.
         """
-        named = [aim.column for aim in result.aims]
+        named = [aim.column for aim in result.objectives]
         front = [
             PointRecord(
                 objectives=dict(zip(named, point.values, strict=True)),
@@ -136,14 +136,18 @@ class ParetoRecord(ResultRecord):
             )
             for point in result.points
         ]
-        given = None if result.given is None else {"what": result.given_words, **dict(zip(named, result.given, strict=True))}
+        reference = (
+            None
+            if result.reference is None
+            else {"what": result.reference_label, **dict(zip(named, result.reference, strict=True))}
+        )
         return super().of(
             result,
             minimised=named[result.minimised],
             front=tuple(front),
             ends=dict(zip(named, result.ends, strict=True)) if front else {},
             knee=None if result.knee is None else KneeRecord(point=result.knee[0], distance=result.knee[1]),
-            given=given,
+            reference=reference,
             **values,
         )
 
@@ -153,20 +157,20 @@ class Pareto(Recorded):
     """A Pareto front, sorted from the best value of the first objective.
 
     `ends`: index of the best point of every objective; `knee`: its index and its distance from the chord of the ends, if any;
-    `given`: the objectives of the initial machine, or of the optimum for the limits of the file. Of the `solved` points of the
-    grid, `valid` are validated, `infeasible` have no design, and `dominated` are dominated by others.
+    `reference`: the objectives of the initial machine, or of the optimum for the limits of the file. Of the `solved` points of
+    the grid, `valid` are validated, `infeasible` have no design, and `dominated` are dominated by others.
     """
 
     record = ParetoRecord
 
     problem: ProblemFile
-    aims: tuple[ParetoObjective, ...]
+    objectives: tuple[ParetoObjective, ...]
     minimised: int
     points: tuple[ParetoPoint, ...]
     ends: tuple[int, ...]
     knee: tuple[int, float] | None
-    given: tuple[float, ...] | None
-    given_words: str
+    reference: tuple[float, ...] | None
+    reference_label: str
     solved: int
     valid: int
     infeasible: int
@@ -193,7 +197,7 @@ class Pareto(Recorded):
     @property
     def costs(self) -> Array:
         """Objectives of the points (n, k), with the sign for minimisation."""
-        return np.array([point.values for point in self.points]) * [aim.sense for aim in self.aims]
+        return np.array([point.values for point in self.points]) * [aim.sense for aim in self.objectives]
 
     @property
     def complete(self) -> bool:
@@ -203,7 +207,7 @@ class Pareto(Recorded):
     @property
     def columns(self) -> dict[str, list[Any]]:
         """The front as a table: objectives, design variables, active limits, and marks."""
-        found: dict[str, list[Any]] = {aim.column: [p.values[k] for p in self.points] for k, aim in enumerate(self.aims)}
+        found: dict[str, list[Any]] = {aim.column: [p.values[k] for p in self.points] for k, aim in enumerate(self.objectives)}
         found |= {name: [p.design[name] for p in self.points] for name in (self.points[0].design if self.points else ())}
         return found | {key: [getattr(p, key) for p in self.points] for key in ("active", "mark")}
 
@@ -265,7 +269,7 @@ def pareto(
         ahead = walks.searches
         once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(walks.shape)))
         try:
-            base, grid, anchors = walks.found(once)
+            base, grid, anchors = walks.search(once)
         except NoExtreme:
             store.withdraw()
             raise
@@ -294,13 +298,13 @@ def pareto(
         words, given = _given(problem, base, aims, backend, once)
         return Pareto(
             problem=problem,
-            aims=aims,
+            objectives=aims,
             minimised=first,
             points=front,
             ends=corner,
             knee=bend,
-            given=given,
-            given_words=words,
+            reference=given,
+            reference_label=words,
             solved=len(rows),
             valid=len(found),
             infeasible=sum(row["status"] == Status.INFEASIBLE.value for row in rows),
@@ -330,7 +334,7 @@ def _most(shape: Sequence[int]) -> None:
 
 
 def _task(base: ProblemFile, grid: Grid, backend: str, anchors: Sequence[Mapping[str, float]]) -> SweepTask:
-    stated = SweepTask.stated(base)
+    stated = SweepTask.problem_fields(base)
     if base.task == "cycle":
         known = tuple(tuple(sizes.items()) for sizes in anchors)
         return CycleTask(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend, anchors=known)
@@ -348,7 +352,7 @@ def _about(problem: ProblemFile, aims: tuple[ParetoObjective, ...], count: int, 
         "problem": problem.name,
         "problem_hash": problem.hash,
         "mode": "pareto",
-        "objectives": [f"{aim.said}={aim.span}" if aim.span else aim.said for aim in aims],
+        "objectives": [f"{aim.text}={aim.span}" if aim.span else aim.text for aim in aims],
         "points": count,
         "backend": backend,
     }
@@ -359,7 +363,7 @@ class _Once:
 
     def __init__(self, store: Store, progress: Callable[[int], None] | None) -> None:
         self.store, self.progress, self.done = store, progress, 0
-        self.known: dict[str, Any] = store.kept(ENDS)
+        self.known: dict[str, Any] = store.document(ENDS)
 
     def __call__(self, name: str, search: Callable[[], Mapping[str, Any]]) -> Mapping[str, Any]:
         """Return the result of a search, from the folder if available."""
@@ -406,11 +410,11 @@ def _marked(
 def _given(
     problem: ProblemFile, base: ProblemFile, aims: tuple[ParetoObjective, ...], backend: str, once: _Once
 ) -> tuple[str, tuple[float, ...] | None]:
-    """Return the reference of the front: the given machine, or for a law the optimum for the limits of the file."""
+    """Return the reference of the front: the initial machine, or for a law the optimum for the limits of the file."""
     if problem.task == "cycle":
         found = cycle_figures(problem, aims, {})
-        return "given machine", found if np.all(np.isfinite(found)) else None
-    words, held = "as the file asks", [aim for aim in aims if aim.key]
+        return "initial machine", found if np.all(np.isfinite(found)) else None
+    words, held = "limits of the file", [aim for aim in aims if aim.key]
     if any(limit_in_file(problem, aim.key) is None for aim in held):
         return words, None
 

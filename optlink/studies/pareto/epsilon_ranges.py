@@ -42,20 +42,20 @@ class EpsilonRanges:
     """
 
     problem: ProblemFile
-    aims: tuple[ParetoObjective, ...]
+    objectives: tuple[ParetoObjective, ...]
     first: int
     count: int
     backend: str
 
     @cached_property
-    def held(self) -> tuple[int, ...]:
+    def constrained(self) -> tuple[int, ...]:
         """Indices of the constrained objectives."""
-        return tuple(k for k in range(len(self.aims)) if k != self.first)
+        return tuple(k for k in range(len(self.objectives)) if k != self.first)
 
     @cached_property
     def bare(self) -> ProblemFile:
         """Problem of a law without the limits of the constrained objectives."""
-        return without_varied_limits(self.problem, [self.aims[k] for k in self.held])
+        return without_varied_limits(self.problem, [self.objectives[k] for k in self.constrained])
 
     @cached_property
     def fixed(self) -> dict[int, Axis]:
@@ -67,25 +67,29 @@ class EpsilonRanges:
             For invalid ranges, or an objective that requires one.
         """
         found = {}
-        for k in self.held:
-            aim = self.aims[k]
+        for k in self.constrained:
+            aim = self.objectives[k]
             if aim.span:
                 with self._blamed(aim):
                     found[k] = _stated(aim, self.count, partial(self._with, k))
-        for k in self.held:
-            if k not in found and self.problem.task != "cycle" and not one_programme_suffices(self.bare, (self.aims[k].key,)):
-                raise self._no_end(self.aims[k], "a function has many optima, its ends are not searched")
+        for k in self.constrained:
+            if (
+                k not in found
+                and self.problem.task != "cycle"
+                and not one_programme_suffices(self.bare, (self.objectives[k].key,))
+            ):
+                raise self._no_end(self.objectives[k], "a function has many optima, its ends are not searched")
         return found
 
     @cached_property
     def open(self) -> tuple[int, ...]:
         """Indices of the objectives whose ranges have to be searched."""
-        return tuple(k for k in self.held if k not in self.fixed)
+        return tuple(k for k in self.constrained if k not in self.fixed)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Number of values of every limit."""
-        return tuple(len(self.fixed[k].values) if k in self.fixed else self.count for k in self.held)
+        return tuple(len(self.fixed[k].values) if k in self.fixed else self.count for k in self.constrained)
 
     @property
     def searches(self) -> int:
@@ -93,10 +97,10 @@ class EpsilonRanges:
         if not self.open:
             return 0
         if self.problem.task != "cycle":
-            return 1 + len(self.open) + (len(self.held) if len(self.held) > 1 else 0)
-        return 1 + 2 * len(self.open) + bool(self.aims[self.first].key)
+            return 1 + len(self.open) + (len(self.constrained) if len(self.constrained) > 1 else 0)
+        return 1 + 2 * len(self.open) + bool(self.objectives[self.first].key)
 
-    def found(self, once: Once) -> tuple[ProblemFile, Grid, tuple[Mapping[str, float], ...]]:
+    def search(self, once: Once) -> tuple[ProblemFile, Grid, tuple[Mapping[str, float], ...]]:
         """Return the problem with one minimised objective, the grid of the limits of the others, and the machines at the ends.
 
         The machines (dimensions [SI]) are empty if no ends were searched.
@@ -113,22 +117,22 @@ class EpsilonRanges:
             axes |= found
         elif self.open:
             axes |= self._law_ends(once)
-        grid = Grid(tuple(axes[k] for k in self.held))
+        grid = Grid(tuple(axes[k] for k in self.constrained))
         if self.problem.task != "cycle":
             return self.bare, grid, ()
-        base = epsilon_problem(self.problem, self.aims, {self.first: 1.0}, {k: axes[k].raw(0) for k in self.held})
+        base = epsilon_problem(self.problem, self.objectives, {self.first: 1.0}, {k: axes[k].raw(0) for k in self.constrained})
         return with_starting_values(base, anchors[0]) if anchors else base, grid, anchors
 
     def _with(self, number: int, value: Raw) -> ProblemFile:
         """Return the problem with a value of the limit that constrains an objective."""
         if self.problem.task == "cycle":
-            return epsilon_problem(self.problem, self.aims, {self.first: 1.0}, {number: value})
-        return self.bare.override({self.aims[number].key: value})
+            return epsilon_problem(self.problem, self.objectives, {self.first: 1.0}, {number: value})
+        return self.bare.override({self.objectives[number].key: value})
 
     @contextlib.contextmanager
     def _blamed(self, aim: ParetoObjective) -> Iterator[None]:
         """Attribute errors to the objective."""
-        said = f"{aim.said}={aim.span}" if aim.span else aim.said
+        said = f"{aim.text}={aim.span}" if aim.span else aim.text
         try:
             yield
         except InputError as error:
@@ -136,16 +140,16 @@ class EpsilonRanges:
             raise InputError(Fault(fault.message, fault.remedy, self.problem.file, OPTION, said)) from None
 
     def _no_end(self, aim: ParetoObjective, why: str) -> NoExtreme:
-        remedy = f'Say where to walk: "{aim.said}=LOW..HIGH{" " + aim.unit if aim.unit else ""}"'
+        remedy = f'Say where to walk: "{aim.text}=LOW..HIGH{" " + aim.unit if aim.unit else ""}"'
         return NoExtreme(
-            Fault(f"the end with the {aim.best} cannot be found: {why}", remedy, self.problem.file, OPTION, aim.said)
+            Fault(f"the end with the {aim.best} cannot be found: {why}", remedy, self.problem.file, OPTION, aim.text)
         )
 
     # --- a four-bar for a law: from the optimum of the error alone to the tightest feasible limit ------------------------------
 
     def _law_ends(self, once: Once) -> dict[int, Axis]:
         """Return the ranges of the limits that were not requested."""
-        aims, fixed, unbound = self.aims, self.fixed, self.open
+        aims, fixed, unbound = self.objectives, self.fixed, self.open
         free = self.bare.override({aims[k].key: axis.raw(0) for k, axis in fixed.items()})  # with the loosest limits only
 
         def optimum(task: ProblemFile, blamed: ParetoObjective | None = None) -> dict[str, Any]:
@@ -157,11 +161,11 @@ class EpsilonRanges:
         minimised = aims[self.first]
         best = once(minimised.best, lambda: optimum(free, minimised))
         tight = {k: once(aims[k].best, partial(self._tight, free, aims[k]))["limit"] for k in unbound}
-        corners = {k: exact_text(aims[k].loose(tight[k], NEAR * abs(tight[k])), aims[k].unit) for k in unbound}
+        corners = {k: exact_text(aims[k].worsened(tight[k], NEAR * abs(tight[k])), aims[k].unit) for k in unbound}
         corners |= {k: axis.raw(len(axis.values) - 1) for k, axis in fixed.items()}
         others = {}
-        if len(self.held) > 1:
-            for k in self.held:
+        if len(self.constrained) > 1:
+            for k in self.constrained:
                 task = free.override({aims[k].key: corners[k]})
                 others[k] = once(f"{minimised.best}, {aims[k].best}", partial(optimum, task))
         found = {}
@@ -188,7 +192,7 @@ class EpsilonRanges:
 
     def _machine_ends(self, once: Once) -> tuple[dict[int, Axis], tuple[Mapping[str, float], ...]]:
         """Return the ranges of the limits and the end designs: optimal in one objective, and then in the others."""
-        problem, aims, first = self.problem, self.aims, self.first
+        problem, aims, first = self.problem, self.objectives, self.first
         bounds = {k: axis.raw(0) for k, axis in self.fixed.items()}
         asked_for = [k for k in range(len(aims)) if k not in bounds]
 
@@ -216,7 +220,7 @@ class EpsilonRanges:
             if not aims[k].key:  # a sum cannot be constrained
                 corner[k] = alone[k]
                 continue
-            limit = exact_text(aims[k].loose(best[k], NEAR * width[k]), aims[k].unit)
+            limit = exact_text(aims[k].worsened(best[k], NEAR * width[k]), aims[k].unit)
             task = epsilon_problem(problem, aims, rest, {**bounds, k: limit})
             corner[k] = once(f"{aims[k].best}, then the others", partial(searched, k, task, alone[k]["sizes"]))
         found = {}
@@ -232,9 +236,9 @@ def _axis(aim: ParetoObjective, tight: float, loose: float, count: int) -> Axis:
     """Return the values of a limit from the loose end of the front to the tight one, both rounded inwards."""
     width = abs(loose - tight)
     if not width > NONE * max(abs(tight), abs(loose)):
-        return Axis(aim.key, aim.unit, (aim.loose(tight, NONE * abs(tight)),))
+        return Axis(aim.key, aim.unit, (aim.worsened(tight, NONE * abs(tight)),))
     step = 10.0 ** math.floor(math.log10(NEAR * width))
-    tight = aim.sense * math.ceil(aim.sense * aim.loose(tight, NEAR * width) / step) * step
+    tight = aim.sense * math.ceil(aim.sense * aim.worsened(tight, NEAR * width) / step) * step
     loose = aim.sense * math.floor(aim.sense * loose / step) * step
     return Axis(aim.key, aim.unit, tuple(float(f"{value:.12g}") for value in np.linspace(loose, tight, count)))
 

@@ -102,7 +102,7 @@ def tightest_bound(problem: ProblemFile, aim: ParetoObjective) -> Raw:
     if other is not None:
         assert held is not None
         own = other / factor(aim.unit, held.kind) if held.kind else other
-        return exact_text(aim.loose(own, ROOM * abs(own)), aim.unit)  # equal sides would prescribe one value at all positions
+        return exact_text(aim.worsened(own, ROOM * abs(own)), aim.unit)  # equal sides would prescribe one value at all positions
     small, large = {"deg": (1.0, 179.0), "mm": (1e-3, 1e8)}.get(aim.unit, (1e-3, 1e3))
     if isinstance(held, StrokeRatio):
         small, large = (1.0 if held.stroke in (None, "slow") else small), (1.0 if held.stroke == "quick" else large)

@@ -13,13 +13,13 @@ OPTION = "--objectives"
 
 @dataclass(frozen=True)
 class ParetoObjective:
-    """One objective of a Pareto front: its text, `said`, and its `name`.
+    """One objective of a Pareto front: its text, `text`, and its `name`.
 
     `sense`: 1 to minimise, -1 to maximise; `key`: the limit that constrains it in the problem file, with its side, empty for an
     objective that can only be minimised itself; `term`: of a machine, as in the file; `span`: the requested range, if any.
     """
 
-    said: str
+    text: str
     name: str
     unit: str
     sense: int
@@ -50,11 +50,11 @@ class ParetoObjective:
         return "max" if self.sense > 0 else "min"
 
     @property
-    def made(self) -> Term:
+    def cycle_term(self) -> Term:
         """Term of a machine."""
         return Term.model_validate(dict(self.term))
 
-    def loose(self, value: float, by: float) -> float:
+    def worsened(self, value: float, by: float) -> float:
         """Return a value that is worse by an amount.
 
         Parameters

@@ -56,9 +56,9 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
     aims = tuple(_ranged(problem, part, k + 1) for k, part in enumerate(parts))
     for k, aim in enumerate(aims):
         if any(aim.name == other.name for other in aims[:k]):
-            raise InputError(Fault("the same objective twice", "Give each once", problem.file, OPTION, aim.said))
+            raise InputError(Fault("the same objective twice", "Give each once", problem.file, OPTION, aim.text))
     if problem.task != "cycle" and all(aim.key for aim in aims):
-        remedy = f'One objective must be minimised directly: write "{ERROR}, {aims[0].said}"'
+        remedy = f'One objective must be minimised directly: write "{ERROR}, {aims[0].text}"'
         raise InputError(Fault("limits alone are no trade-off", remedy, problem.file, OPTION, objectives))
     return aims
 
@@ -102,5 +102,5 @@ def _check_bounds(problem: ProblemFile, aim: ParetoObjective) -> None:
         ends = " to ".join(f"{bound / factor(aim.unit, quantity.kind):g}" for bound in (low, high))
         message = f"the range leaves the bounds of {name}, {ends} {aim.unit}"
         raise InputError(
-            Fault(message, "Stay between them, or change the bounds", problem.file, OPTION, f"{aim.said}={aim.span}")
+            Fault(message, "Stay between them, or change the bounds", problem.file, OPTION, f"{aim.text}={aim.span}")
         )

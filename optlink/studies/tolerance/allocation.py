@@ -38,24 +38,24 @@ MOST = 1 << 20  # largest factor on the tolerances in the search of a bracket
 class Allocation:
     """Tolerances that keep a yield: `tolerances` [SI] in the order of the study, their `cost`, and the cost of the given ones.
 
-    `gap`: relative duality gap of the cost; `carlo`: independent samples that verify the yield; `free`: names
+    `gap`: relative duality gap of the cost; `monte_carlo`: independent samples that verify the yield; `free`: names
     of tolerances without effect on the output, which keep their given values.
     """
 
-    wanted: float
+    target_yield: float
     names: tuple[str, ...]
     tolerances: Array
     costs: Array
     cost: float
     before: float
     gap: float
-    carlo: MonteCarlo
+    monte_carlo: MonteCarlo
     free: tuple[str, ...]
 
     @property
-    def kept(self) -> bool:
+    def achieved(self) -> bool:
         """Whether the required yield is within or below the confidence interval of the verification."""
-        return self.wanted <= self.carlo.interval[1]
+        return self.target_yield <= self.monte_carlo.interval[1]
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -71,15 +71,15 @@ class Allocation:
 class AllocationRecord(Record):
     """Tolerances that keep a yield."""
 
-    wanted_yield: Annotated[float, "wanted"]
+    target_yield: float
     tolerances_SI: Annotated[dict[str, float], "sizes"]
     cost_coefficients: Annotated[dict[str, float], "coefficients"]
     cost: float
-    cost_of_those_given: Annotated[float, "before", Gt(0)]
+    cost_of_specified: Annotated[float, "before", Gt(0)]
     duality_gap: Annotated[float, "gap"]
     without_effect: Annotated[tuple[str, ...], "free"]
-    kept: bool
-    check: Annotated[MonteCarloRecord, "carlo"]
+    achieved: bool
+    check: Annotated[MonteCarloRecord, "monte_carlo"]
 
 
 def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:
@@ -123,14 +123,14 @@ def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:
     return rough * np.sqrt(exact[found]), (own - dual) / own
 
 
-def allocate(study: Tolerance, wanted: float, costs: Mapping[str, float], samples: int, seed: int) -> Allocation:
+def allocate(study: Tolerance, target_yield: float, costs: Mapping[str, float], samples: int, seed: int) -> Allocation:
     """Return the tolerances of least cost with which a study keeps its limit with a required yield.
 
     Parameters
     ----------
     study : Tolerance
         Its tolerances are the reference; those without effect keep their values.
-    wanted : float
+    target_yield : float
         Required yield, between 0 and 1.
     costs : mapping of str to float
         Cost coefficients by name of the deviation. Default: those of the deviations.
@@ -183,13 +183,13 @@ def allocate(study: Tolerance, wanted: float, costs: Mapping[str, float], sample
         return monte_carlo(scaled(k), SEARCHED, seed).share
 
     low, high = 1.0, 1.0  # bracket: yield below and above the requirement
-    while yielded(high) < wanted and high < MOST:
+    while yielded(high) < target_yield and high < MOST:
         low, high = high, 2.0 * high
-    while low == high or (yielded(low) >= wanted and low > 1.0 / MOST):
+    while low == high or (yielded(low) >= target_yield and low > 1.0 / MOST):
         high, low = low, 0.5 * low
     for _ in range(STEPS):
         middle = (low * high) ** 0.5
-        if yielded(middle) >= wanted:
+        if yielded(middle) >= target_yield:
             high = middle
         else:
             low = middle
@@ -198,13 +198,13 @@ def allocate(study: Tolerance, wanted: float, costs: Mapping[str, float], sample
     final = scaled(high)
     found = np.array([d.tolerance for d in final.deviations])
     return Allocation(
-        wanted=wanted,
+        target_yield=target_yield,
         names=tuple(d.name for d in study.deviations),
         tolerances=found,
         costs=coefficients,
         cost=float(np.sum(coefficients / found)),
         before=float(np.sum(coefficients / tolerances)),
         gap=gap,
-        carlo=monte_carlo(final, samples, seed + 1),
+        monte_carlo=monte_carlo(final, samples, seed + 1),
         free=tuple(d.name for d, m in zip(study.deviations, moves, strict=True) if not m),
     )

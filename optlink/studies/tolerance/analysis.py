@@ -72,7 +72,7 @@ class ToleranceRecord(ResultRecord):
     limit: Number
     tolerances: tuple[DeviationRecord, ...]
     linear: LinearRecord
-    monte_carlo: Annotated[MonteCarloRecord | None, "carlo"] = absent()
+    monte_carlo: MonteCarloRecord | None = absent()
     robust: RobustRecord | None = absent()
     allocation: AllocationRecord | None = absent()
 
@@ -151,7 +151,7 @@ class Tolerance(Recorded):
     deviations: tuple[Deviation, ...]
     by: Array
     limit: float | None
-    carlo: MonteCarlo | None = None
+    monte_carlo: MonteCarlo | None = None
     allocation: Allocation | None = None
     robust: RobustDesign | None = None  # the robust design, if requested
     unrobust: MonteCarlo | None = None  # samples of the nominal optimum beside a robust design
@@ -159,14 +159,14 @@ class Tolerance(Recorded):
     @property
     def seed(self) -> int | None:
         """Seed of the samples; None without samples."""
-        return None if self.carlo is None else self.carlo.seed
+        return None if self.monte_carlo is None else self.monte_carlo.seed
 
     @property
     def beaten(self) -> bool:
         """Whether the nominal optimum has a larger yield than the robust design, for the same samples."""
-        if self.limit is None or self.unrobust is None or self.carlo is None:
+        if self.limit is None or self.unrobust is None or self.monte_carlo is None:
             return False
-        return self.unrobust.good > self.carlo.good
+        return self.unrobust.good > self.monte_carlo.good
 
     @cached_property
     def shift(self) -> Array:
@@ -213,9 +213,9 @@ class Tolerance(Recorded):
         worst, found = self.worst, {"crank_deg": np.degrees(self.nominal.crank_angles)}
         named = {"value": self.nominal.value, "judged": self.nominal.base, "worst_low": worst[0], "worst_high": worst[1]}
         named |= {"rss": self.rss, "sigma": self.sigma, "shift": self.shift}
-        if self.carlo is not None:
-            named |= {"sampled_mean": self.carlo.mean, "sampled_sigma": self.carlo.sigma}
-            named |= {"sampled_least": self.carlo.least, "sampled_most": self.carlo.most}
+        if self.monte_carlo is not None:
+            named |= {"sampled_mean": self.monte_carlo.mean, "sampled_sigma": self.monte_carlo.sigma}
+            named |= {"sampled_least": self.monte_carlo.least, "sampled_most": self.monte_carlo.most}
         found |= {f"{name}_{ending}": scale * column for name, column in named.items()}
         shares = {f"{d.name}_percent": 100.0 * row for d, row in zip(self.deviations, self.contributions, strict=True)}
         return found | shares
@@ -232,7 +232,7 @@ def tolerance(
     seed: int = 0,
     shape: str = NORMAL,
     design: Mapping[str, float] | None = None,
-    wanted: float | None = None,
+    target_yield: float | None = None,
     costs: Mapping[str, float] | None = None,
     robust: float | str | None = None,
     progress: Progress | None = None,
@@ -260,7 +260,7 @@ def tolerance(
         Default distribution of tolerances: "normal", "uniform" or "triangular".
     design : mapping of str to float [SI], optional
         Values of the design variables. Default: the optimum.
-    wanted : float, optional
+    target_yield : float, optional
         Required yield, between 0 and 1, for which tolerances of least cost are allocated; see
         `optlink.studies.tolerance.allocation`.
     costs : mapping of str to float, optional
@@ -281,7 +281,7 @@ def tolerance(
     InputError
         If an argument is invalid, or there is no validated design.
     """
-    _check(samples, seed, shape, wanted, limit)
+    _check(samples, seed, shape, target_yield, limit)
     file, again = problem, None
     if robust is not None:
         from optlink.studies.tolerance import robust_design as redesign
@@ -314,11 +314,11 @@ def tolerance(
         best = nominal_design(file, output, crank_angles, {name: again.nominal[name] for name in again.free})
         found = replace(found, unrobust=monte_carlo(linear_analysis(problem, best, deviations, found.limit), samples, seed))
     if samples:
-        found = replace(found, carlo=monte_carlo(found, samples, seed, progress))
-    if wanted is not None:
+        found = replace(found, monte_carlo=monte_carlo(found, samples, seed, progress))
+    if target_yield is not None:
         from optlink.studies.tolerance.allocation import allocate
 
-        found = replace(found, allocation=allocate(found, wanted, costs or {}, samples or SAMPLES, seed))
+        found = replace(found, allocation=allocate(found, target_yield, costs or {}, samples or SAMPLES, seed))
     return found
 
 
@@ -338,7 +338,7 @@ def linear_analysis(problem: ProblemFile, nominal: Nominal, deviations: Sequence
     return Tolerance(problem, nominal, tuple(deviations), nominal.sign * np.array([slopes[d.size] for d in deviations]), limit)
 
 
-def _check(samples: int, seed: int, shape: str, wanted: float | None, limit: str | None) -> None:
+def _check(samples: int, seed: int, shape: str, target_yield: float | None, limit: str | None) -> None:
     if not 0 <= samples <= MAX_SAMPLES or samples == 1:
         remedy = f"Give 0 (none), or 2 to {MAX_SAMPLES:,}"
         raise InputError(Fault("out of range", remedy, key="--samples", value=samples))
@@ -347,9 +347,9 @@ def _check(samples: int, seed: int, shape: str, wanted: float | None, limit: str
     if shape not in CHOICES:
         message = "clearances alone have this distribution, by themselves" if shape in SHAPES else "unknown distribution"
         raise InputError(Fault(message, nearest(shape, CHOICES), key="--distribution", value=shape))
-    if wanted is not None and not 0.0 < wanted < 1.0:
-        raise InputError(Fault("no yield", "Give one between 0 and 100 %", key="--allocate", value=wanted))
-    if wanted is not None and limit is None:
+    if target_yield is not None and not 0.0 < target_yield < 1.0:
+        raise InputError(Fault("no yield", "Give one between 0 and 100 %", key="--allocate", value=target_yield))
+    if target_yield is not None and limit is None:
         raise InputError(Fault("a yield needs a limit", 'Add for example --limit "0.5 deg"', key="--allocate"))
 
 

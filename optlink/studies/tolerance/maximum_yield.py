@@ -106,7 +106,7 @@ class _Search:
         self.x = nlp.x_of(dict(start))
         self.bounded = np.isfinite(nlp.lower), np.isfinite(nlp.upper)
         self.scatter = max(float(np.std(self._sizes(self.x, self._drawn(STAGES[0][0])))), 1e-3 * limit)
-        slopes = nlp.residual_slopes(self.x)
+        slopes = nlp.residual_derivatives(self.x)
         _, size, axes = np.linalg.svd(slopes / math.sqrt(len(slopes)))
         self.steps = self.scatter * axes.T / np.maximum(np.pad(size, (0, len(axes) - len(size))), FLAT * size[0])
 

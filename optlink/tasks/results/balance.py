@@ -35,13 +35,13 @@ ACTIVE = 1e-6
 class AddedCounterweight:
     """A counterweight of the result: its inertia parameters in the axes of its body [SI]."""
 
-    asked: Counterweight
+    specification: Counterweight
     parameters: Parameters
 
     @property
     def body(self) -> str:
         """Body that carries the counterweight."""
-        return self.asked.body
+        return self.specification.body
 
     @property
     def mass(self) -> float:
@@ -72,19 +72,19 @@ class AddedCounterweight:
     @property
     def radius(self) -> float | None:
         """Radius of the disc [m]; None for a free shape."""
-        return self.asked.radius_of(self.mass) if self.asked.kind == "disc" else None
+        return self.specification.radius_of(self.mass) if self.specification.kind == "disc" else None
 
     @property
     def thickness(self) -> float | None:
         """Thickness of the disc [m]; None for a free shape, or where its density is unknown."""
-        return self.asked.thickness_of(self.mass) if self.asked.kind == "disc" else None
+        return self.specification.thickness_of(self.mass) if self.specification.kind == "disc" else None
 
 
 class CounterweightRecord(Record):
     """A counterweight of the result, in the axes of its body [SI]."""
 
     body: str
-    kind: Annotated[str, "asked.kind"]
+    kind: Annotated[str, "specification.kind"]
     mass_kg: Annotated[float, "mass", Gt(0)]
     along_m: Annotated[float, "along"]
     across_m: Annotated[float, "across"]
@@ -106,20 +106,20 @@ class CounterweightRecord(Record):
 class FittedSpring:
     """A spring of the result: stiffness [N/m], free length [m]."""
 
-    asked: FreeSpring
+    specification: FreeSpring
     stiffness: float
     free: float
 
     @property
     def between(self) -> list[str]:
         """Points to which it is attached."""
-        return [point for _, point in self.asked.ends]
+        return [point for _, point in self.specification.ends]
 
 
 class SpringRecord(Record):
     """A spring of the result."""
 
-    name: Annotated[str, "asked.name"]
+    name: Annotated[str, "specification.name"]
     stiffness_N_m: Annotated[float, "stiffness"]
     free_length_m: Annotated[float, "free"]
     between: list[str]
@@ -178,13 +178,13 @@ class RelaxedLimit:
 
 @dataclass(frozen=True)
 class TradePoint:
-    """A point of the trade-off [SI]: `gap` relative; `made`: both measures by inverse dynamics, with realisable discs."""
+    """A point of the trade-off [SI]: `gap` relative; `realised`: both measures by inverse dynamics, with realisable discs."""
 
     first: float
     second: float
     gap: float
     rate: Number
-    made: tuple[float, float]
+    realised: tuple[float, float]
     disagreement: float
     masses: Mapping[str, float]
 
@@ -372,7 +372,10 @@ class Balance(Recorded):
             along, across = one.place
             found |= {f"{one.body}.mass": one.mass, f"{one.body}.along": along, f"{one.body}.across": across}
         for spring in self.springs:
-            found |= {f"{spring.asked.name}.stiffness": spring.stiffness, f"{spring.asked.name}.free_length": spring.free}
+            found |= {
+                f"{spring.specification.name}.stiffness": spring.stiffness,
+                f"{spring.specification.name}.free_length": spring.free,
+            }
         return found
 
     @property

@@ -65,9 +65,9 @@ class ClearanceRecord(ResultRecord):
     figures: dict[str, Number]
     stopped_s: Annotated[Number, "stopped"]
     prediction: PredictionRecord | None
-    turns: Columns
+    per_revolution: Columns
     impacts: tuple[ImpactRecord, ...]
-    section: Columns
+    poincare_map: Columns
     meanings: dict[str, str]
     columns: Columns
 
@@ -89,8 +89,8 @@ class ClearanceRecord(ResultRecord):
 class ClearanceSimulation(Recorded):
     """Simulation of a machine with joint clearance.
 
-    `columns` by name over the rows of the retained revolutions, `meanings` describe them; `turns`: figures of each
-    revolution, (revolutions,) arrays; `impacts` ordered by their ends, those still in contact last; `section`: one row per
+    `columns` by name over the rows of the retained revolutions, `meanings` describe them; `per_revolution`: figures of each
+    revolution, (revolutions,) arrays; `impacts` ordered by their ends, those still in contact last; `poincare_map`: one row per
     revolution, at its end.
     """
 
@@ -106,9 +106,9 @@ class ClearanceSimulation(Recorded):
     sample_time: float | None
     columns: Mapping[str, Array]
     meanings: Mapping[str, str]
-    turns: Mapping[str, Array]
+    per_revolution: Mapping[str, Array]
     impacts: tuple[Impact, ...]
-    section: Mapping[str, Array]
+    poincare_map: Mapping[str, Array]
     figures: Mapping[str, float]
     prediction: Prediction | None
     ending: Ending

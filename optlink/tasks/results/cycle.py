@@ -38,8 +38,8 @@ class CycleFigure:
 
     name: str
     words: str
-    given: Number
-    found: Number
+    initial: Number
+    result: Number
     limit: str
     unit: str
 
@@ -140,12 +140,12 @@ class CycleResult(Recorded):
         return fixed_design(self.problem, self._all(self.values))
 
     @cached_property
-    def given(self) -> Analysis | None:
+    def initial_analysis(self) -> Analysis | None:
         """Cycle of the initial machine of the file; None if its crank cannot turn fully."""
         return self._analysed(self._all({}))
 
     @cached_property
-    def found(self) -> Analysis | None:
+    def analysis(self) -> Analysis | None:
         """Cycle of the resulting machine; None if its crank cannot turn fully."""
         return self._analysed(self._all(self.values))
 
@@ -176,7 +176,7 @@ class CycleResult(Recorded):
         if self.solution is None or self.status is not Status.OPTIMAL or not self.figures:
             return ""
         goal, first = self.figures[0], self.initial
-        given, found, unit = (goal.given, goal.found, goal.unit) if self.task.single else (first.objective, self.objective, "")
+        given, found, unit = (goal.initial, goal.result, goal.unit) if self.task.single else (first.objective, self.objective, "")
         if not math.isfinite(given):
             return "the crank of the initial design does not turn fully"
         change = f" ({found / given - 1.0:+.1%})" if given else ""

@@ -108,14 +108,14 @@ class PathDesign(Summary):
         return max(gaps, default=0.0) <= DISTINCT
 
     @property
-    def turns(self) -> bool:
+    def crank_turns(self) -> bool:
         """Whether the crank turns fully."""
         return self.task.limits.crank != "span"
 
     @cached_property
     def least_transmission(self) -> float:
         """Least distance of the transmission angle from 0 and 180 deg over the required motion [rad]; NaN if there is none."""
-        begin, end = (0.0, TURN) if self.turns else sorted((float(self.crank_angles[0]), float(self.crank_angles[-1])))
+        begin, end = (0.0, TURN) if self.crank_turns else sorted((float(self.crank_angles[0]), float(self.crank_angles[-1])))
         groups = [group for group in self.task.linkage.groups if isinstance(group, RRR)]
 
         def cosines(angles: Array) -> Array:  # smooth, unlike the angles, which have corners at 0 and pi
