@@ -30,7 +30,7 @@ from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, scale
 
 Array = NDArray[np.float64]
 FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
-SHARE = 0.035  # height of a ground pivot, as a share of the extent of the mechanism
+SHARE = 0.035  # height of a ground pivot
 
 
 class Sketch:
@@ -42,15 +42,17 @@ class Sketch:
         The whole motion of a design; it determines extent, traces and slider strokes.
     machine : Machine, optional
         Its centroids and springs are drawn too.
+    share : float, optional
+        Height of a ground pivot, as a share of the extent of the mechanism.
     """
 
-    def __init__(self, motion: Motion, machine: Machine | None = None) -> None:
+    def __init__(self, motion: Motion, machine: Machine | None = None, share: float = SHARE) -> None:
         self.motion, self.mechanism = motion, motion.mechanism
         self.names = list(self.mechanism.owners)
         self.near = self._near(motion)
         extent = max(float(np.max(spread(finite(self._points(motion, 1.0)[:, self.near])))), 1e-30)
         self.scale: Scale = scale(extent, "m")
-        self.size = SHARE * extent * self.scale.factor
+        self.size = share * extent * self.scale.factor
         bodies = [body for body in self.mechanism.bodies if body != self.mechanism.crank.body]
         self.colours = {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)}
         self.colours[self.mechanism.crank.body] = CRANK

@@ -1,0 +1,251 @@
+"""Labelled sketches of the four-bar and of every dyad, drawn when the site is built.
+
+Bodies, guides and ground have the shapes and colours of the drawings that optlink makes of results. MkDocs calls `on_files`; as a
+script, the module writes the sketches into the folder that it is given.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Arc
+from numpy.typing import NDArray
+
+import optlink
+from optlink.linkage.motion import Motion, sweep
+from optlink.report.drawing import Sketch
+from optlink.report.labels import Label, place_labels
+from optlink.report.style import GROUND, HALO, QUIET, figure, house
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+
+Array = NDArray[np.float64]
+FOLDER = "images/sketches"
+FONT = 13.0
+SYMBOL = 0.065  # height of a ground pivot, as a share of the extent of a dyad
+SWING = 14.0  # range of the motion on both sides of a pose [deg]: the length of slots and rails
+
+FOUR_BAR: dict[str, Any] = {"type": "four-bar", "crank": "100 mm", "coupler": "260 mm", "rocker": "190 mm", "frame": "280 mm"}
+GROUND_A = {"A": ["0 mm", "0 mm"]}
+CRANK: dict[str, Any] = {"joints": ["A", "B"], "length": "100 mm"}
+
+DYADS: dict[str, dict[str, Any]] = {
+    "RRR": {**FOUR_BAR, "assembly": "left"},
+    "RRP": {
+        "ground": GROUND_A,
+        "links": {"crank": CRANK, "rod": {"joints": ["B", "C"], "length": "190 mm"}, "slider": {"joints": ["C"]}},
+        "guides": {"G": {"slider": "slider", "on": "frame", "through": ["0 mm", "-30 mm"], "direction": "0 deg"}},
+        "assembly": {"C": "forward"},
+    },
+    "RPR": {
+        "ground": {**GROUND_A, "C": ["150 mm", "-70 mm"]},
+        "links": {"crank": CRANK, "block": {"joints": ["B"]}, "lever": {"joints": ["C", "T"], "length": "240 mm"}},
+        "guides": {"G": {"slider": "block", "on": "lever", "through": "C"}},
+        "assembly": {"G": "forward"},
+    },
+    "RPP": {
+        "ground": GROUND_A,
+        "links": {"crank": CRANK, "block": {"joints": ["B"]}, "yoke": {"joints": ["Y"], "points": {"K": ["70 mm", "0 mm"]}}},
+        "guides": {
+            "G": {"slider": "block", "on": "yoke", "through": "Y", "direction": "90 deg"},
+            "F": {"slider": "yoke", "on": "frame", "through": ["0 mm", "0 mm"], "direction": "0 deg"},
+        },
+    },
+    "PRP": {
+        "ground": GROUND_A,
+        "links": {
+            "crank": {"joints": ["A", "T"], "length": "290 mm"},
+            "die": {"joints": ["D"]},
+            "ram": {"joints": ["D"], "points": {"K": ["90 mm", "0 mm"]}},
+        },
+        "guides": {
+            "H": {"slider": "die", "on": "crank", "through": "A"},
+            "F": {"slider": "ram", "on": "frame", "through": ["0 mm", "190 mm"], "direction": "0 deg"},
+        },
+    },
+}
+"""A mechanism for each dyad: the crank and the dyad."""
+
+ANGLES = {"RRR": 65.0, "RRP": 62.0, "RPR": 70.0, "RPP": 52.0, "PRP": 58.0}
+"""Crank angles of the sketches [deg]."""
+
+
+def problem_of(mechanism: dict[str, Any], angle: float) -> optlink.ProblemFile:
+    """Return a mechanism as a problem.
+
+    Parameters
+    ----------
+    mechanism : dict
+        As in a problem file.
+    angle : float [deg]
+        Crank angle at which its motion starts.
+    """
+    return optlink.read({"title": "Sketch", "mechanism": mechanism, "drive": {"start": f"{angle} deg"}})
+
+
+def _posed(mechanism: dict[str, Any], angle: float, share: float) -> tuple[Sketch, Motion]:
+    """Return the sketch of a mechanism that moves about a crank angle [deg], with symbols of a size, and its pose there."""
+    machine = optlink.analyze(problem_of(mechanism, angle), points=4).machine
+    near = np.radians(np.linspace(angle - SWING, angle + SWING, 41))
+    sketch = Sketch(sweep(machine.mechanism, machine.sizes, near), share=share)
+    return sketch, sweep(machine.mechanism, machine.sizes, [math.radians(angle)])
+
+
+def _letter(axes: Axes, at: Array, text: str, colour: str = GROUND, *, italic: bool = True) -> None:
+    letter = axes.text(*_xy(at), text, ha="center", va="center", color=colour, fontsize=FONT, zorder=9)
+    letter.set(fontstyle="italic" if italic else "normal", path_effects=HALO)
+
+
+def _xy(at: Array) -> tuple[float, float]:
+    return float(at[0]), float(at[1])
+
+
+def _arrow(axes: Axes, begin: Array, end: Array, **style: float) -> None:
+    axes.annotate("", _xy(end), _xy(begin), arrowprops={"arrowstyle": "-|>", "color": GROUND, **style})
+
+
+def _arc(axes: Axes, at: Array, radius: float, begin: float, end: float, text: str, reach: float = 1.3) -> None:
+    """Draw an angle from one direction to another [deg], counter-clockwise, with an arrowhead and its symbol."""
+    axes.add_patch(Arc(_xy(at), 2.0 * radius, 2.0 * radius, theta1=begin, theta2=end, color=GROUND, linewidth=1.1, zorder=5))
+    tip, before = (at + radius * _way(way) for way in (end, end - math.degrees(0.12)))
+    _arrow(axes, before, tip, linewidth=0.0, mutation_scale=9.0)
+    _letter(axes, at + reach * radius * _way(0.5 * (begin + end)), text)
+
+
+def _way(degrees: float) -> Array:
+    return np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
+
+
+def _bearing(of: Array, to: Array) -> float:
+    return math.degrees(math.atan2(*(to - of)[::-1])) % 360.0
+
+
+def _joints(sketch: Sketch, motion: Motion) -> dict[str, Array]:
+    return {name: sketch.position(motion, name)[0] for name in sketch.names}
+
+
+def _stage(sketch: Sketch, width: float, height: float) -> tuple[Figure, Axes]:
+    """Return a figure [inch] with the ground of a sketch, and its axes, which fill it."""
+    drawn = figure(width, height)
+    drawn.set_layout_engine("none")
+    axes = drawn.add_axes((0.0, 0.0, 1.0, 1.0))
+    sketch.stage(axes, traces=False)
+    (x0, x1), (y0, y1) = sketch.limits
+    half = 0.5 * max(x1 - x0, (y1 - y0) * width / height) * np.array([1.0, height / width])
+    axes.set(xlim=0.5 * (x0 + x1) + half[0] * np.array([-1, 1]), ylim=0.5 * (y0 + y1) + half[1] * np.array([-1, 1]))
+    axes.set_axis_off()
+    return drawn, axes
+
+
+def four_bar() -> Figure:
+    """Draw the four-bar with its lengths, crank angle, output angle and transmission angle."""
+    sketch, motion = _posed(DYADS["RRR"], ANGLES["RRR"], 0.04)
+    at = _joints(sketch, motion)
+    sketch.widen(np.array([at["A"] - [60.0, 45.0], at["D"] + [105.0, 0.0], at["C"] + [0.0, 25.0]]))
+    drawn, axes = _stage(sketch, 6.4, 4.0)
+    for start, end in ((at["A"], at["D"]), (at["D"], at["D"] + [95.0, 0.0])):
+        axes.add_line(Line2D(*np.array([start, end]).T, color=QUIET, linewidth=1.1, linestyle=(0, (5, 3)), zorder=1))
+    sketch.pose(axes, motion)
+    for body, (p, q), text, side in (
+        ("crank", "AB", "l₁", 1.0),
+        ("coupler", "BC", "l₂", 1.0),
+        ("rocker", "DC", "l₃", -1.0),
+        ("", "AD", "l₄", -1.0),
+    ):
+        along = (at[q] - at[p]) / np.linalg.norm(at[q] - at[p])
+        beside = side * 15.0 * np.array([-along[1], along[0]])
+        _letter(axes, 0.55 * at[p] + 0.45 * at[q] + beside, text, sketch.colours.get(body, GROUND))
+    _arc(axes, at["A"], 42.0, 0.0, _bearing(at["A"], at["B"]), "φ")
+    _arc(axes, at["D"], 42.0, 0.0, _bearing(at["D"], at["C"]), "ψ")
+    _arc(axes, at["C"], 46.0, _bearing(at["C"], at["B"]), _bearing(at["C"], at["D"]), "γ", 1.28)
+    for name, off in (("A", (-17.0, 5.0)), ("B", (-11.0, 11.0)), ("C", (6.0, 16.0)), ("D", (19.0, -9.0))):
+        _letter(axes, at[name] + off, name, italic=False)
+    for way, text in (((1.0, 0.0), "x"), ((0.0, 1.0), "y")):
+        origin, tip = at["A"] - [52.0, 30.0], at["A"] - [52.0, 30.0] + 32.0 * np.array(way)
+        _arrow(axes, origin, tip, linewidth=1.1, shrinkA=0, shrinkB=0)
+        _letter(axes, tip + 9.0 * np.array(way), text)
+    return drawn
+
+
+PINS = ("A", "B", "C", "D")
+OTHER: dict[str, dict[str, Any]] = {
+    "RRR": {"assembly": "right"},
+    "RRP": {"assembly": {"C": "backward"}},
+    "RPR": {"assembly": {"G": "backward"}},
+}
+"""The other assembly mode of the dyads that have two."""
+
+
+def dyad(kind: str) -> Figure:
+    """Draw a crank and a dyad, in pale lines its other assembly mode.
+
+    Parameters
+    ----------
+    kind : str
+        RRR, RRP, RPR, RPP or PRP.
+    """
+    sketch, motion = _posed(DYADS[kind], ANGLES[kind], SYMBOL)
+    sketch.colours[sketch.mechanism.crank.body] = QUIET
+    ghost = None
+    if kind in OTHER:
+        other = {**DYADS[kind], **OTHER[kind]}
+        share = SYMBOL * sketch.size / _posed(other, ANGLES[kind], SYMBOL)[0].size  # symbols of the same size
+        ghost = _posed(other, ANGLES[kind], share)
+        sketch.low, sketch.high = np.minimum(sketch.low, ghost[0].low), np.maximum(sketch.high, ghost[0].high)
+    drawn, axes = _stage(sketch, 3.6, 2.7)
+    if ghost:
+        ghost[0].colours = sketch.colours
+        for artist in ghost[0].pose(axes, ghost[1]):
+            artist.set(alpha=0.22, zorder=1.5)
+    sketch.pose(axes, motion)
+    place_labels(
+        drawn, [Label(axes, _xy(at), name, GROUND, 11.0, 7.0) for name, at in _joints(sketch, motion).items() if name in PINS]
+    )
+    return drawn
+
+
+SKETCHES: dict[str, Callable[[], Figure]] = {
+    "four-bar": four_bar,
+    **{kind.lower(): partial(dyad, kind) for kind in DYADS},
+}
+"""Sketches by the name of their file."""
+
+
+def svg(name: str) -> bytes:
+    """Return a sketch as SVG, the same bytes at each build.
+
+    Parameters
+    ----------
+    name : str
+        Key of `SKETCHES`.
+    """
+    with house(), mpl.rc_context({"svg.hashsalt": name}), io.BytesIO() as stream:
+        SKETCHES[name]().savefig(stream, format="svg", metadata={"Date": None})
+        return stream.getvalue()
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """MkDocs: add the sketches."""
+    from mkdocs.structure.files import File
+
+    for name in SKETCHES:
+        files.append(File.generated(config, f"{FOLDER}/{name}.svg", content=svg(name)))
+    return files
+
+
+if __name__ == "__main__":
+    for each in SKETCHES:
+        Path(sys.argv[1], f"{each}.svg").write_bytes(svg(each))

@@ -1,0 +1,142 @@
+"""What is made when the site is built: formulas, sketches, outputs of commands, links; and the site as a whole."""
+
+from __future__ import annotations
+
+import html
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+import optlink
+from optlink.errors import Status
+from tests.test_docs import DOCS, PAGES, ROOT, hook
+
+# --- formulas ------------------------------------------------------------------------------------------------------------
+
+
+def test_formulas_become_mathml():
+    pytest.importorskip("latex2mathml")
+    formulas = hook("formulas")
+    text, found = formulas.marked(
+        "An angle $`\\cos \\varphi_0`$.\n\n```math\n\\begin{aligned} a &= b \\\\ c &= d \\end{aligned}\n```\n"
+    )
+    assert [formula.count("<mtr>") for formula in found] == [2, 0]
+    assert "<mi>cos</mi><mspace" in found[1]
+    assert "$" not in text
+    assert "`" not in text
+    assert formulas.marked("```sh\necho $`date`$\n```\n") == ("```sh\necho $`date`$\n```\n", [])
+    with pytest.raises(ValueError, match="not a formula"):
+        formulas.mathml(r"\nosuchcommand x")
+
+
+def test_formulas_of_every_page_are_read_and_their_letters_are_in_the_font():
+    pytest.importorskip("latex2mathml")
+    pytest.importorskip("ziamath")
+    formulas, count = hook("formulas"), 0
+    letters = set(formulas.LETTERS)
+    for page in PAGES:
+        for formula in formulas.marked(page.read_text(encoding="utf-8"))[1]:
+            text = html.unescape(re.sub(r"<[^>]+>", "", formula))
+            assert set(map(ord, text)) <= letters, f"{page.name}: {text}"
+            count += 1
+    assert count > 80
+    assert formulas.font()[:4] == b"\x00\x01\x00\x00"
+
+
+# --- sketches ------------------------------------------------------------------------------------------------------------
+
+
+def test_sketches_are_those_of_the_named_dyads_and_the_same_at_each_build():
+    sketches = hook("sketches")
+    for kind, mechanism in sketches.DYADS.items():
+        machine = optlink.analyze(sketches.problem_of(mechanism, sketches.ANGLES[kind]), points=4).machine
+        assert [group.kind for group in machine.mechanism.groups] == [kind]
+    assert sketches.svg("rrp") == sketches.svg("rrp")
+    assert b"<svg" in sketches.svg("four-bar")
+
+
+# --- outputs of commands -----------------------------------------------------------------------------------------------
+
+
+def test_outputs_are_those_of_the_commands():
+    outputs = hook("outputs")
+    text = (DOCS / "reading-a-result.md").read_text(encoding="utf-8")
+    page = outputs.generated(text.partition("## Limits that conflict")[0])  # the conflict takes seconds
+    assert "<!--" not in page
+    for line in ("coupler   412.865  mm", "largest transmission angle  <= 135 deg", "The exit code is 1."):
+        assert line in page
+    for heading in (
+        "Design",
+        "Working and return strokes",
+        "Objective",
+        "Active constraints and their shadow prices",
+        "Validation",
+    ):
+        assert re.search(rf"^```text\n{heading}", page, re.MULTILINE), heading
+    assert outputs.excerpt("a\nb\nc\nd", "b", "d") == "b\nc"
+    with pytest.raises(ValueError, match="no line starts with 'x'"):
+        outputs.excerpt("a\nb", "x")
+
+
+def test_every_status_is_explained():
+    page = (DOCS / "reading-a-result.md").read_text(encoding="utf-8")
+    for status in Status:
+        word = "given design" if status is Status.NOT_SEARCHED else status.value
+        assert f"| `{word}` |" in page, word
+
+
+# --- the site --------------------------------------------------------------------------------------------------------------
+
+
+def test_links_out_of_the_documentation_lead_to_pages_of_the_site():
+    links = hook("links")
+    text = "[a](../notebooks/six_bar.ipynb), [b](../tests/test_units.py#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
+    wanted = (
+        "[a](notebooks/six_bar.md), [b](source/tests/test_units.py.md#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
+    )
+    assert links.rewritten(text, "docs", "page.md") == wanted
+    assert set(links.outward(text, "docs")) == {"notebooks/six_bar.ipynb", "tests/test_units.py"}
+    assert links.rewritten("[a](docs/images/x.png)", "", "contributing.md") == "[a](images/x.png)"
+    assert links.rewritten("[a](../validation.md)", "docs/api", "api/solve.md") == "[a](../validation.md)"
+
+
+def test_what_a_page_would_load_from_the_network_is_seen():
+    fetched = hook("links").fetched
+    assert fetched('<script defer src="https://unpkg.com/x.js"></script>') == ["https://unpkg.com/x.js"]
+    assert fetched('<link rel="stylesheet" href="//fonts.example/css">') == ["//fonts.example/css"]
+    assert fetched('<link rel=canonical href=https://example.org/><a href="https://example.org">x</a><img src="a.png">') == []
+
+
+def test_a_notebook_becomes_a_page():
+    text, pictures = hook("links").notebook("notebooks/crank_rocker.ipynb")
+    assert text.startswith("# ")
+    assert "six_bar.ipynb){" not in text
+    assert "````python\n" in text
+    assert pictures
+    assert all(data[:4] in (b"\x89PNG", b"GIF8") for data in pictures.values())
+    assert all(f"({name})" in text for name in pictures)
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_asks_no_network(tmp_path):
+    pytest.importorskip("mkdocs")
+    pytest.importorskip("material")
+    pytest.importorskip("mkdocstrings")
+    site = tmp_path / "site"
+    build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(site)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}  # a word of the theme's makers about the future, on every build
+    done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "WARNING" not in done.stderr
+    pages = list(site.rglob("*.html"))
+    assert len(pages) > 40
+    for page in pages:
+        html = page.read_text(encoding="utf-8")
+        assert hook("links").fetched(html) == []
+        if "source" not in page.relative_to(site).parts:
+            assert not re.search(r"<!-- (?:keys|commands|figures) -->|toml (?:design|laws)", html), page.name
+    for style in site.rglob("*.css"):
+        assert not re.search(r"url\(['\"]?(?:https?:)?//", style.read_text(encoding="utf-8")), style.name
