@@ -36,7 +36,7 @@ def test_formulas_of_every_page_are_read_and_their_letters_are_in_the_font():
     pytest.importorskip("latex2mathml")
     pytest.importorskip("ziamath")
     formulas, count = hook("formulas"), 0
-    letters = set(formulas.LETTERS)
+    letters = {*formulas.LETTERS, *formulas.ITALIC}
     for page in PAGES:
         for formula in formulas.marked(page.read_text(encoding="utf-8"))[1]:
             text = html.unescape(re.sub(r"<[^>]+>", "", formula))
