@@ -30,8 +30,8 @@ SYNTHESIS = {"seeds": 1, "linkages": 1, "laws": 10}  # minutes rather than hours
 PEERS = ("pylinkage", "fourbarhinge", "pymoo", "numba", "exudyn")
 YARDSTICK = ("-c", "import numpy, scipy.optimize, casadi")
 PROCESSES = {
-    "help": (("-m", "optlink", "--help"), "<= 0.5"),
-    "solve crank-rocker": (("-m", "optlink", "solve", "crank-rocker"), "<= 1.8"),
+    "help": (("-m", "optlink", "--help"), "<= 0.4"),
+    "solve crank-rocker": (("-m", "optlink", "solve", "crank-rocker"), "<= 1.5"),
     "analyze six-bar": (("-m", "optlink", "analyze", "six-bar"), ""),
 }
 

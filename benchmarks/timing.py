@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import statistics
 import subprocess
 import sys
@@ -28,8 +29,9 @@ def race(contenders: Mapping[str, Callable[[], object]], repetitions: int, warm_
 
 
 def child(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run this Python in the checkout."""
-    return subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    """Run this Python in the checkout, with the compiled modules that an installation has."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return subprocess.run([sys.executable, *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Conversion of quantities such as "412 mm", "64 rpm" or "45 deg" to SI values, and formatting in display units.
 
-Pint does the algebra on a dedicated registry of the units of machine design, because its default registry takes
-a fifth of a second to load and defines other meanings of `deg` (temperature step), `h` (Planck constant) and the year.
+A closed table of units, in the definition syntax of pint (the tests compare every factor with pint), read by a small
+evaluator: a unit is a product of powers. Importing pint takes longer than most designs do.
 """
 
 from __future__ import annotations
@@ -9,21 +9,21 @@ from __future__ import annotations
 import functools
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 DEFINITIONS = (
     "meter = [length] = m = metre",
     "second = [time] = s = sec",
-    "kilogram = [mass] = kg",
+    "kilogram = [mass] = kg = kgs",
     "radian = [angle] = rad",
     "millimeter = 1e-3 m = mm = millimetre",
     "centimeter = 1e-2 m = cm = centimetre",
     "decimeter = 1e-1 m = dm",
     "micrometer = 1e-6 m = um = micrometre",
     "kilometer = 1e3 m = km",
-    "inch = 0.0254 m = in",
-    "foot = 0.3048 m = ft",
+    "inch = 0.0254 m = in = inches",
+    "foot = 0.3048 m = ft = feet",
     "degree = 0.017453292519943295 rad = deg",
     "milliradian = 1e-3 rad = mrad",
     "arcminute = 0.0002908882086657216 rad = arcmin",
@@ -32,10 +32,10 @@ DEFINITIONS = (
     "millisecond = 1e-3 s = ms",
     "minute = 60 s = min",
     "hour = 3600 s",
-    "hertz = 6.283185307179586 rad / s = Hz",
+    "hertz = 6.283185307179586 rad / s = Hz = hz",
     "gram = 1e-3 kg = g",
     "tonne = 1e3 kg = t",
-    "pound = 0.45359237 kg = lb",
+    "pound = 0.45359237 kg = lb = lbs",
     "newton = kg * m / s ** 2 = N",
     "kilonewton = 1e3 N = kN",
     "pound_force = 4.4482216152605 N = lbf",
@@ -84,9 +84,22 @@ KINDS = {
     )
 }
 
-_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)\s*([^\s\d].*?)?\s*", re.DOTALL | re.ASCII)
-_FACTOR = r"[A-Za-z°µμ_]+(?:\s*(?:\^|\*\*)\s*-?[1-4](?:\.5)?)?"
-_UNIT = re.compile(rf"{_FACTOR}(?:(?:\s*[*/·]\s*|\s+){_FACTOR}){{0,4}}")  # "kg m^2" is kg*m^2
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?"
+_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(1\s*/.*?|[^\s\d].*?)?\s*", re.DOTALL | re.ASCII)
+_POWER = r"(?:\s*(?:\^|\*\*)\s*(-?[1-4](?:\.5)?)|([2-4]))?"  # "m^2", "m**2", "m2"
+_FACTOR = rf"(\s*[*/]\s*|\s+|-|)([A-Za-z_]+){_POWER}"  # "kg m^2" and "N-m" are products
+_UNIT = re.compile(re.sub(r"\((?!\?)", "(?:", rf"(1\s*(?=/))?{_FACTOR}({_FACTOR}){{0,4}}"))
+_COMPACT = re.compile(r"(N|kN|lbf|kg|g)(m|cm|mm|in|ft|s)")  # "Nm", "kgm^2"
+_PLAIN = str.maketrans(
+    {"\u00a0": " ", "\u2007": " ", "\u2009": " ", "\u202f": " "}  # spaces that do not break
+    | dict.fromkeys("\u2010\u2011\u2013\u2212", "-")
+    | dict.fromkeys("\u00b7\u22c5\u2219\u00d7", "*")
+    | dict.fromkeys("\u00b5\u03bc", "u")
+    | dict.fromkeys("\u00b0\u00ba", "deg")
+    | {"\u2026": "...", "\u2264": "<=", "\u2265": ">="}
+)
+_SUPERSCRIPTS = str.maketrans("\u207b\u00b9\u00b2\u00b3\u2074", "-1234")
+_PER_TIME = {"angular velocity": {"1/s": "rad/s", "1/min": "rpm"}, "frequency": {"1/s": "Hz", "1/min": "rpm"}}
 
 
 class UnitProblem(ValueError):
@@ -97,17 +110,111 @@ class UnitProblem(ValueError):
         self.message, self.remedy = message, remedy
 
 
-@functools.cache
-def _registry() -> Any:
-    import pint
+@dataclass(frozen=True)
+class _Unit:
+    """A unit: its SI value, the exponents of length, time, mass and angle, and its spelling in messages and documents."""
 
-    registry: Any = pint.UnitRegistry(None, on_redefinition="raise")
+    scale: float
+    powers: tuple[float, ...]
+    symbol: str
+
+
+@functools.cache
+def _table() -> dict[str, _Unit]:
+    """Return the units of `DEFINITIONS` by each of their names."""
+    table: dict[str, _Unit] = {}
+    bases = 0
     for definition in DEFINITIONS:
-        registry.define(definition)
-    return registry
+        name, meaning, *aliases = definition.split(" = ")
+        if meaning.startswith("["):
+            scale, powers = 1.0, tuple(float(place == bases) for place in range(4))
+            bases += 1
+        else:
+            number, product = re.fullmatch(rf"({_NUMBER})?\s*(.+)", meaning).groups()  # type: ignore[union-attr]
+            unit = _product(_factors(product, table))
+            scale, powers = float(number or 1.0) * unit.scale, unit.powers
+        names = (name, *aliases)
+        table |= dict.fromkeys(names, _Unit(scale, powers, (aliases or names)[0]))
+    return table
+
+
+def _find(name: str, table: dict[str, _Unit]) -> tuple[_Unit, ...]:
+    """Return the unit of a name, or the two of a compact product such as "Nm"; raise KeyError for an unknown name."""
+    compact = _COMPACT.fullmatch(name)
+    if name not in table and compact:
+        return tuple(table[part] for part in compact.groups())
+    lower = name.lower()
+    names = [name]
+    if name == lower and len(name) > 2:
+        names.append(name.removesuffix("s"))  # a plural
+    if (len(name) > 3 and lower != "mrad") or lower in _ANY_CASE:  # no prefix that depends on the case, as in "mN"
+        names += [lower, lower.removesuffix("s")]
+    return (table[next((known for known in names if known in table), name)],)
+
+
+_ANY_CASE = ("rpm", "deg", "rad", "rev", "min", "sec", "kg", "lb", "lbf", "in", "ft", "hz")
+
+
+def _factors(text: str, table: dict[str, _Unit]) -> Iterator[tuple[_Unit, float]]:
+    """Yield the units of a product, each with its exponent."""
+    for separator, name, power, digit in re.findall(_FACTOR, text):
+        *units, last = _find(name, table)
+        sign = -1.0 if "/" in separator else 1.0
+        for unit in units:
+            yield unit, sign
+        yield last, sign * float(power or digit or 1)
+
+
+def _product(factors: Iterator[tuple[_Unit, float]]) -> _Unit:
+    exponents: dict[_Unit, float] = {}
+    for unit, exponent in factors:
+        exponents[unit] = exponents.get(unit, 0.0) + exponent
+    scale, powers = 1.0, [0.0] * 4
+    above: list[str] = []
+    below: list[str] = []
+    for unit, exponent in exponents.items():
+        scale *= unit.scale**exponent
+        powers = [power + exponent * own for power, own in zip(powers, unit.powers, strict=True)]
+        if exponent:
+            size = abs(exponent)
+            (above if exponent > 0.0 else below).append(unit.symbol + (f"^{size:g}" if size != 1.0 else ""))
+    return _Unit(scale, tuple(powers), "/".join(["*".join(above) or "1", *below]))
+
+
+def plain(text: str) -> str:
+    """Replace typographic signs: superscripts, degree and micro signs, dots of products, minus signs, fixed spaces.
+
+    Parameters
+    ----------
+    text : str
+        Text such as "−5 µm" or "2 kg·m²".
+    """
+    if text.isascii():
+        return text
+    text = text.translate(_PLAIN)
+    return re.sub("[\u207b\u00b9\u00b2\u00b3\u2074]+", lambda found: "^" + found[0].translate(_SUPERSCRIPTS), text)
 
 
 @functools.lru_cache(maxsize=512)
+def _unit(unit: str, kind: str) -> _Unit:
+    wanted = KINDS[kind]
+    use = f'Use a unit of {kind}, for example "{wanted.example}"'
+    spelled = plain(unit)
+    if not _UNIT.fullmatch(spelled):
+        raise UnitProblem(f'"{unit[:40]}" is not a unit', use)
+    table = _table()
+    try:
+        found = _product(_factors(spelled, table))
+    except KeyError as error:
+        close = [f'"{name}"' for name in table if name.lower() == str(error.args[0]).lower()]
+        hint = f"Upper and lower case matter: {' or '.join(close)}. " if close else ""
+        raise UnitProblem(f'the unit "{unit[:40]}" is unknown', hint + use) from None
+    found = _unit(_PER_TIME[kind][found.symbol], kind) if found.symbol in _PER_TIME.get(kind, {}) else found
+    if found.powers != _product(_factors(wanted.si, table)).powers:
+        raise UnitProblem(f'"{unit[:40]}" is not a unit of {kind}', use)
+    return found
+
+
 def factor(unit: str, kind: str) -> float:
     """Return the SI value of one `unit`.
 
@@ -123,23 +230,7 @@ def factor(unit: str, kind: str) -> float:
     UnitProblem
         The unit is unknown or measures another quantity.
     """
-    import pint
-
-    wanted = KINDS[kind]
-    use = f'Use a unit of {kind}, for example "{wanted.example}"'
-    spelled = unit.replace("°", "deg").replace("µ", "u").replace("μ", "u").replace("·", "*").replace("^", "**")
-    if not _UNIT.fullmatch(unit):
-        raise UnitProblem(f'"{unit[:40]}" is not a unit', use)
-    registry = _registry()
-    try:
-        one = registry.Quantity(1.0, registry.parse_units(spelled))
-        return float(one.to(wanted.si).magnitude)
-    except pint.UndefinedUnitError:
-        raise UnitProblem(f'the unit "{unit[:40]}" is unknown', use) from None
-    except pint.DimensionalityError:
-        raise UnitProblem(f'"{unit[:40]}" is not a unit of {kind}', use) from None
-    except (pint.PintError, ValueError, TypeError, AttributeError, OverflowError, ArithmeticError):
-        raise UnitProblem(f'"{unit[:40]}" is not a unit', use) from None
+    return _unit(unit, kind).scale
 
 
 def parse(text: object, kind: str) -> tuple[float, str]:
@@ -155,7 +246,7 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     Returns
     -------
     value : float, in SI
-    unit : str, as written
+    unit : str, in canonical spelling: "N*m" for "N·m" or "Nm"
 
     Raises
     ------
@@ -169,6 +260,7 @@ def parse(text: object, kind: str) -> tuple[float, str]:
         if abs(text) > 1e300 or not math.isfinite(text):
             raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
         raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{_digits(text)} {wanted.display}", with the quotes')
+    text = plain(text[:201])
     match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None
     if match is None:
         if re.match(r"\s*[-+]?(nan|inf)", text, re.IGNORECASE):
@@ -177,10 +269,11 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     number, unit = match.groups()
     if unit is None:
         raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{number} {wanted.display}"')
-    value = float(number) * factor(unit, kind)
+    known = _unit(unit, kind)
+    value = float(number) * known.scale
     if not math.isfinite(value):
         raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
-    return value, unit
+    return value, known.symbol
 
 
 def _a(kind: str) -> str:

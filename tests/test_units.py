@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 
+import pint
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from optlink import units
-from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor, parse, show
+from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor, parse, plain, show
 
 seeded = settings(derandomize=True, deadline=None, max_examples=200)
 
@@ -69,10 +71,11 @@ def test_factor(unit, kind, si):
 
 
 @pytest.mark.parametrize(("unit", "kind", "si"), UNITS, ids=IDS)
-def test_parse_scales_by_the_factor_and_keeps_the_unit_as_written(unit, kind, si):
+def test_parse_scales_by_the_factor_and_spells_the_unit_canonically(unit, kind, si):
     value, written = parse(f"-2.5 {unit}", kind)
     assert value == pytest.approx(-2.5 * si, rel=1e-14)
-    assert written == unit
+    assert parse(f"-2.5 {written}", kind) == (value, written)
+    assert written.isascii()
 
 
 NUMBERS = [
@@ -150,6 +153,153 @@ def test_every_unit_that_is_defined_is_known_by_all_of_its_names():
     assert set(dimensions.values()) < met
 
 
+# --- units as people type them: read, and spelled in one way -------------------------------------------------------------
+
+SPELLINGS = [  # as typed, kind, canonical
+    ("5 Nm", "torque", "5 N*m"),
+    ("5 N\u00b7m", "torque", "5 N*m"),
+    ("5 N\u22c5m", "torque", "5 N*m"),
+    ("5 N-m", "torque", "5 N*m"),
+    ("5 N m", "torque", "5 N*m"),
+    ("5 kNm", "torque", "5 kN*m"),
+    ("5 Nmm", "torque", "5 N*mm"),
+    ("5 Nm/rad", "torsional stiffness", "5 N*m/rad"),
+    ("5 N-m/rad", "torsional stiffness", "5 N*m/rad"),
+    ("20 Ns/m", "damping", "20 N*s/m"),
+    ("3 N/mm", "stiffness", "3 N/mm"),
+    ("2 kg\u00b7m\u00b2", "moment of inertia", "2 kg*m^2"),
+    ("2 kg m\u00b2", "moment of inertia", "2 kg*m^2"),
+    ("2 kg m^2", "moment of inertia", "2 kg*m^2"),
+    ("2 kgm^2", "moment of inertia", "2 kg*m^2"),
+    ("2 kg-m^2", "moment of inertia", "2 kg*m^2"),
+    ("2 kg*m2", "moment of inertia", "2 kg*m^2"),
+    ("9 m/s\u00b2", "acceleration", "9 m/s^2"),
+    ("9 m/s2", "acceleration", "9 m/s^2"),
+    ("9 m\u00b7s\u207b\u00b2", "acceleration", "9 m/s^2"),
+    ("7 g/cm\u00b3", "density", "7 g/cm^3"),
+    ("60 1/min", "angular velocity", "60 rpm"),
+    ("60 min^-1", "angular velocity", "60 rpm"),
+    ("60 min\u207b\u00b9", "angular velocity", "60 rpm"),
+    ("60 rev/min", "angular velocity", "60 rev/min"),
+    ("60 RPM", "angular velocity", "60 rpm"),
+    ("6 1/s", "angular velocity", "6 rad/s"),
+    ("6 s^-1", "angular velocity", "6 rad/s"),
+    ("6 1/s", "frequency", "6 Hz"),
+    ("40\u00b0", "angle", "40 deg"),
+    ("40 \u00b0/s", "angular velocity", "40 deg/s"),
+    ("40 DEG", "angle", "40 deg"),
+    ("40 degrees", "angle", "40 deg"),
+    ("5 \u00b5m", "length", "5 um"),
+    ("5 \u03bcm", "length", "5 um"),
+    ("5 inches", "length", "5 in"),
+    ("5 KG", "mass", "5 kg"),
+    ("5\u00a0mm", "length", "5 mm"),
+    ("5\u202fmm", "length", "5 mm"),
+    ("\u22125 mm", "coordinate", "-5 mm"),
+    ("\u20135 mm", "coordinate", "-5 mm"),
+]
+
+
+@pytest.mark.parametrize(("typed", "kind", "canonical"), SPELLINGS, ids=[f"{row[0]} ({row[1]})" for row in SPELLINGS])
+def test_spellings_are_read_and_shown_in_one_way(typed, kind, canonical):
+    value, unit = parse(typed, kind)
+    assert parse(canonical, kind) == (value, unit)
+    assert show(value, kind, unit) == canonical
+
+
+def test_rotation_per_minute_is_a_revolution_and_per_second_a_radian():
+    assert parse("60 1/min", "angular velocity")[0] == pytest.approx(2.0 * math.pi, rel=1e-15)
+    assert parse("1 1/s", "angular velocity")[0] == 1.0
+    assert parse("1 1/s", "frequency")[0] == pytest.approx(2.0 * math.pi, rel=1e-15)
+
+
+@pytest.mark.parametrize("text", ["5 mN", "5 MN", "5 KN", "5 Mpa", "5 mpa", "5 MM", "5 Km", "5 Kw", "5 nm", "5 S", "5 MRAD"])
+def test_case_is_never_guessed_where_a_prefix_depends_on_it(text):
+    for kind in KINDS:
+        with pytest.raises(UnitProblem):
+            parse(text, kind)
+
+
+def test_remedy_for_a_wrong_case_names_the_unit():
+    with pytest.raises(UnitProblem, match=r'unknown\. Upper and lower case matter: "mm"'):
+        parse("412 MM", "length")
+    with pytest.raises(UnitProblem, match='"kN"'):
+        parse("4 KN", "force")
+
+
+# --- pint as an oracle: every unit of the table, and products of them ------------------------------------------------------
+
+
+@functools.cache
+def oracle():
+    registry = pint.UnitRegistry(None, on_redefinition="raise")
+    for definition in DEFINITIONS:
+        registry.define(definition)
+    return registry
+
+
+NAMES = sorted({name for line in DEFINITIONS for place, name in enumerate(line.split(" = ")) if place != 1})
+
+
+def pint_factor(unit, kind):
+    try:
+        one = oracle().Quantity(1.0, oracle().parse_units(unit.replace("^", "**")))
+        return float(one.to(KINDS[kind].si).magnitude)
+    except pint.DimensionalityError:
+        return None
+
+
+def own_factor(unit, kind):
+    try:
+        return factor(unit, kind)
+    except UnitProblem as problem:
+        assert "is not a unit of" in problem.message
+        return None
+
+
+@pytest.mark.parametrize("unit", NAMES)
+def test_each_unit_has_the_factor_of_pint(unit):
+    for kind in KINDS:
+        assert own_factor(unit, kind) == pint_factor(unit, kind)
+    assert any(own_factor(unit, kind) or own_factor(f"J/{unit}", kind) or own_factor(f"{unit}/s", kind) for kind in KINDS)
+
+
+powers = st.tuples(st.sampled_from(NAMES), st.sampled_from(["", "", "^2", "^-1", "^1.5"])).map("".join)
+products = st.builds(
+    lambda first, rest: first + "".join(sign + unit for sign, unit in rest),
+    powers,
+    st.lists(st.tuples(st.sampled_from("*/"), powers), max_size=3),
+)
+composed = st.builds(  # units of a kind, spelled with other units of the same dimensions
+    lambda kind, length, time, mass, angle: (
+        kind,
+        re.sub(
+            "[a-z]+|N|J|Pa",
+            lambda found: {"m": length, "s": time, "kg": mass, "rad": angle}.get(found[0], found[0]),
+            KINDS[kind].si.replace("**", "^"),
+        ),
+    ),
+    st.sampled_from(sorted(KINDS)),
+    st.sampled_from(["mm", "cm", "in", "ft", "km", "um"]),
+    st.sampled_from(["ms", "min", "hour"]),
+    st.sampled_from(["g", "t", "lb"]),
+    st.sampled_from(["deg", "rev", "mrad", "arcmin"]),
+)
+
+
+@seeded
+@given(composed | products.map(lambda unit: (None, unit)))
+@example(("angular velocity", "rev/min"))
+@example(("stiffness", "N/mm"))
+@example(("torque", "N*mm"))
+def test_products_have_the_factor_of_pint(case):
+    kind, unit = case
+    for name in KINDS if kind is None else (kind,):
+        ours, theirs = own_factor(unit, name), pint_factor(unit, name)
+        assert (ours is None) == (theirs is None)
+        assert theirs is None or abs(ours - theirs) <= math.ulp(theirs)
+
+
 # --- round trip ------------------------------------------------------------------------------------------------------
 
 numbers = st.floats(1e-9, 1e9) | st.floats(-1e9, -1e-9) | st.just(0.0)
@@ -160,8 +310,7 @@ numbers = st.floats(1e-9, 1e9) | st.floats(-1e9, -1e-9) | st.just(0.0)
 @example(0.1 + 0.2, UNITS[2])
 def test_what_is_shown_is_read_back(value, row):
     unit, kind, _ = row
-    found, written = parse(show(value, kind, unit, digits=17), kind)
-    assert written == unit
+    found, _ = parse(show(value, kind, unit, digits=17), kind)
     assert found == pytest.approx(value, rel=4e-16, abs=0.0)
 
 
@@ -205,7 +354,6 @@ REFUSED = [  # text, kind, what the message says
     ("412 1/mm", "length", "not a unit|not a length"),
     ("64 rpm", "angle", "not a unit of angle"),
     ("64 deg", "angular velocity", "not a unit of angular velocity"),
-    ("64 1/s", "angular velocity", "not a unit|not an? angular velocity"),
     ("10 kg", "force", "not a unit of force"),
     ("10 N", "mass", "not a unit of mass"),
     ("nan mm", "length", "must be finite"),
@@ -259,8 +407,6 @@ REFUSED = [  # text, kind, what the message says
     ("\uff15 mm", "length", "not a length"),  # full-width digit
     ("\u0665 mm", "length", "not a length"),  # Arabic digit
     ("5 \uff4d\uff4d", "length", "not a unit"),  # full-width letters
-    ("\u22125 mm", "length", "not a length"),  # typographic minus
-    ("5\u00a0mm", "length", "not a unit|not a length"),  # no-break space
     ("5 mm\0", "length", "not a unit"),
     ("½ mm", "length", "not a length"),
     ("😀", "length", "not a length"),
@@ -330,6 +476,6 @@ def test_any_text_is_a_quantity_or_a_unit_problem(text, kind):
     else:
         words = ()
         assert math.isfinite(value)
-        assert unit in text
-        assert value == pytest.approx(float(re.match(r"\s*[-+.\deE]*[\d.]", text)[0]) * factor(unit, kind), rel=1e-15)
+        number, written = re.fullmatch(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)(.*?)\s*", plain(text), re.DOTALL).groups()
+        assert value == float(number) * factor(written.strip(), kind) == float(number) * factor(unit, kind)
     assert all(words)
