@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from optlink.tasks.results.path import PathDesign, PathResult
     from optlink.tasks.run import solve, validate
     from optlink.tasks.simulate import Simulation, simulate
+    from optlink.templates import new
 
 _HOME = {
     "Analysis": "optlink.tasks.results.analysis",
@@ -55,6 +56,7 @@ _HOME = {
     "Status": "optlink.errors",
     "ProblemFile": "optlink.problem.file",
     "load": "optlink.problem.file",
+    "new": "optlink.templates",
     "read": "optlink.problem.file",
     "shipped": "optlink.problem.file",
     "CycleResult": "optlink.tasks.results.cycle",
@@ -91,6 +93,7 @@ __all__ = [
     "four_bar",
     "grashof",
     "load",
+    "new",
     "read",
     "read_design",
     "shipped",

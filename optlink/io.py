@@ -30,6 +30,13 @@ _records: list[set[Path]] = []
 _locked: set[tuple[str, int]] = set()
 
 
+def data_folder(name: str) -> Path:
+    """Return a folder of shipped data files ("problems"): inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parent
+    inside = package / name
+    return inside if inside.is_dir() else package.parent / name
+
+
 def folder(path: Path, option: str = "--out") -> Path:
     """Create an output folder and check that it is writable, before any computation.
 

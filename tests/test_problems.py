@@ -16,8 +16,9 @@ import pytest
 
 import optlink
 from optlink.dynamics import inverse as reactions_module
+from optlink.io import data_folder
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
-from optlink.problem.file import dump, problems_folder
+from optlink.problem.file import dump
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.targets.expression import parse as parse_expression
@@ -39,7 +40,7 @@ def test_problems_are_found():
     assert "crank-rocker" in DESIGNS
     assert {"six-bar", "shaper"} < set(MACHINES)
     assert {"path-closed18", "path-watt-leg", "motion-5-poses"} < set(POINTED)
-    assert problems_folder().is_dir()
+    assert data_folder("problems").is_dir()
 
 
 @pytest.mark.parametrize("name", NAMES)

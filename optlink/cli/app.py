@@ -15,7 +15,7 @@ from typing import Annotated, TextIO
 
 import typer
 
-from optlink.cli import analyze, console, report, show, simulate, solve, study
+from optlink.cli import analyze, console, new, report, show, simulate, solve, study
 from optlink.solvers import interrupts
 
 CLOSED = 141
@@ -32,7 +32,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (show, solve, analyze, simulate, report, study):
+for command in (show, new, solve, analyze, simulate, report, study):
     command.register(app)
 
 

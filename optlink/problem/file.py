@@ -15,7 +15,7 @@ from typing import Any
 import pydantic
 
 from optlink.errors import Fault, InputError, shown
-from optlink.io import load_extensions
+from optlink.io import data_folder, load_extensions
 from optlink.problem.cycle import CycleProblem, cross_check_cycle
 from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads
 from optlink.problem.function import DesignProblem, cross_check_design
@@ -129,16 +129,9 @@ def _stated(raw: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in {**raw, "limits": own}.items() if key != "limits" or value}
 
 
-def problems_folder() -> Path:
-    """Return the folder of the shipped problems: inside the installed package, or beside it in a checkout."""
-    package = Path(__file__).resolve().parent.parent
-    inside = package / "problems"
-    return inside if inside.is_dir() else package.parent / "problems"
-
-
 def shipped() -> dict[str, Path]:
     """Return names and files of the shipped problems."""
-    return {path.stem: path for path in sorted(problems_folder().glob("*.toml"))}
+    return {path.stem: path for path in sorted(data_folder("problems").glob("*.toml"))}
 
 
 def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> ProblemFile:

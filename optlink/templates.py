@@ -1,0 +1,83 @@
+"""Templates of problem files: complete TOML files with comments, in a folder beside the shipped problems.
+
+A template is registered by being in that folder. Its first comment line describes it, each line `# Next: COMMAND` is a command to
+type after it has been written; FILE in such a command stands for the name of the file, STEM for this name without its suffix.
+"""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from optlink.errors import Fault, InputError
+from optlink.io import data_folder
+
+NEXT = "# Next: "
+
+
+@dataclass(frozen=True)
+class Template:
+    """A template: its name, one sentence, the commands to type next, and the text of the problem file."""
+
+    name: str
+    summary: str
+    commands: tuple[str, ...]
+    text: str
+
+
+def templates() -> dict[str, Path]:
+    """Return names and files of the templates."""
+    return {path.stem: path for path in sorted(data_folder("templates").glob("*.toml"))}
+
+
+def template(name: str, file: str | Path | None = None) -> Template:
+    """Read a template.
+
+    Parameters
+    ----------
+    name : str
+        Name of the template, for example "wiper".
+    file : str or Path, optional
+        Name of the file in the commands; default: the name of the template with the suffix .toml.
+
+    Raises
+    ------
+    InputError
+        If there is no such template.
+    """
+    known = templates()
+    if name not in known:
+        from optlink.problem.quantity import nearest
+
+        raise InputError(Fault("no such template", nearest(name, known), key="TEMPLATE", value=name))
+    path = Path(file or f"{name}.toml")
+    named = {"FILE": shlex.quote(str(path)), "STEM": shlex.quote(str(path.with_suffix("")))}
+    lines = known[name].read_text(encoding="utf-8").splitlines()
+    for word, meant in named.items():
+        lines = [line.replace(word, meant) if line.startswith(NEXT) else line for line in lines]
+    commands = tuple(line.removeprefix(NEXT) for line in lines if line.startswith(NEXT))
+    return Template(name, lines[0].removeprefix("# "), commands, "\n".join(lines) + "\n")
+
+
+def new(name: str, file: str | Path | None = None) -> str:
+    """Return the text of a new problem file: a template that is complete and explains each of its lines in a comment.
+
+    Parameters
+    ----------
+    name : str
+        Name of the template, for example "wiper"; `optlink new --list` shows all.
+    file : str or Path, optional
+        Name of the file in the commands of its header; default: the name of the template with the suffix .toml.
+
+    Returns
+    -------
+    str
+        A problem file in TOML, for a file that `load` reads.
+
+    Raises
+    ------
+    InputError
+        If there is no such template.
+    """
+    return template(name, file).text

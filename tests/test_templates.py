@@ -1,0 +1,125 @@
+"""Templates: each is complete, explained line by line, and solved by the command that it names."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import tomllib
+
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.templates import NEXT, template, templates
+
+NAMES = sorted(templates())
+QUICK = ("law",)  # the others take some seconds each
+
+
+def run(*arguments: str):
+    return CliRunner().invoke(app, list(arguments))
+
+
+def test_every_machine_has_a_template():
+    asked = {"law", "function", "path", "poses", "quick-return-press", "wiper", "walker", "pump", "toggle-press", "six-bar"}
+    assert asked | {"clearance", "balance"} <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_template_is_a_problem_file(name):
+    made = template(name)
+    problem = optlink.read(tomllib.loads(made.text), name)
+    assert problem.model.title
+    assert problem.model.about
+    assert 20 < len(made.summary) < 80
+    assert made.commands[0] in (f"optlink {verb} {name}.toml" for verb in ("solve", "analyze", "simulate"))
+    assert len(made.commands) >= 2
+
+
+def unexplained(text: str) -> list[str]:
+    """Lines with a key that has no comment; the rows of a list, title and about explain themselves."""
+    lines = text.partition('"""\n\n')[2].splitlines()
+    return [line for line in lines if line[:1].isalnum() and "=" in line and "#" not in line and not line.startswith("gravity")]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_line_is_explained(name):
+    assert unexplained(template(name).text) == []
+
+
+def test_a_line_without_comment_would_be_seen():
+    assert unexplained(template("wiper").text + 'time_ratio = "1"\n') == ['time_ratio = "1"']
+
+
+@pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in NAMES])
+def test_next_command_gives_a_valid_result(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("new", name, "--out", "mine.toml").exit_code == 0
+    command, *further = template(name, "mine.toml").commands
+    done = run(*shlex.split(command)[1:], "--json")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result.get("valid", result.get("sound", result["status"] == "finished")) is True
+    if name in ("pump", "clearance"):
+        for line in further:
+            assert run(*shlex.split(line)[1:]).exit_code == 0, line
+        assert (tmp_path / "mine.html").stat().st_size > 100_000
+
+
+def test_written_file_names_itself(tmp_path):
+    path = tmp_path / "my press.toml"
+    done = run("new", "law", "--out", str(path))
+    assert done.exit_code == 0
+    assert f"Next: optlink solve '{path}'" in done.stdout
+    text = path.read_text(encoding="utf-8")
+    assert f"{NEXT}optlink solve '{path}'\n" in text
+    assert text == optlink.new("law", path)
+    assert [file.name for file in tmp_path.iterdir()] == ["my press.toml"]
+
+
+def test_text_on_standard_output_is_the_template():
+    done = run("new", "wiper")
+    assert done.stdout == optlink.new("wiper")
+    assert done.stderr == "Next: optlink new wiper --out wiper.toml\n"
+    document = json.loads(run("new", "wiper", "--json").stdout)
+    assert document["text"] == optlink.new("wiper")
+    assert document["commands"][0] == "optlink solve wiper.toml"
+
+
+def test_an_existing_file_is_kept_unless_forced(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("mine")
+    done = run("new", "law", "--out", str(path))
+    assert done.exit_code == 2
+    assert "add --force" in done.stderr
+    assert path.read_text() == "mine"
+    assert run("new", "law", "--out", str(path), "--force").exit_code == 0
+    assert optlink.load(path).task == "function"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("wipper",), 'Did you mean "wiper"'),
+        (("law", "--out", "."), "this is a folder"),
+        (("law", "--out", "mine"), "Write one of .toml"),
+        (("law", "--out", "none/mine.toml"), "there is no folder"),
+        (("--list", "--out", "mine.toml"), "Name a template"),
+    ],
+)
+def test_bad_input_is_exit_two(arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = run("new", *arguments)
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_list_names_every_template_with_its_command():
+    for arguments in (("new",), ("new", "--list")):
+        shown = run(*arguments).stdout
+        assert all(name in shown for name in NAMES)
+    rows = json.loads(run("new", "--list", "--json").stdout)["templates"]
+    assert [row["name"] for row in rows] == NAMES
+    assert all(row["commands"][0].endswith(f"{row['name']}.toml") for row in rows)
