@@ -88,6 +88,7 @@ def marked(markdown: str) -> tuple[str, list[str]]:
 
 LETTERS = (
     *range(0x20, 0x7F),
+    0xA0,
     0xA8,
     0xB0,
     0xB7,
