@@ -283,11 +283,11 @@ def _kept(asked: Run, resume: bool, parts: str, what: str) -> Iterator[dict[str,
 
     place = None if asked.out is None else asked.out / "checkpoint.json"
     begun = checkpoint(asked.out) if resume else None
-    done, of = (0, 0) if begun is None else (begun.get("complete", 0), begun.get("of", 0))
+    done, of = (0, 0) if begun is None else (begun.get("complete", 0), begun.get("total", 0))
 
     def keep(document: dict[str, Any]) -> None:
         nonlocal done, of
-        done, of = document["complete"], document["of"]
+        done, of = document["complete"], document["total"]
         if place is not None:
             write_json(place, document)
 

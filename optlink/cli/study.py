@@ -16,7 +16,6 @@ from optlink.solvers.contract import selectable
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
 
-OUTPUT_SCHEMA = "optlink/output-sensitivity/1"
 SIMULATED = ("the option is one of simulations", "Add --simulate")
 AROUND = "0..330 deg:12"  # default crank angles of an output
 
@@ -120,8 +119,7 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     """Print the derivatives of an output by every dimension."""
     import numpy as np
 
-    from optlink.io import finite, head
-    from optlink.studies.motion_sensitivity import output_sensitivity
+    from optlink.studies.motion_sensitivity import OutputSensitivityRecord, output_sensitivity
     from optlink.tasks.function import read_design, solve
 
     crank = _crank_angles(angles)
@@ -131,24 +129,17 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     elif file.model.free and file.task != "path" and file.task != "cycle":
         sizes |= {key: value for key, value in solve(file).design.items() if key in sizes}
     found = output_sensitivity(file.model.linkage, sizes, crank, output)
-    document = {
-        **head(OUTPUT_SCHEMA, file, "done"),
-        "output": found.name,
-        "unit": found.unit,
-        "sizes_SI": sizes,
-        "crank_angles_deg": np.degrees(crank),
-        "value": found.value,
-        "per_size_SI": dict(found.by),
-    }
+    about = {"problem": file.name, "title": file.model.title, "problem_hash": file.hash, "status": "done"}
+    document = OutputSensitivityRecord.of(found, **about, sizes_SI=sizes, crank_angles_deg=np.degrees(crank)).document()
     if out is not None:
         from optlink.report.files import write_csv, write_json
 
-        write_json(out / "result.json", finite(document))
+        write_json(out / "result.json", document)
         columns = {f"per_{name}_SI": column for name, column in found.by.items()}
         value = f"{found.name}_{found.unit}"
         write_csv(out / "sensitivity.csv", {"crank_angle_deg": np.degrees(crank), value: found.value} | columns)
     if as_json:
-        console.print_json(finite(document))
+        console.print_json(document)
         return
     from optlink.report import terminal
     from optlink.report.views import study_tables

@@ -149,6 +149,7 @@ def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], StoredStudy]:
 
 def records() -> dict[str, type[ResultRecord]]:
     """Import the records of all kinds of results."""
+    from optlink.studies.motion_sensitivity import OutputSensitivityRecord
     from optlink.studies.pareto.epsilon_constraint import ParetoRecord
     from optlink.studies.sensitivity import SensitivitiesRecord
     from optlink.studies.sweep import SweepRecord
@@ -168,6 +169,7 @@ def records() -> dict[str, type[ResultRecord]]:
         "cycle": CycleRecord,
         "analysis": AnalysisRecord,
         "sensitivity": SensitivitiesRecord,
+        "output sensitivity": OutputSensitivityRecord,
         "simulation": SimulationRecord,
         "clearance": ClearanceRecord,
         "control comparison": ComparisonRecord,

@@ -7,19 +7,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import casadi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from optlink.errors import Fault, InputError
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import unit
 from optlink.optimization.output_derivatives import output_derivatives
+from optlink.problem.base_model import Column, Columns, ResultRecord
 from optlink.problem.quantity import nearest
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 Array = NDArray[np.float64]
+
+
+class OutputSensitivityRecord(ResultRecord):
+    """Document of the derivatives of an output by dimensions (SI)."""
+
+    format: Literal["optlink/output-sensitivity/2"] = Field(alias="schema")
+    output: Annotated[str, "name"]
+    unit: Literal["rad", "m"]
+    sizes_SI: dict[str, float]
+    crank_angles_deg: Column
+    value: Column
+    per_size_SI: Annotated[Columns, "by"]
 
 
 @dataclass(frozen=True)

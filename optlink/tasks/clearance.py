@@ -29,11 +29,11 @@ from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of, nearest
+from optlink.tasks.checkpoint import ClearanceCheckpoint, damaged, read_checkpoint
 from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
 from optlink.tasks.results.clearance import SETTLED, ClearanceSimulation
 
 Array = NDArray[np.float64]
-CHECKPOINT = "optlink/checkpoint/1"
 TURN = 2.0 * math.pi
 EVERY = 5.0
 """Seconds between checkpoints."""
@@ -179,8 +179,7 @@ def simulate_clearance(
     if twin:
         pair = PredictabilityCheck(setting.plant(tolerance * COARSER))
     skipped = revolutions - revolutions_counted(revolutions)
-    label = {
-        "schema": CHECKPOINT,
+    options = {
         "problem_hash": problem.hash,
         "speed_rad_s": setting.nominal,
         "start_rad": setting.start,
@@ -192,21 +191,25 @@ def simulate_clearance(
         "flywheel_kg_m2": flywheel,
     }
     if resume is not None:
-        _check_resume(resume, label, revolutions)
+        begun = read_checkpoint(ClearanceCheckpoint, resume, options)
+        if begun.revolutions > revolutions:
+            message = f"{begun.revolutions} revolutions are done already"
+            raise InputError(Fault(message, "Ask for more", key="revolutions", value=revolutions))
         try:
-            plant.restore(resume["plant"])
-            account.restore(resume["account"])
-            if pair is not None and resume["twin"] is not None:
-                pair.restore(resume["twin"])
+            plant.restore(begun.closed_loop)
+            account.restore(begun.statistics)
+            if pair is not None and begun.predictability is not None:
+                pair.restore(begun.predictability)
         except (KeyError, TypeError, ValueError, IndexError):
-            raise InputError(Fault("the checkpoint is damaged", "Begin anew, without it", key="resume")) from None
+            raise damaged("a state") from None
 
     def save() -> dict[str, Any]:
-        return {"plant": plant.save(), "twin": None if pair is None else pair.save()}
+        return {"closed_loop": plant.save(), "predictability": None if pair is None else pair.save()}
 
     def keep() -> None:
         if checkpoint is not None and account.count:
-            checkpoint({**label, "revolutions": account.count, **saved, "account": account.save()})
+            state = ClearanceCheckpoint(**options, **saved, revolutions=account.count, statistics=account.save())
+            checkpoint(state.model_dump())
 
     kept_at, saved = time.monotonic(), save()
     ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_told(setting, plant))
@@ -329,19 +332,6 @@ def _interruptible(plants: Sequence[ClosedLoop]) -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _check_resume(resume: Mapping[str, Any], label: Mapping[str, Any], revolutions: int) -> None:
-    """Refuse a checkpoint of other options, or a damaged one."""
-    for name, value in label.items():
-        if resume.get(name) != value:
-            message = f"the checkpoint is that of another run: its {name} is {resume.get(name)!r}, not {value!r}"
-            raise InputError(Fault(message, "Resume with the original options, or start a new run", key="resume"))
-    done = resume.get("revolutions")
-    if not isinstance(done, int) or not all(isinstance(resume.get(part), Mapping) for part in ("plant", "account")):
-        raise InputError(Fault("the checkpoint is damaged", "Begin anew, without it", key="resume"))
-    if done > revolutions:
-        raise InputError(Fault(f"{done} revolutions are done already", "Ask for more", key="revolutions", value=revolutions))
 
 
 def _setting(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,17 +11,14 @@ from numpy.typing import NDArray
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import Fault, InputError
-from optlink.io import finite
 from optlink.problem.file import ProblemFile
+from optlink.tasks.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, damaged, read_checkpoint
 from optlink.tasks.clearance import checked_output
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunResult, job_of, run_jobs
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
-TRIALS = "optlink/trials/1"
-TUNING = "optlink/tuning/1"
 TURN = 2.0 * np.pi
 KINDS = tuple(str(kind) for kind in Control)
 
@@ -117,12 +114,12 @@ def compare(
     """
     angles = random_crank_angles(starts, seed)
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
-    label = {**common, "schema": TRIALS, "problem_hash": problem.hash, "kinds": list(kinds), "starts": starts, "seed": seed}
+    label = {**common, "problem_hash": problem.hash, "kinds": list(kinds), "starts": starts, "seed": seed}
     label["design"] = None if design is None else dict(design)
     common["design"] = design
     for kind in kinds:  # refuse options that no run accepts, before any process starts
         checked_output(problem, control=kind, **common)
-    kept = {} if resume is None else _resumed(resume, label, _runs)
+    kept = {} if resume is None else _runs(read_checkpoint(ComparisonCheckpoint, resume, label))
     # ordered by start, so that the progress predicts the remaining time; figures need the whole first run of each kind
     order = [(kind, k) for k in range(starts) for kind in kinds]
     runs: dict[tuple[str, int], RunResult] = {key: kept[key] for key in order if key in kept and key[1] > 0}
@@ -133,8 +130,8 @@ def compare(
     for index, ran in run_jobs(jobs, workers):
         runs[todo[index]] = kept[todo[index]] = ran
         if checkpoint is not None:
-            finished = [_document(key, kept[key]) for key in order if key in kept]
-            checkpoint({**label, "complete": len(kept), "of": len(order), "runs": finished})
+            finished = [_run(key, kept[key]) for key in order if key in kept]
+            checkpoint(ComparisonCheckpoint(**label, complete=len(kept), total=len(order), runs=finished).document())
         if progress is not None:
             progress(len(runs) / len(order))
     every = {kind: _trials([runs[kind, k] for k in range(starts)]) for kind in kinds}
@@ -142,45 +139,20 @@ def compare(
     return Comparison(problem, every, angles, seed, revolutions, examples, runs[kinds[0], 0].unit)
 
 
-def _document(key: tuple[str, int], ran: RunResult) -> dict[str, Any]:
+def _run(key: tuple[str, int], ran: RunResult) -> RunRecord:
     figures = {name: value for name, value in ran.figures.items() if np.isfinite(value)}
-    return {"control": key[0], "start": key[1], "unit": ran.unit, "finished": ran.finished, "figures": figures}
+    return RunRecord(control=key[0], start=key[1], unit=ran.unit, finished=ran.finished, figures=figures)
 
 
-def _runs(resume: Mapping[str, Any]) -> dict[tuple[str, int], RunResult]:
+def _runs(begun: ComparisonCheckpoint) -> dict[tuple[str, int], RunResult]:
     """Return the runs of a checkpoint."""
-    found = {}
-    for one in resume["runs"]:
-        figures = {str(name): float(value) for name, value in one["figures"].items()}
-        ran = RunResult(figures, str(one["unit"]), one["finished"] is True)
-        _trials([ran])
-        found[str(one["control"]), int(one["start"])] = ran
-    return found
-
-
-def _costs(resume: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Return the costs and scatters of a checkpoint."""
-    both = [(cost, scatter) for cost, scatter in resume["costs"]]
-    return [(np.inf if a is None else float(a), np.nan if b is None else float(b)) for a, b in both]
-
-
-def _resumed(resume: Mapping[str, Any], label: Mapping[str, Any], read: Callable[[Mapping[str, Any]], T]) -> T:
-    """Return what a checkpoint contains.
-
-    Raises
-    ------
-    InputError
-        If the checkpoint is damaged or belongs to other options.
-    """
-    for name, value in label.items():
-        if resume.get(name) != value:
-            message = f"the checkpoint is that of another command: its {name} is {resume.get(name)!r}, not {value!r}"
-            remedy = "Resume with the options of the interrupted command, or choose another folder"
-            raise InputError(Fault(message, remedy, key="resume"))
+    found = {(one.control, one.start): RunResult(one.figures, one.unit, one.finished) for one in begun.runs}
     try:
-        return read(resume)
-    except (KeyError, TypeError, ValueError, AttributeError):
-        raise InputError(Fault("the checkpoint is damaged", "Start again without --resume", key="resume")) from None
+        for ran in found.values():
+            _trials([ran])
+    except KeyError as error:
+        raise damaged(f"the figure {error}") from None
+    return found
 
 
 RANGES: dict[str, tuple[float, float]] = {
@@ -270,9 +242,9 @@ def tune(
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
     common["design"] = design
     output = checked_output(problem, control=control, **common)
-    label = {**common, "schema": TUNING, "problem_hash": problem.hash, "control": control, "names": list(names)}
+    label = {**common, "problem_hash": problem.hash, "control": control, "names": list(names)}
     label |= {"evaluations": evaluations, "starts": starts, "seed": seed, "design": None if design is None else dict(design)}
-    kept = [] if resume is None else _resumed(resume, label, _costs)
+    kept = [] if resume is None else read_checkpoint(TuningCheckpoint, resume, label).costs
     done: list[tuple[float, float]] = []  # cost and scatter: of the parameters of the problem, then of every evaluation
 
     def cost(changed: ProblemFile) -> float:
@@ -286,8 +258,7 @@ def tune(
             found = None if useless else _trials([runs[k] for k in range(starts)])
             done.append((np.inf, np.nan) if found is None else (found.mean, found.scatter))
             if checkpoint is not None:
-                costs = [[finite(x) for x in one] for one in done]
-                checkpoint({**label, "complete": len(done) - 1, "of": evaluations, "costs": costs})
+                checkpoint(TuningCheckpoint(**label, complete=len(done) - 1, total=evaluations, costs=done).document())
         if progress is not None:
             progress(len(done) / (evaluations + 1))
         return done[-1][0]

@@ -391,6 +391,7 @@ def test_the_sentences_of_damaged_results(results, tmp_path):
         "another kind": ({**good, "limit": "2 deg"}, 'limit = "2 deg": the result is damaged: this is not a number'),
         "cut arrays": ({**good, "value": good["value"][:3]}, "there are 3 numbers where 31 belong"),
         "another version": ({**good, "schema": "optlink/tolerance/1"}, "of another version of its format"),
+        "slopes of another version": ({**good, "schema": "optlink/output-sensitivity/1"}, "of another version of its format"),
         "no study": ({**good, "schema": "optlink/list/1"}, "not a result that can be shown here"),
         "no schema": ({"a": 1}, "not a result of optlink"),
         "another problem": ({**good, "problem_hash": "0" * 16}, "of another problem or version"),

@@ -185,7 +185,7 @@ def test_resumed_run_is_the_uninterrupted_one_to_the_last_digit(problem):
         assert dict(on.figures) == dict(whole.figures)
         assert on.prediction == whole.prediction
         np.testing.assert_array_equal(on["slider.s_m"], whole["slider.s_m"][200:])
-        with pytest.raises(InputError, match="another run"):
+        with pytest.raises(InputError, match="another command"):
             optlink.simulate_clearance(problem, 3, 100, speed=100.0, control=control, tolerance=1e-8, resume=saved)
 
 
@@ -264,7 +264,7 @@ def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
 
     with pytest.raises(KeyboardInterrupt):
         optlink.compare(rocker(), checkpoint=stop, **options)
-    assert (kept[-1]["complete"], kept[-1]["of"]) == (4, 6)
+    assert (kept[-1]["complete"], kept[-1]["total"]) == (4, 6)
     performed = []
     perform = parallel_runs.run_job
     monkeypatch.setattr(parallel_runs, "run_job", lambda job: performed.append((job.control, job.start)) or perform(job))
@@ -276,6 +276,22 @@ def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
         optlink.compare(rocker(), resume=kept[-1], **{**options, "seed": 3})
     with pytest.raises(InputError, match="damaged"):
         optlink.compare(rocker(), resume={**kept[-1], "runs": [{"control": "none"}]}, **options)
+
+
+def test_checkpoints_of_other_kinds_are_refused():
+    """Of an earlier version, of another kind, or cut short: one sentence before any run."""
+    options = {"starts": 1, "kinds": ("none",), **SHORT}
+    label = {"problem_hash": rocker().hash, "kinds": ["none"], "starts": 1, "seed": 0, "design": None, "speed": None, **SHORT}
+    with pytest.raises(InputError, match="has another format: its schema is 'optlink/trials/1'.*--resume"):
+        optlink.compare(rocker(), resume={**label, "schema": "optlink/trials/1", "complete": 0, "of": 1, "runs": []}, **options)
+    saved = {**label, "schema": "optlink/comparison-checkpoint/2", "complete": 1, "total": 1}
+    with pytest.raises(InputError, match="damaged: runs.0.unit"):
+        optlink.compare(rocker(), resume={**saved, "runs": [{"control": "none", "start": 0}]}, **options)
+    run = {"control": "none", "start": 0, "unit": "rad", "finished": True, "figures": {"rms_rad": 1e-3}}
+    with pytest.raises(InputError, match="damaged: the figure 'peak_rad'"):
+        optlink.compare(rocker(), resume={**saved, "runs": [run]}, **options)
+    with pytest.raises(InputError, match="has another format"):
+        optlink.simulate_clearance(rocker(), 2, 60, resume=saved)
 
 
 @pytest.mark.slow

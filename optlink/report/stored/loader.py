@@ -42,9 +42,10 @@ EARLIER = {
     "optlink/generation": "solve",
     "optlink/machine-design": "solve",
     "optlink/compensation": "simulate --control compare",
+    "optlink/output-sensitivity": "study sensitivity --output",
 }
 """Names of schemas of earlier versions: the command that writes the present one."""
-PAGELESS = {"optlink/output-sensitivity/1": "Slopes of an output stand in the sensitivity.csv beside it"}
+PAGELESS = {"optlink/output-sensitivity/2": "Read the derivatives of an output in the sensitivity.csv beside it"}
 """Schemas of results that are not drawn, and where to read them."""
 
 
