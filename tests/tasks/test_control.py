@@ -282,10 +282,10 @@ def test_checkpoints_of_other_kinds_are_refused():
     """Of an earlier version, of another kind, or cut short: one sentence before any run."""
     options = {"starts": 1, "kinds": ("none",), **SHORT}
     label = {"problem_hash": rocker().hash, "kinds": ["none"], "starts": 1, "seed": 0, "design": None, "speed": None, **SHORT}
-    with pytest.raises(InputError, match="has another format: its schema is 'optlink/trials/1'.*--resume"):
+    with pytest.raises(InputError, match=r"has another format: its schema is 'optlink/trials/1'.*--resume"):
         optlink.compare(rocker(), resume={**label, "schema": "optlink/trials/1", "complete": 0, "of": 1, "runs": []}, **options)
     saved = {**label, "schema": "optlink/comparison-checkpoint/2", "complete": 1, "total": 1}
-    with pytest.raises(InputError, match="damaged: runs.0.unit"):
+    with pytest.raises(InputError, match=r"damaged: runs\.0\.unit"):
         optlink.compare(rocker(), resume={**saved, "runs": [{"control": "none", "start": 0}]}, **options)
     run = {"control": "none", "start": 0, "unit": "rad", "finished": True, "figures": {"rms_rad": 1e-3}}
     with pytest.raises(InputError, match="damaged: the figure 'peak_rad'"):
