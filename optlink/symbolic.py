@@ -153,7 +153,8 @@ class NumpyEvaluator:
         if code == casadi.OP_CONST:
             return None, to[0], 0, _CONSTANT, float(function.instruction_constant(k))
         if code not in _UFUNCS:
-            raise NotImplementedError(f"no numpy function for casadi's operation {code}")
+            names = [name for name in vars(casadi) if name.startswith("OP_") and getattr(casadi, name) == code]
+            raise ValueError(f"{' or '.join(names)} of casadi has no numpy counterpart; write the formula with other functions")
         return _UFUNCS[code], to[0], sources[0], sources[1] if len(sources) > 1 else -1, 0.0
 
     def _plan(self, full: tuple[bool, ...]) -> list[tuple[Any, int, int, int, float, bool]]:

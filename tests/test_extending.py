@@ -198,6 +198,16 @@ def test_a_new_kind_of_result_and_its_view(extended, tmp_path):
     assert "agrees with a sweep" in shown
     assert "Linkage in motion" in shown
     assert solved("solve", str(file), "--set", "clearing.least=10 m", code=1)["valid"] is False
+    stored = page(tmp_path, str(tmp_path / "out"), "--problem", str(file))
+    assert "agrees with a sweep" in stored
+    assert "read from result.json" in stored
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(document | {"distance_m": 2.0 * document["distance_m"]}))
+    told = run("report", str(other), "--problem", str(file), "-o", str(tmp_path / "no.html"), code=2)
+    assert "distance_m = " in told
+    assert "the problem has another distance" in told
+    other.write_text(json.dumps({"schema": document["schema"], "problem_hash": "0"}))
+    assert "problem: the result is damaged" in run("report", str(other), "-o", str(tmp_path / "no.html"), code=2)
     assert "unknown key" in run("solve", str(file), "--set", "clearing.poit=B", code=2)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from optlink.problem.base_model import Contradiction
 from optlink.report.files import write_csv, write_design, write_json
 
 if TYPE_CHECKING:
@@ -29,6 +30,10 @@ def _itself(result: Any) -> Any:
 
 def _no_tables(result: Any) -> Mapping[str, Any]:
     return {}
+
+
+def _no_result(document: dict[str, Any], problem: ProblemFile) -> Any:
+    raise Contradiction("schema", "results of this kind cannot be read", document["schema"])
 
 
 def _no_design(result: Any) -> None:
@@ -56,6 +61,10 @@ class View:
         Returns the machine of a result and a comment on it for design.toml, or None.
     frames : function
         Returns the frames of the animation motion.gif; none if there is nothing to move.
+    schema : str
+        `schema` of the JSON document of a kind from outside the package, whose result files `report` shall read.
+    stored : function of (document, problem)
+        Returns the result of such a document, a dictionary, and its problem; raises `Contradiction` if they do not fit.
     """
 
     table: Callable[[Any], Summary] = _none
@@ -65,6 +74,8 @@ class View:
     tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float | str]]]] = _no_tables
     design: Callable[[Any], tuple[ProblemFile, str] | None] = _no_design
     frames: Callable[[Any], list[Image.Image]] = _none
+    schema: str = ""
+    stored: Callable[[dict[str, Any], ProblemFile], Any] = _no_result
 
     def write(self, result: Any, folder: Path) -> list[Path]:
         """Write result.json, the tables, the design, the pictures and the animation of a result; return the paths.

@@ -6,15 +6,17 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from optlink.errors import Fault, InputError
-from optlink.problem.base_model import Contradiction, damaged, read_document, read_record
+from optlink.problem.base_model import Contradiction, Record, damaged, read_document, read_record
 from optlink.problem.file import shipped
-from optlink.report.registry import page_of, records
-from optlink.report.report_model import ReportModel
+from optlink.report.registry import REGISTERED, page_of, records
+from optlink.report.report_model import ReportModel, report_model_of
 from optlink.report.stored.problem_lookup import problem_of
 from optlink.report.stored.stored_result import read_report_model
 from optlink.report.stored.stored_study import StoredStudy
+from optlink.report.view import View
 from optlink.version import VERSION
 
 RESULT = "result.json"
@@ -49,6 +51,13 @@ PAGELESS = {"optlink/output-sensitivity/2": "Read the derivatives of an output i
 """Schemas of results that are not drawn, and where to read them."""
 
 
+class _Head(Record):
+    """What the document of any result tells about its problem."""
+
+    problem: str
+    problem_hash: str
+
+
 def is_result(text: str) -> bool:
     """Return whether an argument names a result file or its folder; the name of a shipped problem takes precedence."""
     return text.endswith(".json") or (os.path.isdir(text) and text not in shipped())
@@ -78,6 +87,9 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
         raise InputError(Fault(f"the folder holds no {RESULT}", remedy, text))
     document = read_document(path)
     schema = document.get("schema")
+    further = next((view for view in REGISTERED.values() if view.schema and view.schema == schema), None)
+    if further is not None:
+        return _further(further, document, path, problem, changes)
     if not isinstance(schema, str) or schema not in KNOWN:
         raise _unknown(schema, path)
     _, kind = KNOWN[schema]
@@ -93,6 +105,16 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
     if record.optlink != VERSION:
         notes.append(f"that file was written by optlink {record.optlink}, this page by {VERSION}")
     return replace(found, notes=tuple(notes))
+
+
+def _further(view: View, document: dict[str, Any], path: Path, problem: str | None, changes: Sequence[str]) -> ReportModel:
+    """Return the report model of a result of a kind from outside the package."""
+    about = read_record(_Head, {name: document[name] for name in ("problem", "problem_hash") if name in document}, path)
+    file = problem_of(about.problem, about.problem_hash, path, problem, changes)
+    try:
+        return report_model_of(file, view.stored(document, file), notes=(f"read from {path.name}",))
+    except Contradiction as error:
+        raise damaged(error, path) from None
 
 
 def _unknown(schema: object, path: Path) -> InputError:
