@@ -97,7 +97,7 @@ def test_what_is_not_defined_stays_undefined(name: str) -> None:
 
 def test_tape_refuses_what_it_does_not_know() -> None:
     x = casadi.SX.sym("x")
-    with pytest.raises(ValueError, match="OP_.* of casadi has no numpy counterpart"):
+    with pytest.raises(ValueError, match=r"OP_.* of casadi has no numpy counterpart"):
         NumpyEvaluator([x], [casadi.erf(x)])
 
 

@@ -200,8 +200,6 @@ def sweep(
         from optlink.studies.sweep import sweep as run
 
         file = console.load(problem, changes)
-        _resumable(resume, out)
-        _owned(out, "sweep", problem)
         given = None
         if design:
             from optlink.tasks.function import read_design
@@ -216,7 +214,7 @@ def sweep(
         if not analyze and not simulate:
             remedy = "Add --analyze; the number of swept values is part of --vary KEY=LOW..HIGH UNIT:N"
             console.refuse({"--points": points}, "crank angles are those of the analysis", remedy, file.file)
-        with _points() as progress, _interruptible(out):
+        with _resuming(out, "sweep", problem, "sweeping", resume=resume) as progress:
             result = run(
                 file,
                 vary or [],
@@ -360,9 +358,7 @@ def pareto(
         from optlink.studies.pareto.epsilon_constraint import pareto as run
 
         file = console.load(problem, changes)
-        _resumable(resume, out)
-        _owned(out, "pareto", problem)
-        with _points("walking along the front") as progress, _interruptible(out):
+        with _resuming(out, "pareto", problem, "computing the front", resume=resume) as progress:
             result = run(
                 file,
                 objectives,
@@ -380,37 +376,26 @@ def pareto(
             raise typer.Exit(1)
 
 
-def _resumable(resume: bool, out: Path | None) -> None:
-    """Check that `--resume` has a folder."""
+@contextlib.contextmanager
+def _resuming(out: Path | None, command: str, problem: str, what: str, *, resume: bool) -> Iterator[Callable[[int, int], None]]:
+    """Lock the folder of a study, show its progress, and report on interruption what is kept of it."""
     from optlink.errors import Fault, InputError
 
     if resume and out is None:
         raise InputError(Fault("needs the folder of the run", "Add --out DIR", key="--resume"))
-
-
-def _owned(out: Path | None, command: str, problem: str) -> None:
-    """Refuse a folder that holds the result of another command, and lock an existing one until this command ends."""
     if out is not None and out.is_dir():
         console.locked_study_folder(out, command, problem)
-
-
-@contextlib.contextmanager
-def _interruptible(out: Path | None) -> Iterator[None]:
-    """Report on interruption what is kept of a study."""
     try:
-        yield
+        with _points(what) as progress:
+            yield progress
     except KeyboardInterrupt:
-        kept = (
-            "no results were kept: --out is not given"
-            if out is None
-            else f"completed points are kept; resume with --resume --out {out}"
-        )
-        typer.echo(f"Interrupted: {kept}.", err=True)
+        kept = "no results were kept: --out is not given" if out is None else "completed points are kept; "
+        typer.echo(f"Interrupted: {kept}{'' if out is None else f'resume with --resume --out {out}'}.", err=True)
         raise typer.Exit(130) from None
 
 
 @contextlib.contextmanager
-def _points(what: str = "sweeping") -> Iterator[Callable[[int, int], None]]:
+def _points(what: str) -> Iterator[Callable[[int, int], None]]:
     """Show a bar with the completed points, their rate and the remaining time on standard error."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 

@@ -1,4 +1,4 @@
-"""What is shown of the kind of result of `kind.py`: a table in the terminal and on pages, the files of --out, its result files."""
+"""What is shown of the kind of result of `kind.py`: a table in the terminal and on pages, files of --out, stored results."""
 
 import math
 
