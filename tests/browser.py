@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import shutil
@@ -41,7 +42,28 @@ def opened(driver: Any, path: Path) -> tuple[list[str], list[str]]:
     driver.get_log("browser")
     driver.get_log("performance")
     driver.get(path.as_uri())
+    waiting = importlib.import_module("selenium.webdriver.support.ui").WebDriverWait(driver, 30)
+    waiting.until(lambda page: page.execute_script("return document.documentElement.dataset.ready !== undefined"))
     return console(driver), requests(driver, path)
+
+
+@contextmanager
+def colours(driver: Any, *, dark: bool) -> Iterator[None]:
+    """Prefer light or dark colours."""
+    wish = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": [wish]})
+    try:
+        yield
+    finally:
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+
+
+def faults(driver: Any) -> list[str]:
+    """Serious and critical faults that axe-core finds in the page."""
+    package = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed")
+    driver.execute_script((Path(package.__file__).parent / "axe.min.js").read_text(encoding="utf-8"))
+    found = driver.execute_async_script("axe.run().then(arguments[0])")["violations"]
+    return [f"{one['id']}: {one['nodes'][0]['html'][:200]}" for one in found if one["impact"] in ("serious", "critical")]
 
 
 def console(driver: Any) -> list[str]:

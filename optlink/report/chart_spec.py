@@ -32,6 +32,7 @@ Symbol = Literal["circle", "open circle", "square", "cross", "plus", "star", "di
 CRANK_ANGLE = "crank angle φ [deg]"
 TIME = "time [s]"
 INK = "#111111"
+DESCRIBED = 8  # largest number of traces of a panel that are described in words
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,6 +259,36 @@ class ChartSpec:
         """Range of x of the traces."""
         ends = [end for panel in self.panels for trace in panel.traces for end in _ends(trace)]
         return (min(ends), max(ends)) if ends else (0.0, 1.0)
+
+    @property
+    def words(self) -> str:
+        """Description in words for readers who do not see the chart: axes, and extremes of the named traces."""
+        found = [f"{_plain(self.title)}."]
+        for panel in self.panels:
+            named = [sentence for trace in panel.traces if (sentence := _extremes(trace, panel.y.name))]
+            named += [f"{_plain(line.name)} at {line.at:.4g}" for line in panel.lines if line.name]
+            if named:
+                across = f", over {_plain(self.x.name)}" if self.x.name else ""
+                found.append(f"{_plain(panel.y.name) or 'Values'}{across}: {'; '.join(named[:DESCRIBED])}.")
+        return " ".join(found)
+
+
+def _plain(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _extremes(trace: Trace, default: str) -> str:
+    """Describe a trace by its extremes; an empty text if it has no name or no finite value."""
+    if isinstance(trace, Bars):
+        sizes = [(float(value), k) for k, value in enumerate(trace.y) if np.isfinite(value)]
+        value, at = max(sizes, key=lambda one: abs(one[0]), default=(0.0, 0))
+        where = f" ({_plain(trace.text[at])})" if trace.text else ""
+        return f"{_plain(trace.name)}: largest {value:.4g}{where}" if trace.name and sizes else ""
+    heights = trace.z if isinstance(trace, HeatMap) else np.stack([trace.low, trace.high]) if isinstance(trace, Band) else trace.y
+    known = np.asarray(heights, dtype=float)
+    known = known[np.isfinite(known)]
+    name = _plain(trace.name or (default if isinstance(trace, HeatMap) else ""))
+    return f"{name} from {np.min(known):.4g} to {np.max(known):.4g}" if name and known.size else ""
 
 
 def _ends(trace: Trace) -> list[float]:

@@ -44,14 +44,19 @@ def strong(text: str) -> Span:
 
 @dataclass(frozen=True, init=False)
 class Paragraph:
-    """Lines of text, each a sequence of spans; `lead` marks the introduction of what follows."""
+    """Lines of text, each a sequence of spans; `lead` marks the introduction of what follows.
+
+    With `appendix`, a page shows it in its appendix.
+    """
 
     lines: tuple[tuple[Span, ...], ...]
     lead: bool
+    appendix: bool
 
-    def __init__(self, *lines: Line, lead: bool = False) -> None:
+    def __init__(self, *lines: Line, lead: bool = False, appendix: bool = False) -> None:
         object.__setattr__(self, "lines", tuple(_spans(line) for line in lines))
         object.__setattr__(self, "lead", lead)
+        object.__setattr__(self, "appendix", appendix)
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,8 @@ class TableSpec:
         Rows that begin a further section.
     leading : int
         Columns repeated where a table that is too wide for a terminal is split; 0: the cells are wrapped instead.
+    appendix : bool
+        Whether a page shows the table in its appendix: checks and details of the solver.
     """
 
     title: str
@@ -88,6 +95,7 @@ class TableSpec:
     notes: tuple[Span, ...] = ()
     sections: tuple[int, ...] = ()
     leading: int = 0
+    appendix: bool = False
 
     @property
     def header(self) -> bool:
@@ -128,6 +136,7 @@ def table(
     sections: Sequence[int] = (),
     leading: int = 0,
     unbroken: bool = False,
+    appendix: bool = False,
 ) -> TableSpec:
     """Return a table.
 
@@ -147,12 +156,14 @@ def table(
         Columns repeated where a table that is too wide for a terminal is split.
     unbroken : bool, optional
         Never break a right-aligned cell into lines.
+    appendix : bool, optional
+        Show the table in the appendix of a page.
     """
     made = tuple(
         column if isinstance(column, Column) else Column(column.lstrip("<>"), column[:1] == ">", unbroken and column[:1] == ">")
         for column in columns
     )
-    return TableSpec(title, made, tuple(_spans(row) for row in rows), _spans(tuple(notes)), tuple(sections), leading)
+    return TableSpec(title, made, tuple(_spans(row) for row in rows), _spans(tuple(notes)), tuple(sections), leading, appendix)
 
 
 def _spans(line: Line) -> tuple[Span, ...]:

@@ -23,7 +23,7 @@ from optlink.report.report_model import ReportModel, report_model_of, solve_or_v
 from optlink.report.scene import scene
 from optlink.report.stored.loader import load_stored
 from optlink.report.views import sensitivity
-from tests.browser import browser, console, opened, requests
+from tests.browser import browser, colours, console, faults, opened, requests
 from tests.cli.test_cli import run
 
 PROBLEMS = (
@@ -95,7 +95,7 @@ class Reader(HTMLParser):
 @pytest.mark.slow
 def test_a_page_is_complete_and_small(about):
     text = page(about)
-    assert len(text.encode()) < 6_000_000
+    assert len(text.encode()) < 3_000_000
     read = Reader(text)
     assert read.scripts == 4
     assert all(address.startswith(("#", "data:,")) for address in read.addresses)
@@ -368,7 +368,7 @@ def test_bad_input_is_named(tmp_path, monkeypatch, arguments, words):
 
 
 def test_the_limit_of_a_page():
-    assert LARGEST == 6_000_000
+    assert LARGEST == 3_000_000
 
 
 # --- in a browser ------------------------------------------------------------------------------------------------------------
@@ -408,6 +408,10 @@ def test_a_page_in_a_browser(driver, tmp_path, name):
     complaints, asked = opened(driver, path)
     assert complaints == []
     assert asked == []
+    assert faults(driver) == []
+    with colours(driver, dark=True):
+        assert driver.execute_script("return document.documentElement.dataset.theme") == "dark"
+        assert faults(driver) == []
     drawn = driver.execute_script("return document.querySelectorAll('.plot .main-svg').length")
     assert drawn >= len(charts(about))
     buttons = driver.execute_script(
@@ -467,6 +471,16 @@ def test_the_play_button_moves_and_stops(driver, tmp_path, crank_rocker_subject)
     toggles = driver.find_elements("css selector", "[data-toggle]")
     toggles[0].click()
     assert driver.execute_script("return document.querySelector('[data-layer=traces]').style.display") == "none"
+
+
+@pytest.mark.slow
+def test_the_check_of_accessibility_would_notice(driver, tmp_path, crank_rocker_subject):
+    path = tmp_path / "a.html"
+    path.write_text(
+        page(crank_rocker_subject).replace("--soft: #525a64", "--soft: #b8bcc2").replace('<html lang="en">', "<html>")
+    )
+    opened(driver, path)
+    assert {fault.partition(":")[0] for fault in faults(driver)} >= {"color-contrast", "html-has-lang"}
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from optlink.report.html.shell import LARGEST, PageContent
 from optlink.report.registry import records
 from optlink.report.stored.loader import KNOWN, load_stored
 from optlink.report.stored.stored_study import StoredStudy, _sheet, study_page
-from tests.browser import browser, console, requests
+from tests.browser import browser, colours, console, faults, requests
 from tests.browser import opened as shown
 from tests.cli.test_cli import run
 from tests.report.test_report_page import Reader, poses, slide_to
@@ -511,7 +511,7 @@ def test_a_page_in_a_browser(driver, results, tmp_path, name):
         slider = driver.find_element("css selector", ".picked input")
         for key in (Keys.HOME, Keys.ARROW_RIGHT):
             slider.send_keys(key)
-        rows = json.loads(driver.execute_script("return document.getElementById('chart-data').textContent"))
+        rows = json.loads(driver.execute_script("return document.getElementById('chart-data').textContent"))["charts"]
         picks = next(one["picks"] for one in rows if "picks" in one)
         assert picked(driver) == list(picks["rows"][1])
         driver.execute_async_script("setTimeout(arguments[0], 300)")
@@ -530,7 +530,7 @@ def test_pointing_at_a_place_tells_its_design(driver, results, tmp_path, name):
     path = tmp_path / "a.html"
     assert run("report", str(results / name), "-o", str(path)).exit_code == 0
     shown(driver, path)
-    chart = json.loads(driver.execute_script("return document.getElementById('chart-data').textContent"))[0]
+    chart = json.loads(driver.execute_script("return document.getElementById('chart-data').textContent"))["charts"][0]
     curve = next(one for one in chart["figure"]["data"] if "customdata" in one)
     i, j = (1, 2) if name == "map" else (2, 2)
     wanted = curve["customdata"][i][j] if name == "map" else curve["customdata"][j]
@@ -550,14 +550,18 @@ def test_pointing_at_a_place_tells_its_design(driver, results, tmp_path, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDED)
 @pytest.mark.parametrize("width", [1400, 400])
-def test_nothing_is_wider_than_the_screen(driver, results, tmp_path, name, width):
+def test_a_page_fits_the_screen_and_is_accessible(driver, results, tmp_path, name, width):
+    """No wider than a telephone, and no serious fault for axe-core; in light mode on a desk, in dark mode on a telephone."""
     path = tmp_path / "a.html"
     assert run("report", str(results / name), "-o", str(path)).exit_code == 0
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
-        shown(driver, path)
-        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+        with colours(driver, dark=width < 500):
+            complaints, _ = shown(driver, path)
+            assert complaints == []
+            assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+            assert faults(driver) == []
     finally:
         driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 

@@ -2,8 +2,45 @@
 (() => {
   const read = (id) => JSON.parse(document.getElementById(id).textContent);
   const motion = read("motion-data");
-  const charts = read("chart-data");
+  const { charts, dark: colours } = read("chart-data");
   const cursors = [];
+  const places = [];
+  let follow = () => {};
+
+  // --- light and dark -------------------------------------------------------------------------------------------------------
+  const root = document.documentElement;
+  const system = matchMedia("(prefers-color-scheme: dark)");
+  const toggle = document.getElementById("theme");
+  const remembered = (value) => {
+    try {
+      return value ? localStorage.setItem("optlink-theme", value) : localStorage.getItem("optlink-theme");
+    } catch {
+      return null; // no storage for this page
+    }
+  };
+  const isDark = () => root.dataset.theme === "dark";
+  const swapped = (part, dark) => JSON.parse(JSON.stringify(part).replace(/#[0-9a-fA-F]{6}/g, (one) => (dark && colours[one]) || one));
+  const paint = (dark) =>
+    places.forEach((place, k) => {
+      const { data, layout } = swapped(charts[k].figure, dark);
+      if (charts[k].picks) {
+        Object.assign(data[data.length - 1], { x: place.data[data.length - 1].x, y: place.data[data.length - 1].y });
+      }
+      Plotly.react(place, data, layout, config);
+    });
+  const use = (theme) => {
+    root.dataset.theme = theme;
+    toggle.textContent = isDark() ? "Light" : "Dark";
+    toggle.setAttribute("aria-label", `Use ${toggle.textContent.toLowerCase()} colours`);
+    paint(isDark());
+  };
+  const preferred = () => remembered() || (system.matches ? "dark" : "light");
+  toggle.hidden = false;
+  toggle.addEventListener("click", () => {
+    remembered(isDark() ? "light" : "dark");
+    use(preferred());
+  });
+  system.addEventListener("change", () => use(preferred()));
 
   // --- points of a chart that can be picked: under the pointer, with a click, with a slider ------------------------------------
   function pick(place, picks, number) {
@@ -53,9 +90,10 @@
   const buttons = [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]];
   const narrow = matchMedia("(max-width: 600px)").matches; // no room for buttons beside the names of the curves
   const config = { displaylogo: false, responsive: true, modeBarButtons: buttons, displayModeBar: narrow ? false : "hover" };
-  const places = charts.map((chart, index) => {
+  const plot = (chart, index) => {
     const place = document.getElementById("chart-" + (index + 1));
-    Plotly.newPlot(place, chart.figure.data, chart.figure.layout, config);
+    const { data, layout } = swapped(chart.figure, isDark());
+    Plotly.newPlot(place, data, layout, config);
     if (chart.picks) {
       pick(place, chart.picks, index + 1);
     }
@@ -66,11 +104,47 @@
       cursors.push({ place, cursor });
       place.on("plotly_afterplot", () => follow());
     }
-    return place;
+    place.querySelectorAll(".main-svg").forEach((drawn) => drawn.setAttribute("aria-hidden", "true")); // its label says it in words
+    places.push(place);
+  };
+  // the library is packed in the page; the policy of the page knows its text by a hash
+  const unpacked = async () => {
+    if (charts.length) {
+      const bytes = Uint8Array.from(atob(document.getElementById("plotly").textContent), (one) => one.charCodeAt(0));
+      const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+      const library = document.createElement("script");
+      library.textContent = await new Response(stream).text();
+      document.head.append(library);
+      library.remove();
+      charts.forEach(plot);
+    }
+    root.dataset.ready = "";
+  };
+  use(preferred());
+  unpacked();
+  // paper is white and has a width of its own: charts are drawn anew for it
+  addEventListener("beforeprint", () => {
+    paint(false);
+    places.forEach((place) => Plotly.relayout(place, { width: 680, autosize: false }));
   });
-  // paper has a width of its own: charts are drawn anew for it
-  addEventListener("beforeprint", () => places.forEach((place) => Plotly.relayout(place, { width: 680, autosize: false })));
-  addEventListener("afterprint", () => places.forEach((place) => Plotly.relayout(place, { width: null, autosize: true })));
+  addEventListener("afterprint", () => {
+    places.forEach((place) => Plotly.relayout(place, { width: null, autosize: true }));
+    paint(isDark());
+  });
+  // a table that is wider than its place can be scrolled with the keys
+  const reach = () => {
+    for (const box of document.querySelectorAll(".scroll")) {
+      const wide = box.scrollWidth > box.clientWidth + 1;
+      box.toggleAttribute("tabindex", false);
+      if (wide) {
+        box.tabIndex = 0;
+        box.setAttribute("role", "group");
+        box.setAttribute("aria-label", box.querySelector("caption")?.textContent || "Table");
+      }
+    }
+  };
+  addEventListener("resize", reach);
+  reach();
 
   // --- the moving linkage -----------------------------------------------------------------------------------------------------
   const stage = document.querySelector(".stage");
@@ -96,7 +170,7 @@
   const last = stops.values.length - 1;
   let at = 0;
 
-  function follow() {
+  follow = () => {
     const here = stops.values[at];
     for (const { place, cursor } of cursors) {
       const layout = place._fullLayout;
@@ -114,7 +188,7 @@
         cursor.style.height = layout._size.h + "px";
       }
     }
-  }
+  };
 
   function show(index) {
     at = index;

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from optlink.io import finite
 from optlink.report.chart_spec import Axis, Band, Bars, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
+from optlink.report.html.theme import readable
 from optlink.report.style import WANTED
 
 Array = NDArray[np.float64]
 Trace = dict[str, Any]
 DIGITS = 7  # significant digits of a number in a chart, far below the visible resolution
 FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
-LONG = 4000  # number of points from which a curve is thinned
+LONG = 1200  # number of points from which a curve is thinned, about two per pixel of a wide page
 CELLS = 150  # largest number of rows and columns of a map
 DOTS = 4.0 / 3.0  # pixels per point
 SYMBOLS = {
@@ -35,7 +36,7 @@ SYMBOLS = {
     "dash": "line-ew-open",
 }
 LAYOUT = {
-    "margin": {"l": 70, "r": 20, "t": 34, "b": 50},
+    "margin": {"l": 70, "r": 20, "t": 24, "b": 50},
     "font": {"family": FONT, "size": 12, "color": "#22262b"},
     "paper_bgcolor": "#ffffff",
     "plot_bgcolor": "#ffffff",
@@ -58,7 +59,7 @@ GAP = 0.07  # distance of panels as a share of the height
 class Chart:
     """A chart: title, plotly figure, and whether its x axis is that of the slider, so that a cursor can follow.
 
-    `picks` are its selectable points; `remark` is a note to the reader.
+    `picks` are its selectable points; `remark` is a note to the reader; `words` describes it for a screen reader.
     """
 
     title: str
@@ -66,6 +67,7 @@ class Chart:
     cranked: bool = True
     picks: Picks | None = None
     remark: str = ""
+    words: str = ""
 
 
 def charts(specs: Iterable[ChartSpec]) -> list[Chart]:
@@ -106,7 +108,7 @@ def chart(spec: ChartSpec) -> Chart:
     if picks is not None:
         picks = replace(picks, x=np.round(picks.x, _decimals(picks.x)), y=np.round(picks.y, _decimals(picks.y)))
         data.append(_picked(picks, "#ffffff" if HeatMap in kinds else WANTED))
-    return Chart(spec.title, {"data": data, "layout": layout}, spec.cursor, picks, spec.remark)
+    return Chart(spec.title, {"data": data, "layout": layout}, spec.cursor, picks, spec.remark, spec.words)
 
 
 def _picked(picks: Picks, colour: str) -> Trace:
@@ -153,8 +155,10 @@ def _decimals(values: Array) -> int:
     return DIGITS - math.floor(math.log10(size)) if size > 0.0 else DIGITS
 
 
-def thinned(x: Array, y: Array, most: int = 2000) -> tuple[Array, Array]:
+def thinned(x: Array, y: Array, most: int = LONG) -> tuple[Array, Array]:
     """Reduce a long curve to at most about `most` points, keeping the extremes of each portion and all gaps.
+
+    A curve that runs back in x, such as an orbit, keeps the extremes in x too.
 
     Parameters
     ----------
@@ -164,13 +168,16 @@ def thinned(x: Array, y: Array, most: int = 2000) -> tuple[Array, Array]:
     """
     if len(x) <= most:
         return x, y
-    edges = np.linspace(0, len(x), most // 2 + 1).astype(int)
+    run = np.diff(x[np.isfinite(x)])
+    ways = (y,) if np.all(run >= 0.0) or np.all(run <= 0.0) else (y, x)
+    edges = np.linspace(0, len(x), most // (2 * len(ways)) + 1).astype(int)
     gaps = np.flatnonzero(np.diff(np.isnan(y).astype(np.int8)) > 0) + 1
     kept: set[int] = {0, len(x) - 1, *gaps.tolist()}
     for first, last in itertools.pairwise(edges.tolist()):
-        portion = y[first:last]
-        if not np.all(np.isnan(portion)):
-            kept |= {first + int(np.nanargmin(portion)), first + int(np.nanargmax(portion))}
+        for values in ways:
+            portion = values[first:last]
+            if not np.all(np.isnan(portion)):
+                kept |= {first + int(np.nanargmin(portion)), first + int(np.nanargmax(portion))}
     rows = np.array(sorted(kept))
     return x[rows], y[rows]
 
@@ -246,8 +253,7 @@ def _band(trace: Band) -> list[Trace]:
     """Return the two edges of a band, filled in between."""
     edge: Trace = {"type": "scatter", "mode": "lines", "line": {"width": 0, "color": trace.colour}, "x": short(trace.x)}
     edge |= {"name": escape(trace.name), "legendgroup": escape(trace.name)}
-    rgb = ",".join(str(int(trace.colour[k : k + 2], 16)) for k in (1, 3, 5))
-    upper = edge | {"y": short(trace.high), "fill": "tonexty", "fillcolor": f"rgba({rgb},{trace.opacity:g})"}
+    upper = edge | {"y": short(trace.high), "fill": "tonexty", "fillcolor": f"{trace.colour}{round(255 * trace.opacity):02x}"}
     upper |= {"showlegend": trace.legend and bool(trace.name)}
     if trace.values is not None:
         upper |= {"customdata": short(trace.values), "hovertemplate": "%{customdata:.4g}"}
@@ -309,7 +315,7 @@ def _marks(spec: ChartSpec, panel: Panel) -> list[Trace]:
                 f"{'top' if up > 0.0 else 'bottom'} {'right' if one.x < middle[0] else 'left'}"
                 for one, up in zip(own, ups, strict=True)
             ]
-            drawn |= {"textposition": sides, "textfont": {"color": first.colour, "size": 11}}
+            drawn |= {"textposition": sides, "textfont": {"color": readable(first.colour), "size": 11}}
         seen = first.text and not (first.written and spec.picks is not None)  # else the points below are pointed at
         found.append(drawn | ({} if seen else {"hoverinfo": "skip", "hovertemplate": None}))
     return found

@@ -10,7 +10,7 @@ from optlink.errors import Status
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
-from optlink.report.html.shell import LARGEST, PageContent, PageSection, fitted, write
+from optlink.report.html.shell import LARGEST, PageContent, PageSection, arranged, fitted, write
 from optlink.report.html.sources import closing
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, ReportModel
@@ -58,7 +58,7 @@ def _sheet(subject: ReportModel, answers: Sensitivities | None, steps: int) -> P
         verdict=verdict(subject),
         good=subject.valid,
         status=Paragraph(*shown.status.lines, *notes.lines),
-        sections=tuple(_sections(subject, shown, moving, answers)),
+        sections=arranged(_sections(subject, shown, moving, answers), closing(subject.problem, _by(subject))),
         moving=moving,
     )
 
@@ -98,7 +98,6 @@ def _sections(
     curves = chart_plotly.charts(charts(subject))
     if curves:
         yield PageSection("Curves", curves)
-    yield from closing(subject.problem, _by(subject))
 
 
 def _matters(answers: Sensitivities) -> PageSection:

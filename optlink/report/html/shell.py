@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from html import unescape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -17,24 +18,30 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from optlink.report.files import whole
+from optlink.report.html import theme
 from optlink.report.html.chart_plotly import Chart, short
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.table_spec import Paragraph, Part, Span, TableSpec
 from optlink.version import VERSION
 
-LARGEST = 6_000_000  # largest size of a page [bytes]
+LARGEST = 3_000_000  # largest size of a page [bytes]
 STEPS = (360, 180, 90)  # numbers of positions per revolution, tried in this order
 SHORT = 20  # rows up to which a table is not broken in print
 WHOLE = 36  # length up to which a text is not broken [characters]
-WIDE, HUGE = 72, 105  # widths [characters] beyond which a table spans the page, and is too wide for paper
+NARROW, WIDE, HUGE = 46, 72, 105  # widths [characters] beyond which a table is too wide for a telephone, a column, paper
+DIGITS = 4  # significant digits of numbers outside the appendix
+_DECIMAL = re.compile(r"(?<![\w.,])(\d+\.\d+)(e[-+]\d+)?(?![\w]|\.\d)")
 
 
 @dataclass(frozen=True)
 class PageSection:
-    """Part of a page under a heading: charts, the moving linkage, paragraphs, facts by name, and groups of tables in order."""
+    """Part of a page under a heading.
+
+    Its parts are further sections, charts, the moving linkage, paragraphs, facts by name, and groups of tables.
+    """
 
     name: str
-    parts: Sequence[Part | Chart | Moving | Mapping[str, str] | Sequence[Part]]
+    parts: Sequence[PageSection | Part | Chart | Moving | Mapping[str, str] | Sequence[Part]]
 
     @property
     def anchor(self) -> str:
@@ -44,7 +51,10 @@ class PageSection:
 
 @dataclass(frozen=True)
 class PageContent:
-    """Content of a page: `kind` above the title, the verdict and whether it is positive, and the status below it."""
+    """Content of a page: `kind` above the title, verdict and whether it is positive, conclusion and status below it.
+
+    `letterhead` contains the facts above the title; a title among them replaces that of the problem.
+    """
 
     title: str
     kind: str
@@ -53,6 +63,9 @@ class PageContent:
     status: Paragraph
     sections: Sequence[PageSection]
     moving: Moving | None = None
+    conclusion: str = ""
+    letterhead: Mapping[str, str] = field(default_factory=dict)
+    heading: str = ""
 
     @cached_property
     def charts(self) -> tuple[Chart, ...]:
@@ -61,7 +74,10 @@ class PageContent:
 
     def html(self) -> str:
         """Return the complete document."""
-        script, plotly = _asset("page.js"), _plotly()
+        script, (plotly, packed) = _asset("page.js"), _plotly()
+        charts = [_charted(chart) for chart in self.charts]
+        drawn = [json.dumps(charts), "" if self.moving is None else self.moving.svg("")]
+        colours = theme.palette(drawn)
         return (
             _templates()
             .get_template("page.html")
@@ -69,13 +85,63 @@ class PageContent:
                 sheet=self,
                 policy=_policy(plotly, script),
                 version=VERSION,
-                style=_asset("page.css"),
+                style=_style(colours),
                 motion=None if self.moving is None else self.moving.to_dict(),
-                charts=[_charted(chart) for chart in self.charts],
-                plotly=plotly,
+                charts={"charts": charts, "dark": colours},
+                plotly=packed,
                 script=script,
             )
         )
+
+
+def arranged(sections: Iterable[PageSection], closing: Iterable[PageSection]) -> tuple[PageSection, ...]:
+    """Return the sections with numbers of four digits, and the appendix.
+
+    The appendix contains the tables marked for it, the tables that lost digits with all their digits, and the closing sections.
+
+    Parameters
+    ----------
+    sections, closing : iterable of PageSection
+    """
+    kept, moved, exact = list[PageSection](), list[Part](), list[Part]()
+    for section in sections:
+        parts = list[Any]()
+        for one in section.parts:
+            group = one if isinstance(one, list | tuple) else (one,)
+            moved += (part for part in group if _appended(part))
+            stay = tuple(part for part in group if not _appended(part))
+            brief = tuple(_brief(part) for part in stay)
+            exact += (part for part, short_ in zip(stay, brief, strict=True) if part != short_)
+            parts += [brief] if group is one and brief else brief
+        kept += [replace(section, parts=tuple(parts))] if parts else []
+    tables = [PageSection("Checks and solution", (tuple(moved),))] if moved else []
+    tables += [PageSection("All digits", (tuple(exact),))] if exact else []
+    return (*kept, PageSection("Appendix", (*tables, *closing)))
+
+
+def _appended(part: object) -> bool:
+    return isinstance(part, Paragraph | TableSpec) and part.appendix
+
+
+def _brief(part: Any) -> Any:
+    """Return a table with numbers of four digits; anything else as it is."""
+    if not isinstance(part, TableSpec):
+        return part
+    return replace(part, rows=tuple(tuple(replace(cell, text=four(cell.text)) for cell in row) for row in part.rows))
+
+
+def four(text: str) -> str:
+    """Round the decimal numbers of a text to four significant digits, whole parts to the unit."""
+
+    def rounded(found: re.Match[str]) -> str:
+        digits, power = found[1], found[2] or ""
+        if len(digits.replace(".", "").lstrip("0")) <= DIGITS:
+            return found[0]
+        value = float(digits)
+        shown = f"{value:.0f}" if value >= 10**DIGITS else f"{value:#.{DIGITS}g}".rstrip(".")
+        return shown + power
+
+    return _DECIMAL.sub(rounded, text)
 
 
 def fitted(made: Callable[[int], PageContent]) -> str:
@@ -117,10 +183,11 @@ def _templates() -> Environment:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    kinds = {"paragraph": Paragraph, "table": TableSpec, "chart": Chart, "linkage": Moving}
+    kinds = {"paragraph": Paragraph, "table": TableSpec, "chart": Chart, "linkage": Moving, "section": PageSection}
     made.tests.update({name: lambda shown, kind=kind: isinstance(shown, kind) for name, kind in kinds.items()})
     made.tests["short"] = _is_short
-    made.filters.update(json=_json, lines=_lines, card_classes=_card_classes, trace_names=_trace_names)
+    made.filters.update(json=_json, lines=_lines, card_classes=_card_classes, row_header=_row_header)
+    made.filters.update(four=four, coloured=lambda text: Markup(theme.variable(text)))
     return made
 
 
@@ -142,7 +209,12 @@ def _is_short(cell: Span) -> bool:
 def _card_classes(spec: TableSpec) -> str:
     """Return the classes of a table: a wide one spans the page, a short one is not broken in print."""
     width = table_width(spec)
-    sizes = {"wide": width > WIDE, "huge": width > HUGE, "short": len(spec.rows) <= SHORT}
+    sizes = {
+        "stack": width > NARROW and spec.header,
+        "wide": width > WIDE,
+        "huge": width > HUGE,
+        "short": len(spec.rows) <= SHORT,
+    }
     return " ".join(["card", *(name for name, holds in sizes.items() if holds)])
 
 
@@ -156,9 +228,15 @@ def table_width(spec: TableSpec) -> int:
     return found
 
 
-def _trace_names(chart: Chart) -> str:
-    names = dict.fromkeys(trace["name"] for trace in chart.figure["data"] if trace.get("name"))
-    return unescape(", ".join(names))  # plotly needs the names of traces escaped
+def _row_header(spec: TableSpec) -> int:
+    """Return the column that names the rows: the first of texts that are no verdicts; -1 if there is none."""
+    texts = (
+        k
+        for k, column in enumerate(spec.columns)
+        if not column.right and not any(row[k].role in ("good", "bad") for row in spec.rows)
+    )
+    first = next(texts, -1)
+    return first if first < len(spec.columns) - 1 else -1
 
 
 def _charted(chart: Chart) -> dict[str, Any]:
@@ -166,7 +244,12 @@ def _charted(chart: Chart) -> dict[str, Any]:
     found: dict[str, Any] = {"figure": chart.figure, "cranked": chart.cranked}
     if chart.picks is not None:
         picks = chart.picks
-        found["picks"] = {"rows": picks.rows, "x": short(picks.x), "y": short(picks.y), "first": picks.first}
+        found["picks"] = {
+            "rows": [[four(text) for text in row] for row in picks.rows],
+            "x": short(picks.x),
+            "y": short(picks.y),
+            "first": picks.first,
+        }
     return found
 
 
@@ -191,9 +274,16 @@ def _asset(name: str) -> str:
     return files("optlink.report").joinpath("assets", name).read_text(encoding="utf-8")
 
 
+def _style(colours: Mapping[str, str]) -> str:
+    """Return the style sheet, with the colours of drawings in dark mode."""
+    swapped = "".join(f"--c{colour[1:]}:{other};" for colour, other in colours.items())
+    return _asset("page.css").replace("/*drawn*/", swapped)
+
+
 @cache
-def _plotly() -> str:
-    """Return plotly.js as shipped with the Python package."""
+def _plotly() -> tuple[str, str]:
+    """Return plotly.js as shipped with the Python package, and the same compressed for a page."""
     from plotly.offline import get_plotlyjs
 
-    return get_plotlyjs()  # type: ignore[no-any-return]
+    text: str = get_plotlyjs()
+    return text, base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()

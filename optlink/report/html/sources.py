@@ -17,7 +17,7 @@ from optlink.version import VERSION
 
 
 def closing(file: ProblemFile, by: str) -> Iterable[PageSection]:
-    """Yield the section of the problem and the section of sources, versions and method.
+    """Yield the last sections of the appendix: the problem, and sources, versions and method.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
-from optlink.report.html.shell import PageContent, PageSection, fitted, write
+from optlink.report.html.shell import PageContent, PageSection, arranged, fitted, write
 from optlink.report.html.sources import closing
 from optlink.report.scene import scene
 from optlink.report.table_spec import Line, Paragraph, Part
@@ -75,7 +75,7 @@ def _sheet(studied: StoredStudy, steps: int) -> PageContent:
         verdict=studied.verdict,
         good=studied.valid,
         status=Paragraph(*studied.status, *(f"Note: {note}" for note in studied.notes)),
-        sections=(*sections, *closing(file, studied.by)),
+        sections=arranged(sections, closing(file, studied.by)),
         moving=moving,
     )
 

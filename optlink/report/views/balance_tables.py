@@ -34,7 +34,7 @@ def balance(outcome: Balance) -> Summary:
         if outcome.trade is not None:
             parts.append(_trade(outcome.trade))
     effort = f"{outcome.solver}, {outcome.iterations} iterations, {len(outcome.angles)} positions; {times(outcome.seconds)}"
-    return summary(outcome.problem.model.title, [ended, *noted(outcome.notes)], *parts, Paragraph(quiet(effort)))
+    return summary(outcome.problem.model.title, [ended, *noted(outcome.notes)], *parts, Paragraph(quiet(effort), appendix=True))
 
 
 def _objective(outcome: Balance) -> TableSpec:

@@ -24,7 +24,7 @@ def simulation(outcome: ClearanceSimulation) -> Summary:
     remark = f"Tolerance {outcome.tolerance:g}"
     if outcome.sample_time is not None:
         remark += f", controller sampled every {outcome.sample_time * 1e3:.6g} ms"
-    parts = _error(outcome), _contacts(outcome), _account(outcome), Paragraph(quiet(remark))
+    parts = _error(outcome), _contacts(outcome), _account(outcome), Paragraph(quiet(remark), appendix=True)
     return summary(title, _status(outcome), *parts)
 
 

@@ -31,7 +31,7 @@ def cycle_result(outcome: CycleResult) -> Summary:
         checks(outcome.validation.checks),
         _optima(outcome) if len(outcome.optima) > 1 else None,
         _backends(outcome) if len(outcome.backends) > 1 else None,
-        Paragraph(quiet(f"{outcome.backend}, {outcome.starts} starts; {times(outcome.seconds)}")),
+        Paragraph(quiet(f"{outcome.backend}, {outcome.starts} starts; {times(outcome.seconds)}"), appendix=True),
     )
 
 
@@ -85,7 +85,7 @@ def _optima(outcome: CycleResult) -> TableSpec:
         values = [fixed(optimum.design[name] * display_unit(outcome.task, name)[0], 2) for name in free]
         rows.append((number(optimum.objective, 7), *values, str(optimum.count)))
     title = f"Distinct optima: {len(outcome.optima)}, reached by {reached} searches"
-    return table(title, [">objective", *(f">{name}" for name in free), ">searches"], rows)
+    return table(title, [">objective", *(f">{name}" for name in free), ">searches"], rows, appendix=True)
 
 
 def _backends(outcome: CycleResult) -> TableSpec:
@@ -98,4 +98,4 @@ def _backends(outcome: CycleResult) -> TableSpec:
         size, unit = display_unit(outcome.task, name)
         rows.append((name, *(fixed(solution.design[name] * size, 5) for solution in found), unit))
     rows.append(("KKT residual", *(f"{solution.kkt:.1e}" for solution in found), ""))
-    return table("Back ends", ["", *(f">{name}" for name in outcome.backends), ""], rows)
+    return table("Back ends", ["", *(f">{name}" for name in outcome.backends), ""], rows, appendix=True)

@@ -60,7 +60,7 @@ def result(outcome: FunctionResult) -> Summary:
     iterations = outcome.solution.iterations if outcome.solution else 0  # none of a stored result
     effort = (f"{outcome.backend}, {iterations} iterations; " if iterations else "") + times(outcome.seconds, 1)
     if effort:
-        parts.append(Paragraph(quiet(effort)))
+        parts.append(Paragraph(quiet(effort), appendix=True))
     return summary(outcome.problem.spec.title, _status(outcome), *parts)
 
 
@@ -186,7 +186,7 @@ def checks(asked: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:
     if gathered:
         rows.append((good("ok"), f"{len(gathered)} sizes within their bounds", "all", "", ""))
     title = f"Validation: {sum(check.passed for check in asked)} of {len(asked)} checks passed"
-    return table(title, ["", "check", ">value", "", "limit"], rows)
+    return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
 
 
 def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> TableSpec:
@@ -226,7 +226,7 @@ def _optima(outcome: FunctionResult) -> Iterator[Part]:
     found = outcome.evidence
     if found is not None:
         hits = f"{found.hits} of {found.starts} random starts reached the best value, {found.optima} distinct values"
-        yield Paragraph(strong("Multistart search"), f"{hits}; {found.chance}")
+        yield Paragraph(strong("Multistart search"), f"{hits}; {found.chance}", appendix=True)
     rows = []
     for optimum in outcome.optima[:12]:
         values = [fixed(display_value(name, optimum.design[name])[0]) for name in free]
@@ -234,7 +234,7 @@ def _optima(outcome: FunctionResult) -> Iterator[Part]:
         rows.append((number(optimum.objective, 6 if modes else 8), *values, *mode, str(optimum.count)))
     range_ = ", largest error over the whole range" if outcome.problem.spec.everywhere else ""
     columns = [">objective", *(f">{name}" for name in free), *(["assembly"] if modes else []), ">starts"]
-    yield table(f"Distinct optima{range_}", columns, rows)
+    yield table(f"Distinct optima{range_}", columns, rows, appendix=True)
 
 
 def _backends(outcome: FunctionResult) -> TableSpec:
@@ -245,7 +245,7 @@ def _backends(outcome: FunctionResult) -> TableSpec:
         shown = number(solution.objective, 9 if few else 6)
         rows.append((name, solution.status.value, shown, *values, str(solution.iterations), f"{solution.kkt:.1e}"))
     columns = ["back end", "status", ">objective", *(f">{name}" for name in free), ">steps", ">KKT"]
-    return table("Back ends", columns, rows)
+    return table("Back ends", columns, rows, appendix=True)
 
 
 def problem(file: ProblemFile) -> Summary:

@@ -20,7 +20,7 @@ def pareto_front(result: Pareto) -> Summary:
         return summary(title, _status(result))
     rate = f"; {1e3 * result.cpu / result.done:.0f} ms of processor time each" if result.done else ""
     knee = "knee by the distance from the chord of the ends (Das 1999)"
-    effort = Paragraph(quiet(f"{points(result.done)} done in {result.seconds:.1f} s{rate}; {knee}"))
+    effort = Paragraph(quiet(f"{points(result.done)} done in {result.seconds:.1f} s{rate}; {knee}"), appendix=True)
     return summary(title, _status(result), _points(result), _designs(result), effort)
 
 

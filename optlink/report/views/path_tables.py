@@ -202,9 +202,9 @@ def _cognates(outcome: PathResult, best: PathDesign) -> TableSpec:
 def _times(outcome: PathResult) -> Paragraph:
     shown, found = times(outcome.seconds), outcome.evidence
     if not outcome.starts:
-        return Paragraph(quiet(shown))
+        return Paragraph(quiet(shown), appendix=True)
     reached = f"{found.hits} of {outcome.starts} starts reached the best value; {found.chance}; " if outcome.designs else ""
-    return Paragraph(quiet(f"{reached}batch of least squares, then {outcome.backend}; {shown}"))
+    return Paragraph(quiet(f"{reached}batch of least squares, then {outcome.backend}; {shown}"), appendix=True)
 
 
 # --- comparison of designs ---------------------------------------------------------------------------------------------------

@@ -144,7 +144,7 @@ def sweep(result: Sweep) -> Summary:
     line += f"; {1e3 * result.cpu / result.done:.2f} ms of processor time each)" if result.done else ")"
     if not result.evaluated:
         line += f"; {result.searched:,} needed a search, the others followed a neighbour"
-    return summary(result.problem.model.title, status, *parts, Paragraph(quiet(line)))
+    return summary(result.problem.model.title, status, *parts, Paragraph(quiet(line), appendix=True))
 
 
 def _counted(result: Sweep) -> str:
