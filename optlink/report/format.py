@@ -1,9 +1,15 @@
-"""Numbers as text, in tables, captions and charts."""
+"""Numbers as text, in tables, captions and charts, and their display units."""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
+from typing import NamedTuple
+
+_PRODUCT = re.compile(r"\bN[ *]m\b")
 
 
 def number(value: float, digits: int = 6) -> str:
@@ -50,6 +56,11 @@ def significant(value: float) -> str:
     return fixed(value, digits)
 
 
+def pretty(text: str) -> str:
+    """Write units in a text with their signs: N·m, rad²."""
+    return _PRODUCT.sub("N·m", text).replace("^2", "²")
+
+
 def signed(value: float) -> str:
     """Format a change with its sign and four significant digits."""
     return f"{value:+.4g}" if value else "0"
@@ -82,3 +93,77 @@ def times(seconds: Mapping[str, float], decimals: int = 0) -> str:
     decimals : int, optional
     """
     return ", ".join(f"{name} {1e3 * value:.{decimals}f} ms" for name, value in seconds.items() if value > 0.0)
+
+
+class Scale(NamedTuple):
+    """Display unit of a quantity: values in SI times `factor` in `unit`; `decimals` shows the largest value with five digits."""
+
+    factor: float
+    unit: str
+    decimals: int = 3
+
+    def text(self, value: float) -> str:
+        """Format a value [SI] with its unit."""
+        size = abs(value * self.factor)
+        decimals = min(self.decimals, max(0, 4 - math.floor(math.log10(size)))) if size >= 1.0 else self.decimals
+        shown = f"{value * self.factor:.{decimals}f}" if size < 1e7 else f"{value * self.factor:.3e}"
+        shown = shown.lstrip("-") if float(shown) == 0.0 else shown.replace("-", "−")
+        return f"{shown}{'°' if self.unit == 'deg' else ' ' + self.unit}"
+
+
+def degrees(angle: float) -> str:
+    """Format an angle [rad] in degrees."""
+    return scale(0.0, "deg").text(angle)
+
+
+LENGTH = ((1e3, "k", 5.0), (1.0, "", 5.0), (1e-3, "m", 1.0), (1e-6, "µ", 1.0), (1e-9, "n", 0.0))
+OTHER = (
+    (1e9, "G", 5.0),
+    (1e6, "M", 5.0),
+    (1e3, "k", 5.0),
+    (1.0, "", 0.5),
+    (1e-3, "m", 0.5),
+    (1e-6, "µ", 0.5),
+    (1e-9, "n", 0.5),
+    (1e-12, "p", 0.5),
+    (1e-15, "f", 0.5),
+    (1e-18, "a", 0.0),
+)
+PREFIXED = {"m": LENGTH, "m/s": OTHER[3:], "m/s²": OTHER[3:], "N": OTHER, "N m": OTHER, "J": OTHER, "W": OTHER}
+"""Prefixes by unit: size, letter, and from how many of them on it is taken."""
+
+
+_single: ContextVar[bool] = ContextVar("single", default=False)
+
+
+@contextlib.contextmanager
+def single_units() -> Iterator[None]:
+    """Show every length in mm and every other quantity without a prefix, so that a page has one unit for each kind."""
+    before = _single.set(True)
+    try:
+        yield
+    finally:
+        _single.reset(before)
+
+
+def scale(largest: float, unit: str) -> Scale:
+    """Return the display unit for quantities up to a value; angles are shown in degrees.
+
+    Parameters
+    ----------
+    largest : float [SI]
+        Largest absolute value; infinite or NaN counts as zero.
+    unit : str
+        SI unit, or "deg" for an angle in rad.
+    """
+    largest = abs(largest) if math.isfinite(largest) else 0.0
+    if unit == "deg":
+        return Scale(math.degrees(1.0), unit, 2)
+    factor, letter = 1.0, ""
+    if _single.get() and unit in PREFIXED:
+        factor, letter = (1e3, "m") if unit == "m" else (1.0, "")
+    elif largest > 0.0 and unit in PREFIXED:
+        size, letter = next((size, letter) for size, letter, least in PREFIXED[unit] if largest >= least * size or least == 0.0)
+        factor = 1.0 / size
+    digits = math.floor(math.log10(largest * factor)) if largest > 0.0 else 0
+    return Scale(factor, letter + unit, min(max(0, 4 - digits), 9))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import math
 import textwrap
 import unicodedata
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -22,6 +21,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.report.files import whole
+from optlink.report.format import Scale as Scale
+from optlink.report.format import degrees as degrees
+from optlink.report.format import scale as scale
 
 CRANK, COUPLER, ROCKER, GROUND = "#c0392b", "#2c6fbb", "#2e8b57", "#444444"
 BODIES = (COUPLER, ROCKER, "#d07d00", "#7d55a8", "#17888f", "#a0522d", "#c2527f", "#6f7d22", "#5a6b7b")
@@ -107,68 +109,6 @@ def heading(text: str, width: float, size: float = 11.0) -> str:
     """
     wide = any(unicodedata.east_asian_width(letter) in "WF" for letter in text)
     return textwrap.fill(text, max(16, int(72.0 * width / ((1.0 if wide else 0.58) * size))))
-
-
-# --- units -----------------------------------------------------------------------------------------------------------
-
-
-class Scale(NamedTuple):
-    """Display unit of a quantity: values in SI times `factor` in `unit`; `decimals` shows the largest value with five digits."""
-
-    factor: float
-    unit: str
-    decimals: int = 3
-
-    def text(self, value: float) -> str:
-        """Format a value [SI] with its unit."""
-        size = abs(value * self.factor)
-        decimals = min(self.decimals, max(0, 4 - math.floor(math.log10(size)))) if size >= 1.0 else self.decimals
-        shown = f"{value * self.factor:.{decimals}f}" if size < 1e7 else f"{value * self.factor:.3e}"
-        shown = shown.lstrip("-") if float(shown) == 0.0 else shown.replace("-", "−")
-        return f"{shown}{'°' if self.unit == 'deg' else ' ' + self.unit}"
-
-
-def degrees(angle: float) -> str:
-    """Format an angle [rad] in degrees."""
-    return scale(0.0, "deg").text(angle)
-
-
-LENGTH = ((1e3, "k", 5.0), (1.0, "", 5.0), (1e-3, "m", 1.0), (1e-6, "µ", 1.0), (1e-9, "n", 0.0))
-OTHER = (
-    (1e9, "G", 5.0),
-    (1e6, "M", 5.0),
-    (1e3, "k", 5.0),
-    (1.0, "", 0.5),
-    (1e-3, "m", 0.5),
-    (1e-6, "µ", 0.5),
-    (1e-9, "n", 0.5),
-    (1e-12, "p", 0.5),
-    (1e-15, "f", 0.5),
-    (1e-18, "a", 0.0),
-)
-PREFIXED = {"m": LENGTH, "m/s": OTHER[3:], "m/s²": OTHER[3:], "N": OTHER, "N m": OTHER, "J": OTHER, "W": OTHER}
-"""Prefixes by unit: size, letter, and from how many of them on it is taken."""
-
-
-def scale(largest: float, unit: str) -> Scale:
-    """Return the display unit for quantities up to a value; angles are shown in degrees.
-
-    Parameters
-    ----------
-    largest : float [SI]
-        Largest absolute value; infinite or NaN counts as zero.
-    unit : str
-        SI unit, or "deg" for an angle in rad.
-    """
-    largest = abs(largest) if math.isfinite(largest) else 0.0
-    if unit == "deg":
-        return Scale(math.degrees(1.0), unit, 2)
-    factor, letter = 1.0, ""
-    if largest > 0.0 and unit in PREFIXED:
-        size, letter = next((size, letter) for size, letter, least in PREFIXED[unit] if largest >= least * size or least == 0.0)
-        factor = 1.0 / size
-    digits = math.floor(math.log10(largest * factor)) if largest > 0.0 else 0
-    return Scale(factor, letter + unit, min(max(0, 4 - digits), 9))
 
 
 # --- files -----------------------------------------------------------------------------------------------------------

@@ -111,7 +111,7 @@ def test_a_page_is_complete_and_small(about):
 
 def test_the_page_of_the_crank_rocker_tells_the_published_figures(crank_rocker_subject):
     text = page(crank_rocker_subject)
-    for words in ("412.865", "232.246", "0.00759237", "rad^2 per deg", "largest transmission angle", "Valid: every check passed"):
+    for words in ("412.865", "232.246", "0.00759237", "rad² per deg", "largest transmission angle", "Valid: every check passed"):
         assert words in text
     assert text.count('<span class="good">ok</span>') == len(crank_rocker_subject.result.validation.checks)
 
@@ -257,7 +257,7 @@ def test_a_result_is_shown_as_the_problem_would_be(results, tmp_path, name):
         assert about.objective == pytest.approx(first["objective"]["value"], rel=1e-6, abs=1e-20)
     text = path.read_text()
     if name == "crank-rocker":
-        assert "0.0001465 rad^2 per deg (1.93%)" in text
+        assert "0.0001465 rad² per deg (1.93%)" in text
         assert "optimality (KKT residual)" in text
 
 

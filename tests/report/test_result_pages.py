@@ -177,14 +177,14 @@ def test_an_orbit_stays_in_its_gap(results):
     told, made = document(results, "play"), sheet(results, "play")
     [gap] = told["gaps"]
     circle = trace(made, "clearance")
-    assert np.hypot(numbers(circle["x"]), numbers(circle["y"])) == pytest.approx(gap["clearance"] * 1e6, rel=1e-5)
+    assert np.hypot(numbers(circle["x"]), numbers(circle["y"])) == pytest.approx(gap["clearance"] * 1e3, rel=1e-5)
     deepest = max(told["columns"][f"{gap['point']}.penetration_m"])
     remark = next(chart.remark for chart in made.charts if chart.title.startswith("Journal orbit"))
     times = float(re.search(r"beyond the circle (\S+)-fold", remark)[1])
     for name in ("apart", "in contact"):
         path = trace(made, name)
         away = np.hypot(numbers(path["x"]), numbers(path["y"]))
-        assert np.nanmax(away) <= (gap["clearance"] + times * deepest) * 1e6 + 1e-3
+        assert np.nanmax(away) <= (gap["clearance"] + times * deepest) * 1e3 + 1e-6
     error = numbers(trace(made, "deviation of rocker")["y"])
     assert np.nanmax(np.abs(error)) <= math.degrees(told["figures"]["peak_rad"]) * (1 + 1e-6)
 
@@ -196,7 +196,7 @@ def test_a_balance_is_proven_anew(results, tmp_path):
     shaking = next(chart for chart in made.charts if chart.title == "Shaking and drive")
     given = numbers(shaking.figure["data"][0]["y"])
     rms = next(one["before"] for one in told["measures"] if one["name"] == "rms shaking force")
-    assert np.sqrt(np.mean(given[:-1] ** 2)) == pytest.approx(rms * 1e3, rel=1e-6)  # a figure in mN
+    assert np.sqrt(np.mean(given[:-1] ** 2)) == pytest.approx(rms, rel=1e-6)
     told["counterweights"][0]["first_moment_along_kg_m"] *= 1.02
     (tmp_path / "result.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match="with these counterweights, not"):

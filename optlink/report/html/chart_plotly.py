@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from html import escape
+from html import escape as escaped
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from optlink.io import finite
 from optlink.report.chart_spec import Axis, Band, Bars, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
+from optlink.report.format import pretty
 from optlink.report.html.theme import readable
 from optlink.report.style import WANTED
 
 Array = NDArray[np.float64]
 Trace = dict[str, Any]
-DIGITS = 7  # significant digits of a number in a chart, far below the visible resolution
+DIGITS = 6  # significant digits of a number in a chart, far below the visible resolution
 FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
 LONG = 1200  # number of points from which a curve is thinned, about two per pixel of a wide page
 CELLS = 150  # largest number of rows and columns of a map
@@ -68,6 +69,11 @@ class Chart:
     picks: Picks | None = None
     remark: str = ""
     words: str = ""
+
+
+def escape(text: str) -> str:
+    """Write a text with the signs of units, safe for plotly."""
+    return escaped(pretty(text))
 
 
 def charts(specs: Iterable[ChartSpec]) -> list[Chart]:

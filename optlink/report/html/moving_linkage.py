@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.io import finite
 from optlink.report.export.svg import svg, zigzag
+from optlink.report.format import pretty
 from optlink.report.scene import Scene
 from optlink.report.style import Scale, scale
 from optlink.tasks.results.analysis import Analysis
@@ -32,7 +33,7 @@ class Readout:
     @property
     def shown_unit(self) -> str:
         """Unit as written in a page."""
-        return "°" if self.unit == "deg" else self.unit
+        return "°" if self.unit == "deg" else pretty(self.unit)
 
     @property
     def decimals(self) -> int:

@@ -16,7 +16,15 @@ from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, ReportModel
 from optlink.report.scene import scene
 from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
-from optlink.report.views import analysis_charts, analysis_forces, function_tables, path_tables, sensitivity, study_tables
+from optlink.report.views import (
+    analysis_charts,
+    analysis_forces,
+    conclusions,
+    function_tables,
+    path_tables,
+    sensitivity,
+    study_tables,
+)
 from optlink.report.views.analysis_curves import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.function import FunctionResult
@@ -58,6 +66,7 @@ def _sheet(subject: ReportModel, answers: Sensitivities | None, steps: int) -> P
         verdict=verdict(subject),
         good=subject.valid,
         status=Paragraph(*shown.status.lines, *notes.lines),
+        conclusion=_conclusion(subject, shown),
         sections=arranged(_sections(subject, shown, moving, answers), closing(subject.problem, _by(subject))),
         moving=moving,
     )
@@ -135,6 +144,19 @@ def verdict(subject: ReportModel) -> str:
         return (f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed") + beside
     failed = _failed(subject)
     return f"Not valid: {failed}" if failed else f"Not valid: {subject.result.status.value}"
+
+
+def _conclusion(subject: ReportModel, shown: Summary) -> str:
+    """Return the conclusion of the result; of the kind of an extension the first line of its status."""
+    outcome = subject.outcome
+    if isinstance(outcome, Analysis):
+        return conclusions.analysis(outcome)
+    if isinstance(outcome, FunctionResult | PathResult | CycleResult):
+        best = outcome.best if isinstance(outcome, PathResult) else outcome
+        solution = None if best is None else best.solution
+        text = conclusions.design(outcome, subject.limits if solution is None else solution.limits)
+        return f"{conclusions.sensitivities(subject.answers)} {text}" if subject.answers is not None else text
+    return "".join(span.text for line in shown.status.lines[:1] for span in line)
 
 
 def _failed(subject: ReportModel) -> str:

@@ -18,6 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from optlink.report.files import whole
+from optlink.report.format import pretty, single_units
 from optlink.report.html import theme
 from optlink.report.html.chart_plotly import Chart, short
 from optlink.report.html.moving_linkage import Moving
@@ -147,7 +148,8 @@ def four(text: str) -> str:
 def fitted(made: Callable[[int], PageContent]) -> str:
     """Return the document of a sheet with the most positions per revolution that keep it below `LARGEST`."""
     for steps in STEPS:
-        text = made(steps).html()
+        with single_units():
+            text = made(steps).html()
         if len(text.encode()) <= LARGEST:
             break
     return text
@@ -198,7 +200,7 @@ def fragment(*parts: Part) -> str:
 
 
 def _lines(text: str) -> Markup:
-    return Markup("<br>").join(text.split("\n"))
+    return Markup("<br>").join(pretty(text).split("\n"))
 
 
 def _is_short(cell: Span) -> bool:

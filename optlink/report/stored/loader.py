@@ -11,6 +11,7 @@ from typing import Any
 from optlink.errors import Fault, InputError
 from optlink.problem.base_model import Contradiction, Record, damaged, read_document, read_record
 from optlink.problem.file import shipped
+from optlink.report.format import single_units
 from optlink.report.registry import REGISTERED, page_of, records
 from optlink.report.report_model import ReportModel, report_model_of
 from optlink.report.stored.problem_lookup import problem_of
@@ -98,7 +99,8 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
     try:
         if schema in SOLVED:
             return read_report_model(record, file, path)
-        found = page_of(kind)(record, file, path)
+        with single_units():
+            found = page_of(kind)(record, file, path)
     except Contradiction as error:
         raise damaged(error, path) from None
     notes = [f"shown as {path.name} recorded it"]

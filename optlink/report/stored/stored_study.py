@@ -24,7 +24,8 @@ from optlink.units import KINDS, factor
 class StoredStudy:
     """Report of a stored result.
 
-    `kind` describes the task; `status` are lines below the verdict; `sections` contain tables and charts; `moving` returns the
+    `kind` describes the task; `conclusion` says in a sentence what was found; `status` are lines below the verdict;
+    `sections` contain tables and charts; `moving` returns the
     animated linkage for a number of positions per revolution, `drawn` is its caption, `after` the number of sections before it;
     `by` is the method.
     """
@@ -33,6 +34,7 @@ class StoredStudy:
     kind: str
     verdict: str
     valid: bool
+    conclusion: str
     status: Sequence[Line]
     sections: Sequence[PageSection]
     moving: Callable[[int], Moving | None]
@@ -74,6 +76,7 @@ def _sheet(studied: StoredStudy, steps: int) -> PageContent:
         kind=f"{file.name} · {studied.kind}",
         verdict=studied.verdict,
         good=studied.valid,
+        conclusion=studied.conclusion,
         status=Paragraph(*studied.status, *(f"Note: {note}" for note in studied.notes)),
         sections=arranged(sections, closing(file, studied.by)),
         moving=moving,

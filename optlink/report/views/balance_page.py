@@ -17,7 +17,7 @@ from optlink.problem.quantity import Unusable
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, figures_of, still, turning
-from optlink.report.views import balance_tables
+from optlink.report.views import balance_tables, conclusions
 from optlink.report.views.balance import courses, trade_off
 from optlink.tasks.balance import balanced_problem, measure_changes, positions
 from optlink.tasks.machine import machine_of
@@ -153,6 +153,7 @@ def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStu
         kind="balance",
         verdict=VERDICTS[found.status] if found.valid or found.status == "infeasible" else "Not valid",
         valid=found.valid,
+        conclusion=conclusions.balance(found),
         status=shown.status.lines,
         sections=sections,
         moving=still if found.balanced is None else turning(found.balanced, {}),

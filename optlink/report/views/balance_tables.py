@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from optlink.problem.machine.balance import BalanceSection
-from optlink.report.format import change, number, times
+from optlink.report.format import change, number, scale, times
 from optlink.report.table_spec import Paragraph, Part, Row, Span, Summary, TableSpec, bad, good, quiet, strong, summary, table
 from optlink.report.views.function_tables import noted
 from optlink.tasks.results.balance import Balance, TradeOff
@@ -77,12 +77,11 @@ def _measures(outcome: Balance) -> TableSpec:
     rows: list[Row] = []
     for rms, most in zip(outcome.rows[::2], outcome.rows[1::2], strict=True):
         cells, largest = [], max(rms.before, rms.after)
-        prefixes = ((1e-3, "k"), (1.0, ""), (1e3, "m"), (1e6, "µ"))
-        factor, letter = next(((f, u) for f, u in prefixes if largest * f >= 1.0), (1.0, ""))
+        unit = scale(largest, rms.measure.unit)
         for row in (rms, most):
             less = f"{100.0 * row.change:+.1f}".replace("-", "−") if math.isfinite(row.change) else "-"
-            cells += [f"{value * factor:.4g}" for value in (row.before, _tiny(row.after, row.before))] + [less]
-        rows.append((rms.measure.quantity.removeprefix("reaction "), *cells, quiet(letter + rms.measure.unit)))
+            cells += [f"{value * unit.factor:.4g}" for value in (row.before, _tiny(row.after, row.before))] + [less]
+        rows.append((rms.measure.quantity.removeprefix("reaction "), *cells, quiet(unit.unit)))
     columns = ["", ">rms", ">after", ">%", ">largest", ">after", ">%", ""]
     return table("Before and after, by inverse dynamics", columns, rows)
 

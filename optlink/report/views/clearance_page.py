@@ -22,7 +22,7 @@ from optlink.report.html.shell import PageSection
 from optlink.report.scene import through
 from optlink.report.stored.stored_study import StoredStudy, cycle_of, figures_of, still
 from optlink.report.style import Scale, scale
-from optlink.report.views import clearance, clearance_tables, control_comparison
+from optlink.report.views import clearance, clearance_tables, conclusions, control_comparison
 from optlink.report.views.revolutions import TORQUE, WINDOW, RevolutionCurves
 from optlink.report.views.simulation import largest
 from optlink.tasks.machine import machine_of
@@ -117,6 +117,7 @@ def stored_study(record: ClearanceRecord, file: ProblemFile, _: Path) -> StoredS
         kind="simulation with clearance",
         verdict="Finished" if found.finished else f"Not finished: {found.ending.value}",
         valid=found.finished,
+        conclusion=conclusions.clearance(found),
         status=shown.status.lines,
         sections=sections,
         moving=_moving(found),
@@ -173,6 +174,7 @@ def compared(record: ComparisonRecord, file: ProblemFile, _: Path) -> StoredStud
         kind="comparison of control",
         verdict="Finished" if found.finished else "Not every run was finished",
         valid=found.finished,
+        conclusion=conclusions.comparison(found),
         status=shown.status.lines,
         sections=[*figures_of(shown.parts), PageSection("Chart", chart_plotly.charts(control_comparison.charts(found)))],
         moving=still,

@@ -19,7 +19,7 @@ from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, figures_of, named_si, still, turning
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
 from optlink.report.view import View
-from optlink.report.views import pareto_tables
+from optlink.report.views import conclusions, pareto_tables
 from optlink.studies import grid
 from optlink.studies.pareto.epsilon_constraint import Pareto, ParetoPoint, ParetoRecord
 from optlink.studies.pareto.objective import ParetoObjective
@@ -120,6 +120,7 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
         kind=f"front of {len(found.objectives)} objectives",
         verdict="Every point of the front is proven" if found.complete else "Not every point could be proven",
         valid=found.complete,
+        conclusion=conclusions.pareto(found),
         status=shown.status.lines,
         sections=[*([PageSection("Front", drawn)] if drawn else []), *figures_of(shown.parts, "Points and designs")],
         moving=still if chosen is None else turning(file, named_si(file, found.points[chosen].design)),

@@ -17,7 +17,7 @@ from optlink.report.html.shell import PageSection
 from optlink.report.scene import through
 from optlink.report.stored.stored_study import StoredStudy, cycle_of, figures_of, still
 from optlink.report.style import Scale, scale
-from optlink.report.views import analysis_tables
+from optlink.report.views import analysis_tables, conclusions
 from optlink.report.views.simulation import History, charts, largest
 from optlink.tasks.machine import machine_of
 from optlink.tasks.simulate import SimulationRecord
@@ -52,6 +52,7 @@ def stored_study(record: SimulationRecord, file: ProblemFile, _: Path) -> Stored
         kind="simulation in time",
         verdict=VERDICTS.get(ending, f"Not finished: {ending.value}"),
         valid=record.finished,
+        conclusion=conclusions.simulation(figures, record.finished, record.message),
         status=[f"{ending.value}, driven by {record.driven}; {record.message}", *record.notes],
         sections=[*figures_of(tables), *([PageSection("Over time", curves)] if curves else [])],
         moving=_moving(file, columns, crank_body, _sizes(record, file)) if curves else still,

@@ -21,7 +21,7 @@ from optlink.report.stored.stored_study import StoredStudy, figures_of, named_si
 from optlink.report.stored.stored_sweep import read
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET
 from optlink.report.view import View
-from optlink.report.views import study_tables
+from optlink.report.views import conclusions, study_tables
 from optlink.studies.analysis_task import FIGURES
 from optlink.studies.grid import Axis
 from optlink.studies.sweep import CHANGED, TEXT, Sweep, SweepRecord
@@ -129,6 +129,7 @@ def stored_study(record: SweepRecord, file: ProblemFile, path: Path) -> StoredSt
         kind="sweep",
         verdict=proven[0].upper() + proven[1:],
         valid=found.successful,
+        conclusion=conclusions.sweep(found),
         status=shown.status.lines,
         sections=[*([PageSection("Sweep", drawn)] if drawn else []), *figures_of(shown.parts)],
         moving=still if table.best is None else turning(*_design(file, table, table.best)),

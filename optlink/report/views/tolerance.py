@@ -17,7 +17,7 @@ from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, figures_of, turning
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, WANTED
 from optlink.report.view import View
-from optlink.report.views import tolerance_tables
+from optlink.report.views import conclusions, tolerance_tables
 from optlink.report.views.tolerance_tables import judged_value
 from optlink.studies.tolerance.analysis import ToleranceRecord
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
@@ -56,6 +56,7 @@ def stored_study(record: ToleranceRecord, file: ProblemFile, _: Path) -> StoredS
         kind="study of tolerances",
         verdict=_verdict(record),
         valid=(allocation is None or allocation.achieved) and (robust is None or robust.valid),
+        conclusion=conclusions.tolerance(record),
         status=shown.status.lines,
         sections=[PageSection("Scatter", chart_plotly.charts(charts(record))), *figures_of(shown.parts)],
         moving=turning(file, {name: value for name, value in record.sizes_SI.items() if name in file.model.mechanism.quantities}),

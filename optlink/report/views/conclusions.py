@@ -1,0 +1,336 @@
+"""Conclusion of every kind of result: verdict, main figures with their limits, and what limits them, in one or two sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optlink.errors import Status
+from optlink.optimization.objectives import MEASURES
+from optlink.report.format import pretty, scale
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from optlink.solvers.solution import LimitState, Relaxation
+    from optlink.studies.pareto.epsilon_constraint import Pareto
+    from optlink.studies.sensitivity import Sensitivities
+    from optlink.studies.sweep import Sweep
+    from optlink.studies.tolerance.analysis import ToleranceRecord
+    from optlink.tasks.function import FunctionResult
+    from optlink.tasks.results.analysis import Analysis
+    from optlink.tasks.results.balance import Balance
+    from optlink.tasks.results.clearance import ClearanceSimulation
+    from optlink.tasks.results.control_comparison import Comparison
+    from optlink.tasks.results.cycle import CycleResult
+    from optlink.tasks.results.path import PathDesign, PathResult
+    from optlink.validation import Check
+
+SMALL = 1e-9  # share of the given value below which what is left is rounding
+
+
+def figure(value: float, unit: str = "") -> str:
+    """Format a value in a display unit with four significant digits.
+
+    Parameters
+    ----------
+    value : float
+    unit : str, optional
+    """
+    if not math.isfinite(value):
+        return "unlimited"
+    size = abs(value)
+    shown = f"{value:.4g}" if 1e-4 <= size < 1e4 or value == 0.0 else f"{value:,.0f}" if 1e4 <= size < 1e9 else f"{value:.3e}"
+    return shown.replace("-", "−") + ("°" if unit == "deg" else f" {pretty(unit)}" if unit else "")
+
+
+def si(value: float, unit: str) -> str:
+    """Format a value [SI] in its display unit.
+
+    Parameters
+    ----------
+    value : float
+    unit : str
+        "m", "N", "N m", "J", "W", or "rad".
+    """
+    shown = scale(abs(value), "deg" if unit == "rad" else unit)
+    return figure(value * shown.factor, shown.unit)
+
+
+def listed(words: Sequence[str]) -> str:
+    """Join words with commas and "and"."""
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+# --- designs -----------------------------------------------------------------------------------------------------------------
+
+
+def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[LimitState]) -> str:
+    """Return the conclusion of a synthesis or of the validation of a given design.
+
+    Parameters
+    ----------
+    outcome : FunctionResult, PathResult or CycleResult
+    limits : iterable of LimitState
+        Constraints with their shadow prices.
+    """
+    from optlink.tasks.results.cycle import CycleResult
+    from optlink.tasks.results.path import PathResult
+
+    best = outcome.best if isinstance(outcome, PathResult) else outcome
+    if best is None:
+        return _conflict(outcome.conflict, outcome.together) or "No design was found."
+    if outcome.conflict:
+        return _conflict(outcome.conflict, outcome.together)
+    if isinstance(best, CycleResult):
+        achieved = _cycle(best)
+    elif isinstance(outcome, PathResult):
+        achieved = _path(outcome.best)  # type: ignore[arg-type]
+    else:
+        achieved = _function(outcome)  # type: ignore[arg-type]
+    if outcome.valid:
+        held = _limiting(limits)
+        return achieved + (f" {held}" if held else "")
+    return f"{_failed(best.validation.checks) or _stopped(best.status)} {achieved}"
+
+
+def _function(outcome: FunctionResult) -> str:
+    rms, most = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
+    return f"The output follows the required motion within {figure(most, 'deg')} (root mean square {figure(rms, 'deg')})."
+
+
+def _path(best: PathDesign) -> str:
+    task, measured = best.task, best.measured
+    unit = task.unit or ""
+    least = math.degrees(best.least_transmission)
+    grip = f"least transmission angle {figure(least, 'deg')}" if math.isfinite(least) else ""
+    if task.requirement.kind == "transmission":
+        return f"The {grip}." if grip else ""
+    most = float(measured.distances.max())
+    if best.exact:
+        text = "The linkage meets every prescribed position exactly"
+    elif unit == "m":
+        text = f"The linkage passes the {len(measured.distances)} prescribed points within {si(most, 'm')}"
+        text += f" (root mean square {si(math.sqrt(float(np.mean(measured.distances**2))), 'm')})"
+    else:
+        text = f"The output follows the prescribed function within {si(most, unit)}"
+    if measured.turned is not None and not best.exact:
+        text += f" and {si(float(np.max(np.abs(measured.turned))), 'rad')}"
+    return f"{text}; {grip}." if grip else f"{text}."
+
+
+def _cycle(outcome: CycleResult) -> str:
+    goals = [one for one in outcome.figures if one.limit in ("minimised", "maximised")] or outcome.figures[:1]
+    words = []
+    for one in goals:
+        change = one.found / one.given - 1.0 if one.given and math.isfinite(one.given) else math.nan
+        before = f" instead of {figure(one.given, one.unit)} ({100.0 * change:+.1f} %)" if math.isfinite(change) else ""
+        words.append(f"{one.words} {figure(one.found, one.unit)}{before.replace('-', '−')}")
+    text = listed(words)
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _limiting(limits: Iterable[LimitState]) -> str:
+    """Name the active constraint with the largest effect of one unit, and count the others."""
+    active = [one for one in limits if one.active]
+    if not active:
+        return ""
+    first = max(active, key=lambda one: abs(one.multiplier))
+    bound = f"{first.sense} {figure(first.bound, first.unit)}".strip()
+    others = len(active) - 1
+    more = f"; {others} more limits are active" if others > 1 else "; one more limit is active" * others
+    return f"What limits it: {first.name} ({bound.replace('<=', '≤').replace('>=', '≥')}){more}."
+
+
+def _failed(checks: Sequence[Check]) -> str:
+    """Name the failed checks with value and limit."""
+    failed = [one for one in checks if not one.passed]
+    if not failed:
+        return ""
+    first = failed[0]
+    text = f"Not valid: {first.name} is {figure(first.value, first.unit)}, required {first.limit}"
+    return text + (f"; {len(failed) - 1} more checks fail." if len(failed) > 1 else ".")
+
+
+def _stopped(status: Status) -> str:
+    return f"Not valid: {status.text}."
+
+
+def _conflict(conflict: Sequence[Relaxation], together: Sequence[Relaxation]) -> str:
+    """State which limits contradict each other, and what would have to give."""
+    if not conflict:
+        return ""
+    alone = [one for one in conflict if math.isfinite(one.amount)]
+    options = [f"{one.name} to {'about ' * one.approximate}{figure(one.relaxed, one.unit)}" for one in alone[:3]]
+    if options:
+        remedy = f"relax {' or '.join(options)}"
+    else:
+        shared = [f"{one.name} to {figure(one.relaxed, one.unit)}" for one in together if math.isfinite(one.amount)]
+        remedy = f"relax together {listed(shared[:3])}" if shared else "drop one of them"
+    names = listed([one.name for one in conflict][:4])
+    subject = f"the limits {names} contradict each other" if len(conflict) > 1 else f"the limit {names} cannot be met"
+    return f"No design meets all limits: {subject}. To make it feasible, {remedy}."
+
+
+def sensitivities(found: Sensitivities) -> str:
+    """Return the conclusion of a sensitivity analysis."""
+    from optlink.report.views import study_tables
+
+    if not found.moving:
+        return "No prescribed value has an effect on this optimum, to first order."
+    first, base = found.moving[0], found.solution.objective
+    step = study_tables.step(first).replace(" deg", "°")
+    change = f"{100.0 * first.effect / base:+.2f} %" if base else figure(first.effect, found.unit)
+    return f"The optimum reacts most to {first.parameter.name}: {step} more changes the objective by {change.replace('-', '−')}."
+
+
+# --- machines ----------------------------------------------------------------------------------------------------------------
+
+
+def analysis(outcome: Analysis) -> str:
+    """Return the conclusion of an analysis: drive torque, largest reaction, strokes."""
+    extremes, words = outcome.extremes, []
+    torque = extremes.get("input.torque_Nm")
+    if torque is not None and max(abs(torque.least), abs(torque.largest)) > 0.0:
+        low = abs(torque.least) > abs(torque.largest)
+        value, at = (torque.least, torque.least_at) if low else (torque.largest, torque.largest_at)
+        words.append(f"the drive needs up to {si(abs(value), 'N m')} (at a crank angle of {figure(math.degrees(at), 'deg')})")
+    pins = [pin for pin in outcome.machine.mechanism.pins if f"{pin}.fx_N" in outcome.columns]
+    forces = {pin: np.nanmax(np.hypot(outcome[f"{pin}.fx_N"], outcome[f"{pin}.fy_N"])) for pin in pins}
+    if max(forces.values(), default=0.0) > 0.0:
+        pin = max(forces, key=lambda one: forces[one])
+        words.append(f"the largest joint reaction is {si(float(forces[pin]), 'N')} at {pin}")
+    if not words:
+        words = [f"the stroke of {name} is {si(one.high - one.low, 'm')}" for name, one in list(outcome.strokes.items())[:2]]
+        words = words or [
+            f"the swing of {name} is {si(one.high - one.low, 'rad')}" for name, one in list(outcome.swings.items())[:2]
+        ]
+    text = listed(words) if words else "the motion was computed"
+    if not outcome.sound:
+        text = f"not every position has finite reactions ({outcome.status}); {text}"
+    turn = "" if outcome.full else " The crank cannot turn fully."
+    return f"{text[:1].upper()}{text[1:]}.{turn}"
+
+
+def simulation(figures: Mapping[str, float], finished: bool, message: str) -> str:
+    """Return the conclusion of a simulation in time.
+
+    Parameters
+    ----------
+    figures : mapping of str to float [SI]
+    finished : bool
+    message : str
+        Why it ended.
+    """
+    speed, time = figures["end.speed_rad_s"] * 30.0 / math.pi, figures["end.time_s"]
+    turns = figures["end.crank_angle_rad"] / (2.0 * math.pi)
+    text = (
+        f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, {figure(turns)} revolutions from its zero position"
+    )
+    if "last_turn.fluctuation" in figures:
+        text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:.2f} % in the last revolution"
+    if "input.work_J" in figures:
+        text += f"; the drive has done {si(figures['input.work_J'], 'J')} of work"
+    return f"{text}." if finished else f"Not finished: {message}. {text}."
+
+
+def clearance(found: ClearanceSimulation) -> str:
+    """Return the conclusion of a simulation with joint clearance."""
+    if not found.revolutions:
+        return f"No complete revolution was simulated: {found.message}."
+    unit, figures = found.output.unit, found.figures
+    text = f"Joint clearance makes {found.output.name} deviate by {si(figures[f'rms_{unit}'], unit)} (root mean square), "
+    text += f"at most {si(figures[f'peak_{unit}'], unit)}"
+    forces = {gap.point: figures[f"{gap.point}.normal_max_N"] for gap in found.gaps}
+    point = max(forces, key=lambda one: forces[one])
+    text += f"; the contact force reaches {si(forces[point], 'N')} at {point}."
+    return text if found.finished else f"Not finished: {found.message}. {text}"
+
+
+def comparison(found: Comparison) -> str:
+    """Return the conclusion of a control comparison: the best control, and its gain."""
+    done = {name: one for name, one in found.trials.items() if one.finished}
+    if not done:
+        return "No kind of control finished its runs."
+    best = min(done, key=lambda name: done[name].mean)
+    if best == "none":
+        return f"No control is best: root mean square deviation {si(done[best].mean, found.unit)}; every controller increases it."
+    less = f", {100.0 * (1.0 - done[best].mean / done['none'].mean):.1f} % less than without control" if "none" in done else ""
+    rms, peak = (si(value, found.unit) for value in (done[best].mean, float(np.max(done[best].peak))))
+    tail = "" if len(done) == len(found.trials) else " Not every run was finished."
+    return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"
+
+
+def balance(found: Balance) -> str:
+    """Return the conclusion of a balancing: change of the objective, proof, and active limits."""
+    if found.conflict:
+        names = listed([f"{one.name} ({one.sense} {figure(one.bound, one.unit)})" for one in found.conflict][:4])
+        eased = [one for one in found.conflict if math.isfinite(one.alone)]
+        remedy = " or ".join(f"{one.name} to {figure(one.alone, one.unit)}" for one in eased[:3]) or "several of them together"
+        return f"No counterweights meet all limits: {names} contradict each other. To make it feasible, relax {remedy}."
+    if not found.rows:
+        return "No balancing was found."
+    left = found.objective if abs(found.objective) > SMALL * abs(found.before) else 0.0
+    mass = sum(one.mass for one in found.added)
+    text = f"The {found.measure} falls by {100.0 * found.reduction:.4g} % to {figure(left, found.unit or '')}"
+    text = text.rstrip() + f" with {figure(mass, 'kg')} of counterweights"
+    active = [one.name for one in found.limits if one.active]
+    held = f" What limits it: {listed(active[:3])}." if active else ""
+    return f"{text}.{held}" if found.valid else f"Not valid. {text}.{held}"
+
+
+# --- studies -----------------------------------------------------------------------------------------------------------------
+
+
+def sweep(found: Sweep) -> str:
+    """Return the conclusion of a sweep: number of valid points, and the best of them."""
+    total = found.grid.count
+    if found.evaluated or found.best is None:
+        done = found.statuses.get("analysed", found.valid) if found.evaluated else found.valid
+        tail = "" if found.evaluated else " No point has a valid design: relax the limits or change the range."
+        return f"{done:,} of {total:,} points have valid results.{tail}"
+    name = next(one for one in found.best if one.startswith("objective"))
+    _, _, unit = name.partition("_")
+    where = [f"{axis.key} = {figure(float(found.best[axis.column]), axis.unit)}" for axis in found.grid.axes]
+    value = figure(float(found.best[name]), unit.replace("2", "²"))
+    text = f"The objective is least, {value}, at {listed(where)}; {found.valid:,} of {total:,} points have a proven design."
+    active = str(found.best.get("active", ""))
+    return text + (f" What limits the best: {active}." if active else "")
+
+
+def pareto(found: Pareto) -> str:
+    """Return the conclusion of a Pareto front: what is traded for what, and the knee."""
+    if not found.points:
+        return "No design of the front could be proven: relax the limits or widen the ranges of the objectives."
+    if len(found.points) == 1:
+        return "There is no trade-off: one design is best in every objective."
+    spans = []
+    for k, aim in enumerate(found.aims):
+        values = [point.values[k] for point in found.points]
+        spans.append(f"{aim.name} {figure(min(values))} ... {figure(max(values), aim.unit)}")
+    text = f"{len(found.points)} proven designs trade {' against '.join(spans)}."
+    if found.knee is not None:
+        at = found.points[found.knee[0]].values
+        knee = listed([f"{aim.name} {figure(value, aim.unit)}" for aim, value in zip(found.aims, at, strict=True)])
+        text += f" The best compromise (knee) is point {found.knee[0] + 1}: {knee}."
+    return text if found.complete else f"{text} Not every point could be proven."
+
+
+def tolerance(record: ToleranceRecord) -> str:
+    """Return the conclusion of a tolerance analysis: yield or worst case, and the tolerance with the largest share."""
+    k, unit, sampled = record.scale, record.display_unit, record.monte_carlo
+    worst = float(np.max(np.maximum(-record.linear.worst_low, record.linear.worst_high)))
+    part = max(record.tolerances, key=lambda one: float(one.contribution_percent[record.where]))
+    most = f"{part.name} contributes {float(part.contribution_percent[record.where]):.3g} % of the variance"
+    if sampled is not None and math.isfinite(sampled.share):
+        low, high = sampled.interval
+        text = f"{100.0 * sampled.share:.4g} % of the linkages stay within the limit of ±{figure(k * record.limit, unit)} "
+        text += f"(95 % confidence: {100.0 * low:.4g} ... {100.0 * high:.4g} %)"
+    else:
+        text = f"The tolerances change {record.output} by at most ±{figure(k * worst, unit)} in the worst case"
+    if record.allocation is not None and not record.allocation.kept:
+        text = f"The allocated tolerances do not keep the yield of {100.0 * record.allocation.wanted_yield:.4g} %. {text}"
+    return f"{text}; {most}."
