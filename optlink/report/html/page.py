@@ -148,7 +148,7 @@ def verdict(subject: ReportModel) -> str:
 
 def _conclusion(subject: ReportModel, shown: Summary) -> str:
     """Return the conclusion of the result; of the kind of an extension the first line of its status."""
-    outcome = subject.outcome
+    outcome = subject.result
     if isinstance(outcome, Analysis):
         return conclusions.analysis(outcome)
     if isinstance(outcome, FunctionResult | PathResult | CycleResult):

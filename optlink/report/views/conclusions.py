@@ -126,9 +126,9 @@ def _cycle(outcome: CycleResult) -> str:
     goals = [one for one in outcome.figures if one.limit in ("minimised", "maximised")] or outcome.figures[:1]
     words = []
     for one in goals:
-        change = one.found / one.given - 1.0 if one.given and math.isfinite(one.given) else math.nan
-        before = f" instead of {figure(one.given, one.unit)} ({100.0 * change:+.1f} %)" if math.isfinite(change) else ""
-        words.append(f"{one.words} {figure(one.found, one.unit)}{before.replace('-', '−')}")
+        change = one.result / one.initial - 1.0 if one.initial and math.isfinite(one.initial) else math.nan
+        before = f" instead of {figure(one.initial, one.unit)} ({100.0 * change:+.1f} %)" if math.isfinite(change) else ""
+        words.append(f"{one.words} {figure(one.result, one.unit)}{before.replace('-', '−')}")
     text = listed(words)
     return f"{text[:1].upper()}{text[1:]}."
 
@@ -308,13 +308,13 @@ def pareto(found: Pareto) -> str:
     if len(found.points) == 1:
         return "There is no trade-off: one design is best in every objective."
     spans = []
-    for k, aim in enumerate(found.aims):
+    for k, aim in enumerate(found.objectives):
         values = [point.values[k] for point in found.points]
         spans.append(f"{aim.name} {figure(min(values))} ... {figure(max(values), aim.unit)}")
     text = f"{len(found.points)} proven designs trade {' against '.join(spans)}."
     if found.knee is not None:
         at = found.points[found.knee[0]].values
-        knee = listed([f"{aim.name} {figure(value, aim.unit)}" for aim, value in zip(found.aims, at, strict=True)])
+        knee = listed([f"{aim.name} {figure(value, aim.unit)}" for aim, value in zip(found.objectives, at, strict=True)])
         text += f" The best compromise (knee) is point {found.knee[0] + 1}: {knee}."
     return text if found.complete else f"{text} Not every point could be proven."
 
@@ -331,6 +331,6 @@ def tolerance(record: ToleranceRecord) -> str:
         text += f"(95 % confidence: {100.0 * low:.4g} ... {100.0 * high:.4g} %)"
     else:
         text = f"The tolerances change {record.output} by at most ±{figure(k * worst, unit)} in the worst case"
-    if record.allocation is not None and not record.allocation.kept:
-        text = f"The allocated tolerances do not keep the yield of {100.0 * record.allocation.wanted_yield:.4g} %. {text}"
+    if record.allocation is not None and not record.allocation.achieved:
+        text = f"The allocated tolerances do not keep the yield of {100.0 * record.allocation.target_yield:.4g} %. {text}"
     return f"{text}; {most}."
