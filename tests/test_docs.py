@@ -294,7 +294,7 @@ def test_units_and_ways_of_reading_are_those_of_the_models():
     assert keys.value(DriveSection, "speed") == "angular velocity"
     assert keys.value(DriveSection, "duration") == "time, not negative"
     assert keys.value(Limits, "time_ratio").startswith("range of numbers, with `stroke`")
-    assert keys.value(Limits, "transmission_angle") == "range of angle"
+    assert keys.value(Limits, "transmission_angle") == "range of angle, or table of ranges by joint"
     assert keys.left_out(JointSection.model_fields["restitution"]) == "`0.9`"
     assert keys.left_out(FourBarSection.model_fields["crank"]) == "required"
     page = keys.reference()

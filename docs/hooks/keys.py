@@ -69,6 +69,8 @@ READERS = {
     "read_fixed": "{kind}",
     "read_positive": "{kind}, not negative",
     "_read_interval": "range of {kind}",
+    "_read_joint_ranges": "range of {kind}, or table of ranges by joint",
+    "_read_joint_maxima": "largest {kind}, or table of them by joint",
     "_read_stroke_ratio": "range of {kind}, with `stroke` `forward`, `backward`, `slow` or `quick`",
 }
 """Permitted values by the function of `optlink.problem.quantity` that reads a field."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from optlink.linkage.dyads import prp, rpp, rpr, rrp, rrr
-from optlink.linkage.mechanism import Guide, Link, Pose
+from optlink.linkage.mechanism import Guide, Link, Mechanism, Pose
 from optlink.linkage.passage import GroupPassages
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus, turn, turn_back
 
@@ -194,6 +194,12 @@ class RRP(ModalDyad):
         height = cross(line, minus(pose.point(self.outer), begin)) - pose.offset(self.guide, self.second, self.joint)
         return np.abs(height) - pose.distance(self.first, self.outer, self.joint)
 
+    def cosine(self, pose: Pose) -> Value:
+        """Return the cosine of the angle from the left normal of the guide to the link; outside [-1, 1] where it cannot close."""
+        begin, line = pose.line(self.guide, self.guide.other(self.second.body))
+        height = cross(line, minus(pose.point(self.outer), begin)) - pose.offset(self.guide, self.second, self.joint)
+        return -height / pose.distance(self.first, self.outer, self.joint)
+
     def alignment(self, pose: Pose) -> Value:
         """Return the squared sine of the angle between the link and the normal of the guide."""
         return pose.margins[self.joint]
@@ -237,6 +243,11 @@ class RPR(ModalDyad):
         """Return the offset of the pins across the guide minus their distance [m]."""
         between = minus(*(pose.point(name) for name in self.outer))
         return np.abs(self._offset(pose)) - np.sqrt(dot(between, between))
+
+    def cosine(self, pose: Pose) -> Value:
+        """Return the cosine of the angle from the line of the pins to the normal of the guide; beyond 1 where it cannot close."""
+        between = minus(*(pose.point(name) for name in self.outer))
+        return self._offset(pose) / np.sqrt(dot(between, between))
 
     def alignment(self, pose: Pose) -> Value:
         """Return the squared distance of the pins along the guide over the squared crank length.
@@ -298,6 +309,10 @@ class RPP(Dyad):
         """Return zero: two lines intersect unless they are parallel."""
         return 0.0 * pose.margins[self.joint]
 
+    def cosine(self, pose: Pose) -> Value:
+        """Return the cosine of the angle between the directions of the two lines."""
+        return dot(pose.line(self.rail, self.rail.other(self.second.body))[1], pose.line(self.guide, self.second.body)[1])
+
     def alignment(self, pose: Pose) -> Value:
         """Return the squared sine of the angle between the two lines."""
         return pose.margins[self.joint]
@@ -343,6 +358,32 @@ class PRP(Dyad):
         """Return zero: two lines intersect unless they are parallel."""
         return 0.0 * pose.margins[self.joint]
 
+    def cosine(self, pose: Pose) -> Value:
+        """Return the cosine of the angle between the directions of the two lines."""
+        (_, w), (_, u) = (pose.line(guide, guide.other(link.body)) for link, guide in zip(self.links, self.guides, strict=True))
+        return dot(w, u)
+
     def alignment(self, pose: Pose) -> Value:
         """Return the squared sine of the angle between the two lines."""
         return pose.margins[self.joint]
+
+
+Transmitting = RRR | RRP | RPR | RPP | PRP
+"""The dyads that have a transmission angle: `cosine` is its cosine.
+
+It is the angle between the force that the driving body exerts on the driven one, without friction and inertia, and the direction
+in which that force would have no effect; 90 deg is best, and the pressure angle is the difference from 90 deg. RRR: the angle
+between the two links. RRP: between the link and the normal of the slider's line. RPR: between the line of the two pins and the
+normal of the guide. RPP, PRP: between the two lines. Both bodies of a dyad can be the driven one.
+
+References
+----------
+H. Alt, Der Uebertragungswinkel und seine Bedeutung fuer das Konstruieren periodischer Getriebe, Werkstattstechnik 26 (1932).
+
+S. S. Balli, S. Chand, Transmission angle in mechanisms, Mechanism and Machine Theory 37 (2002) 175-195.
+"""
+
+
+def transmitting(mechanism: Mechanism) -> list[Transmitting]:
+    """Return the groups of a mechanism that have a transmission angle, in their order."""
+    return [group for group in mechanism.groups if isinstance(group, Transmitting)]

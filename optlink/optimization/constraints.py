@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from optlink.linkage.dyad_types import RRR
+from optlink.linkage.dyad_types import RRR, Transmitting
 from optlink.linkage.fourbar import (
     crank_rocker_conditions,
     double_crank_conditions,
@@ -22,7 +22,7 @@ from optlink.linkage.fourbar import (
 from optlink.linkage.mechanism import Group, Pose
 from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
-from optlink.problem.limits import Alignment, Reach, limits_in_file
+from optlink.problem.limits import COUPLER_JOINT, Alignment, Reach, limits_in_file
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import PathProblem
 
@@ -90,6 +90,7 @@ class ConstraintRow:
     low: float
     high: float
     scale: Scale
+    over_span: bool = False  # whether it applies over the span of the requirement alone, not over the whole revolution
 
 
 Term = Callable[[AnyProblem, Mapping[str, Value], Reach, float], Iterator[ConstraintRow]]
@@ -158,29 +159,54 @@ def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
             yield ConstraintRow(key, "dead centre: C not too near to A", row, 0.0, math.inf, millimetres)
 
 
-def transmission_sides(problem: AnyProblem) -> Iterator[tuple[str, float, float, str]]:
-    """Yield the limits of transmission cosines: (key, low, high, "revolution" or "span").
+@dataclass(frozen=True)
+class CosineLimit:
+    """Limits low <= cosine <= high of a transmission angle over the "revolution" or "span"; `key` states them in the file."""
+
+    key: str
+    low: float
+    high: float
+    over: str
+
+    @property
+    def pressure(self) -> bool:
+        """Whether the file limits the pressure angle, whose squared sine is the squared cosine."""
+        return self.key.startswith("limits.pressure_angle")
+
+    def row(self, label: str, cosine: Value) -> ConstraintRow:
+        """Return the row of the limit for a cosine.
+
+        Parameters
+        ----------
+        label : str
+            Name of the joint or the position, empty for none.
+        cosine : float or symbol
+        """
+        if self.pressure:
+            return ConstraintRow(self.key, f"pressure angle{label}", cosine * cosine, -math.inf, self.high**2, SINE_SQUARED)
+        return ConstraintRow(self.key, f"transmission angle{label}", cosine, self.low, self.high, COSINE)
+
+
+def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Iterator[CosineLimit]:
+    """Yield the limits of the cosine of the transmission angle at a joint, those of the alignment included.
 
     A side of the transmission limit that is looser than the alignment limit is left out (infinite); one that is equally tight
     replaces it. Beside a tighter one the alignment limit is kept: it remains enforced when the tighter one is relaxed.
     """
     limits, required = problem.limits, "span" if problem.limits.crank == "span" else "revolution"
     most = math.cos(limits.alignment.value)
-    key, low, high = "limits.transmission_angle", -math.inf, math.inf
-    if limits.transmission_angle is not None:
-        least, most_angle = limits.transmission_angle.low, limits.transmission_angle.high
-        low, high = -math.inf if most_angle is None else math.cos(most_angle), math.inf if least is None else math.cos(least)
-    elif limits.transmission_cosine is not None:
-        key = "limits.transmission_cosine"
-        low, high = limits.transmission_cosine.bounds
+    low, high, stated = -math.inf, math.inf, limits.transmission_at(joint)
+    if stated is not None:
+        low = -math.inf if stated.high is None else math.cos(stated.high)
+        high = math.inf if stated.low is None else math.cos(stated.low)
     own = low if low >= -most - SAME else -math.inf, high if high <= most + SAME else math.inf
-    if own != (-math.inf, math.inf):
-        yield key, *own, problem.transmission_over
+    if stated is not None and own != (-math.inf, math.inf):
+        yield CosineLimit(stated.key, *own, problem.transmission_over)
     same = problem.transmission_over == required
     floor = -math.inf if same and abs(own[0] + most) <= SAME else -most
     ceiling = math.inf if same and abs(own[1] - most) <= SAME else most
     if floor > -math.inf or ceiling < math.inf:
-        yield "limits.alignment", floor, ceiling, required
+        yield CosineLimit("limits.alignment", floor, ceiling, required)
 
 
 def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
@@ -199,18 +225,23 @@ def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
         Not used here.
     """
     lengths = lengths_of(values)
-    for key, low, high, over in transmission_sides(problem):
-        aligned = key == "limits.alignment"
-        if over == "revolution":
+    for limit in transmission_sides(problem):
+        aligned = limit.key == "limits.alignment"
+        if limit.over == "span":
+            for phi in turning_points(reach.start, reach.span):
+                row = limit.row(" over the span", transmission_cosine(*lengths, np.cos(phi)))
+                yield replace(row, label=ALIGNED) if aligned else row
+        elif limit.pressure:
+            for cosine in (1.0, -1.0):
+                yield limit.row("", transmission_cosine(*lengths, cosine))
+        else:
             names = (ALIGNED, ALIGNED) if aligned else ("smallest transmission angle", "largest transmission angle")
-            if high < math.inf:
-                yield ConstraintRow(key, names[0], transmission_cosine(*lengths, 1.0), -math.inf, high, COSINE)
-            if low > -math.inf:
-                yield ConstraintRow(key, names[1], transmission_cosine(*lengths, -1.0), low, math.inf, COSINE)
-            continue
-        label = ALIGNED if aligned else "transmission angle over the span"
-        for phi in turning_points(reach.start, reach.span):
-            yield ConstraintRow(key, label, transmission_cosine(*lengths, np.cos(phi)), low, high, COSINE)
+            if limit.high < math.inf:
+                cosine = transmission_cosine(*lengths, 1.0)
+                yield ConstraintRow(limit.key, names[0], cosine, -math.inf, limit.high, COSINE)
+            if limit.low > -math.inf:
+                cosine = transmission_cosine(*lengths, -1.0)
+                yield ConstraintRow(limit.key, names[1], cosine, limit.low, math.inf, COSINE)
 
 
 def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
@@ -292,14 +323,17 @@ def position_rows(problem: PathProblem, pose: Pose) -> list[ConstraintRow]:
     pose : Pose
         The mechanism at the crank angle.
     """
-    found, limited = [], list(transmission_sides(problem))
-    aligned = any(key == "limits.alignment" for key, *_ in limited)
+    required = "span" if problem.limits.crank == "span" else "revolution"
+    found = []
     for group in problem.linkage.groups:
-        if isinstance(group, RRR):
-            own = ((key, low, high) for key, low, high, _ in limited if key != "limits.alignment")
-            label, cosine = f"transmission angle at {group.joint}", group.cosine(pose)
-            found += [ConstraintRow(key, label, cosine, low, high, COSINE) for key, low, high in own]
-        if aligned or not isinstance(group, RRR):
+        aligned = not isinstance(group, RRR)
+        for limit in transmission_sides(problem, group.joint) if isinstance(group, Transmitting) else ():
+            if limit.key == "limits.alignment":
+                aligned = True
+            elif isinstance(group, Transmitting):
+                row = limit.row(f" at {group.joint}", group.cosine(pose))
+                found.append(replace(row, over_span=limit.over != required))
+        if aligned:
             found.append(alignment_row(problem.limits, group, group.alignment(pose)))
     return found
 

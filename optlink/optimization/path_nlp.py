@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import casadi
@@ -114,20 +115,24 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
         if problem.closed and own:
             span = direction * TURN
         rows = limit_rows(problem, values, Reach(angles[0], span, direction), size)
-        asked: list[Any] = []
-        if not has_position_limits(problem):
-            pass  # the extremes of a four-bar are known
-        elif problem.limits.crank == "span":
-            asked = [a + (b - a) * (k / (BETWEEN + 1)) for a, b in itertools.pairwise(angles) for k in range(BETWEEN + 1)]
-            asked.append(angles[-1])
-        else:
-            asked = list(np.linspace(0.0, TURN, GRID, endpoint=False))
-        begin, whole = required_motion(problem, angles)
-        asked += [begin + whole * p[1 + len(fixed) + k] for k in range(many)]
-        first = len(rows) + (len(asked) - many) * len(at_angle[1])
-        for angle in asked:
-            found = at_angle[0](casadi.vertcat(*names, angle))
-            rows += [ConstraintRow(r.limit, r.label, found[k], r.low, r.high, r.scale) for k, r in enumerate(at_angle[1])]
+        if has_position_limits(problem):  # the extremes of a four-bar are known instead
+
+            def limits_at(angle: Any, over_span: bool) -> dict[int, ConstraintRow]:
+                found = at_angle[0](casadi.vertcat(*names, angle))
+                own = ((k, row) for k, row in enumerate(at_angle[1]) if row.over_span == over_span)
+                return {k: replace(row, value=found[k]) for k, row in own}
+
+            kinds = sorted({row.over_span for row in at_angle[1]})
+            for over_span in kinds:
+                for angle in _fixed_positions(problem, angles, over_span):
+                    rows += limits_at(angle, over_span).values()
+        first = len(rows)
+        for k in range(many):
+            roaming: dict[int, ConstraintRow] = {}
+            for over_span in kinds:
+                begin, whole = required_motion(problem, angles, over_span=over_span)
+                roaming |= limits_at(begin + whole * p[1 + len(fixed) + k], over_span)
+            rows += [roaming[j] for j in range(len(at_angle[1]))]
         if own:
             steps = [(b - a) * direction for a, b in itertools.pairwise(angles)]
             rows += [
@@ -179,7 +184,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
     )
 
 
-def required_motion(problem: PathProblem, angles: Any) -> tuple[Any, Any]:
+def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = False) -> tuple[Any, Any]:
     """Return the crank angle [rad] at which the motion with position limits begins, and its rotation [rad].
 
     Parameters
@@ -187,11 +192,22 @@ def required_motion(problem: PathProblem, angles: Any) -> tuple[Any, Any]:
     problem : PathProblem
     angles : sequence of float or symbol [rad]
         Crank angle of every point.
+    over_span : bool
+        Whether the limits apply from the first point to the last, even if the crank must turn fully.
     """
-    return (angles[0], angles[-1] - angles[0]) if problem.limits.crank == "span" else (0.0, TURN)
+    over_span = over_span or problem.limits.crank == "span"
+    return (angles[0], angles[-1] - angles[0]) if over_span else (0.0, TURN)
 
 
-def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: Array) -> Array:
+def _fixed_positions(problem: PathProblem, angles: list[Any], over_span: bool) -> list[Any]:
+    """Return the crank angles [rad] at which position limits always apply."""
+    if not over_span and problem.limits.crank != "span":
+        return list(np.linspace(0.0, TURN, GRID, endpoint=False))
+    between = [a + (b - a) * (k / (BETWEEN + 1)) for a, b in itertools.pairwise(angles) for k in range(BETWEEN + 1)]
+    return [*between, angles[-1]]
+
+
+def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: Any, shares: Array) -> Array:
     """Return the excess over every position limit, in the units of the rows: negative if satisfied, -inf if undefined.
 
     Parameters
@@ -199,17 +215,26 @@ def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: Ar
     problem : PathProblem
     values : mapping of str to float or array (designs, 1) [m, rad]
         Value of every quantity.
-    angles : array (n,) or (designs, n) [rad]
-        Crank angles.
+    angles : sequence of float, or of array (designs, 1) [rad]
+        Crank angle of every point.
+    shares : array (n,)
+        Positions as shares of the motion over which each limit applies, see `required_motion`.
 
     Returns
     -------
     (rows, n) or (rows, designs, n) float; positions without assembly exceed the row of the assembly margin
     """
+
+    def rows_over(over_span: bool) -> list[ConstraintRow]:
+        begin, whole = required_motion(problem, angles, over_span=over_span)
+        return position_rows(problem, problem.linkage.pose(values, unit(begin + whole * shares)))
+
     with np.errstate(all="ignore"):
-        rows = position_rows(problem, problem.linkage.pose(values, unit(angles)))
+        rows = rows_over(False)
+        if any(row.over_span for row in rows):
+            rows = [own if row.over_span else row for row, own in zip(rows, rows_over(True), strict=True)]
         over = [np.maximum(row.low - row.value, row.value - row.high) for row in rows]
-        found = np.array(np.broadcast_arrays(*over, angles)[:-1])
+        found = np.array(np.broadcast_arrays(*over, angles[0] + shares)[:-1])
     return np.where(np.isfinite(found), found, -np.inf)
 
 

@@ -15,7 +15,7 @@ from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import dead_centre, lengths_of
 from optlink.linkage.vector2d import Value, Vector, angle, unit
 from optlink.problem.base_model import Section
-from optlink.problem.limits import Limits, Reach, check_limits
+from optlink.problem.limits import COUPLER_JOINT, Limits, Reach, check_limits
 from optlink.problem.machine.model import Expected, Problem
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.quantity import (
@@ -269,13 +269,7 @@ def cross_check_design(problem: DesignProblem) -> None:
         raise Unusable(
             "the start angle lies beyond one revolution", "Give it within -360 deg ... 360 deg", "requirement.from", str(turns)
         )
-    if limits.transmission_angle is not None and limits.transmission_cosine is not None:
-        raise Unusable(
-            "the transmission angle is limited twice",
-            "Keep transmission_angle or transmission_cosine",
-            "limits.transmission_cosine",
-        )
-    check_limits(limits)
+    check_limits(limits, [COUPLER_JOINT])
     check_robust(requirement.robust, requirement.measure, len(problem.tolerances))
     if limits.crank == "double-crank" and requirement.start in DEAD_CENTRES and "phi0" not in problem.quantities:
         raise Unusable(

@@ -7,7 +7,7 @@ measurement of the validator in motion (`measure`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
@@ -23,15 +23,19 @@ from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Value
 from optlink.problem.base_model import Section
 from optlink.problem.quantity import (
+    SIDES,
     AngleInterval,
+    AnglesOfJoints,
     FixedAngle,
     Interval,
+    LargestAnglesOfJoints,
     LengthInterval,
     Number,
     NumberInterval,
     Quantity,
     RatioOfStrokes,
     Unusable,
+    nearest,
 )
 
 MARGINS: dict[str, str | float] = {"alignment": f"{np.degrees(LEAST_ALIGNMENT):g} deg", "length_margin": LEAST_LENGTH_MARGIN}
@@ -73,13 +77,35 @@ class Margins(Alignment):
     the longest link."""
 
 
+@dataclass(frozen=True)
+class TransmissionLimit:
+    """Range of the transmission angle at a joint [rad], None for an open side; `key` states it in the file."""
+
+    key: str
+    low: float | None
+    high: float | None
+
+    @property
+    def pressure(self) -> bool:
+        """Whether the file states the largest pressure angle, which lies on both sides of 90 deg."""
+        return self.key.startswith("limits.pressure_angle")
+
+
+COUPLER_JOINT = "C"
+"""Joint of coupler and rocker of a four-bar."""
+
+
 class Limits(Margins):
     """Limits of a design problem."""
 
     crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
     """Crank rotation: full (a four-bar is then a crank-rocker or a double-crank), or only over the span of the requirement."""
-    transmission_angle: AngleInterval | None = None
-    """Range of the transmission angle between coupler and rocker; for dyads, at every joint of two links."""
+    transmission_angle: AnglesOfJoints | None = None
+    """Range of the transmission angle of every dyad; of a four-bar, between coupler and rocker. A table states the ranges of
+    single dyads by their joints, `{ C = ["45 deg", "135 deg"] }`; `min` and `max` in it apply to the others."""
+    pressure_angle: LargestAnglesOfJoints | None = None
+    """Largest pressure angle, the difference of the transmission angle from 90 deg. A table states those of single dyads by their
+    joints, `{ E = "35 deg" }`. A dyad that one of the two keys names is exempt from the general value of the other."""
     transmission_cosine: NumberInterval | None = None
     """Range of the cosine of the transmission angle; four-bar only."""
     transmission_over: Literal["revolution", "span"] | None = None
@@ -94,18 +120,45 @@ class Limits(Margins):
     link_ratio: NumberInterval | None = None
     """Length of each moving link divided by that of the frame; four-bar only."""
 
-    @property
-    def transmission(self) -> tuple[float | None, float | None]:
-        """Least and largest transmission angle [rad] that the file states, as an angle or as a cosine."""
+    def transmission_at(self, joint: str = COUPLER_JOINT) -> TransmissionLimit | None:
+        """Return the limit of the transmission angle at a joint, that with its name before a general one; None if there is none.
+
+        Raises
+        ------
+        Unusable
+            with the key, if there are two.
+        """
+        named: list[TransmissionLimit] = []
+        general: list[TransmissionLimit] = []
+        if self.transmission_angle is not None:
+            own, key = self.transmission_angle, "limits.transmission_angle"
+            general += [TransmissionLimit(key, own.low, own.high)] if own.plain else []
+            named += [TransmissionLimit(f"{key}.{name}", one.low, one.high) for name, one in own.own if name == joint]
         if self.transmission_cosine is not None:
             low, high = self.transmission_cosine.low, self.transmission_cosine.high
-            return None if high is None else math.acos(high), None if low is None else math.acos(low)
-        angle = self.transmission_angle
-        return (None, None) if angle is None else (angle.low, angle.high)
+            angles = None if high is None else math.acos(high), None if low is None else math.acos(low)
+            general.append(TransmissionLimit("limits.transmission_cosine", *angles))
+        if self.pressure_angle is not None:
+            own, key, right = self.pressure_angle, "limits.pressure_angle", 0.5 * math.pi
+            general += [TransmissionLimit(key, right - own.bounds[1], right + own.bounds[1])] if own.plain else []
+            found = ((name, one.bounds[1]) for name, one in own.own if name == joint)
+            named += [TransmissionLimit(f"{key}.{name}", right - most, right + most) for name, most in found]
+        limits = named or general
+        if len(limits) > 1:
+            keys = [limit.key.removeprefix("limits.") for limit in limits]
+            at = f" at {joint}" if named else ""
+            raise Unusable(f"the transmission angle{at} is limited twice", f"Keep {' or '.join(keys)}", limits[-1].key)
+        return limits[0] if limits else None
 
 
-def check_limits(limits: Limits) -> None:
-    """Refuse limits outside the physically possible range, and those that contradict the crank condition.
+def check_limits(limits: Limits, joints: Sequence[str]) -> None:
+    """Refuse limits outside the physically possible range, and those that contradict the crank condition or each other.
+
+    Parameters
+    ----------
+    limits : Limits
+    joints : sequence of str
+        Joints of the dyads that have a transmission angle.
 
     Raises
     ------
@@ -113,18 +166,29 @@ def check_limits(limits: Limits) -> None:
         with the full key of the limit.
     """
     own = (
-        ("transmission_angle", (0.0, np.pi), '["45 deg", "135 deg"]'),
-        ("transmission_cosine", (-1.0, 1.0), "[-0.7071, 0.7071]"),
+        ("transmission_angle", (0.0, np.pi), 'Give a range such as ["45 deg", "135 deg"]'),
+        ("pressure_angle", (math.radians(0.1), 0.5 * np.pi), 'Give one such as "45 deg"'),
+        ("transmission_cosine", (-1.0, 1.0), "Give a range such as [-0.7071, 0.7071]"),
     )
-    for key, (lowest, highest), example in (*own, *((term.name, term.possible, term.example) for term in LIMITS.values())):
-        interval = getattr(limits, key)
-        for bound in () if interval is None else (interval.low, interval.high):
-            if bound is not None and not lowest <= bound <= highest:
+    registered = ((term.name, term.possible, f"Give a range such as {term.example}") for term in LIMITS.values())
+    for name, (lowest, highest), remedy in (*own, *registered):
+        whole = getattr(limits, name)
+        named = [(f"{name}.{joint}", interval) for joint, interval in getattr(whole, "own", ())]
+        for key, interval in () if whole is None else ((name, whole), *named):
+            for bound in (interval.low, interval.high):
+                if bound is not None and not lowest <= bound <= highest:
+                    message = f"{interval.to_display(bound)} is out of the range that it can have"
+                    raise Unusable(message, remedy, f"limits.{key}", str(interval))
+    for joint in joints:
+        limits.transmission_at(joint)
+    for name in ("transmission_angle", "pressure_angle"):
+        whole = getattr(limits, name)
+        if whole is not None and not joints:
+            raise Unusable("no dyad of this mechanism has a transmission angle", "Leave it out", f"limits.{name}")
+        for joint, _ in () if whole is None else whole.own:
+            if joint not in joints:
                 raise Unusable(
-                    f"{interval.to_display(bound)} is out of the range that it can have",
-                    f"Give a range such as {example}",
-                    f"limits.{key}",
-                    str(interval),
+                    "no dyad has its transmission angle there", nearest(joint, [*joints, *SIDES[:2]]), f"limits.{name}.{joint}"
                 )
     for term, _ in limits_in_file(limits) if limits.crank != "full rotation" else ():
         if term.crank_rocker:
@@ -236,15 +300,17 @@ def add_limit(term: LimitTerm) -> None:
 
 
 def stroke_ratio(forward: float, backward: float, stroke: str | None) -> float:
-    """Return the time ratio of two strokes at constant crank speed.
+    """Return the time ratio of two strokes at constant crank speed; NaN if one of them takes no time.
 
     Parameters
     ----------
     forward, backward : float [rad]
-        Positive crank rotation of the two strokes.
+        Crank rotation of the two strokes.
     stroke : "forward", "backward", "slow", "quick" or None
         Stroke in the numerator. None: the slow one.
     """
+    if not min(forward, backward) > 0.0:
+        return math.nan
     if stroke in ("forward", "backward"):
         return forward / backward if stroke == "forward" else backward / forward
     quick, slow = sorted((forward, backward))

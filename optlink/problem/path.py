@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, ValidationInfo, field_validator
 
-from optlink.linkage.dyad_types import RRR
+from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Pose
 from optlink.linkage.vector2d import Value, angle_from, dot, minus, turn, unit
 from optlink.problem.base_model import Section
@@ -252,7 +252,7 @@ class PathProblem(Problem):
     def width(self) -> int:
         """Number of components of the deviation at one position."""
         if self.requirement.kind == "transmission":
-            return len([group for group in self.linkage.groups if isinstance(group, RRR)])
+            return len(transmitting(self.linkage))
         return {"path": 2, "motion": 3, "function": 1}[self.requirement.kind]
 
     @property
@@ -358,7 +358,7 @@ class PathProblem(Problem):
         """Return actual minus prescribed output at one position, elementwise.
 
         For a path, x and y [m]; for a pose also the angle times `radian`; for a function the slide [m] or angle [rad]; for
-        transmission the cosine of the angle at each joint of two links.
+        transmission the cosine of the angle of each dyad.
 
         Parameters
         ----------
@@ -371,7 +371,7 @@ class PathProblem(Problem):
         """
         kind = self.requirement.kind
         if kind == "transmission":
-            return [joint_cosine(pose, group) for group in self.linkage.groups if isinstance(group, RRR)]
+            return [transmission_cosine(pose, group) for group in transmitting(self.linkage)]
         if kind == "function":
             if self.slides:
                 guide = next(guide for guide in self.linkage.guides if guide.name == self.requirement.output)
@@ -411,14 +411,16 @@ def _plain(columns: Array, offsets: Array) -> TargetArrays:
     return TargetArrays(columns, np.ones(len(columns)), offsets, np.full(len(columns), np.inf))
 
 
-def joint_cosine(pose: Pose, group: RRR) -> Value:
-    """Return the cosine of the angle between the two links of a group.
+def transmission_cosine(pose: Pose, group: Transmitting) -> Value:
+    """Return the cosine of the transmission angle of a group; not a number for two links that cannot close.
 
     Parameters
     ----------
     pose : Pose
-    group : RRR
+    group : dyad
     """
+    if not isinstance(group, RRR):
+        return group.cosine(pose)
     joint = pose.point(group.joint)
     one, other = (minus(pose.point(pin), joint) for pin in group.pins)
     return dot(one, other) / np.sqrt(dot(one, one) * dot(other, other))

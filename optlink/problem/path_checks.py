@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.limits import LIMITS, check_limits
 from optlink.problem.mechanism import FourBarSection, check_one_mode
@@ -54,7 +55,7 @@ def cross_check_path(problem: PathProblem) -> None:
     elif task.kind == "transmission":
         if problem.width == 0:
             raise Unusable(
-                "no group of this mechanism has a transmission angle", "Take another requirement", "requirement.kind", task.kind
+                "no dyad of this mechanism has a transmission angle", "Take another requirement", "requirement.kind", task.kind
             )
         if problem.limits.crank == "span":
             raise Unusable(
@@ -209,6 +210,4 @@ def _check_limits(problem: PathProblem, mechanism: Mechanism) -> None:
             raise Unusable("only a four-bar has it", "Leave it out, and bound the lengths themselves", f"limits.{key}")
     if limits.crank == "double-crank" and not four_bar:
         raise Unusable("only a four-bar can be one", 'Write crank = "full rotation"', "limits.crank", limits.crank)
-    if limits.transmission_angle is not None and not any(group.kind == "RRR" for group in mechanism.groups):
-        raise Unusable("no group of this mechanism has a transmission angle", "Leave it out", "limits.transmission_angle")
-    check_limits(limits)
+    check_limits(limits, [group.joint for group in transmitting(mechanism)])

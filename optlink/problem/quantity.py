@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import functools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -129,6 +129,22 @@ class Interval:
     def to_display(self, value: float) -> str:
         """Return the value in the interval's own unit."""
         return show(value, self.kind, self.unit) if self.kind else f"{value:.6g}"
+
+
+@dataclass(frozen=True)
+class JointRanges(Interval):
+    """Limits of an angle at joints: the interval itself for every joint without its own, and `own` by the name of the joint."""
+
+    own: tuple[tuple[str, Interval], ...] = ()
+
+    @property
+    def plain(self) -> bool:
+        """Whether there are limits for the joints without their own."""
+        return self.low is not None or self.high is not None
+
+    def __str__(self) -> str:
+        named = [f"{interval} at {joint}" for joint, interval in self.own]
+        return "; ".join([*([super().__str__()] if self.plain else []), *named])
 
 
 STROKES = {"forward": "backward", "backward": "forward", "slow": "quick", "quick": "slow"}
@@ -313,6 +329,41 @@ def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
     return StrokeRatio(found.low, found.high, found.kind, found.unit, stroke)
 
 
+def _read_joint_ranges(raw: object, kind: str) -> JointRanges:
+    """Read a range for every joint, or a table with the ranges of single joints beside it."""
+    return _joint_ranges(raw, kind, lambda one: _read_interval(one, kind))
+
+
+def _read_joint_maxima(raw: object, kind: str) -> JointRanges:
+    """Read a largest value for every joint, or a table with those of single joints."""
+
+    def largest(one: object) -> Interval:
+        if isinstance(one, dict):
+            for key in one:
+                if key != "max":
+                    raise Unusable(
+                        "only its largest value is limited", f'Write max = "{KINDS[kind].example}"', str(key), one[key]
+                    )
+            return _read_interval(one, kind)
+        value, unit = read_scalar(one, kind)
+        return Interval(None, value, kind, unit)
+
+    return _joint_ranges(raw, kind, largest)
+
+
+def _joint_ranges(raw: object, kind: str, read: Callable[[object], Interval]) -> JointRanges:
+    if isinstance(raw, JointRanges):
+        return raw
+    named = {key: value for key, value in raw.items() if key not in SIDES} if isinstance(raw, dict) else {}
+    sides = {key: raw[key] for key in raw if key in SIDES} if isinstance(raw, dict) else raw
+    own = []
+    for joint, value in named.items():
+        with below(str(joint)):
+            own.append((str(joint), read(value)))
+    plain = read(sides) if sides or not named else Interval(None, None, kind, own[0][1].unit)
+    return JointRanges(plain.low, plain.high, kind, plain.unit, tuple(own))
+
+
 def read_fixed(raw: object, kind: str) -> Quantity:
     """Read a quantity that must be fixed.
 
@@ -366,6 +417,8 @@ Coordinate = Annotated[Quantity, _reader(read_quantity, "coordinate")]
 CoordinateInterval = Annotated[Interval, _reader(_read_interval, "coordinate")]
 LengthInterval = Annotated[Interval, _reader(_read_interval, "length")]
 AngleInterval = Annotated[Interval, _reader(_read_interval, "angle")]
+AnglesOfJoints = Annotated[JointRanges, _reader(_read_joint_ranges, "angle")]
+LargestAnglesOfJoints = Annotated[JointRanges, _reader(_read_joint_maxima, "angle")]
 NumberInterval = Annotated[Interval, _reader(_read_interval, None)]
 RatioOfStrokes = Annotated[StrokeRatio, _reader(_read_stroke_ratio, None)]
 Speed = Annotated[Quantity, _reader(read_fixed, "angular velocity")]

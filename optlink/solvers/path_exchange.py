@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, extremes
 from optlink.optimization.nlp import NLP
-from optlink.optimization.path_nlp import limit_excesses, required_motion
+from optlink.optimization.path_nlp import limit_excesses
 from optlink.problem.path import PathProblem
 from optlink.solvers import contract
 from optlink.solvers import multistart as local
@@ -144,8 +144,8 @@ def excess_over(task: PathProblem, found: Solution) -> Function:
     """
     values = {name: quantity.value for name, quantity in task.quantities.items()} | found.design
     own = found.x[len(task.free) :][: len(task.data.columns)] if task.data.offsets is None else None
-    begin, whole = required_motion(task, task.crank_angles(values, own))
-    return lambda at: limit_excesses(task, values, begin + whole * at) - EXCEEDED
+    angles = task.crank_angles(values, own)
+    return lambda shares: limit_excesses(task, values, angles, shares) - EXCEEDED
 
 
 def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:

@@ -88,7 +88,7 @@ class Batch:
             self._limits = NumpyEvaluator([*inputs, t, span], [g, casadi.jacobian(g, x)]) if rows else None
             self._grid = None
             if self.crank_turns and not self.four_bar:
-                asked = position_rows(problem, pose)
+                asked = [row for row in position_rows(problem, pose) if not row.over_span]
                 self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in asked])
                 g = casadi.vertcat(*[row.value for row in asked])
                 self._grid = NumpyEvaluator([*inputs, t], [g, casadi.jacobian(g, x)])

@@ -123,7 +123,7 @@ def _into(start: Quantity, angle: float) -> float:
 
 def _keep(problem: DesignProblem, offsets: Array) -> Callable[..., Any]:
     """Return a filter for linkages with the assembly mode of the problem that nearly satisfy its transmission-angle limits."""
-    interval = problem.limits.transmission_angle
+    interval = problem.limits.transmission_at()
     low = 0.0 if interval is None or interval.low is None else interval.low - WIDER
     high = math.pi if interval is None or interval.high is None else interval.high + WIDER
 

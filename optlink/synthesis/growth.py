@@ -25,7 +25,7 @@ from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME, Link, Mechanism
 from optlink.linkage.vector2d import unit
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.path_nlp import limit_excesses, required_motion
+from optlink.optimization.path_nlp import limit_excesses
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.limits import Reach
 from optlink.problem.path import PathProblem
@@ -240,8 +240,7 @@ def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batc
 def _slack(batch: Batch, x: Array, angles: Array, along: int) -> Array:
     """Return the least slack (designs,) of the limits at `along` crank angles, in the units of the rows; negative if violated."""
     task, values, at = batch.problem, batch.values(x), batch.crank_angles(x, angles)
-    begin, whole = required_motion(task, at.T[..., None])
-    found = [-np.max(limit_excesses(task, values, begin + whole * np.linspace(0.0, 1.0, along)), axis=(0, 2))]
+    found = [-np.max(limit_excesses(task, values, at.T[..., None], np.linspace(0.0, 1.0, along)), axis=(0, 2))]
     span = at[:, -1:] - at[:, :1]
     for row in limit_rows(task, values, Reach(at[:, :1], span, np.sign(span)), task.size):
         found += [np.minimum(row.value - row.low, row.high - row.value)[:, 0]]

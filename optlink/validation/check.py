@@ -11,7 +11,7 @@ import numpy as np
 from optlink.linkage.mechanism import Link
 from optlink.linkage.motion import Motion
 from optlink.problem.base_model import Number
-from optlink.problem.limits import Limits, Moved, limits_in_file
+from optlink.problem.limits import Limits, Moved, TransmissionLimit, limits_in_file
 from optlink.problem.quantity import Interval, Quantity
 
 POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and extremes are refined
@@ -135,17 +135,25 @@ def registered_checks(moved: Moved, limits: Limits, size: float) -> Iterator[Che
             yield from limit_checks(name, value * factor, interval, tolerance, factor, unit)
 
 
-def transmission_checks(least: float, largest: float, limits: Limits, where: str = "") -> Iterator[Check]:
-    """Yield the checks of the extreme transmission angles.
+def transmission_checks(least: float, largest: float, limit: TransmissionLimit | None, where: str = "") -> Iterator[Check]:
+    """Yield the checks of the extreme transmission angles, or of the largest pressure angle if the file limits that.
 
     Parameters
     ----------
     least, largest : float [deg]
-    limits : Limits
+    limit : TransmissionLimit or None
+        Limit of the file.
     where : str
         Joint, if there are several.
     """
-    low, high = (None if bound is None else math.degrees(bound) for bound in limits.transmission)
+    if limit is None:
+        return
+    low, high = (None if bound is None else math.degrees(bound) for bound in (limit.low, limit.high))
+    if limit.pressure and high is not None:
+        pressure, most = max(90.0 - least, largest - 90.0), high - 90.0
+        name = f"largest pressure angle{where}"
+        yield Check(name, bool(pressure <= most + ANGLE_TOLERANCE), pressure, f"<= {most:.6g}", "deg")
+        return
     if low is not None:
         yield Check(f"smallest transmission angle{where}", bool(least >= low - ANGLE_TOLERANCE), least, f">= {low:.6g}", "deg")
     if high is not None:

@@ -293,11 +293,11 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
 
 def _transmission(tested: _Tested) -> Iterator[Check]:
     """Check the extremes of the transmission angle, by sweep and refinement."""
-    limits = tested.problem.limits
-    if limits.transmission != (None, None):
+    limit = tested.problem.limits.transmission_at()
+    if limit is not None:
         motion = tested.revolution if tested.problem.transmission_over == "revolution" else tested.span
         least, largest = tested.transmission_extremes(motion)
-        yield from transmission_checks(math.degrees(least), math.degrees(largest), limits)
+        yield from transmission_checks(math.degrees(least), math.degrees(largest), limit)
 
 
 def _requirement(tested: _Tested) -> Iterator[Check]:

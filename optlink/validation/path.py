@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.dyad_types import RRR
+from optlink.linkage.dyad_types import RPR, RRP, RRR, transmitting
 from optlink.linkage.extrema import extremes
-from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import travels
 from optlink.problem.mechanism import FourBarSection
@@ -93,7 +93,7 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
 
 
 def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
-    """Return the angle between the two links of every RRR group (positions, groups) [rad], from 0 to pi.
+    """Return the transmission angle of every dyad (positions, dyads) [rad], from 0 to pi, from the moving links and lines.
 
     Parameters
     ----------
@@ -102,13 +102,33 @@ def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
         The mechanism in motion.
     """
     found = []
-    for group in mechanism.groups:
+    for group in transmitting(mechanism):
         if isinstance(group, RRR):
             p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
             one, other = p - c, q - c
-            cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-            found.append(np.abs(np.arctan2(cross, np.sum(one * other, axis=-1))))
+        elif isinstance(group, RRP):
+            one = _normal(_direction(motion, group.guide))
+            other = motion.position(group.joint) - motion.position(group.outer)
+        elif isinstance(group, RPR):
+            one = _normal(_direction(motion, group.guide))
+            other = motion.position(group.outer[0]) - motion.position(group.outer[1])
+        else:
+            one, other = (_direction(motion, guide) for guide in group.prismatic)
+        cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+        found.append(np.arctan2(np.abs(cross), np.sum(one * other, axis=-1)))
     return np.stack(found, axis=1) if found else np.zeros((len(motion.crank_angle), 0))
+
+
+def _direction(motion: Motion, guide: Guide) -> Array:
+    """Return the direction of a guide (positions, 2), from the angle of the body that carries it."""
+    size = motion.pose.size(guide.direction)
+    carried = 0.0 if guide.on == FRAME else np.asarray(motion.body_angle(guide.on).value)
+    angle = carried + float(size) + 0.0 * motion.crank_angle
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def _normal(direction: Array) -> Array:
+    return np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
 
 
 def validate_path(
@@ -275,11 +295,11 @@ def _points(tested: _Tested) -> Iterator[Check]:
 
 
 def _transmission(tested: _Tested) -> Iterator[Check]:
-    """Check the extremes of the transmission angle of every group of two links, by sweep and refinement."""
-    limits = tested.problem.limits
-    if limits.transmission == (None, None):
+    """Check the extremes of the transmission angle of every dyad, by sweep and refinement."""
+    groups = transmitting(tested.mechanism)
+    limits = [tested.problem.limits.transmission_at(group.joint) for group in groups]
+    if not any(limits):
         return
-    groups = [group for group in tested.mechanism.groups if isinstance(group, RRR)]
 
     def angles(at: Array) -> Array:
         return transmission_angles(tested.sweep(at), tested.mechanism).T
@@ -289,9 +309,9 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
     if motion is tested.revolution:
         grid = np.append(grid, grid[0] + TURN)
     extreme = np.degrees(extremes(angles, grid)[1])
-    for group, (least, largest) in zip(groups, extreme, strict=True):
+    for group, limit, (least, largest) in zip(groups, limits, extreme, strict=True):
         where = "" if len(groups) == 1 else f" at {group.joint}"
-        yield from transmission_checks(float(least), float(largest), limits, where)
+        yield from transmission_checks(float(least), float(largest), limit, where)
 
 
 def _registered(tested: _Tested) -> Iterator[Check]:

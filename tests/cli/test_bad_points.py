@@ -35,6 +35,11 @@ SLIDING: Raw = {
     "requirement": {"kind": "function", "output": "F", "law": {**LAW, "output": "40 mm"}},
     "limits": {"crank": "span"},
 }
+CRANK_ALONE: Raw = {
+    "type": "dyads",
+    "ground": {"A": ["0 mm", "0 mm"]},
+    "links": {"crank": {"joints": ["A", "B"], "length": free(5.0, 500.0)}},
+}
 TRANSMISSION: Raw = {
     "title": "t",
     "mechanism": FUNCTION["mechanism"],
@@ -267,8 +272,13 @@ BAD: dict[str, tuple[str, dict[str, object], tuple[str, ...]]] = {
     "a time ratio below one": ("transmission", {"limits.time_ratio": 0.5}, ("limits.time_ratio", "0.5")),
     "a transmission without one": (
         "transmission",
-        {"mechanism": SLIDER_CRANK, "limits.swing_angle": None},
+        {"mechanism": CRANK_ALONE, "limits.swing_angle": None},
         ("requirement.kind", "transmission angle"),
+    ),
+    "a pressure angle of no dyad": (
+        "transmission",
+        {"mechanism": SLIDER_CRANK, "limits.swing_angle": None, "limits.pressure_angle": {"F": "30 deg"}},
+        ("limits.pressure_angle.F", "Known: E, min, max"),
     ),
 }
 

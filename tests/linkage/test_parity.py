@@ -165,6 +165,7 @@ LIMITS = {  # name -> (problem, has abs, has maximum or minimum)
         False,
         False,
     ),
+    "pressure angle": (problem(None, None, {"transmission_angle": None, "pressure_angle": "50 deg"}), False, False),
     "time ratio": (problem(None, None, {"time_ratio": [1.0, 1.5]}), True, False),
     "over the span": (problem(None, None, {"transmission_over": "span"}), False, True),
     "crank over the span": (problem(None, None, {"crank": "span", **ALL, "swing_angle": None}), False, True),

@@ -185,7 +185,8 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
 
 def transmission_limits(result: FunctionResult) -> list[tuple[float, bool]]:
     """Return the limits of the transmission angle [deg], each with whether it is the lower one."""
-    both = result.problem.spec.limits.transmission
+    stated = result.problem.spec.limits.transmission_at()
+    both = () if stated is None else (stated.low, stated.high)
     return [(math.degrees(bound), k == 0) for k, bound in enumerate(both) if bound is not None]
 
 

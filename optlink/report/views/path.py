@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from PIL import Image
 
-from optlink.linkage.dyad_types import RRR
+from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.motion import Motion
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import TURN
@@ -53,7 +53,7 @@ def columns(design: PathDesign) -> dict[str, Array]:
     task, data, measured = design.task, design.task.data, design.measured
     found: dict[str, Array] = {"point": np.arange(1.0, len(data.columns) + 1.0)}
     if task.requirement.kind == "transmission":
-        joints = [group.joint for group in task.linkage.groups if isinstance(group, RRR)]
+        joints = [group.joint for group in transmitting(task.linkage)]
         angles = {f"{joint}.transmission_rad": measured.generated[:, k] for k, joint in enumerate(joints)}
         return {**found, "crank_angle_rad": design.crank_angles, **angles}
     if task.requirement.kind == "function":

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from optlink.linkage.dyad_types import RRR
+from optlink.linkage.dyad_types import transmitting
 from optlink.problem.path import TURN, PathProblem
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into
@@ -41,7 +41,7 @@ def output(track: PathView) -> Output:
     """Return the output of a function over its range, or the transmission angles over the revolution."""
     task, values = track.task, track.design.values
     if task.requirement.kind == "transmission":
-        joints = [group.joint for group in task.linkage.groups if isinstance(group, RRR)]
+        joints = [group.joint for group in transmitting(task.linkage)]
         found = np.degrees(transmission_angles(track.motion, task.linkage))
         return Output(np.degrees(track.motion.crank_angle), found, None, "transmission angle [deg]", joints)
     fine = track.design.problem.override({"requirement.points": FINEST}).model

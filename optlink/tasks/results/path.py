@@ -15,7 +15,7 @@ from pydantic import Field
 from optlink.errors import InputError, Status
 from optlink.io import Summary
 from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
-from optlink.linkage.dyad_types import RRR
+from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
@@ -116,7 +116,7 @@ class PathDesign(Summary):
     def least_transmission(self) -> float:
         """Least distance of the transmission angle from 0 and 180 deg over the required motion [rad]; NaN if there is none."""
         begin, end = (0.0, TURN) if self.crank_turns else sorted((float(self.crank_angles[0]), float(self.crank_angles[-1])))
-        groups = [group for group in self.task.linkage.groups if isinstance(group, RRR)]
+        groups = transmitting(self.task.linkage)
 
         def cosines(angles: Array) -> Array:  # smooth, unlike the angles, which have corners at 0 and pi
             gamma = transmission_angles(sweep(self.task.linkage, self.values, angles), self.task.linkage)
