@@ -17,7 +17,7 @@ from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.inverse import Reactions, reported_on, shaking
 from optlink.dynamics.machine import Moving
 from optlink.io import Registry
-from optlink.linkage.dyad_types import RRP, RRR
+from optlink.linkage.dyad_types import RPR, RRP, RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Value, cross, dot, magnitude, minus
 
@@ -60,10 +60,7 @@ def guide_of(name: str, mechanism: Mechanism) -> str | None:
 PIN = Element(lambda mechanism: mechanism.pins, "no such pin joint")
 GUIDE = Element(lambda mechanism: [guide.name for guide in mechanism.guides], "no such guide")
 POINT = Element(moving_points, "no moving body has such a point")
-JOINT = Element(
-    lambda mechanism: [group.joint for group in mechanism.groups if isinstance(group, RRR | RRP)],
-    "no group has its transmission angle there",
-)
+JOINT = Element(lambda mechanism: [group.joint for group in transmitting(mechanism)], "no dyad has its transmission angle there")
 _SIGNED = ("peak", "rms", "mean", "largest", "least")
 _SIZE = ("peak", "rms")
 _EXTREMES = ("least", "largest")
@@ -139,26 +136,35 @@ def _pin(record: MotionColumns, term: Term) -> Array:
     return np.asarray(np.hypot(*(record.full(part) for part in force)))
 
 
+def _dyad_of(mechanism: Mechanism, joint: str | None) -> Transmitting:
+    return next(group for group in transmitting(mechanism) if group.joint == joint)
+
+
 def _transmission(moving: Moving, reactions: Reactions, term: Term) -> tuple[Value, ...]:
-    """Return the angle between two links, or between a link and the normal of a slider's line [rad]; 90 deg is best."""
-    group = next(group for group in moving.machine.mechanism.groups if group.joint == term.of)
+    """Return the transmission angle of a dyad [rad], see `optlink.linkage.dyad_types.Transmitting`; 90 deg is best."""
+    group = _dyad_of(moving.machine.mechanism, term.of)
     if isinstance(group, RRR):
         p, q = (minus(moving.position(pin), moving.position(group.joint)) for pin in group.pins)
-        return (np.arctan2(magnitude(cross(p, q)), dot(p, q)),)
-    assert isinstance(group, RRP)
-    link, line = minus(moving.position(group.joint), moving.position(group.outer)), moving.line(group.guide.name)
-    return (np.arctan2(magnitude(dot(link, line)), cross(line, link)),)
+    elif isinstance(group, RRP | RPR):
+        ends = (group.joint, group.outer) if isinstance(group, RRP) else group.outer
+        line, q = moving.line(group.guide.name), minus(*(moving.position(end) for end in ends))
+        p = (-line[1], line[0])
+    else:
+        p, q = (moving.line(guide.name) for guide in group.prismatic)
+    return (np.arctan2(magnitude(cross(p, q)), dot(p, q)),)
 
 
 def _transmission_measured(record: MotionColumns, term: Term) -> Array:
-    group = next(group for group in record.moving.machine.mechanism.groups if group.joint == term.of)
+    group, motion = _dyad_of(record.moving.machine.mechanism, term.of), record.moving.motion
     if isinstance(group, RRR):
         return record[f"{group.joint}.transmission_rad"]
-    motion = record.moving.motion
-    assert isinstance(group, RRP)
-    link = np.asarray(motion.position(group.joint) - motion.position(group.outer))
-    line = record.moving.line(group.guide.name)
-    cosine = (line[0] * link[:, 1] - line[1] * link[:, 0]) / np.linalg.norm(link, axis=1)
+    lines = [record.moving.line(guide.name) for guide in group.prismatic]
+    if isinstance(group, RRP | RPR):
+        ends = (group.joint, group.outer) if isinstance(group, RRP) else group.outer
+        arm = np.asarray(motion.position(ends[0]) - motion.position(ends[1]))
+        cosine = (lines[0][0] * arm[:, 1] - lines[0][1] * arm[:, 0]) / np.linalg.norm(arm, axis=1)
+    else:
+        cosine = lines[0][0] * lines[1][0] + lines[0][1] * lines[1][1] + 0.0 * motion.crank_angle
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))  # values beyond +-1 are rounding errors
 
 
@@ -239,7 +245,7 @@ QUANTITIES |= {
     "transmission angle": QuantityType(
         "angle",
         _EXTREMES,
-        "joint of two links, or of a link and a slider",
+        "joint of a dyad",
         JOINT,
         _transmission,
         _transmission_measured,

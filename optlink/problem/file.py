@@ -387,6 +387,8 @@ def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[
         if above.startswith("mechanism."):
             message = f"{above.removeprefix('mechanism.')} is fixed at {known}, it has no bounds"
             raise InputError(Fault(message, f"Name {above} itself, or free it", file, key, value))
+        if above.startswith("limits.pressure_angle") and side == "max":
+            return above, value
         known = [known, known]  # an equality becomes a range
     return above, _side(known, side, value)
 

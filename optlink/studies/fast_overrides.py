@@ -73,6 +73,7 @@ def _place(template: DesignProblem, axis: Axis) -> tuple[str, str, Setter, float
         setter = _bound(side) if side else (lambda q, v: replace(q, value=v))
         return section, name, setter, factor(axis.unit, held.kind)
     if isinstance(held, Interval):
+        side = "max" if name == "pressure_angle" else side
         return section, name, _limit(side), factor(axis.unit, held.kind) if held.kind else 1.0
     return None
 

@@ -71,10 +71,14 @@ class Parameter:
                 nlp.limit(entry, own, upper=False)
 
 
+GENERAL = ("limits.transmission_angle", "limits.pressure_angle")
+"""Keys of limits with one value for several joints, whose rows are labelled "... at JOINT"."""
+
+
 def parameters(nlp: NLP) -> list[Parameter]:
     """Return all fixed quantities, then all finite bounds of design variables and limits.
 
-    Rows that share a limit and a label are one limit, with one bound.
+    Rows that share a limit and a label are one limit, with one bound; so are those of one value for several joints.
     """
     found = [
         Parameter(key_of(c.name), c.name, _told(float(nlp.p[1 + i]), c.scale), c.scale.unit, c.scale, constant=i)
@@ -90,9 +94,12 @@ def parameters(nlp: NLP) -> list[Parameter]:
             if not math.isfinite(bound) or (upper and low == high) or (scale.cosine and abs(bound) >= 1.0):
                 continue
             side = "" if low == high else "max" if upper != scale.cosine else "min"
-            mark = (key, name, side, bound)
+            what, _, joint = name.partition(" at ") if key in GENERAL else (name, "", "")
+            mark = (key, what, side, bound)
             if mark in limits:
-                limits[mark] = replace(limits[mark], entries=(*limits[mark].entries, entry))
+                known = limits[mark]
+                named = known.name if joint in known.name.split(" at ")[-1].split(", ") or not joint else f"{known.name}, {joint}"
+                limits[mark] = replace(known, name=named, entries=(*known.entries, entry))
                 continue
             stated = entry < n or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
             bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if entry < n else name

@@ -16,8 +16,21 @@ from optlink.studies.toml_keys import Raw, exact_text, value_at
 from optlink.units import KINDS, factor
 
 ERROR = "error"
-MOVABLE = ("transmission_angle", "transmission_cosine", "swing_angle", "time_ratio", "frame_length", "link_ratio")
-SEVERAL = ("transmission_angle", "transmission_cosine", "link_ratio")  # limits with a largest and a smallest value
+MOVABLE = (
+    "transmission_angle",
+    "pressure_angle",
+    "transmission_cosine",
+    "swing_angle",
+    "time_ratio",
+    "frame_length",
+    "link_ratio",
+)
+SEVERAL = (
+    "transmission_angle",
+    "pressure_angle",
+    "transmission_cosine",
+    "link_ratio",
+)  # limits with a largest and a smallest value
 ROOM = 1e-3  # relative distance between the sides of a limit with one side at its tightest
 
 
@@ -37,12 +50,12 @@ def law_objective(problem: ProblemFile, name: str) -> ParetoObjective:
     task = problem.spec
     if name == ERROR:
         return ParetoObjective(name, ERROR, MEASURES[task.requirement.measure].unit, 1)
-    limits = [f"limits.{key}.{side}" for key in MOVABLE for side in SIDES]
+    limits = [f"limits.{key}.{side}" for key in MOVABLE for side in SIDES if (key, side) != ("pressure_angle", "min")]
     sizes = [f"mechanism.{key}" for key in task.mechanism.quantities]
     above, _, side = name.rpartition(".")
     key = above.removeprefix("mechanism.").removeprefix("limits.")
-    if side in SIDES and key in MOVABLE:
-        unit = {"transmission_angle": "deg", "swing_angle": "deg", "frame_length": "mm"}.get(key, "")
+    if f"limits.{key}.{side}" in limits:
+        unit = {"transmission_angle": "deg", "pressure_angle": "deg", "swing_angle": "deg", "frame_length": "mm"}.get(key, "")
         words = key.replace("_", " ")
         if key in SEVERAL:
             words = f"{'largest' if side == 'max' else 'smallest'} {words}"
@@ -152,6 +165,8 @@ def without_varied_limits(problem: ProblemFile, aims: Sequence[ParetoObjective])
         whole = value_at(problem, above)
         if above.startswith("mechanism."):
             problem = problem.override({above: {"bounds": whole["bounds"]}})
+        elif above == "limits.pressure_angle":
+            problem = problem.override({above: None})
         elif whole is not None:
             pair = whole if isinstance(whole, list) else [whole, whole]
             sides = dict(whole) if isinstance(whole, Mapping) else dict(zip(SIDES, pair, strict=True))

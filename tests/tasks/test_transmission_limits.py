@@ -1,0 +1,231 @@
+"""Limits of transmission and pressure angles of every dyad: definitions by forces, closed forms, other programmes, defects."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.errors import InputError
+from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.motion import sweep
+from optlink.linkage.vector2d import unit
+from optlink.optimization.path_nlp import build_path_nlp
+from optlink.problem.path import PathProblem
+from optlink.tasks.path import solve, validate
+from optlink.validation.path import transmission_angles
+from tests.tasks.test_motion_laws import LINKS
+
+TURN = 2.0 * math.pi
+Raw = dict[str, object]
+
+ROCKER: Raw = {
+    "title": "t",
+    "mechanism": {
+        **LINKS,
+        "links": {
+            "crank": {"joints": ["A", "B"], "length": "30 mm"},
+            "coupler": {"joints": ["B", "C"], "length": "80 mm"},
+            "rocker": {"joints": ["D", "C"], "length": "70 mm"},
+        },
+    },
+    "drive": {"body": "crank", "speed": "10 rad/s"},
+}
+ALONE = {"bodies": None, "gravity": None, "expected": None}
+MACHINES: dict[str, tuple[optlink.ProblemFile, str, str, float]] = {
+    # problem with one load and no inertia, its dyad, the column of the force that the dyad transmits, the force for 90 deg
+    "RRR": (optlink.read({**ROCKER, "loads": {"w": {"on": "rocker", "torque": "7 N*m"}}}), "C", "C", 100.0),
+    "RRP": (
+        optlink.load(
+            "slider-crank",
+            {**ALONE, "mechanism.guides.F.offset": "70 mm", "loads": {"w": {"on": "slider", "force": "100 N"}}},
+        ),
+        "E",
+        "E",
+        100.0,
+    ),
+    "RPR": (
+        optlink.load("oscillating-cylinder", {**ALONE, "loads": {"w": {"on": "cylinder", "torque": "7 N*m"}}}),
+        "G",
+        "G",
+        7.0,
+    ),
+    "RPP": (
+        optlink.load(
+            "scotch-yoke",
+            {**ALONE, "mechanism.guides.slot.direction": "60 deg", "loads": {"w": {"on": "yoke", "force": "100 N"}}},
+        ),
+        "slot",
+        "B",
+        100.0,
+    ),
+    "PRP": (
+        optlink.load(
+            "slotted-quick-return",
+            {**ALONE, "mechanism.guides.F.friction": None, "loads": {"w": {"on": "ram", "force": "100 N"}}},
+        ),
+        "D",
+        "D",
+        100.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", MACHINES)
+def test_sine_of_the_transmission_angle_is_load_over_transmitted_force(kind: str) -> None:
+    """Inverse dynamics, which knows no transmission angle: the smaller its sine, the larger the force for the same load."""
+    file, joint, column, load = MACHINES[kind]
+    analysis = optlink.analyze(file, points=72)
+    mechanism, sizes = file.model.linkage, {name: q.value for name, q in file.model.quantities.items()}
+    motion = sweep(mechanism, sizes, np.radians(analysis["crank_angle_deg"]))
+    groups = transmitting(mechanism)
+    k = [group.joint for group in groups].index(joint)
+    assert groups[k].kind == kind
+    angles = transmission_angles(motion, mechanism)[:, k]
+    force = analysis[f"{joint}.normal_N"] if kind == "RPR" else np.hypot(*(analysis[f"{column}.f{axis}_N"] for axis in "xy"))
+    if kind == "RPR":  # lever: distance of the pins
+        load = load / np.linalg.norm(motion.position("B") - motion.position("D"), axis=1)
+    np.testing.assert_allclose(np.sin(angles), load / np.abs(force), rtol=1e-9)
+    pose = mechanism.pose(sizes, unit(motion.crank_angle))
+    np.testing.assert_allclose(np.cos(angles), np.broadcast_to(groups[k].cosine(pose), angles.shape), atol=1e-12)
+
+
+CRANK, ROD, OFFSET = 0.025, 0.090, 0.010
+MADE = {"crank.length": CRANK, "rod.length": ROD, "start": 0.3, "zero": 0.1}
+
+
+@pytest.mark.parametrize("offset", [0.0, OFFSET])
+@pytest.mark.parametrize("excess", [-1e-5, 1e-5])
+def test_largest_pressure_angle_of_a_slider_crank(offset: float, excess: float) -> None:
+    """asin((r + e) / l), at a crank angle of the revolution alone, not of the span; just met, and just missed."""
+    most = math.degrees(math.asin((CRANK + offset) / ROD)) + excess
+    key = ("limits.pressure_angle", f"{most!r} deg")
+    if excess > 0.0:
+        key = ("limits.transmission_angle", {"C": [f"{90.0 - most!r} deg", "170 deg"]})
+    result = validate(optlink.load("law-slider-crank", dict([key])), MADE | {"G.offset": offset})
+    (check,) = (check for check in result.validation.checks if "pressure" in check.name or "smallest trans" in check.name)
+    assert check.passed == (excess > 0.0)
+    found = check.value if "pressure" in check.name else 90.0 - check.value
+    assert found == pytest.approx(most - excess, abs=1e-9)
+    assert math.degrees(result.best.least_transmission) == pytest.approx(90.0 - most + excess, abs=1e-9)
+
+
+def test_pressure_angle_of_a_four_bar_of_dyads_is_that_of_the_four_bar() -> None:
+    """The four-bar has the extremes in closed form, the dyads at single crank angles; the optimum is at its limit."""
+    four_bar = optlink.solve(optlink.load("crank-rocker", {"limits": {"pressure_angle": "45 deg"}}))
+    stated = optlink.load("crank-rocker").raw["requirement"]
+    bounds = {"bounds": ["50 mm", "900 mm"]}
+    links = {name: {**link, "length": bounds} for name, link in LINKS["links"].items()}
+    mechanism = {**LINKS, "ground": {"A": ["0 mm", "0 mm"], "D": ["500 mm", "0 mm"]}, "links": links}
+    task = {"kind": "function", "law": stated["law"], "span": stated["span"], "points": stated["points"], "output": "rocker"}
+    file = optlink.read({"title": "t", "mechanism": mechanism, "requirement": task, "limits": {"pressure_angle": "45 deg"}})
+    design = {f"{name}.length": four_bar.design[name] for name in ("crank", "coupler", "rocker")}
+    design |= {"start": four_bar.design["phi0"], "zero": four_bar.design["psi0"]}
+    dyads = validate(file, design)
+    assert four_bar.valid
+    assert dyads.valid
+    found = [next(c.value for c in r.validation.checks if c.name == "largest pressure angle") for r in (four_bar, dyads)]
+    assert found == pytest.approx([45.0, 45.0], abs=1e-6)
+    assert dyads.objective == pytest.approx(four_bar.objective, rel=1e-9)
+    nlp = build_path_nlp(file.model)
+    values = nlp.values(nlp.x_of(design), nlp.p)[1]
+    shown = [
+        row.scale.to_display(float(value))
+        for row, value in zip(nlp.rows, values, strict=True)
+        if row.limit == "limits.pressure_angle"
+    ]
+    assert max(shown) == pytest.approx(45.0, abs=1e-6)  # crank angles of 0 and 180 deg are among the positions
+
+
+def test_named_dyads_have_their_own_range_and_the_others_the_general_one() -> None:
+    def limits(changes: Raw) -> dict[str, tuple[float, float]]:
+        model = optlink.load("law-six-bar", {f"limits.{key}": value for key, value in changes.items()}).model
+        assert isinstance(model, PathProblem)
+        found = {}
+        for joint in ("C", "E"):
+            limit = model.limits.transmission_at(joint)
+            if limit is not None:
+                found[limit.key.removeprefix("limits.")] = tuple(round(math.degrees(b), 9) for b in (limit.low, limit.high))
+        return found
+
+    both = {"transmission_angle": {"min": "40 deg", "max": "140 deg", "E": ["30 deg", "120 deg"]}}
+    assert limits(both) == {"transmission_angle": (40.0, 140.0), "transmission_angle.E": (30.0, 120.0)}
+    assert limits({"pressure_angle": {"E": "35 deg"}}) == {"transmission_angle": (40.0, 140.0), "pressure_angle.E": (55.0, 125.0)}
+    assert limits({"transmission_angle": {"E": ["30 deg", "120 deg"]}}) == {"transmission_angle.E": (30.0, 120.0)}
+    assert limits({"transmission_angle": None, "pressure_angle.C": "20 deg"}) == {"pressure_angle.C": (70.0, 110.0)}
+
+
+FAULTS = {
+    "no such dyad": ({"transmission_angle": {"G": ["40 deg", "140 deg"]}}, "limits.transmission_angle.G", "Known: C, E, min"),
+    "twice": ({"pressure_angle": "30 deg"}, "limits.pressure_angle", "limited twice"),
+    "twice at E": (
+        {"pressure_angle": {"E": "30 deg"}, "transmission_angle": {"E": ["40 deg", "140 deg"]}},
+        "limits.pressure_angle.E",
+        "limited twice",
+    ),
+    "a range": ({"pressure_angle": {"E": {"min": "3 deg"}}}, "limits.pressure_angle.E.min", "only its largest value"),
+    "too large": ({"pressure_angle": {"E": "95 deg"}, "transmission_angle": None}, "limits.pressure_angle.E", "out of the range"),
+    "reversed": ({"transmission_angle": {"E": ["140 deg", "40 deg"]}}, "limits.transmission_angle.E", "Exchange"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_wrong_limits_are_named(name: str) -> None:
+    changes, key, words = FAULTS[name]
+    with pytest.raises(InputError) as caught:
+        optlink.load("law-six-bar", {f"limits.{k}": value for k, value in changes.items()})
+    (fault,) = caught.value.faults
+    assert fault.key == key
+    assert words in str(fault)
+
+
+def test_limits_over_the_span_do_not_hold_beyond_it() -> None:
+    """A tight limit that only the span can satisfy, with a crank that turns fully."""
+    file = optlink.load("law-slider-crank", {"limits.pressure_angle": "20 deg", "limits.alignment": "1 deg"})
+    over = file.override({"limits.transmission_over": "span"})
+    whole, span = (solve(one, starts=60, designs=1) for one in (file, over))
+    assert whole.valid
+    assert span.valid
+    assert span.objective < 0.9 * whole.objective
+    found = span.best
+    begin, end = found.crank_angles[[0, -1]]
+    pressure = {}
+    for name, angles in {"span": np.linspace(begin, end, 2001), "turn": np.linspace(0.0, TURN, 2001)}.items():
+        height = found.values["crank.length"] * np.sin(angles) - found.values["G.offset"]
+        pressure[name] = math.degrees(math.asin(np.max(np.abs(height)) / found.values["rod.length"]))
+    assert pressure["span"] == pytest.approx(20.0, abs=1e-5)
+    assert pressure["turn"] > 21.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", ["transmission_angle.min", "pressure_angle.max"])
+def test_price_of_the_limit_is_the_difference_of_two_optima(key: str) -> None:
+    limit, _, side = key.partition(".")
+    stated = ["45 deg", "135 deg"] if side == "min" else "45 deg"
+    file = optlink.load("law-slider-crank", {f"limits.{limit}": stated})
+    found = {}
+    for backend in ("ipopt", "slsqp"):
+        for bound in (44.95, 45.0, 45.05):
+            result = solve(file.override({f"limits.{key}": f"{bound} deg"}), backend, starts=120, designs=1)
+            assert result.valid
+            found[backend, bound] = result
+    for backend in ("ipopt", "slsqp"):
+        limits = found[backend, 45.0].best.limits
+        (price,) = (one.multiplier for one in limits if one.key == f"limits.{limit}" and one.active)
+        slope = (found[backend, 45.05].objective - found[backend, 44.95].objective) / 0.1
+        assert price == pytest.approx(slope, rel=1e-3)
+    assert found["slsqp", 45.0].objective == pytest.approx(found["ipopt", 45.0].objective, rel=1e-7)
+
+
+@pytest.mark.slow
+def test_conflict_is_relaxed_to_the_closed_form() -> None:
+    """Crank at least 15 mm, rod at most 60 mm: a pressure angle of asin(1/4) at best; or a crank of 60 mm sin(8 deg)."""
+    rod, crank = ({"bounds": [f"{low} mm", "60 mm"]} for low in (20, 15))
+    changes = {"mechanism.links.rod.length": rod, "mechanism.links.crank.length": crank, "limits.pressure_angle": "8 deg"}
+    result = solve(optlink.load("law-slider-crank", changes), starts=60)
+    assert not result.valid
+    relaxed = {one.key: one.relaxed for one in result.conflict}
+    assert relaxed["limits.pressure_angle"] == pytest.approx(math.degrees(math.asin(0.25)), abs=1e-4)
+    assert relaxed["mechanism.crank.length"] == pytest.approx(60.0 * math.sin(math.radians(8.0)), abs=1e-4)
