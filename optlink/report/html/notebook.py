@@ -1,27 +1,27 @@
-"""HTML of a result for notebooks: its table, and its linkage or first chart as SVG."""
+"""HTML of a result for notebooks: its table, its linkage with a slider, and the first chart of a study."""
 
 from __future__ import annotations
 
 import io
+import json
+import re
+from pathlib import Path
 from typing import Any, get_args
 
 from optlink.errors import InputError
-from optlink.problem.file import ProblemFile
-from optlink.report.html.shell import fragment
-from optlink.report.registry import table_of, view_of
-from optlink.report.report_model import resulting_machine
-from optlink.report.scene import scene
-from optlink.report.stored.loader import KNOWN
-from optlink.tasks.analyze import analyze
-from optlink.tasks.function import FunctionResult
-from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.results.balance import Balance
-from optlink.tasks.results.cycle import CycleResult
-from optlink.tasks.results.path import PathResult
+from optlink.problem.base_model import Contradiction
+from optlink.report.html.moving_linkage import Moving
+from optlink.report.html.page import moved
+from optlink.report.html.shell import asset, fragment, templates
+from optlink.report.registry import page_of, table_of, view_of
+from optlink.report.report_model import Outcome, report_model_of
+from optlink.report.stored.loader import KNOWN, STUDIES
+
+STEPS = 120  # positions per revolution
 
 
 def notebook_html(result: Any) -> str | None:
-    """Return the table and the drawing of a result as HTML; None for a kind without a table.
+    """Return the drawings and the tables of a result as HTML; None for a kind without a table.
 
     Parameters
     ----------
@@ -32,22 +32,35 @@ def notebook_html(result: Any) -> str | None:
         return None
     _, kind = KNOWN[schema]
     shown = table_of(kind)(result)
-    return fragment(shown.status, *shown.parts) + (_linkage(result) or _chart(kind, result))
+    moving = _moving(kind, result, study=schema in STUDIES)
+    linkage = "" if moving is None else moving_html(moving, result.problem.model.title)
+    chart = _chart(kind, result) if moving is None or schema in STUDIES else ""
+    return fragment(shown.status) + linkage + chart + fragment(*shown.parts)
 
 
-def _linkage(result: Any) -> str:
-    """Return the resulting linkage as SVG; an empty text if the result has none."""
-    from optlink.report.export.svg import svg
+def moving_html(moving: Moving, title: str) -> str:
+    """Return a linkage that a slider moves, as HTML for any number of outputs of a notebook.
 
-    cycle: Analysis | None = result if isinstance(result, Analysis) else None
-    machine: ProblemFile | None = result.balanced if isinstance(result, Balance) else None
+    Parameters
+    ----------
+    moving : Moving
+    title : str
+        Accessible name of the drawing.
+    """
+    motion = json.dumps(moving.to_dict(), separators=(",", ":"), allow_nan=False)
+    script = asset("motion.js") + asset("notebook.js")
+    made = templates().get_template("notebook.html").render(moving=moving, title=title, motion=motion, script=script)
+    return made.replace("\n\n", "\n")
+
+
+def _moving(kind: str, result: Any, *, study: bool) -> Moving | None:
+    """Return the moving linkage of a result; None if it has none, or cannot be assembled."""
     try:
-        if isinstance(result, FunctionResult | PathResult | CycleResult):
-            machine = resulting_machine(result)
-        cycle = analyze(machine) if machine is not None else cycle
-    except InputError:  # a design that cannot be assembled
-        return ""
-    return "" if cycle is None else svg(scene(cycle), result.problem.model.title)
+        if study:
+            return page_of(kind)(type(result).record.of(result), result.problem, Path("result.json")).moving(STEPS)
+        return moved(report_model_of(result.problem, result), STEPS) if isinstance(result, Outcome) else None
+    except (InputError, Contradiction):  # a design that cannot be assembled, a study without a design
+        return None
 
 
 def _chart(kind: str, result: Any) -> str:
@@ -59,6 +72,12 @@ def _chart(kind: str, result: Any) -> str:
     first = next((draw([chart]) for chart in view.charts(view.model(result))), None) or next(drawings, None)
     if first is None:
         return ""
+    from matplotlib import rc_context
+    from matplotlib.text import Text
+
     text = io.StringIO()
-    first.savefig(text, format="svg")
-    return text.getvalue()[text.getvalue().index("<svg") :]
+    for words in first.findobj(Text):
+        words.set_path_effects([])
+    with rc_context({"svg.fonttype": "none"}):  # letters as text: a tenth of the size of outlines
+        first.savefig(text, format="svg")
+    return re.sub(r"(\d\.\d\d)\d+", r"\1", text.getvalue()[text.getvalue().index("<svg") :])  # a hundredth of a point is enough

@@ -75,12 +75,12 @@ class PageContent:
 
     def html(self) -> str:
         """Return the complete document."""
-        script, (plotly, packed) = _asset("page.js"), _plotly()
+        script, (plotly, packed) = asset("page.js"), _plotly()
         charts = [_charted(chart) for chart in self.charts]
         drawn = [json.dumps(charts), "" if self.moving is None else self.moving.svg("")]
         colours = theme.palette(drawn)
         return (
-            _templates()
+            templates()
             .get_template("page.html")
             .render(
                 sheet=self,
@@ -177,7 +177,8 @@ def write(text: str, path: Path) -> None:
 
 
 @cache
-def _templates() -> Environment:
+def templates() -> Environment:
+    """Return the templates of pages and notebooks."""
     made = Environment(
         loader=PackageLoader("optlink.report"),
         autoescape=True,
@@ -195,7 +196,7 @@ def _templates() -> Environment:
 
 def fragment(*parts: Part) -> str:
     """Return tables and paragraphs as HTML without a page around them."""
-    made = _templates().get_template("parts.html").module
+    made = templates().get_template("parts.html").module
     return "".join(made.part(one) for one in parts)  # type: ignore[attr-defined]
 
 
@@ -272,14 +273,15 @@ def _policy(*scripts: str) -> str:
 
 
 @cache
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """Return a script or style sheet of the package."""
     return files("optlink.report").joinpath("assets", name).read_text(encoding="utf-8")
 
 
 def _style(colours: Mapping[str, str]) -> str:
     """Return the style sheet, with the colours of drawings in dark mode."""
     swapped = "".join(f"--c{colour[1:]}:{other};" for colour, other in colours.items())
-    return _asset("page.css").replace("/*drawn*/", swapped)
+    return asset("page.css").replace("/*drawn*/", swapped)
 
 
 @cache
