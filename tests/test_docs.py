@@ -24,6 +24,7 @@ from optlink.cli.app import app
 from optlink.problem.base_model import Section
 from optlink.problem.targets.expression import FUNCTIONS
 from optlink.report.registry import json_schema
+from optlink.templates import templates
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -115,6 +116,30 @@ def test_a_broken_link_would_be_seen():
     assert "how-the-output-answers-to-the-sizes" in anchors(DOCS / "studies.md")
     assert "joints-with-clearance-and-control" in anchors(DOCS / "problem-files.md")
     assert slug("Path, motion, function: what a linkage shall do") == "path-motion-function-what-a-linkage-shall-do"
+
+
+def test_every_template_has_its_recipe():
+    pages = {page.stem: page.read_text(encoding="utf-8") for page in (DOCS / "recipes").glob("*.md")}
+    hooked = hook("recipes")
+    assert hooked.LISTED in pages.pop("index")
+    assert set(pages) == set(templates())
+    for text in pages.values():
+        assert text.count(hooked.MARKER) == 1
+        assert hooked.READING in text
+    assert all(f"[{name}]({name}.md)" in hooked.listed() for name in pages)
+
+
+@pytest.mark.slow
+def test_recipe_shows_file_picture_and_answer():
+    """What is quoted of the answer is in it; other words would be seen."""
+    hooked, page = hook("recipes"), (DOCS / "recipes" / "law.md").read_text(encoding="utf-8")
+    shown = hooked.recipe("law")
+    assert optlink.new("law") in shown
+    assert "optimal, valid" in shown.partition("## The answer")[2]
+    assert "![" in shown
+    assert hooked.answer("law").picture.startswith(b"\x89PNG")
+    assert hooked.missing(page, hooked.answer("law").text) == []
+    assert hooked.missing(page.replace("`optimal, valid`", "`perfect`"), hooked.answer("law").text) == ["perfect"]
 
 
 @pytest.mark.parametrize("page", READ, ids=named)
