@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import os
 import re
+import shlex
 import subprocess
 import sys
 
@@ -12,7 +13,7 @@ import pytest
 
 import optlink
 from optlink.errors import Status
-from tests.test_docs import DOCS, PAGES, ROOT, hook
+from tests.test_docs import DOCS, PAGES, ROOT, hook, parse
 
 # --- formulas ------------------------------------------------------------------------------------------------------------
 
@@ -56,6 +57,30 @@ def test_sketches_are_those_of_the_named_dyads_and_the_same_at_each_build():
         assert [group.kind for group in machine.mechanism.groups] == [kind]
     assert sketches.svg("rrp") == sketches.svg("rrp")
     assert b"<svg" in sketches.svg("four-bar")
+
+
+# --- the gallery -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_gallery_has_every_problem_with_a_real_command():
+    gallery = hook("gallery")
+    page = gallery.page()
+    for name in optlink.shipped():
+        card = re.search(rf'<figure id="{name}">.*?</figure>', page)[0]
+        command = html.unescape(re.search(r"<code>(.*?)</code>", card)[1])
+        assert parse(shlex.split(command)[1:]).params.get("problem") == name
+        assert len(re.search(r"</strong> (.*?) <code>", card)[1]) > 30, name
+    assert gallery.command_of(optlink.load("slider-crank-clearance")) == "optlink simulate slider-crank-clearance"
+
+
+def test_pictures_of_the_gallery_show_valid_designs_alone(monkeypatch):
+    gallery = hook("gallery")
+    for name in ("whitworth", "path-scott-russell"):
+        assert gallery.picture(name)[:4] == b"\x89PNG"
+    tight = optlink.load("crank-rocker").override({"limits.transmission_angle": ["85 deg", "95 deg"], "requirement.points": 3})
+    monkeypatch.setattr(gallery.optlink, "load", lambda name: tight)
+    with pytest.raises(ValueError, match="no valid design to draw"):
+        gallery.picture("infeasible")
 
 
 # --- outputs of commands -----------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ import optlink
 from optlink.linkage.motion import Motion, sweep
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, place_labels
-from optlink.report.style import GROUND, HALO, QUIET, figure, house
+from optlink.report.style import GROUND, HALO, QUIET, house
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -137,25 +137,12 @@ def _joints(sketch: Sketch, motion: Motion) -> dict[str, Array]:
     return {name: sketch.position(motion, name)[0] for name in sketch.names}
 
 
-def _stage(sketch: Sketch, width: float, height: float) -> tuple[Figure, Axes]:
-    """Return a figure [inch] with the ground of a sketch, and its axes, which fill it."""
-    drawn = figure(width, height)
-    drawn.set_layout_engine("none")
-    axes = drawn.add_axes((0.0, 0.0, 1.0, 1.0))
-    sketch.stage(axes, traces=False)
-    (x0, x1), (y0, y1) = sketch.limits
-    half = 0.5 * max(x1 - x0, (y1 - y0) * width / height) * np.array([1.0, height / width])
-    axes.set(xlim=0.5 * (x0 + x1) + half[0] * np.array([-1, 1]), ylim=0.5 * (y0 + y1) + half[1] * np.array([-1, 1]))
-    axes.set_axis_off()
-    return drawn, axes
-
-
 def four_bar() -> Figure:
     """Draw the four-bar with its lengths, crank angle, output angle and transmission angle."""
     sketch, motion = _posed(DYADS["RRR"], ANGLES["RRR"], 0.04)
     at = _joints(sketch, motion)
     sketch.widen(np.array([at["A"] - [60.0, 45.0], at["D"] + [105.0, 0.0], at["C"] + [0.0, 25.0]]))
-    drawn, axes = _stage(sketch, 6.4, 4.0)
+    drawn, axes = sketch.alone(6.4, 4.0, traces=False)
     for start, end in ((at["A"], at["D"]), (at["D"], at["D"] + [95.0, 0.0])):
         axes.add_line(Line2D(*np.array([start, end]).T, color=QUIET, linewidth=1.1, linestyle=(0, (5, 3)), zorder=1))
     sketch.pose(axes, motion)
@@ -205,7 +192,7 @@ def dyad(kind: str) -> Figure:
         share = SYMBOL * sketch.size / _posed(other, ANGLES[kind], SYMBOL)[0].size  # symbols of the same size
         ghost = _posed(other, ANGLES[kind], share)
         sketch.low, sketch.high = np.minimum(sketch.low, ghost[0].low), np.maximum(sketch.high, ghost[0].high)
-    drawn, axes = _stage(sketch, 3.6, 2.7)
+    drawn, axes = sketch.alone(3.6, 2.7, traces=False)
     if ghost:
         ghost[0].colours = sketch.colours
         for artist in ghost[0].pose(axes, ghost[1]):

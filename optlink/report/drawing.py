@@ -26,7 +26,7 @@ from optlink.linkage.stroke import TURN
 from optlink.linkage.vector2d import Vector
 from optlink.report.labels import Label
 from optlink.report.shapes import Part, finite, hatching, hull, rectangle, spread, stem
-from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, scale
+from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, figure, scale
 
 Array = NDArray[np.float64]
 FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
@@ -241,6 +241,22 @@ class Sketch:
         """Height divided by width."""
         (x0, x1), (y0, y1) = self.limits
         return (y1 - y0) / (x1 - x0)
+
+    def alone(self, width: float, height: float, *, traces: bool = True) -> tuple[Figure, Axes]:
+        """Return a figure that the fixed parts of the drawing fill, without scales, and its axes.
+
+        Parameters
+        ----------
+        width, height : float [inch]
+        traces : bool, optional
+            Draw the traces.
+        """
+        drawn = figure(width, height, "none")
+        self.stage(axes := drawn.add_axes((0.0, 0.0, 1.0, 1.0)), traces=traces)
+        half = 0.5 * np.max(np.ptp(self.limits, axis=1) / (width, height)) * np.array([[width], [height]])
+        axes.axis((*(np.mean(self.limits, axis=1, keepdims=True) + half * [-1.0, 1.0]).ravel(),))
+        axes.set_axis_off()
+        return drawn, axes
 
     # --- drawing -----------------------------------------------------------------------------------------------------------
 

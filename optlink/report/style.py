@@ -9,7 +9,7 @@ import unicodedata
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -66,15 +66,17 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
     return inside
 
 
-def figure(width: float, height: float) -> Figure:
+def figure(width: float, height: float, layout: Literal["constrained", "none"] = "constrained") -> Figure:
     """Return an empty figure without a window.
 
     Parameters
     ----------
     width : float [inch]
     height : float [inch]
+    layout : "constrained" or "none", optional
+        Layout engine of matplotlib; "none" for axes at given places.
     """
-    made = Figure(figsize=(width, height), layout="constrained")
+    made = Figure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(made)
     return made
 
