@@ -251,7 +251,7 @@ class Sketch:
         traces : bool, optional
             Draw the traces.
         """
-        drawn = figure(width, height, "none")
+        drawn = figure(width, height, None)
         self.stage(axes := drawn.add_axes((0.0, 0.0, 1.0, 1.0)), traces=traces)
         half = 0.5 * np.max(np.ptp(self.limits, axis=1) / (width, height)) * np.array([[width], [height]])
         axes.axis((*(np.mean(self.limits, axis=1, keepdims=True) + half * [-1.0, 1.0]).ravel(),))

@@ -66,15 +66,15 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
     return inside
 
 
-def figure(width: float, height: float, layout: Literal["constrained", "none"] = "constrained") -> Figure:
+def figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
     """Return an empty figure without a window.
 
     Parameters
     ----------
     width : float [inch]
     height : float [inch]
-    layout : "constrained" or "none", optional
-        Layout engine of matplotlib; "none" for axes at given places.
+    layout : "constrained" or None, optional
+        Layout engine of matplotlib; None for axes at given places.
     """
     made = Figure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(made)
