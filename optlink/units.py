@@ -84,6 +84,12 @@ KINDS = {
     )
 }
 
+_SIMPLE = r"[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][-+]?\d{1,4})?"  # in a range, where a dot may belong to ".."
+_AFTER = r"(1\s*/.*?|[^\s\d.<=>].*?)"  # a unit, beside a number
+_RANGE = re.compile(rf"\s*({_SIMPLE})\s*{_AFTER}?\s*\.\.\.?\s*({_SIMPLE})\s*{_AFTER}?\s*", re.DOTALL | re.ASCII)
+_ONE_SIDED = re.compile(rf"\s*([<>])=?\s*({_SIMPLE})\s*{_AFTER}?\s*", re.DOTALL | re.ASCII)
+_COMMA = re.compile(r"([-+]?)(\d+),(\d+)\s*([^\d.].*)?", re.DOTALL | re.ASCII)
+_GROUPS = re.compile(r"([-+]?\d{1,3}(?:[ ,._'\u2019]\d{3})+)(?:[.,](\d+))?\s*(\D.*)?", re.DOTALL | re.ASCII)
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(1\s*/.*?|[^\s\d].*?)?\s*", re.DOTALL | re.ASCII)
 _POWER = r"(?:\s*(?:\^|\*\*)\s*(-?[1-4](?:\.5)?)|([2-4]))?"  # "m^2", "m**2", "m2"
@@ -262,9 +268,9 @@ def parse(text: object, kind: str) -> tuple[float, str]:
         raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{_digits(text)} {wanted.display}", with the quotes')
     text = plain(text[:201])
     match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None
+    if match is None or _UNIT.fullmatch(match[2] or "m") is None:
+        _check_form(text.strip(), kind)
     if match is None:
-        if re.match(r"\s*[-+]?(nan|inf)", text, re.IGNORECASE):
-            raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
         raise UnitProblem(f"this is not {_a(kind)}", f'Write a number and a unit: "{wanted.example}"')
     number, unit = match.groups()
     if unit is None:
@@ -274,6 +280,76 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     if not math.isfinite(value):
         raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
     return value, known.symbol
+
+
+def _check_form(text: str, kind: str) -> None:
+    """Raise for what is written in another form than a number and a unit, but can be recognised."""
+    wanted = KINDS[kind]
+    if len(text) > 200:
+        return
+    if re.match(r"[-+]?(nan|inf)", text, re.IGNORECASE):
+        raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
+    if split_range(text) is not None:
+        raise UnitProblem(f"one {kind} is needed here, not a range", f'Write one value: "{wanted.example}"')
+    comma, groups = _COMMA.fullmatch(text), _GROUPS.fullmatch(text)
+    if comma is not None:
+        sign, whole, decimals, unit = comma.groups()
+        clear = f"{sign}{whole}.{decimals} {unit or wanted.display}"
+        parse(clear, kind)
+        if len(decimals) != 3 or len(whole) > 3 or whole.startswith("0"):
+            raise UnitProblem("this has a decimal comma", f'Write a decimal point: "{clear}"')
+        other = f"{sign}{whole}{decimals} {unit or wanted.display}"
+        raise UnitProblem("the comma may separate decimals or thousands", f'Write "{clear}" or "{other}"')
+    if groups is not None:
+        whole, decimals, unit = groups.groups()
+        clear = f"{re.sub('[^-+0-9]', '', whole)}{f'.{decimals}' if decimals else ''} {unit or wanted.display}"
+        parse(clear, kind)
+        raise UnitProblem("thousands separators are not read", f'Write "{clear}"')
+
+
+def split_range(text: str) -> dict[str, str | float] | None:
+    """Return the sides of a range such as "40..140 deg", "40 deg ... 140 deg" or ">= 40 deg"; None for any other text.
+
+    Parameters
+    ----------
+    text : str
+        A text of a problem file.
+
+    Returns
+    -------
+    dict of str to (str or float), or None
+        Values by "min" and "max", each with its unit; numbers where none is written.
+    """
+    if len(text) > 200 or not re.search(r"\.\.|\u2026|[<>\u2264\u2265]", text):
+        return None
+    text = plain(text)
+    one_sided = _ONE_SIDED.fullmatch(text)
+    if one_sided is not None:
+        side, number, unit = one_sided.groups()
+        return {"min" if side == ">" else "max": _side(number, unit)}
+    match = _RANGE.fullmatch(text)
+    if match is None:
+        return None
+    low, low_unit, high, high_unit = match.groups()
+    return {"min": _side(low, low_unit or high_unit), "max": _side(high, high_unit or low_unit)}
+
+
+def _side(number: str, unit: str | None) -> str | float:
+    if unit:
+        return f"{number} {unit}"
+    return number if "," in number else float(number)
+
+
+def split(text: str) -> tuple[float, str] | None:
+    """Return number and unit of a quantity, the unit empty where there is none; None for any other text.
+
+    Parameters
+    ----------
+    text : str
+        A text such as "412 mm".
+    """
+    match = _QUANTITY.fullmatch(plain(text)) if len(text) <= 200 else None
+    return None if match is None else (float(match[1]), match[2] or "")
 
 
 def _a(kind: str) -> str:

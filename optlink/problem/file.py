@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import hashlib
 import json
 import os
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,8 +25,9 @@ from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem, cross_check
 from optlink.problem.path import PathProblem
 from optlink.problem.path_checks import cross_check_path, four_bar_limits
-from optlink.problem.quantity import input_of, nearest
+from optlink.problem.quantity import input_of, nearest, with_ranges
 from optlink.problem.tolerances import with_tolerance
+from optlink.units import plain, split, split_range
 
 MAX_BYTES = 1_000_000
 GENERATED = ("path", "motion", "transmission")
@@ -166,7 +169,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
             raise InputError(
                 Fault("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
             )
-    raw = _read_toml(path)
+    raw = with_ranges(_read_toml(path), skip=_WORDS)
     if overrides:
         for key, value in overrides.items():
             _assign(raw, key, value, path.name if text in names else text)
@@ -197,7 +200,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     load_extensions()
     where = folder or Path()
     _check_integers(raw, file)
-    raw = _typed(raw)
+    raw = _typed(with_ranges(raw, skip=_WORDS))
     task = raw.get("requirement")
     dyads = of_dyads(raw)
     output = dyads and isinstance(task, dict)
@@ -296,9 +299,29 @@ def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
             return key, read_back["value"]
         raise InputError(Fault("a value is one line", f"Repeat {option} for every key", key=key, value=value))
     except (tomllib.TOMLDecodeError, ValueError, RecursionError):
+        repaired = _BARE.sub(_quoted, value) if value[0] in "[{" and len(value) <= MOST_BARE else plain(value)
+        with contextlib.suppress(tomllib.TOMLDecodeError, ValueError, RecursionError):
+            if repaired != value:
+                return key, tomllib.loads(f"value = {repaired}")["value"]
         if value[0] in "[{\"'":
-            raise InputError(Fault("the value is not valid TOML", "Check brackets and quotes", key=key, value=value)) from None
+            remedy = f"""Put it into single quotes, and texts in it into double quotes: {option} '{key}=["40 deg", "140 deg"]'"""
+            raise InputError(Fault("the value is not valid TOML", remedy, key=key, value=value)) from None
         return key, value
+
+
+_BARE = re.compile(r"""(?<=[\[,=])(\s*)([^\s\[\]{},="'](?:[^\[\]{},="']*[^\s\[\]{},="'])?)(?=\s*[\],}])""")
+MOST_BARE = 1000
+"""Longest list or table, in characters, in which the shell may have removed the quotes."""
+
+
+def _quoted(bare: re.Match[str]) -> str:
+    """Put the quotes back around a name, a quantity or a range; numbers and logical values have none."""
+    text = bare[2]
+    known = split(text)
+    if text in ("true", "false") or (known is not None and not known[1]):
+        return bare[0]
+    named = re.fullmatch(r"[A-Za-z][\w -]*", text) is not None
+    return f'{bare[1]}"{text}"' if named or known is not None or split_range(text) is not None else bare[0]
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -326,7 +349,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
-    key, value = _whole(raw, key, value, file)
+    key, value = _whole(raw, key, with_ranges(value, tuple(key.split(".")), _WORDS), file)
     section, _, name = key.partition(".")
     if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):
         with_tolerance(raw[section], name, value)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import difflib
 import functools
 import math
-from collections.abc import Callable, Iterable, Iterator
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -17,9 +18,12 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from optlink.errors import Fault, InputError
-from optlink.units import KINDS, UnitProblem, parse, show
+from optlink.units import KINDS, UnitProblem, parse, plain, show, split_range
 
 SIDES = ("min", "max", "exactly")
+_HYPHEN = re.compile(r"(.*\d\s*[a-z]*)\s*(?:-|\bto\b)\s*(\d.*)", re.DOTALL)
+DEEPEST = 10
+"""Greatest depth of tables at which a range can be written."""
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
 
 
@@ -247,12 +251,12 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     for key in raw:
         if key not in ("start", "bounds"):
             raise Unusable("unknown key", nearest(str(key), ("start", "bounds")), str(key))
-    example = f'bounds = ["{KINDS[kind].example}", "..."]'
+    example = f"bounds = {_range_example(kind)}"
     bounds = raw.get("bounds")
     if bounds is None:
         raise Unusable("a free quantity needs bounds", f"Add {example}, or give one value to fix it", "bounds")
     if not isinstance(bounds, list) or len(bounds) != 2:
-        raise Unusable("bounds are a list of two values, lower and upper", f"Write {example}", "bounds", bounds)
+        raise Unusable("bounds are a range, or a list of its two ends", f"Write {example}", "bounds", bounds)
     (low, low_unit), (high, _) = (read_scalar(bound, kind, "bounds") for bound in bounds)
     if low >= high:
         raise Unusable("the lower bound is not below the upper", "Exchange them, or give one value to fix it", "bounds", bounds)
@@ -269,7 +273,49 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     return Quantity(start, kind, unit, low, high)
 
 
+def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()) -> Any:
+    """Write out ranges such as "40..140 deg" in nested tables.
+
+    Those of limits and bounds become lists of their two ends, those of other quantities of the mechanism and of the
+    requirement bounds, all others and ranges with one side tables of min and max.
+
+    Parameters
+    ----------
+    raw : object
+        Tables, lists and values as read from a file.
+    path : tuple of str
+        Keys that lead to it.
+    skip : collection of str
+        Sections that are left as they are.
+    """
+    if len(path) > DEEPEST or (path and path[0] in skip):
+        return raw
+    if isinstance(raw, Mapping):
+        return {key: with_ranges(item, (*path, str(key)), skip) for key, item in raw.items()}
+    if isinstance(raw, list):
+        return [with_ranges(item, (*path, ""), skip) for item in raw]
+    sides = split_range(raw) if isinstance(raw, str) else None
+    if sides is None:
+        return raw
+    ends = list(sides.values()) if len(sides) == 2 else None
+    if path[-1] == "bounds" or (path[0] == "requirement" and path[-1] == "x"):
+        return ends or raw
+    if path[0] in ("mechanism", "requirement"):
+        return {"bounds": ends} if ends else raw
+    return ends if ends and path[0] == "limits" else sides
+
+
+def _range_example(kind: str | None) -> str:
+    if kind is None:
+        return '"1.0..1.5"'
+    number, unit = KINDS[kind].example.split(" ", 1)
+    return f'"{number}..{2.0 * float(number):g} {unit}"'
+
+
 def _read_number(raw: object, key: str) -> float:
+    if isinstance(raw, str) and re.fullmatch(r"\s*[-+]?\d+,\d+\s*", raw):
+        remedy = f"Write a decimal point, without quotes: {raw.strip().replace(',', '.')}"
+        raise Unusable("this has a decimal comma", remedy, key, raw)
     if isinstance(raw, bool) or not isinstance(raw, int | float):
         raise Unusable("expected a plain number", "Write a number without a unit, for example 1.2", key, raw)
     try:
@@ -288,7 +334,12 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
     def one(text: object, key: str = "") -> tuple[float, str]:
         return read_scalar(text, kind, key) if kind else (_read_number(text, key), "")
 
-    example = f'["{KINDS[kind].example}", "..."]' if kind else "[1.0, 1.5]"
+    example = _range_example(kind)
+    hyphen = _HYPHEN.fullmatch(plain(raw.strip())) if isinstance(raw, str) else None
+    if hyphen is not None:
+        dotted = "..".join(part.strip() for part in hyphen.groups())
+        if split_range(dotted):
+            raise Unusable("this is not a range", f'Write it with two dots: "{dotted}"', "", raw)
     if isinstance(raw, dict):
         for key in raw:
             if key not in SIDES:
@@ -301,7 +352,7 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
         low, high = (one(raw[key], key) if key in raw else exactly for key in SIDES[:2])
     elif isinstance(raw, list):
         if len(raw) != 2:
-            raise Unusable("a range is a list of two values, lower and upper", f"Write {example}", "", raw)
+            raise Unusable("a range has two ends, lower and upper", f"Write {example}", "", raw)
         low, high = one(raw[0]), one(raw[1])
     else:
         low = high = one(raw)
