@@ -86,7 +86,9 @@ KINDS = {
 
 _SIMPLE = r"[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][-+]?\d{1,4})?"  # in a range, where a dot may belong to ".."
 _AFTER = r"(1\s*/.*?|[^\s\d.<=>].*?)"  # a unit, beside a number
-_RANGE = re.compile(rf"\s*({_SIMPLE})\s*{_AFTER}?\s*\.\.\.?\s*({_SIMPLE})\s*{_AFTER}?\s*", re.DOTALL | re.ASCII)
+_RANGE = re.compile(
+    rf"\s*({_SIMPLE})\s*{_AFTER}?\s*(?:\.\.\.(?=\s)|\.\.(?!\.))\s*({_SIMPLE})\s*{_AFTER}?\s*", re.DOTALL | re.ASCII
+)
 _ONE_SIDED = re.compile(rf"\s*([<>])=?\s*({_SIMPLE})\s*{_AFTER}?\s*", re.DOTALL | re.ASCII)
 _COMMA = re.compile(r"([-+]?)(\d+),(\d+)\s*([^\d.].*)?", re.DOTALL | re.ASCII)
 _GROUPS = re.compile(r"([-+]?\d{1,3}(?:[ ,._'\u2019]\d{3})+)(?:[.,](\d+))?\s*(\D.*)?", re.DOTALL | re.ASCII)
@@ -102,7 +104,7 @@ _PLAIN = str.maketrans(
     | dict.fromkeys("\u00b7\u22c5\u2219\u00d7", "*")
     | dict.fromkeys("\u00b5\u03bc", "u")
     | dict.fromkeys("\u00b0\u00ba", "deg")
-    | {"\u2026": "...", "\u2264": "<=", "\u2265": ">="}
+    | {"\u2026": " ... ", "\u2264": "<=", "\u2265": ">="}
 )
 _SUPERSCRIPTS = str.maketrans("\u207b\u00b9\u00b2\u00b3\u2074", "-1234")
 _PER_TIME = {"angular velocity": {"1/s": "rad/s", "1/min": "rpm"}, "frequency": {"1/s": "Hz", "1/min": "rpm"}}

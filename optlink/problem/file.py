@@ -84,7 +84,7 @@ class ProblemFile:
         law = getattr(task, "law", getattr(task, "points", None))
         read = [repr(part) for part in (self.model.loads, self.model.drive)] if self._tabled else []  # from CSV files
         read += [repr(deviation.values) for deviation in self.model.deviations if deviation.values]
-        stated = _stated({key: value for key, value in self.raw.items() if key not in _WORDS})
+        stated = _stated({key: value for key, value in self.raw.items() if key not in WORDS})
         text = json.dumps([stated, repr(law), *read], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -115,12 +115,12 @@ class ProblemFile:
         raw = copy.deepcopy(dict(self.raw))
         for key, value in changes.items():
             _assign(raw, key, value, self.file)
-        if any(key.split(".")[0] not in ("expected", *_WORDS) for key in changes):
+        if any(key.split(".")[0] not in ("expected", *WORDS) for key in changes):
             raw.pop("expected", None)
         return read(raw, self.name, self.file, self.folder)
 
 
-_WORDS = ("title", "source", "about", "expected")
+WORDS = ("title", "source", "about", "expected")
 
 
 def _stated(raw: dict[str, Any]) -> dict[str, Any]:
@@ -169,11 +169,11 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
             raise InputError(
                 Fault("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
             )
-    raw = with_ranges(_read_toml(path), skip=_WORDS)
+    raw = with_ranges(_read_toml(path), skip=WORDS)
     if overrides:
         for key, value in overrides.items():
             _assign(raw, key, value, path.name if text in names else text)
-        if any(key.split(".")[0] not in ("expected", *_WORDS) for key in overrides):
+        if any(key.split(".")[0] not in ("expected", *WORDS) for key in overrides):
             raw.pop("expected", None)
     return read(raw, name, path.name if text in names else text, path.parent)
 
@@ -200,7 +200,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     load_extensions()
     where = folder or Path()
     _check_integers(raw, file)
-    raw = _typed(with_ranges(raw, skip=_WORDS))
+    raw = _typed(with_ranges(raw, skip=WORDS))
     task = raw.get("requirement")
     dyads = of_dyads(raw)
     output = dyads and isinstance(task, dict)
@@ -349,7 +349,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
-    key, value = _whole(raw, key, with_ranges(value, tuple(key.split(".")), _WORDS), file)
+    key, value = _whole(raw, key, with_ranges(value, tuple(key.split(".")), WORDS), file)
     section, _, name = key.partition(".")
     if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):
         with_tolerance(raw[section], name, value)

@@ -1,7 +1,7 @@
 """Quantities and intervals of problem files, checked as they are read.
 
 A quantity is fixed when it is one value ("500 mm") and a design variable when it is a table ({ start = "400 mm", bounds = [...]
-}).
+}) or a range ("300..500 mm").
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from optlink.errors import Fault, InputError
 from optlink.units import KINDS, UnitProblem, parse, plain, show, split_range
 
 SIDES = ("min", "max", "exactly")
-_HYPHEN = re.compile(r"(.*\d\s*[a-z]*)\s*(?:-|\bto\b)\s*(\d.*)", re.DOTALL)
+_HYPHEN = re.compile(r"(.*\d\s*[a-z]*)\s*(?:(?<!\d[eE])-|\bto\b)\s*(\d.*)", re.DOTALL)
 DEEPEST = 10
 """Greatest depth of tables at which a range can be written."""
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
@@ -251,12 +251,12 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     for key in raw:
         if key not in ("start", "bounds"):
             raise Unusable("unknown key", nearest(str(key), ("start", "bounds")), str(key))
-    example = f"bounds = {_range_example(kind)}"
+    example = f"bounds = {range_example(kind)}"
     bounds = raw.get("bounds")
     if bounds is None:
         raise Unusable("a free quantity needs bounds", f"Add {example}, or give one value to fix it", "bounds")
     if not isinstance(bounds, list) or len(bounds) != 2:
-        raise Unusable("bounds are a range, or a list of its two ends", f"Write {example}", "bounds", bounds)
+        raise Unusable("bounds are two values, lower and upper", f"Write {example}", "bounds", bounds)
     (low, low_unit), (high, _) = (read_scalar(bound, kind, "bounds") for bound in bounds)
     if low >= high:
         raise Unusable("the lower bound is not below the upper", "Exchange them, or give one value to fix it", "bounds", bounds)
@@ -305,7 +305,8 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
     return ends if ends and path[0] == "limits" else sides
 
 
-def _range_example(kind: str | None) -> str:
+def range_example(kind: str | None) -> str:
+    """Return a valid range of a kind (None: plain numbers) in quotes, for remedies."""
     if kind is None:
         return '"1.0..1.5"'
     number, unit = KINDS[kind].example.split(" ", 1)
@@ -334,12 +335,12 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
     def one(text: object, key: str = "") -> tuple[float, str]:
         return read_scalar(text, kind, key) if kind else (_read_number(text, key), "")
 
-    example = _range_example(kind)
-    hyphen = _HYPHEN.fullmatch(plain(raw.strip())) if isinstance(raw, str) else None
-    if hyphen is not None:
-        dotted = "..".join(part.strip() for part in hyphen.groups())
-        if split_range(dotted):
-            raise Unusable("this is not a range", f'Write it with two dots: "{dotted}"', "", raw)
+    example = range_example(kind)
+    typed = plain(raw).strip() if isinstance(raw, str) and len(raw) <= 200 else ""
+    hyphen = _HYPHEN.fullmatch(typed)
+    dotted = "..".join(part.strip() for part in (hyphen.groups() if hyphen else typed.split("...")))
+    if dotted != typed and split_range(dotted):
+        raise Unusable("this is not a range", f'Write it with two dots: "{dotted}"', "", raw)
     if isinstance(raw, dict):
         for key in raw:
             if key not in SIDES:
@@ -352,7 +353,7 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
         low, high = (one(raw[key], key) if key in raw else exactly for key in SIDES[:2])
     elif isinstance(raw, list):
         if len(raw) != 2:
-            raise Unusable("a range has two ends, lower and upper", f"Write {example}", "", raw)
+            raise Unusable("a range is two values, lower and upper", f"Write {example}", "", raw)
         low, high = one(raw[0]), one(raw[1])
     else:
         low = high = one(raw)

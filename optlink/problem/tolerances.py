@@ -17,7 +17,7 @@ from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Quantity, Unusable, nearest
 from optlink.problem.targets.law import read_columns
-from optlink.units import UnitProblem, parse
+from optlink.units import UnitProblem, parse, plain
 
 Array = NDArray[np.float64]
 NORMAL, CONTACT, MEASURED = "normal", "contact", "measured"
@@ -172,7 +172,9 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
     text = raw.strip().strip("\"'").strip()
     quantity, _, word = text.rpartition(" ")
     numbered = any(letter.isdigit() for letter in quantity)
-    if numbered and word.isalpha() and quantity.strip()[-1:].isalpha():  # two words after the number: a unit and a distribution
+    if (
+        numbered and word.isalpha() and plain(quantity.strip())[-1:].isalpha()
+    ):  # two words after the number: a unit and a distribution
         if word not in CHOICES:
             raise Unusable("unknown distribution", nearest(word, CHOICES), "", word)
         return ToleranceEntry(quantity.strip(), word)

@@ -6,7 +6,6 @@ larger and smaller value of each; central differences of the optimality system a
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -32,7 +31,7 @@ from optlink.studies.toml_keys import exact_text, value_at
 from optlink.symbolic import CompiledFunction
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.results.cycle import task_of
-from optlink.units import KINDS, UnitProblem, factor
+from optlink.units import KINDS, UnitProblem, factor, split
 
 Array = NDArray[np.float64]
 SECTIONS = ("bodies", "loads")  # joint parameters do not affect an ideal machine
@@ -42,7 +41,6 @@ TURNED = 0.01  # step of an angle of 0, in its unit
 ELSEWHERE = 0.02  # of the longest dimension: beyond this and ten times the prediction, an optimum is a different one
 CLOSE = "slsqp"  # continues from its starting point
 WHOLE = "%"  # unit of a table whose values are scaled together
-_FIGURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*)?")
 
 
 class CycleParameters:
@@ -150,9 +148,8 @@ def _read(raw: Any) -> tuple[float, str]:
     """Return a value and its unit; 0 and no unit for anything else."""
     if isinstance(raw, int | float) and not isinstance(raw, bool):
         return float(raw), ""
-    match = _FIGURE.fullmatch(raw) if isinstance(raw, str) else None
-    unit = "" if match is None else (match[2] or "").strip()
-    return (float(match[1]), unit) if match is not None and any(_measures(unit, kind) for kind in KINDS) else (0.0, "")
+    known = split(raw) if isinstance(raw, str) else None
+    return known if known is not None and any(_measures(known[1], kind) for kind in KINDS) else (0.0, "")
 
 
 def _measures(unit: str, kind: str) -> bool:

@@ -13,6 +13,7 @@ from optlink.errors import Fault, InputError
 from optlink.problem.base_model import Record
 from optlink.problem.file import ProblemFile
 from optlink.studies.toml_keys import Raw, exact_text
+from optlink.units import plain
 
 MAX_POINTS = 10_000_000
 ROW_BYTES, POINTS_PER_SECOND = 160, 200  # for the error message on too many points
@@ -20,10 +21,10 @@ EXAMPLE = 'Write KEY=LOW..HIGH UNIT:N, for example mechanism.frame="450..550 mm:
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(
-    rf"\s*({_NUMBER})\s*([^\s\d.:,][^.:,]*?)?\s*\.\.\s*({_NUMBER})\s*([^\s\d.:,][^:,]*?)?\s*"
+    rf"\s*({_NUMBER})\s*((?:1\s*/)?[^\s\d.:,][^.:,]*?)?\s*(?:\.\.\.(?=\s)|\.\.)\s*({_NUMBER})\s*((?:1\s*/)?[^\s\d.:,][^:,]*?)?\s*"
     rf"(?::\s*([-+]?\d+)\s*(log)?|step\s+({_NUMBER}))\s*"
 )
-_ONE = re.compile(rf"\s*({_NUMBER})\s*([^\s\d,:][^,:]*?)?\s*")
+_ONE = re.compile(rf"\s*({_NUMBER})\s*((?:1\s*/)?[^\s\d,:][^,:]*?)?\s*")
 _ENDLESS = re.compile(r"(?<![\w/*^])[-+]?(?:nan|inf|infinity)(?![\w/*^])", re.IGNORECASE)
 
 
@@ -88,7 +89,7 @@ def read_axis(assignment: str) -> Axis:
         If the text is no valid range or list.
     """
     key, equals, values = assignment.partition("=")
-    key, values = key.strip(), values.strip().strip("\"'").strip()
+    key, values = key.strip(), plain(values).strip().strip("\"'").strip()
 
     def fault(message: str, remedy: str = EXAMPLE) -> InputError:
         return InputError(Fault(message, remedy, key=f"--vary {key}".strip(), value=values or None))

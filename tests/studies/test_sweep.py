@@ -59,6 +59,9 @@ def problem(name: str = "crank-rocker", **overrides):
         ("a=1e2..1.5e2 mm:2", "mm", [100.0, 150.0]),
         ("a=64..128 rad/s:2", "rad/s", [64.0, 128.0]),
         ("a=.5...75 mm:2", "mm", [0.5, 0.75]),
+        ("a=5 \u2026 75\u00a0mm:2", "mm", [5.0, 75.0]),
+        ("a=\u22125..5\u00b0:2", "deg", [-5.0, 5.0]),
+        ("a=60..120 1/min:2", "1/min", [60.0, 120.0]),
     ],
 )
 def test_ranges_lists_and_ratios(text, unit, values):

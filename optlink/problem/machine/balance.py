@@ -34,7 +34,7 @@ _MEASURE = re.compile(
     r"(?:(?P<of>rms|largest)\s+)?"
     r"(?:(?:shaking\s+)?(?P<shaking>force|moment)|(?:driving\s+)?(?P<torque>torque)"
     r"|reaction\s+at\s+(?P<joint>\w+)(?:\s+on\s+(?P<on>\w+))?)"
-    r"(?:\s+from\s+(?P<low>[-+.\d]+)(?:\s*deg)?\s+to\s+(?P<high>[-+.\d]+)\s*deg)?",
+    r"(?:\s+from\s+(?P<low>[-+.\d]+)(?:\s*(?:deg|°))?\s+to\s+(?P<high>[-+.\d]+)\s*(?:deg|°))?",
     re.ASCII,
 )
 

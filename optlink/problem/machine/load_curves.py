@@ -14,7 +14,7 @@ from optlink.linkage.vector2d import Value
 from optlink.problem.quantity import Unusable, nearest, read_scalar
 from optlink.problem.targets.expression import Expression, LawError, parse
 from optlink.problem.targets.law import read_columns
-from optlink.units import UnitProblem, factor
+from optlink.units import UnitProblem, factor, show
 
 OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
 """What a table of forces may run over: crank angle, slider position, crank speed."""
@@ -108,7 +108,8 @@ def read_size(raw: object, kind: str, names: Iterable[str], folder: Path) -> Siz
     if isinstance(raw, Constant | Formula | Curve):
         return raw
     if not isinstance(raw, dict):
-        return Constant(read_scalar(raw, kind)[0], " ".join(str(raw).split()))
+        value, own = read_scalar(raw, kind)
+        return Constant(value, show(value, kind, own, digits=12))
     known = [name for name in names if name in OVER]
     if "expression" in raw:
         for key in raw:

@@ -10,7 +10,7 @@ from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.file import SIDES, ProblemFile
 from optlink.problem.function import DesignProblem
-from optlink.problem.quantity import Interval, StrokeRatio, nearest
+from optlink.problem.quantity import Interval, StrokeRatio, nearest, range_example
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.toml_keys import Raw, exact_text, value_at
 from optlink.units import KINDS, factor
@@ -68,7 +68,7 @@ def law_objective(problem: ProblemFile, name: str) -> ParetoObjective:
         )
     quantity = task.quantities[key]
     if not quantity.free:
-        remedy = f"""Free it: --set mechanism.{key}='{{ bounds = ["...", "..."] }}'"""
+        remedy = f"Free it, for example: --set mechanism.{key}={range_example(quantity.kind)}"
         raise InputError(Fault(f"{key} is fixed at {quantity}, it cannot move", remedy, problem.file, OPTION, name))
     unit = KINDS[quantity.kind].display
     return ParetoObjective(name, key, unit, 1 if side == "max" else -1, f"mechanism.{key}.{side}")

@@ -1,0 +1,256 @@
+"""Ranges, and lists whose quotes the shell has removed, as people type them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from optlink.cli.show import _template
+from optlink.errors import InputError
+from optlink.problem.file import load, parse_assignment, read
+from optlink.problem.quantity import Unusable, _read_interval, read_quantity, with_ranges
+from optlink.units import UnitProblem, parse, split_range
+
+seeded = settings(derandomize=True, deadline=None, max_examples=150)
+LIMIT, RATIO, SIZE = "limits.transmission_angle", "limits.time_ratio", "mechanism.coupler"
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return load("crank-rocker")
+
+
+BOTH = [
+    "40..140 deg",
+    "40 .. 140 deg",
+    "40 ... 140 deg",
+    "40 deg .. 140 deg",
+    "40 deg ... 140 deg",
+    "40 deg..140 deg",
+    "40 deg .. 140",
+    "40\u2026140 deg",
+    "40\u00b0 \u2026 140\u00b0",
+    "40\u00a0..\u00a0140\u00a0deg",
+    "4e1..1.4e2 deg",
+    "40.0..140.0 DEG",
+]
+
+
+@pytest.mark.parametrize("text", BOTH)
+def test_range_of_a_limit(problem, text):
+    changed = problem.override({LIMIT: text})
+    same = problem.override({LIMIT: ["40 deg", "140 deg"]})
+    assert changed.model.limits.transmission_angle.bounds == same.model.limits.transmission_angle.bounds
+    assert str(changed.model.limits.transmission_angle) == "40 deg ... 140 deg"
+
+
+def test_both_spellings_are_the_same_problem(problem):
+    assert problem.override({LIMIT: "40..140 deg"}).hash == problem.override({LIMIT: ["40 deg", "140 deg"]}).hash
+    assert problem.override({LIMIT: "40..140 deg", f"{LIMIT}.max": "135 deg"}).raw["limits"]["transmission_angle"] == [
+        "40 deg",
+        "135 deg",
+    ]
+
+
+ONE_SIDED = [
+    (LIMIT, ">= 40 deg", (math.radians(40.0), math.inf)),
+    (LIMIT, ">=40deg", (math.radians(40.0), math.inf)),
+    (LIMIT, "\u2265 40\u00b0", (math.radians(40.0), math.inf)),
+    (LIMIT, "<= 135 deg", (-math.inf, math.radians(135.0))),
+    (LIMIT, "\u2264 135 deg", (-math.inf, math.radians(135.0))),
+    (RATIO, ">= 1.2", (1.2, math.inf)),
+    (RATIO, "1.2..1.5", (1.2, 1.5)),
+    (RATIO, "1.2 ... 1.5", (1.2, 1.5)),
+]
+
+
+@pytest.mark.parametrize(("key", "text", "bounds"), ONE_SIDED)
+def test_one_side_and_plain_numbers(problem, key, text, bounds):
+    limits = problem.override({key: text}).model.limits
+    assert getattr(limits, key.partition(".")[2]).bounds == pytest.approx(bounds, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("value", "start"),
+    [
+        ("100..500 mm", 0.3),
+        ("10 cm .. 50 cm", 0.3),
+        ({"bounds": "100..500 mm"}, 0.3),
+        ({"start": "200 mm", "bounds": "100 ... 500 mm"}, 0.2),
+    ],
+)
+def test_design_variable_between_bounds(problem, value, start):
+    quantity = problem.override({SIZE: value}).model.mechanism.coupler
+    assert quantity.bounds == pytest.approx((0.1, 0.5), rel=1e-15)
+    assert quantity.value == pytest.approx(start, rel=1e-15)
+
+
+def test_coordinates_below_zero(problem):
+    free = load("path-closed18-untimed").override({"mechanism.pivot": ["-80..80 mm", "0 mm"], "mechanism.pivot.x.max": "90 mm"})
+    assert free.raw["mechanism"]["pivot"] == [{"bounds": ["-80 mm", "90 mm"]}, "0 mm"]
+    assert free.model.quantities["A.x"].bounds == pytest.approx((-0.08, 0.09))
+
+
+def test_words_are_left_alone(problem):
+    assert problem.override({"title": "1..2 mm", "about": ">= 3"}).model.title == "1..2 mm"
+
+
+WRONG = [
+    (LIMIT, "40-140 deg", 'two dots: "40..140 deg"'),
+    (LIMIT, "40 \u2013 140 deg", 'two dots: "40..140 deg"'),
+    (LIMIT, "40 to 140 deg", 'two dots: "40..140 deg"'),
+    (LIMIT, "40...140 deg", 'two dots: "40..140 deg"'),  # or 0.14?
+    (RATIO, "1...5", 'two dots: "1..5"'),
+    (LIMIT, "140..40 deg", "above the upper"),
+    (LIMIT, "40..140", "needs a unit"),
+    (LIMIT, "40..140 mm", "not a unit of angle"),
+    (LIMIT, "40,5..140 deg", 'decimal point: "40.5 deg"'),
+    (LIMIT, ["40 deg"], 'Write "45..90 deg"'),
+    (RATIO, "1,2", "decimal point, without quotes: 1.2"),
+    (RATIO, "1.1-1.3", 'two dots: "1.1..1.3"'),
+    (SIZE, "<= 500 mm", "one length is needed here, not a range"),
+    (SIZE, {"bounds": ">= 5 mm"}, 'Write bounds = "100..200 mm"'),
+    (SIZE, "12,5 mm", 'decimal point: "12.5 mm"'),
+    (SIZE, "1 000 mm", 'Write "1000 mm"'),
+    (SIZE, "1.234,5 mm", 'Write "1234.5 mm"'),
+    (SIZE, "1,000 mm", 'Write "1.000 mm" or "1000 mm"'),
+    ("mechanism.pivot", "0..10 mm", "two coordinates"),
+    ("drive.speed", "40..60 rpm", "cannot be free"),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "words"), WRONG)
+def test_remedy_of_a_wrong_range(problem, key, value, words):
+    with pytest.raises(InputError) as caught:
+        problem.override({key: value})
+    assert words in str(caught.value)
+    assert key in str(caught.value)
+
+
+BARE = [
+    ("[40 deg, 140 deg]", ["40 deg", "140 deg"]),
+    ("[ 40 deg , 140 deg ]", ["40 deg", "140 deg"]),
+    ('["40 deg", 140 deg]', ["40 deg", "140 deg"]),
+    ("{start=200 mm, bounds=[100 mm, 300 mm]}", {"start": "200 mm", "bounds": ["100 mm", "300 mm"]}),
+    ("{ bounds = 100..300 mm }", {"bounds": "100..300 mm"}),
+    ("[A, B]", ["A", "B"]),
+    ("{mass=1 kg, inertia=uniform bar}", {"mass": "1 kg", "inertia": "uniform bar"}),
+    ("[[1 mm, 2 mm], [3 mm, -4e1 mm]]", [["1 mm", "2 mm"], ["3 mm", "-4e1 mm"]]),
+    ("{min=1.5, exact=true, name=B}", {"min": 1.5, "exact": True, "name": "B"}),
+    ("\u22121.5", -1.5),
+    ("40\u00b0", "40\u00b0"),
+    (">= 40 deg", ">= 40 deg"),
+    ("12,5 mm", "12,5 mm"),
+]
+
+
+@pytest.mark.parametrize(("text", "value"), BARE)
+def test_assignment_without_inner_quotes(text, value):
+    assert parse_assignment(f"key={text}") == ("key", value)
+
+
+@pytest.mark.parametrize("text", ["[40 deg", "{start=", "[phi^2 + 1, 2*x]", '["a, 5 mm]', "[40 deg, x^2]"])
+def test_assignment_that_cannot_be_read_shows_the_line_to_write(text):
+    with pytest.raises(InputError, match=r"""--set 'key=\["40 deg", "140 deg"\]'"""):
+        parse_assignment(f"key={text}")
+
+
+# --- round trip, and any text --------------------------------------------------------------------------------------------
+
+numbers = st.floats(-1e6, 1e6).map(lambda x: float(f"{x:.12g}"))
+forms = st.sampled_from(["{a!r}..{b!r} {u}", "{a!r} ... {b!r} {u}", "{a!r} {u} .. {b!r} {u}", "{a!r}{u}\u2026{b!r}{u}"])
+
+
+@seeded
+@given(numbers, numbers, st.sampled_from(["mm", "m", "in", "\u00b5m"]), forms)
+def test_range_is_read_as_its_two_ends(a, b, unit, form):
+    low, high = sorted((a, b))
+    sides = split_range(form.format(a=low, b=high, u=unit))
+    assert sides is not None
+    for side, value in (("min", low), ("max", high)):
+        assert parse(sides[side], "coordinate") == parse(f"{value!r} {unit}", "coordinate")
+    interval = _read_interval(sides, "coordinate")
+    shown = _read_interval(split_range(str(interval)) or str(interval).removeprefix("exactly "), "coordinate")
+    assert shown.bounds == pytest.approx(interval.bounds, rel=5.1e-6)
+    assert str(shown) == str(interval)
+
+
+@seeded
+@given(
+    st.text(max_size=30) | st.text(alphabet="0123456789.,..-+<>=eE degmNs/^*[]{}\"'\u2026\u2212\u00b0\u00b2", max_size=25),
+    st.sampled_from(["length", "angle", "torque", "angular velocity", None]),
+)
+def test_any_text_is_a_value_or_a_fault(text, kind):
+    for raw in (
+        text,
+        with_ranges({"limits": {"a": text}})["limits"]["a"],
+        with_ranges({"mechanism": {"a": text}})["mechanism"]["a"],
+    ):
+        try:
+            low, high = _read_interval(raw, kind).bounds
+            assert low <= high
+            if kind is not None:
+                assert math.isfinite(read_quantity(raw, kind).value)
+        except (Unusable, UnitProblem) as error:
+            assert error.message
+            assert error.remedy
+    try:
+        key, value = parse_assignment(f"key={text}")
+    except InputError as error:
+        assert error.faults[0].remedy
+    else:
+        assert key == "key"
+        assert value is not None
+
+
+# --- show --toml ---------------------------------------------------------------------------------------------------------
+
+
+def test_template_keeps_comments_and_spellings(tmp_path):
+    path = tmp_path / "mine.toml"
+    lines = [
+        "# mine",
+        'title = "x" # short',
+        "[mechanism] # four bars",
+        'crank = "10 cm"   # catalogue',
+        'frame = "500 mm"',
+        'coupler = { start = "400 mm", bounds = "100..900 mm" } # free',
+        'rocker = "100..900 mm"',
+        "",
+        "# the task",
+        "[requirement]",
+        'kind = "function"',
+        'law = "psi0 + 2/(3*pi)*(phi - phi0)^2"',
+        'from = "outer dead centre"',
+        'span = "90\u00b0" # a quarter',
+        "points = 30",
+        "[limits]",
+        'transmission_angle = ">= 45 deg" # rule',
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    whole = _template(load(path)).splitlines()
+    added = ['type = "four-bar"', 'alignment = "1 deg"', "length_margin = 0.0001"]
+    assert [line for line in whole if line not in added] == lines
+    assert [line for line in whole if line in added] == added
+    assert whole.index(added[0]) == lines.index("") == whole.index("") - 1
+
+    changed = load(path, {"mechanism.frame": "480 mm", f"{SIZE}.max": "700 mm", "mechanism.rocker": "250 mm", RATIO: ">= 1.1"})
+    text = _template(changed)
+    for line in (
+        'frame = "480 mm"',
+        'crank = "10 cm"   # catalogue',
+        'coupler = { start = "400 mm", bounds = ["100 mm", "700 mm"] } # free',
+        'rocker = "250 mm"',
+        "# the task",
+        'span = "90\u00b0" # a quarter',
+        'transmission_angle = ">= 45 deg" # rule',
+    ):
+        assert line in text.splitlines()
+    path.write_text(text, encoding="utf-8")
+    again = load(path)
+    assert again.model.limits == changed.model.limits
+    assert again.model.mechanism == changed.model.mechanism
+    assert read(again.raw).hash == again.hash
