@@ -90,6 +90,7 @@ _RANGE = re.compile(
     rf"\s*({_SIMPLE})\s*{_AFTER}?\s*(?:\.\.\.(?=\s)|\.\.(?!\.))\s*({_SIMPLE})\s*{_AFTER}?\s*", re.DOTALL | re.ASCII
 )
 _ONE_SIDED = re.compile(rf"\s*([<>])=?\s*({_SIMPLE})\s*{_AFTER}?\s*", re.DOTALL | re.ASCII)
+_HYPHEN = re.compile(r"(.*\d\s*[a-z]*)\s*(?:(?<!\d[eE])-|\bto\b)\s*(\d.*)", re.DOTALL)
 _COMMA = re.compile(r"([-+]?)(\d+),(\d+)\s*([^\d.].*)?", re.DOTALL | re.ASCII)
 _GROUPS = re.compile(r"([-+]?\d{1,3}(?:[ ,._'\u2019]\d{3})+)(?:[.,](\d+))?\s*(\D.*)?", re.DOTALL | re.ASCII)
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?"
@@ -334,6 +335,20 @@ def split_range(text: str) -> dict[str, str | float] | None:
         return None
     low, low_unit, high, high_unit = match.groups()
     return {"min": _side(low, low_unit or high_unit), "max": _side(high, high_unit or low_unit)}
+
+
+def mistyped_range(text: str) -> str | None:
+    """Return the range that "40-140 deg", "40 to 140 deg" or "40...140 deg" means, with two dots; None for any other text.
+
+    Parameters
+    ----------
+    text : str
+        A text of a problem file.
+    """
+    text = plain(text[:201]).strip()
+    hyphen = _HYPHEN.fullmatch(text)
+    dotted = "..".join(part.strip() for part in (hyphen.groups() if hyphen else text.split("...")))
+    return dotted if dotted != text and split_range(dotted) else None
 
 
 def _side(number: str, unit: str | None) -> str | float:

@@ -89,8 +89,8 @@ def _template(problem: ProblemFile) -> str:
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
+    from optlink.problem.base_model import with_ranges
     from optlink.problem.file import WORDS, complete
-    from optlink.problem.quantity import with_ranges
 
     whole = complete(problem)
     path = problem.folder / os.path.basename(problem.file)

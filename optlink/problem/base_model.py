@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
 from operator import attrgetter
 from pathlib import Path
@@ -28,9 +28,12 @@ from optlink.errors import Fault, InputError
 from optlink.io import Summary, finite
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.quantity import Unusable
+from optlink.units import split_range
 from optlink.version import VERSION
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
+DEEPEST = 10
+"""Greatest depth of tables at which a range can be written."""
 RESERVED = (FRAME, "input", "energy")
 
 
@@ -38,6 +41,38 @@ class Section(BaseModel):
     """A table of the problem file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)  # most unused
+
+
+def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()) -> Any:
+    """Write out ranges such as "40..140 deg" in nested tables.
+
+    Those of limits and bounds become lists of their two ends, those of other quantities of the mechanism and of the
+    requirement bounds, all others and ranges with one side tables of min and max.
+
+    Parameters
+    ----------
+    raw : object
+        Tables, lists and values as read from a file.
+    path : tuple of str
+        Keys that lead to it.
+    skip : collection of str
+        Sections that are left as they are.
+    """
+    if len(path) > DEEPEST or (path and path[0] in skip):
+        return raw
+    if isinstance(raw, Mapping):
+        return {key: with_ranges(item, (*path, str(key)), skip) for key, item in raw.items()}
+    if isinstance(raw, list):
+        return [with_ranges(item, (*path, ""), skip) for item in raw]
+    sides = split_range(raw) if isinstance(raw, str) else None
+    if sides is None:
+        return raw
+    ends = list(sides.values()) if len(sides) == 2 else None
+    if path[-1] == "bounds" or (path[0] == "requirement" and path[-1] == "x"):
+        return ends or raw
+    if path[0] in ("mechanism", "requirement"):
+        return {"bounds": ends} if ends else raw
+    return ends if ends and path[0] == "limits" else sides
 
 
 def _read_name(raw: object) -> str:

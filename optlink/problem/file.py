@@ -18,6 +18,7 @@ import pydantic
 
 from optlink.errors import Fault, InputError, shown
 from optlink.io import data_folder, load_extensions
+from optlink.problem.base_model import with_ranges
 from optlink.problem.cycle import CycleProblem, cross_check_cycle
 from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads
 from optlink.problem.function import DesignProblem, cross_check_design
@@ -25,7 +26,7 @@ from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem, cross_check
 from optlink.problem.path import PathProblem
 from optlink.problem.path_checks import cross_check_path, four_bar_limits
-from optlink.problem.quantity import input_of, nearest, with_ranges
+from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
 from optlink.units import plain, split, split_range
 

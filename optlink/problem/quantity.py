@@ -1,7 +1,6 @@
 """Quantities and intervals of problem files, checked as they are read.
 
-A quantity is fixed when it is one value ("500 mm") and a design variable when it is a table ({ start = "400 mm", bounds = [...]
-}) or a range ("300..500 mm").
+A quantity is fixed if it is one value ("500 mm"), a design variable if it is a range ("300..500 mm") or a table with bounds.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ import difflib
 import functools
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -18,12 +17,9 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from optlink.errors import Fault, InputError
-from optlink.units import KINDS, UnitProblem, parse, plain, show, split_range
+from optlink.units import KINDS, UnitProblem, mistyped_range, parse, show
 
 SIDES = ("min", "max", "exactly")
-_HYPHEN = re.compile(r"(.*\d\s*[a-z]*)\s*(?:(?<!\d[eE])-|\bto\b)\s*(\d.*)", re.DOTALL)
-DEEPEST = 10
-"""Greatest depth of tables at which a range can be written."""
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
 
 
@@ -273,38 +269,6 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     return Quantity(start, kind, unit, low, high)
 
 
-def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()) -> Any:
-    """Write out ranges such as "40..140 deg" in nested tables.
-
-    Those of limits and bounds become lists of their two ends, those of other quantities of the mechanism and of the
-    requirement bounds, all others and ranges with one side tables of min and max.
-
-    Parameters
-    ----------
-    raw : object
-        Tables, lists and values as read from a file.
-    path : tuple of str
-        Keys that lead to it.
-    skip : collection of str
-        Sections that are left as they are.
-    """
-    if len(path) > DEEPEST or (path and path[0] in skip):
-        return raw
-    if isinstance(raw, Mapping):
-        return {key: with_ranges(item, (*path, str(key)), skip) for key, item in raw.items()}
-    if isinstance(raw, list):
-        return [with_ranges(item, (*path, ""), skip) for item in raw]
-    sides = split_range(raw) if isinstance(raw, str) else None
-    if sides is None:
-        return raw
-    ends = list(sides.values()) if len(sides) == 2 else None
-    if path[-1] == "bounds" or (path[0] == "requirement" and path[-1] == "x"):
-        return ends or raw
-    if path[0] in ("mechanism", "requirement"):
-        return {"bounds": ends} if ends else raw
-    return ends if ends and path[0] == "limits" else sides
-
-
 def range_example(kind: str | None) -> str:
     """Return a valid range of a kind (None: plain numbers) in quotes, for remedies."""
     if kind is None:
@@ -314,11 +278,11 @@ def range_example(kind: str | None) -> str:
 
 
 def _read_number(raw: object, key: str) -> float:
-    if isinstance(raw, str) and re.fullmatch(r"\s*[-+]?\d+,\d+\s*", raw):
-        remedy = f"Write a decimal point, without quotes: {raw.strip().replace(',', '.')}"
-        raise Unusable("this has a decimal comma", remedy, key, raw)
     if isinstance(raw, bool) or not isinstance(raw, int | float):
-        raise Unusable("expected a plain number", "Write a number without a unit, for example 1.2", key, raw)
+        remedy = "Write a number without a unit, for example 1.2"
+        if isinstance(raw, str) and re.fullmatch(r"\s*[-+]?\d+,\d+\s*", raw):
+            remedy = f"Write a decimal point, without quotes: {raw.strip().replace(',', '.')}"
+        raise Unusable("expected a plain number", remedy, key, raw)
     try:
         number = float(raw)
     except OverflowError:
@@ -336,11 +300,9 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
         return read_scalar(text, kind, key) if kind else (_read_number(text, key), "")
 
     example = range_example(kind)
-    typed = plain(raw).strip() if isinstance(raw, str) and len(raw) <= 200 else ""
-    hyphen = _HYPHEN.fullmatch(typed)
-    dotted = "..".join(part.strip() for part in (hyphen.groups() if hyphen else typed.split("...")))
-    if dotted != typed and split_range(dotted):
-        raise Unusable("this is not a range", f'Write it with two dots: "{dotted}"', "", raw)
+    meant = mistyped_range(raw) if isinstance(raw, str) else None
+    if meant is not None:
+        raise Unusable("this is not a range", f'Write it with two dots: "{meant}"', "", raw)
     if isinstance(raw, dict):
         for key in raw:
             if key not in SIDES:
