@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Csv, Design, Json, Out, Problem, Set, Speed, whole_number
+from optlink.cli.options import Csv, Design, Json, Out, Problem, Quiet, Set, Speed, whole_number
 
 
 def register(app: typer.Typer) -> None:
@@ -27,6 +27,7 @@ def analyze(
     design: Design = None,
     csv: Csv = None,
     as_json: Json = False,
+    quiet: Quiet = False,
     out: Out = None,
 ) -> None:
     """Analyse a machine: motion, joint reactions, driving torque and work over the cycle."""
@@ -59,6 +60,7 @@ def balance(
     design: Design = None,
     csv: Csv = None,
     as_json: Json = False,
+    quiet: Quiet = False,
     out: Out = None,
 ) -> None:
     """Optimise counterweights and springs: least shaking force, torque or reactions, with proof and shadow prices."""

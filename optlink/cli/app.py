@@ -16,6 +16,7 @@ from typing import Annotated, TextIO
 import typer
 
 from optlink.cli import analyze, console, new, report, show, simulate, solve, study
+from optlink.cli.command import App
 from optlink.solvers import interrupts
 
 CLOSED = 141
@@ -24,7 +25,7 @@ CLOSED = 141
 NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
 """What makes standard output or standard error unusable."""
 
-app = typer.Typer(
+app = App(
     name="optlink",
     help="State a planar linkage and what it must do; get a design that is optimal, verified and explained.",
     no_args_is_help=True,

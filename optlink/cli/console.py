@@ -17,8 +17,10 @@ from optlink.solvers import interrupts
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
+    from optlink.report.table_spec import Summary, TableSpec
 
 
+quiet = False  # whether only the verdict and errors are printed
 printed = False  # whether the JSON document is printed
 _kept: list[contextlib.ExitStack] = []  # contexts held until the command ends
 
@@ -114,9 +116,14 @@ def deliver(result: Any, kind: str, csv: Path | None, as_json: bool, out: Path |
     if as_json:
         print_json(result.to_dict())
     else:
-        from optlink.report import terminal
+        show(table_of(kind)(result))
 
-        terminal.show(table_of(kind)(result))
+
+def show(shown: Summary | TableSpec) -> None:
+    """Print a summary or a table on standard output; of a quiet command only its verdict."""
+    from optlink.report import terminal
+
+    terminal.show(shown.verdict if quiet else shown)
 
 
 # --- progress ----------------------------------------------------------------------------------------------------------------
@@ -127,7 +134,7 @@ def working(what: str) -> Iterator[None]:
     """Show on standard error what is in progress, without an estimate of its duration."""
     from optlink.report import terminal
 
-    with terminal.console(stderr=True).status(what):
+    with contextlib.nullcontext() if quiet else terminal.console(stderr=True).status(what):
         yield
 
 
@@ -137,7 +144,7 @@ def share(what: str) -> Iterator[Callable[[float], None] | None]:
 
     The bar appears with the first fraction below 1: work of a single step shows none.
     """
-    if not sys.stderr.isatty():
+    if quiet or not sys.stderr.isatty():
         yield None
         return
     with contextlib.ExitStack() as stack:

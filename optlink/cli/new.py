@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Json
+from optlink.cli.options import Json, Quiet
 
 
 def register(app: typer.Typer) -> None:
@@ -27,6 +27,7 @@ def new(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write a new problem file from a template that is complete and commented: change its values and solve it."""
     with console.reported(as_json):
@@ -39,12 +40,14 @@ def new(
                 rows = [{"name": one.name, "summary": one.summary, "commands": one.commands} for one in found]
                 console.print_json({"schema": "optlink/templates/1", "templates": rows})
                 return
-            from optlink.report import terminal
+            if console.quiet:
+                print("\n".join(templates()))
+                return
             from optlink.report.table_spec import table
 
             note = "Write one: optlink new NAME --out NAME.toml"
             rows_shown = ((one.name, one.summary, one.commands[0]) for one in found)
-            terminal.show(table("Templates", ["name", "what it is", "then type"], rows_shown, notes=[note]))
+            console.show(table("Templates", ["name", "what it is", "then type"], rows_shown, notes=[note]))
             return
         if out is not None:
             _check(out, force)
@@ -59,9 +62,10 @@ def new(
             console.print_json(document | {"file": None if out is None else str(out), "text": made.text})
         elif out is None:
             print(made.text, end="")
-            print(f"Next: optlink new {name} --out {name}.toml", file=sys.stderr)
+            if not console.quiet:
+                print(f"Next: optlink new {name} --out {name}.toml", file=sys.stderr)
         else:
-            print(f"Written: {out}. Next: {made.commands[0]}")
+            print(f"Written: {out}" if console.quiet else f"Written: {out}. Next: {made.commands[0]}")
 
 
 def _check(out: Path, force: bool) -> None:

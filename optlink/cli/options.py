@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from optlink.cli import console
 from optlink.io import load_extensions
 from optlink.solvers.contract import selectable
 
@@ -58,8 +59,16 @@ Design = Annotated[
         help='Design to use: --design coupler="412 mm", or a result.json. Repeatable.',
     ),
 ]
+
+
+def _set_quiet(wanted: bool) -> bool:
+    console.quiet = wanted
+    return wanted
+
+
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", callback=_set_quiet, help="Print only the verdict and errors.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for result.json, pictures and tables.")]
+Out = Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for result.json, pictures and tables.")]
 Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="File for the complete table.")]
 Speed = Annotated[
     str | None, typer.Option("--speed", metavar="SPEED", help='Crank speed: --speed "64 rpm"; negative: clockwise.')

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Design, Json, Of, Searcher, Seed, Set, Starts, Subjected, whole_number
+from optlink.cli.options import Design, Json, Of, Quiet, Searcher, Seed, Set, Starts, Subjected, whole_number
 from optlink.errors import Fault, InputError
 from optlink.solvers import interrupts
 
@@ -29,7 +29,7 @@ def register(app: typer.Typer) -> None:
 
 def report(
     subject: Subjected,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.html", help="HTML file to write.")],
+    output: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.html", help="HTML file to write.")],
     problem: Of = None,
     backend: Searcher = "ipopt",
     starts: Starts = None,
@@ -37,6 +37,7 @@ def report(
     changes: Set = None,
     design: Design = None,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write a self-contained HTML page of a design, simulation or study: results, checks, charts, animation, sources."""
     with console.reported(as_json):
@@ -63,7 +64,7 @@ def export(
     output: Annotated[
         Path,
         typer.Option(
-            "-o", "--output", metavar="FILE", help="File to write; its suffix selects the format: .dxf, .svg, .csv or .json."
+            "-o", "--out", metavar="FILE", help="File to write; its suffix selects the format: .dxf, .svg, .csv or .json."
         ),
     ],
     at: Annotated[
@@ -85,6 +86,7 @@ def export(
     changes: Set = None,
     design: Design = None,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Export a design to DXF, SVG, CSV or JSON."""
     with console.reported(as_json):
@@ -123,7 +125,7 @@ def _subject(
     from optlink.report.stored.loader import is_result, load_stored
 
     if output.exists() and os.path.exists(text) and os.path.samefile(output, text):
-        raise InputError(Fault("this would overwrite what it is made of", "Choose another name", key="-o", value=str(output)))
+        raise InputError(Fault("this would overwrite what it is made of", "Choose another name", key="--out", value=str(output)))
     if is_result(text):
         remedy = "Leave it out, or name the problem instead of its result"
         console.refuse({"--design": design, "--starts": starts}, "a result has its design already", remedy, text)

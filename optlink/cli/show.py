@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import PROBLEM_HELP, Json, Set
+from optlink.cli.options import PROBLEM_HELP, Json, Quiet, Set
 from optlink.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def register(app: typer.Typer) -> None:
     app.command()(show)
 
 
-def list_problems(as_json: Json = False) -> None:
+def list_problems(as_json: Json = False, quiet: Quiet = False) -> None:
     """List the shipped problems with their kind and a summary."""
     with console.reported(as_json):
         from optlink.problem.file import load, shipped
@@ -35,10 +35,12 @@ def list_problems(as_json: Json = False) -> None:
             rows = [{"name": f.name, "kind": f.kind, "title": f.model.title} for f in files]
             console.print_json({"schema": "optlink/list/1", "problems": rows})
             return
-        from optlink.report import terminal
+        if console.quiet:
+            print("\n".join(file.name for file in files))
+            return
         from optlink.report.views import function_tables
 
-        terminal.show(function_tables.listing(files))
+        console.show(function_tables.listing(files))
 
 
 def show(
@@ -52,6 +54,7 @@ def show(
     ] = "",
     as_toml: Annotated[bool, typer.Option("--toml", help="Print a problem file, as a template for your own.")] = False,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Show a problem with units and default values."""
     with console.reported(as_json):
@@ -72,13 +75,15 @@ def show(
             document = {"schema": "optlink/problem/1", "name": file.name, "problem_hash": file.hash}
             console.print_json(document | {"problem": complete(file)})
             return
+        if console.quiet and not as_toml:
+            print(f"{file.name}: {file.kind}")
+            return
         if as_toml:
             print(_template(file), end="")
             return
-        from optlink.report import terminal
         from optlink.report.views import function_tables
 
-        terminal.show(function_tables.problem(file))
+        console.show(function_tables.problem(file))
 
 
 def _template(problem: ProblemFile) -> str:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Csv, Design, Json, Out, Problem, Set, Speed, whole_number
+from optlink.cli.options import Csv, Design, Json, Out, Problem, Quiet, Set, Speed, whole_number
 from optlink.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -117,6 +117,7 @@ def simulate(
     design: Design = None,
     csv: Csv = None,
     as_json: Json = False,
+    quiet: Quiet = False,
     out: Out = None,
 ) -> None:
     """Simulate a machine in time, under a torque or at constant speed, with joint clearance and control."""
@@ -270,10 +271,9 @@ def _shown(asked: Run, found: Any, table: str) -> None:
     if asked.as_json:
         console.print_json(found.to_dict())
         return
-    from optlink.report import terminal
     from optlink.report.views import clearance_tables as loose
 
-    terminal.show(getattr(loose, table)(found))
+    console.show(getattr(loose, table)(found))
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Design, Json, Out, Problem, Searcher, Seed, Set, Starts, whole_number
+from optlink.cli.options import Design, Json, Out, Problem, Quiet, Searcher, Seed, Set, Starts, whole_number
 from optlink.errors import Status
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ def solve(
     changes: Set = None,
     design: Design = None,
     as_json: Json = False,
+    quiet: Quiet = False,
     out: Out = None,
 ) -> None:
     """Optimise a design, verify it independently, and report the shadow prices of the active constraints."""
@@ -58,7 +59,9 @@ def solve(
         _show(result, as_json, out)
 
 
-def validate(problem: Problem, design: Design = None, changes: Set = None, as_json: Json = False, out: Out = None) -> None:
+def validate(
+    problem: Problem, design: Design = None, changes: Set = None, as_json: Json = False, quiet: Quiet = False, out: Out = None
+) -> None:
     """Check a design against all requirements and limits."""
     with console.reported(as_json), console.result_folder(out, "validate", problem):
         _validate(problem, design or [], changes, as_json, out)

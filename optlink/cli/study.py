@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Json, Problem, Set, whole_number
+from optlink.cli.command import App
+from optlink.cli.options import Json, Problem, Quiet, Set, whole_number
 from optlink.solvers.contract import selectable
 
 if TYPE_CHECKING:
@@ -30,11 +31,13 @@ Scheduler = Annotated[
 ]
 Kept = Annotated[
     Path | None,
-    typer.Option("--out", metavar="DIR", help="Folder for completed chunks, and for table, result.json and picture at the end."),
+    typer.Option(
+        "-o", "--out", metavar="DIR", help="Folder for completed chunks, and for table, result.json and picture at the end."
+    ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Resume the interrupted run in --out DIR.")]
 
-study = typer.Typer(no_args_is_help=True, help="Parametric studies: sensitivity, sweep, tolerance analysis, Pareto front.")
+study = App(no_args_is_help=True, help="Parametric studies: sensitivity, sweep, tolerance analysis, Pareto front.")
 
 
 def register(app: typer.Typer) -> None:
@@ -49,23 +52,26 @@ def sensitivity(
     output: Annotated[
         str | None,
         typer.Option(
-            metavar="BODY|P.x", help="Sensitivity of an output angle or point to every dimension, instead of the objective."
+            "--quantity",
+            metavar="BODY|P.x",
+            help="Sensitivity of an output angle or point to every dimension, instead of the objective.",
         ),
     ] = None,
     angles: Annotated[
         str | None,
-        typer.Option("--angles", metavar="LIST", help=f'With --output, crank angles: "0 deg, 60 deg" or "{AROUND}" (default).'),
+        typer.Option("--angles", metavar="LIST", help=f'With --quantity, crank angles: "0 deg, 60 deg" or "{AROUND}" (default).'),
     ] = None,
     backend: Backend = "ipopt",
     starts: Annotated[int | None, typer.Option(metavar="N", help="Number of starting points.")] = None,
     seed: Annotated[int, typer.Option(metavar="S", help="Seed of the starting points.")] = 0,
     changes: Set = None,
     design: Annotated[
-        list[str] | None, typer.Option("--design", metavar="NAME=VALUE", help="With --output: design to use. Repeatable.")
+        list[str] | None, typer.Option("--design", metavar="NAME=VALUE", help="With --quantity: design to use. Repeatable.")
     ] = None,
     as_json: Json = False,
+    quiet: Quiet = False,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for result.json, table and tornado chart.")
+        Path | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for result.json, table and tornado chart.")
     ] = None,
 ) -> None:
     """Sensitivity of the optimum to each fixed parameter and limit, with the range over which it holds."""
@@ -79,11 +85,13 @@ def sensitivity(
             console.refuse({"--check": check}, "no optimum is searched for the slopes of an output", remedy, file.file)
             _output(file, output, AROUND if angles is None else angles, design, as_json, out)
             return
-        console.refuse({"--angles": angles}, "crank angles are those of an output", "Add for example --output rocker", file.file)
+        console.refuse(
+            {"--angles": angles}, "crank angles are those of an output", "Add for example --quantity rocker", file.file
+        )
         if design:
             from optlink.errors import Fault, InputError
 
-            remedy = "Leave --design out; --output takes one"
+            remedy = "Leave --design out; --quantity takes one"
             raise InputError(Fault("sensitivities are those of the optimum, which is searched", remedy, key="--design"))
         from optlink.studies.sensitivity import sensitivities
 
@@ -141,10 +149,9 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     if as_json:
         console.print_json(document)
         return
-    from optlink.report import terminal
     from optlink.report.views import study_tables
 
-    terminal.show(study_tables.outputs(found))
+    console.show(study_tables.outputs(found))
 
 
 @study.command()
@@ -192,6 +199,7 @@ def sweep(
     resume: Resume = False,
     changes: Set = None,
     as_json: Json = False,
+    quiet: Quiet = False,
     out: Kept = None,
 ) -> None:
     """Solve, analyse or simulate a problem at every point of a grid, on one machine or a cluster; resumable."""
@@ -253,7 +261,8 @@ def tolerance(
         ),
     ] = None,
     output: Annotated[
-        str | None, typer.Option(metavar="BODY|P.x|error", help="Output to analyse. Default: the error of a motion law.")
+        str | None,
+        typer.Option("--quantity", metavar="BODY|P.x|error", help="Output to analyse. Default: the error of a motion law."),
     ] = None,
     angles: Annotated[
         str | None, typer.Option("--angles", metavar="LIST", help='Crank angles: "0 deg, 60 deg" or "0..330 deg:12".')
@@ -286,7 +295,10 @@ def tolerance(
         typer.Option("--design", metavar="NAME=VALUE", help="Design to analyse, instead of the optimum. Repeatable."),
     ] = None,
     as_json: Json = False,
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for result.json, table and pictures.")] = None,
+    quiet: Quiet = False,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for result.json, table and pictures.")
+    ] = None,
 ) -> None:
     """Tolerance analysis: worst case, statistical scatter, yield, tolerance allocation, robust design."""
     with console.reported(as_json), console.result_folder(out, "tolerance", problem):
@@ -351,6 +363,7 @@ def pareto(
     resume: Resume = False,
     changes: Set = None,
     as_json: Json = False,
+    quiet: Quiet = False,
     out: Kept = None,
 ) -> None:
     """Pareto front of two or three objectives, with its ends and knee; every point is validated."""
@@ -408,8 +421,8 @@ def _points(what: str) -> Iterator[Callable[[int, int], None]]:
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
     )
-    console = terminal.console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    drawn = terminal.console(stderr=True)
+    with Progress(*columns, console=drawn, transient=True, disable=console.quiet or not drawn.is_terminal) as bar:
         task = bar.add_task("points", total=None, rate="")
 
         def advance(done: int, total: int) -> None:

@@ -62,7 +62,7 @@ class ProblemFile:
         """
         if isinstance(self.model, DesignProblem):
             return self.model
-        remedy = "Add one, or use `optlink analyze`, `study sweep --analyze`, `study sensitivity --output NAME`"
+        remedy = "Add one, or use `optlink analyze`, `study sweep --analyze`, `study sensitivity --quantity NAME`"
         raise InputError(Fault("the problem has no [requirement], so there is nothing to solve", remedy, self.file))
 
     @property

@@ -98,6 +98,11 @@ class TableSpec:
     appendix: bool = False
 
     @property
+    def verdict(self) -> Paragraph:
+        """What a quiet command prints."""
+        return Paragraph(self.title)
+
+    @property
     def header(self) -> bool:
         """Whether the columns have names."""
         return any(column.name for column in self.columns)
@@ -113,6 +118,11 @@ class Summary:
     title: str
     status: Paragraph
     parts: tuple[Part, ...] = ()
+
+    @property
+    def verdict(self) -> Paragraph:
+        """What a quiet command prints: the first line of the status."""
+        return Paragraph(self.status.lines[0] if self.status.lines else self.title)
 
 
 def summary(title: str, status: Iterable[Line], *parts: Part | None) -> Summary:

@@ -32,7 +32,7 @@ def console(*, stderr: bool = False) -> Console:
     return made
 
 
-def show(shown: Summary | TableSpec) -> None:
+def show(shown: Summary | Part) -> None:
     """Print a summary or a table on standard output."""
     console().print(rendered(shown))
 

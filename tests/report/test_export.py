@@ -476,7 +476,7 @@ def test_a_place_that_cannot_be_written_to_is_named_before_any_work(tmp_path, mo
         assert words in " ".join(done.stderr.split()), (name, done.stderr)
         assert "Traceback" not in done.stderr
         if as_json:
-            assert [fault["key"] for fault in json.loads(done.stdout)["faults"]] == ["-o"]
+            assert [fault["key"] for fault in json.loads(done.stdout)["faults"]] == ["--out"]
     assert left_behind(tmp_path) == ["file", f"folder{ending}"]
 
 

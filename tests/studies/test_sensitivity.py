@@ -244,7 +244,7 @@ def test_the_command_prints_what_matters():
 
 
 def test_the_command_prints_output_sensitivities():
-    done = run("crank-rocker", "--output", "rocker", "--angles", "0, 120 deg")
+    done = run("crank-rocker", "--quantity", "rocker", "--angles", "0, 120 deg")
     assert done.exit_code == 0
     assert "0.26866" in done.stdout  # 0.468903 rad per 100 mm, in deg per mm
 
@@ -263,7 +263,7 @@ def test_output_sensitivities_are_written(tmp_path):
     def table(frame: str) -> dict[str, float]:
         out = tmp_path / frame
         done = run(
-            *("crank-rocker", "--output", "rocker", "--angles", "60 deg", *given),
+            *("crank-rocker", "--quantity", "rocker", "--angles", "60 deg", *given),
             *("--set", f"mechanism.frame={frame} mm", "--out", str(out), "--json"),
         )
         assert json.loads(done.stdout) == json.loads((out / "result.json").read_text())
@@ -282,10 +282,10 @@ def test_output_sensitivities_are_written(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--output", "rocker", "--check"], "no optimum is searched for the slopes of an output"),
+        (["--quantity", "rocker", "--check"], "no optimum is searched for the slopes of an output"),
         (["--angles", "0 deg"], "crank angles are those of an output"),
-        (["--output", "rocker", "--angles", "1e400 deg"], "finite numbers"),
-        (["--output", "rocker", "--angles", ""], "no crank angle is given"),
+        (["--quantity", "rocker", "--angles", "1e400 deg"], "finite numbers"),
+        (["--quantity", "rocker", "--angles", ""], "no crank angle is given"),
         (["--backend", "both"], "a study searches with one back end"),
         (["--starts", "0"], "out of range"),
     ],

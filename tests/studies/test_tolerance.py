@@ -465,11 +465,11 @@ def test_the_command_writes_everything(tmp_path):
         (["--tolerance", "coupler=0.1 mm unifrm"], ["unknown distribution", '"uniform"']),
         (["--tolerance", "coupler=nowhere.csv"], ["no such file"]),
         (["--tolerance", "coupler=1 m"], ["more than half of the size"]),
-        (["--tolerance", "coupler=1 mm", "--output", "rocker", "--angles", "0, 60"], ["--angles", "is not a unit"]),
-        (["--tolerance", "coupler=1 mm", "--output", "rocker", "--angles", "0..9"], ["--angles", "no range"]),
+        (["--tolerance", "coupler=1 mm", "--quantity", "rocker", "--angles", "0, 60"], ["--angles", "is not a unit"]),
+        (["--tolerance", "coupler=1 mm", "--quantity", "rocker", "--angles", "0..9"], ["--angles", "no range"]),
         (["--tolerance", "frame=1 mm", "--tolerance", "D.x=1 mm"], ["given twice"]),
         (["--tolerance", "C.clearence=0.1 mm"], ["unknown size", "C.clearance"]),
-        (["--tolerance", "coupler=1 mm", "--output", "roker"], ["unknown output", '"rocker"']),
+        (["--tolerance", "coupler=1 mm", "--quantity", "roker"], ["unknown output", '"rocker"']),
         (["--tolerance", "coupler=1 mm", "--limit", "1 mm"], ["not a unit of angle"]),
         (["--tolerance", "coupler=1 mm", "--limit", "0 deg"], ["must be positive"]),
         (["--tolerance", "coupler=1 mm", "--angles", "0, 60 deg"], ["span of the law"]),
@@ -510,7 +510,7 @@ def test_angles_out_of_reach_are_told(problem):
 
 def test_an_output_that_nothing_moves(tmp_path):
     result = run(
-        "crank-rocker", "--tolerance", "A.x=0.1 mm", "--output", "crank", "--limit", "1 deg", *GIVEN, "--out", str(tmp_path)
+        "crank-rocker", "--tolerance", "A.x=0.1 mm", "--quantity", "crank", "--limit", "1 deg", *GIVEN, "--out", str(tmp_path)
     )
     assert result.exit_code == 0, result.output
     document = json.loads((tmp_path / "result.json").read_text())
@@ -538,7 +538,7 @@ def test_costs_and_yields_are_read():
             "motion laws of a four-bar only",
         ),
         (
-            ["slider-crank", "--tolerance", "rod.length=0.1 mm", "--robust", "yield", "--output", "rod"],
+            ["slider-crank", "--tolerance", "rod.length=0.1 mm", "--robust", "yield", "--quantity", "rod"],
             "motion laws of a four-bar",
         ),
         (

@@ -58,7 +58,7 @@ def target(path: Path, endings: tuple[str, ...], example: str) -> Path:
     InputError
         If the extension is unknown, or the folder does not exist or is not writable.
     """
-    key = "-o"
+    key = "--out"
     if len(os.fsencode(path.name)) > LONGEST:
         raise InputError(Fault("the name is too long", f"Give a shorter one, for example {example}", key=key, value=str(path)))
     if path.is_dir():

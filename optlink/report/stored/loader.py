@@ -45,7 +45,7 @@ EARLIER = {
     "optlink/generation": "solve",
     "optlink/machine-design": "solve",
     "optlink/compensation": "simulate --control compare",
-    "optlink/output-sensitivity": "study sensitivity --output",
+    "optlink/output-sensitivity": "study sensitivity --quantity",
 }
 """Names of schemas of earlier versions: the command that writes the present one."""
 PAGELESS = {"optlink/output-sensitivity/2": "Read the derivatives of an output in the sensitivity.csv beside it"}

@@ -168,7 +168,7 @@ def allocate(study: Tolerance, target_yield: float, costs: Mapping[str, float], 
     weights = np.square((each[:, None] * study.by / room).T)
     moves = np.max(weights, axis=0) > 0.0
     if not np.any(moves):
-        raise InputError(Fault("no tolerance has an effect on the output", "Choose another --output", key="--allocate"))
+        raise InputError(Fault("no tolerance has an effect on the output", "Choose another --quantity", key="--allocate"))
     unit, gap = least_cost(weights[:, moves], coefficients[moves])
     if gap > PROVEN:
         raise SolverError(f"the least cost of tolerances is not proven: {gap:.1e} of it is open")

@@ -288,7 +288,7 @@ def tolerance(
 
         redesign.check_law(problem)
         if design is not None or output not in (None, ERROR):
-            remedy = "Leave --design and --output out, or --robust"
+            remedy = "Leave --design and --quantity out, or --robust"
             raise InputError(Fault("a robust design is searched, for its error", remedy, problem.file, "--robust"))
         if robust == redesign.YIELD and not samples:
             raise InputError(Fault("a yield is counted by samples", "Leave --samples out", key="--samples", value=samples))

@@ -115,12 +115,12 @@ def nominal_design(
     known = [*([ERROR] if law else []), *output_names(mechanism)]
     chosen = ERROR if output is None and law else output
     if chosen is None:
-        raise InputError(Fault("the output to analyse is missing", f"One of: {', '.join(known)}", problem.file, "--output"))
+        raise InputError(Fault("the output to analyse is missing", f"One of: {', '.join(known)}", problem.file, "--quantity"))
     if chosen not in known:
-        raise InputError(Fault("unknown output", nearest(chosen, known), problem.file, "--output", chosen))
+        raise InputError(Fault("unknown output", nearest(chosen, known), problem.file, "--quantity", chosen))
     if isinstance(file.model, DesignProblem) and chosen == ERROR:
         if crank_angles is not None:
-            remedy = "Leave --angles out, or give --output rocker"
+            remedy = "Leave --angles out, or give --quantity rocker"
             raise InputError(Fault("the error is that over the span of the law", remedy, problem.file, "--angles"))
         span = np.linspace(0.0, file.model.span, ALONG)
         at = values["phi0"] + span

@@ -1,0 +1,149 @@
+"""Help without gaps, one meaning of an option everywhere, other spellings, and quiet commands."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+import typer.main
+import typer.rich_utils
+from typer.testing import CliRunner
+
+from optlink.cli.app import app
+
+
+def run(*arguments: str):
+    return CliRunner().invoke(app, list(arguments))
+
+
+def below(words, command):
+    yield words, command
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from below((*words, name), inner)
+
+
+COMMANDS = dict(below((), typer.main.get_command(app)))
+LEAVES = {words: command for words, command in COMMANDS.items() if not hasattr(command, "commands")}
+
+
+def missing(command, shown: str) -> list[str]:
+    """Words of the texts of a command that its help does not show; frames and breaks of lines do not matter."""
+    solid = re.sub(r"[\s│╭╮╰╯─]+", " ", shown)
+    texts = [command.help or "", *(param.help or "" for param in command.params)]
+    texts += [param.metavar or "" for param in command.params if param.param_type_name == "option"]
+    return [word for text in texts for word in text.split() if word not in solid]
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_help_shows_every_word(words, monkeypatch):
+    """Square brackets are markup to the library that draws the help, and vanish unless they are escaped."""
+    monkeypatch.setattr(typer.rich_utils, "MAX_WIDTH", 400)
+    done = run(*words, "--help")
+    assert done.exit_code == 0
+    assert missing(COMMANDS[words], done.stdout) == []
+
+
+def test_a_swallowed_word_would_be_seen(monkeypatch):
+    monkeypatch.setattr(typer.rich_utils, "MAX_WIDTH", 400)
+    other = typer.Typer()
+
+    @other.command()
+    def one(name: str) -> None:
+        """Read the section [bold] of a file."""
+
+    shown = CliRunner().invoke(other, ["--help"]).stdout
+    assert missing(typer.main.get_command(other), shown) == ["[bold]"]
+
+
+def test_out_and_quiet_mean_the_same_everywhere():
+    for words, command in LEAVES.items():
+        options = {param.opts[-1]: param for param in command.params if param.param_type_name == "option"}
+        assert options["--quiet"].opts == ["-q", "--quiet"], words
+        assert "--output" not in options
+        if "--out" in options:
+            assert options["--out"].opts == ["-o", "--out"], words
+            assert options["--out"].metavar in ("DIR", "FILE", "FILE.html"), words
+    with_folder = {words for words, command in LEAVES.items() if any(param.metavar == "DIR" for param in command.params)}
+    assert ("solve",) in with_folder
+    assert ("study", "tolerance") in with_folder
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (("balance", "slider-crank", "--minimize", "nothing"), ("balance", "slider-crank", "--minimise", "nothing")),
+        (("balance", "slider-crank", "--minimize=nothing"), ("balance", "slider-crank", "--minimise=nothing")),
+        (("analyse", "nothing"), ("analyze", "nothing")),
+        (("study", "sweep", "six-bar", "--analyse", "--vary", "x"), ("study", "sweep", "six-bar", "--analyze", "--vary", "x")),
+    ],
+)
+def test_other_spellings_are_the_same_option(old, new):
+    first, second = run(*old), run(*new)
+    assert first.exit_code == second.exit_code == 2
+    assert first.stderr == second.stderr
+    assert "No such" not in first.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "present"),
+    [
+        (("study", "sensitivity", "crank-rocker", "--output", "nothing"), "--quantity"),
+        (("study", "tolerance", "crank-rocker", "--output=nothing"), "--quantity"),
+        (("export", "crank-rocker", "--output", "a.exe"), "--out"),
+    ],
+)
+def test_former_names_of_options_work_with_a_note(arguments, present):
+    done = run(*arguments)
+    assert done.exit_code == 2
+    assert done.stderr.startswith(f"Note: --output is now called {present}\nError: ")
+    assert "nothing" in done.stderr or ".exe" in done.stderr
+
+
+def test_values_after_two_dashes_are_no_options():
+    assert "--minimize" in run("show", "--", "--minimize").stderr
+
+
+GIVEN = ("--design", "rocker=235 mm", "--design")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("validate", "crank-rocker", *GIVEN, "coupler=415 mm"), 0, "given design, valid"),
+        (("validate", "crank-rocker", *GIVEN, "coupler=300 mm"), 1, "not valid"),
+        (("analyze", "slider-crank"), 0, "analysed"),
+        (("show", "crank-rocker"), 0, "crank-rocker: four-bar, function design"),
+    ],
+)
+def test_quiet_prints_the_verdict_alone(arguments, code, words):
+    done = run(*arguments, "-q")
+    assert done.exit_code == code == run(*arguments).exit_code
+    assert words in done.stdout
+    assert done.stdout.count("\n") == 1
+    assert done.stderr == ""
+    document = run(*arguments, "-q", "--json").stdout
+    assert json.loads(document)["schema"] == json.loads(run(*arguments, "--json").stdout)["schema"]
+
+
+def test_quiet_ends_with_its_command():
+    assert run("list", "--quiet").stdout.splitlines() == [
+        row["name"] for row in json.loads(run("list", "--json").stdout)["problems"]
+    ]
+    assert "what it is" in run("list").stdout
+    failed = run("solve", "nothing", "-q")
+    assert failed.exit_code == 2
+    assert failed.stderr.startswith("Error: ")
+
+
+@pytest.mark.slow
+def test_quiet_shows_no_progress(tmp_path):
+    """Not even the lines that a file gets of a bar or a spinner."""
+    command = [sys.executable, "-m", "optlink", "solve", "crank-rocker", "-q", "--starts", "4", "-o", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stderr == ""
+    assert done.stdout.count("\n") == 1
+    assert (tmp_path / "result.json").is_file()
