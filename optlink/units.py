@@ -6,6 +6,7 @@ evaluator: a unit is a product of powers. Importing pint takes longer than most 
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import re
@@ -240,6 +241,14 @@ def factor(unit: str, kind: str) -> float:
         The unit is unknown or measures another quantity.
     """
     return _unit(unit, kind).scale
+
+
+def is_unit(text: str) -> bool:
+    """Return whether a text is a unit of any kind."""
+    for kind in KINDS:
+        with contextlib.suppress(UnitProblem):
+            return bool(_unit(text, kind))
+    return False
 
 
 def parse(text: object, kind: str) -> tuple[float, str]:

@@ -57,6 +57,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # unsupported characters must not raise
+    sys.argv[1:] = rejoined(sys.argv[1:])
     interrupts.listen()
     output = sys.stdout
     try:
@@ -86,6 +87,35 @@ def main() -> None:
             )
         _discard(sys.__stderr__)
         raise SystemExit(2) from None
+
+
+def rejoined(arguments: list[str]) -> list[str]:
+    """Return the arguments with each value in one piece where a shell has split it at blanks.
+
+    A list or table continues up to its closing bracket (`--set limits.swing_angle=[40 deg, 140 deg]`), a number with its unit
+    (`--speed 60 rpm`).
+    """
+    joined: list[str] = []
+    for word in arguments:
+        last = joined[-1] if joined else ""
+        within = last.startswith("--") or (len(joined) > 1 and joined[-2].startswith("--"))
+        if within and not word.startswith("--") and (_is_open(last) or _is_unit(last, word)):
+            joined[-1] = f"{last} {word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+def _is_open(text: str) -> bool:
+    return ("=[" in text or "={" in text) and any(text.count(left) > text.count(right) for left, right in ("[]", "{}"))
+
+
+def _is_unit(number: str, word: str) -> bool:
+    if not number[-1:].isdigit() or os.path.exists(word):
+        return False
+    from optlink.units import is_unit
+
+    return is_unit(word)
 
 
 def _discard(stream: TextIO | None) -> None:

@@ -271,10 +271,8 @@ def read_quantity(raw: object, kind: str) -> Quantity:
 
 def range_example(kind: str | None) -> str:
     """Return a valid range of a kind (None: plain numbers) in quotes, for remedies."""
-    if kind is None:
-        return '"1.0..1.5"'
-    number, unit = KINDS[kind].example.split(" ", 1)
-    return f'"{number}..{2.0 * float(number):g} {unit}"'
+    number, unit = KINDS[kind].example.split(" ", 1) if kind else ("1", "")
+    return f'"{f"{number}..{2.0 * float(number):g} {unit}".strip()}"'
 
 
 def _read_number(raw: object, key: str) -> float:
@@ -300,8 +298,7 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
         return read_scalar(text, kind, key) if kind else (_read_number(text, key), "")
 
     example = range_example(kind)
-    meant = mistyped_range(raw) if isinstance(raw, str) else None
-    if meant is not None:
+    if isinstance(raw, str) and (meant := mistyped_range(raw)) is not None:
         raise Unusable("this is not a range", f'Write it with two dots: "{meant}"', "", raw)
     if isinstance(raw, dict):
         for key in raw:

@@ -31,7 +31,7 @@ from optlink.studies.toml_keys import exact_text, value_at
 from optlink.symbolic import CompiledFunction
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.results.cycle import task_of
-from optlink.units import KINDS, UnitProblem, factor, split
+from optlink.units import UnitProblem, factor, is_unit, split
 
 Array = NDArray[np.float64]
 SECTIONS = ("bodies", "loads")  # joint parameters do not affect an ideal machine
@@ -149,18 +149,14 @@ def _read(raw: Any) -> tuple[float, str]:
     if isinstance(raw, int | float) and not isinstance(raw, bool):
         return float(raw), ""
     known = split(raw) if isinstance(raw, str) else None
-    return known if known is not None and any(_measures(known[1], kind) for kind in KINDS) else (0.0, "")
-
-
-def _measures(unit: str, kind: str) -> bool:
-    try:
-        return bool(unit) and factor(unit, kind) > 0.0
-    except UnitProblem:
-        return False
+    return known if known is not None and is_unit(known[1]) else (0.0, "")
 
 
 def _angular(unit: str) -> bool:
-    return _measures(unit, "angle")
+    try:
+        return factor(unit, "angle") > 0.0
+    except UnitProblem:
+        return False
 
 
 def with_parameter(problem: ProblemFile, parameter: Parameter, value: float) -> ProblemFile:

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 import optlink
-from optlink.cli.app import app
+from optlink.cli.app import app, rejoined
 from optlink.errors import Fault
 
 ROOT = Path(__file__).parents[2]
@@ -244,6 +244,30 @@ def test_titles_are_printed_as_they_are(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0
     assert "412.865" in done.stdout
+
+
+WORDS = [  # the arguments, with | between those that belong together
+    "--set|limits.transmission_angle=[40 deg, 140 deg]|--json",
+    "--set=mechanism.coupler={start=200 mm, bounds=[-1 m, 3 m]}|x",
+    "--speed|60 rpm|six-bar",
+    "--speed|60 1/min|--starts|20|crank-rocker",
+    "--set|a=40..50 mm|--design|b=12,5 mm|m",
+    "crank-rocker|mm|--set|a=[3|--json",
+    "show|six-bar|mm",
+    "--starts|20|problem.toml",
+]
+
+
+@pytest.mark.parametrize("line", WORDS)
+def test_values_that_the_shell_has_split_are_joined(line):
+    assert rejoined(line.replace("|", " ").split(" ")) == line.split("|")
+
+
+def test_split_values_are_read():
+    line = "show crank-rocker --set limits.transmission_angle=[40 deg, 140 deg] --set mechanism.crank=95 mm"
+    shown = process(*line.split(" ")).stdout
+    assert "40 deg ... 140 deg" in shown
+    assert "95 mm" in shown
 
 
 def test_list_and_show():
