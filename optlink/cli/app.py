@@ -29,7 +29,6 @@ app = App(
     name="optlink",
     help="State a planar linkage and what it must do; get a design that is optimal, verified and explained.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from optlink.cli import console
+from optlink.cli.completion import template_names
 from optlink.cli.options import Json, Quiet
 
 
@@ -19,7 +20,13 @@ def register(app: typer.Typer) -> None:
 
 def new(
     name: Annotated[
-        str, typer.Argument(metavar="TEMPLATE", help="Name of the template. Default: list the templates.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="TEMPLATE",
+            autocompletion=template_names,
+            help="Name of the template. Default: list the templates.",
+            show_default=False,
+        ),
     ] = "",
     listed: Annotated[bool, typer.Option("--list", help="List the templates.")] = False,
     out: Annotated[

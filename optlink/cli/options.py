@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from optlink.cli import console
+from optlink.cli.completion import keys, problem_names
 from optlink.io import load_extensions
 from optlink.solvers.contract import selectable
 
@@ -46,10 +47,12 @@ def whole_number(text: object) -> int:
 
 
 PROBLEM_HELP = "A shipped problem (see `list`) or the path of a TOML file."
-Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP)]
+Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP, autocompletion=problem_names)]
 Set = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help='Change a key: --set mechanism.frame="480 mm". Repeatable.'),
+    typer.Option(
+        "--set", metavar="KEY=VALUE", autocompletion=keys, help='Change a key: --set mechanism.frame="480 mm". Repeatable.'
+    ),
 ]
 Design = Annotated[
     list[str] | None,
@@ -99,7 +102,9 @@ Seed = Annotated[int, typer.Option("--seed", parser=whole_number, metavar="S", h
 Subjected = Annotated[
     str,
     typer.Argument(
-        metavar="PROBLEM|RESULT", help="A shipped problem, a TOML file, or a result.json that --out wrote, or its folder."
+        metavar="PROBLEM|RESULT",
+        autocompletion=problem_names,
+        help="A shipped problem, a TOML file, or a result.json that --out wrote, or its folder.",
     ),
 ]
 Of = Annotated[

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from optlink.cli import console
+from optlink.cli.completion import problem_names
 from optlink.cli.options import PROBLEM_HELP, Json, Quiet, Set
 from optlink.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
 
-Shown = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP, show_default=False)]
+Shown = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP, autocompletion=problem_names, show_default=False)]
 
 
 def register(app: typer.Typer) -> None:

@@ -147,3 +147,40 @@ def test_quiet_shows_no_progress(tmp_path):
     assert done.stderr == ""
     assert done.stdout.count("\n") == 1
     assert (tmp_path / "result.json").is_file()
+
+
+# --- completion in the shell ---------------------------------------------------------------------------------------------------
+
+
+def completed(line: str) -> set[str]:
+    """What a shell offers for the last word of a line."""
+    environment = {"_OPTLINK_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    return set(CliRunner().invoke(app, [], env=environment, prog_name="optlink").stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("optlink solve crank-rocker-", {"crank-rocker-clearance", "crank-rocker-robust"}),
+        ("optlink report watt", {"watt-i"}),
+        ("optlink show tog", {"toggle-press"}),
+        ("optlink new wi", {"wiper"}),
+        ("optlink solve crank-rocker --set mechanism.c", {"mechanism.crank=", "mechanism.coupler="}),
+        ("optlink study sweep crank-rocker --set limits.tr", {"limits.transmission_angle="}),
+        ("optlink solve nothing --set m", set()),
+        ("optlink analyze pu", {"pump.toml"}),
+        ("optlink stu", {"study"}),
+        ("optlink solve --qu", {"--quiet"}),
+    ],
+)
+def test_completion(line, offered, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("pump.toml", "pump.txt"):
+        (tmp_path / name).write_text("title = 'x'\n")
+    assert completed(line) == offered
+
+
+def test_completion_can_be_installed():
+    shown = run("--help").stdout
+    assert "--install-completion" in shown
+    assert "COMP_WORDS" in CliRunner().invoke(app, ["--show-completion", "bash"], prog_name="optlink").stdout
