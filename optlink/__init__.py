@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.linkage.motion import sweep
     from optlink.problem.file import ProblemFile, load, read, shipped
+    from optlink.report.explore import Explorer, explore
     from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
     from optlink.tasks.batch import analyze_batch
@@ -57,6 +58,8 @@ _HOME = {
     "ProblemFile": "optlink.problem.file",
     "load": "optlink.problem.file",
     "new": "optlink.templates",
+    "Explorer": "optlink.report.explore",
+    "explore": "optlink.report.explore",
     "read": "optlink.problem.file",
     "shipped": "optlink.problem.file",
     "CycleResult": "optlink.tasks.results.cycle",
@@ -75,6 +78,7 @@ __all__ = [
     "ClearanceSimulation",
     "Comparison",
     "CycleResult",
+    "Explorer",
     "FunctionResult",
     "InputError",
     "OptlinkError",
@@ -90,6 +94,7 @@ __all__ = [
     "analyze_batch",
     "balance",
     "compare",
+    "explore",
     "four_bar",
     "grashof",
     "load",

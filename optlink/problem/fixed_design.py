@@ -118,3 +118,19 @@ def key_path(mechanism: Mapping[str, Any], name: str) -> list[str | int]:
     if parts[1] in ("x", "y"):
         return ["guides", parts[0], "through", "xy".index(parts[1])]
     return ["guides", *parts]
+
+
+def file_key(mechanism: Mapping[str, Any], name: str) -> str:
+    """Return the dotted key of a quantity in the problem file.
+
+    Parameters
+    ----------
+    mechanism : mapping
+        Section [mechanism] as nested tables.
+    name : str
+        Name of the quantity.
+    """
+    steps = key_path(mechanism, name)
+    if isinstance(steps[-1], int):
+        steps[-1] = name.rpartition(".")[2]
+    return ".".join(("mechanism", *map(str, steps)))

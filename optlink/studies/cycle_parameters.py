@@ -20,18 +20,18 @@ from optlink.optimization.constraints import Scale
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import key_path
+from optlink.problem.fixed_design import file_key
 from optlink.problem.limits import MARGIN_KEYS
 from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.kkt_derivatives import KKTPerturbation, KKTSystem
 from optlink.studies.parameters import Parameter, parameters
-from optlink.studies.toml_keys import exact_text, value_at
+from optlink.studies.toml_keys import exact_text, read_figure, value_at
 from optlink.symbolic import CompiledFunction
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.results.cycle import task_of
-from optlink.units import UnitProblem, factor, is_unit, split
+from optlink.units import UnitProblem, factor
 
 Array = NDArray[np.float64]
 SECTIONS = ("bodies", "loads")  # joint parameters do not affect an ideal machine
@@ -89,10 +89,7 @@ class CycleParameters:
         name = parameter.name if parameter.constant >= 0 else self.nlp.variables[entry].name
         if name not in self.problem.model.mechanism.quantities:
             return f"{parameter.key}{side}"
-        steps = key_path(self.problem.raw["mechanism"], name)
-        if isinstance(steps[-1], int):
-            steps[-1] = name.rpartition(".")[2]
-        return f"mechanism.{'.'.join(map(str, steps))}{side}"
+        return file_key(self.problem.raw["mechanism"], name) + side
 
     def _seen(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
         """Return the Lagrangian, its gradient by (x, p) and the rows at the optimum, with another value in the file."""
@@ -120,7 +117,7 @@ def _figures(problem: ProblemFile) -> list[Parameter]:
     found += [(f"mechanism.guides.{name}.friction", guide.get("friction")) for name, guide in guides.items()]
     made = []
     for key, raw in found:
-        value, unit = (100.0, WHOLE) if isinstance(raw, list) else _read(raw)
+        value, unit = (100.0, WHOLE) if isinstance(raw, list) else read_figure(raw)
         if value or _angular(unit):  # other zeros have no relative step
             name = key.removeprefix("mechanism.guides.").split(".", 1)
             short = name[-1] if name[0] in (*SECTIONS, "drive") else ".".join(name)
@@ -141,15 +138,7 @@ def _leaves(key: str, raw: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _number(raw: Any) -> float:
-    return _read(raw)[0]
-
-
-def _read(raw: Any) -> tuple[float, str]:
-    """Return a value and its unit; 0 and no unit for anything else."""
-    if isinstance(raw, int | float) and not isinstance(raw, bool):
-        return float(raw), ""
-    known = split(raw) if isinstance(raw, str) else None
-    return known if known is not None and is_unit(known[1]) else (0.0, "")
+    return read_figure(raw)[0]
 
 
 def _angular(unit: str) -> bool:
@@ -169,7 +158,7 @@ def with_parameter(problem: ProblemFile, parameter: Parameter, value: float) -> 
     value : float [parameter.unit]
     """
     if parameter.unit == WHOLE:
-        pairs = [_read(each) for each in value_at(problem, parameter.key)]
+        pairs = [read_figure(each) for each in value_at(problem, parameter.key)]
         return problem.override({parameter.key: [exact_text(own * value / parameter.value, unit) for own, unit in pairs]})
     written = exact_text(value, parameter.unit)
     if parameter.equal and not parameter.key.endswith(".exactly"):

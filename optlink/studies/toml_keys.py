@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from optlink.problem.file import ProblemFile
+from optlink.units import is_unit, split
 
 Raw = str | float | int
 
@@ -39,3 +40,11 @@ def value_at(problem: ProblemFile, key: str) -> Any:
             return None
         found = found[step]
     return found
+
+
+def read_figure(raw: Any) -> tuple[float, str]:
+    """Return a value and its unit; 0 and no unit for anything else."""
+    if isinstance(raw, int | float) and not isinstance(raw, bool):
+        return float(raw), ""
+    known = split(raw) if isinstance(raw, str) else None
+    return known if known is not None and is_unit(known[1]) else (0.0, "")

@@ -5,17 +5,22 @@ from __future__ import annotations
 import io
 import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from optlink.errors import InputError
 from optlink.problem.base_model import Contradiction
+from optlink.report.chart_spec import ChartSpec
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.page import moved
 from optlink.report.html.shell import asset, fragment, templates
 from optlink.report.registry import page_of, table_of, view_of
 from optlink.report.report_model import Outcome, report_model_of
 from optlink.report.stored.loader import KNOWN, STUDIES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 STEPS = 120  # positions per revolution
 
@@ -65,19 +70,26 @@ def _moving(kind: str, result: Any, *, study: bool) -> Moving | None:
 
 def _chart(kind: str, result: Any) -> str:
     """Return the first chart or drawing of a result as SVG; an empty text if it has none."""
-    from optlink.report.chart_mpl import draw
-
     view = view_of(kind)
     drawings = (made for drawing in view.drawings.values() if (made := drawing(result)) is not None)
-    first = next((draw([chart]) for chart in view.charts(view.model(result))), None) or next(drawings, None)
-    if first is None:
-        return ""
+    return chart_svg(view.charts(view.model(result))) or next(map(_svg, drawings), "")
+
+
+def chart_svg(charts: Iterable[ChartSpec]) -> str:
+    """Return the first of several charts as SVG; an empty text if there is none."""
+    from optlink.report.chart_mpl import draw
+
+    return next((_svg(draw([chart])) for chart in charts), "")
+
+
+def _svg(figure: Figure) -> str:
     from matplotlib import rc_context
     from matplotlib.text import Text
 
     text = io.StringIO()
-    for words in first.findobj(Text):
+    for words in figure.findobj(Text):
         words.set_path_effects([])
     with rc_context({"svg.fonttype": "none"}):  # letters as text: a tenth of the size of outlines
-        first.savefig(text, format="svg")
-    return re.sub(r"(\d\.\d\d)\d+", r"\1", text.getvalue()[text.getvalue().index("<svg") :])  # a hundredth of a point is enough
+        figure.savefig(text, format="svg")
+    shown = text.getvalue()[text.getvalue().index("<svg") :]
+    return re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), shown)  # a hundredth of a point is enough

@@ -1,0 +1,320 @@
+"""Explore a problem in a notebook: sliders of dimensions and limits, the linkage in motion, the checks of the current design."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from optlink.errors import Fault, InputError, OptlinkError
+from optlink.problem.file import ProblemFile, load
+from optlink.problem.fixed_design import file_key
+from optlink.problem.quantity import Quantity
+from optlink.report.export.svg import svg
+from optlink.report.html.moving_linkage import Moving
+from optlink.report.html.notebook import chart_svg, notebook_html
+from optlink.report.html.page import moved
+from optlink.report.html.shell import fragment
+from optlink.report.registry import table_of, view_of
+from optlink.report.report_model import report_model_of
+from optlink.report.table_spec import Part, TableSpec
+from optlink.report.views import analysis_forces, function_tables
+from optlink.report.views.analysis_curves import CycleCurves
+from optlink.studies.toml_keys import exact_text, read_figure
+from optlink.tasks.analyze import analyze
+from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.run import solve, validate
+from optlink.units import KINDS, factor
+
+STEPS = 120  # positions per revolution
+PAUSE = 0.15  # s without a change of a slider before anything is computed
+NOTCHES = 20_000  # steps of a slider: its front end rounds to them, so that they are finer than what is shown
+ANGLE = 45.0  # deg, half of the range of an angle that is no design variable
+SHOWN = ("These limits", "Objective", "Working and return")  # tables of the current design
+QUICK = ("function",)  # kinds of problems that are optimised again in about a tenth of a second
+STYLE = "<style>.optlink-bad,.optlink-figures .bad{color:#b3261e}.optlink-figures .good{color:#1e7b34}</style>"
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A number of the problem file: its name, and its value and range in a unit.
+
+    `key`: of the file, empty for a design variable; `size`: the unit [SI].
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    key: str = ""
+    size: float = 1.0
+
+
+def explore(problem: ProblemFile | str | Path, design: Mapping[str, float] | None = None) -> Explorer:
+    """Show a problem with a slider for every dimension and limit, its linkage in motion, and the checks of the current design.
+
+    A slider of a design variable changes the design, which is validated. A slider of a fixed dimension or of a limit changes
+    the problem, which is optimised again: at once for a function of a four-bar, else at the button. Machines without design
+    variables are analysed.
+
+    Parameters
+    ----------
+    problem : ProblemFile, str or Path
+        Problem, name of a shipped problem, or path of a problem file.
+    design : mapping of str to float [m, rad], optional
+        Initial design. Default: the optimum of a function, path or motion problem, and the starting values of a machine.
+
+    Returns
+    -------
+    Explorer
+        Shown by a notebook; `problem` and `result` are the current ones.
+
+    Raises
+    ------
+    InputError
+        If the package ipywidgets is not installed, or the problem cannot be solved.
+    """
+    return Explorer(problem if isinstance(problem, ProblemFile) else load(problem), design)
+
+
+class Explorer:
+    """Sliders of a problem, and its current result.
+
+    Attributes
+    ----------
+    problem : ProblemFile
+        The problem with the values of the sliders.
+    result : FunctionResult, PathResult, CycleResult or Analysis
+        The current design.
+    sliders : dict
+        Sliders by the name of a design variable, or by the key of a fixed dimension or limit.
+    panel : ipywidgets.Box
+        What a notebook shows.
+    """
+
+    def __init__(self, problem: ProblemFile, design: Mapping[str, float] | None = None) -> None:
+        self._widgets = _ipywidgets()
+        self._file, self.problem = problem, problem
+        self._designed = problem.task not in ("analysis", "balance")
+        self._changes: dict[str, str | float] = {}
+        self._timer: asyncio.TimerHandle | None = None
+        self._setting = self._moved = False
+        self._rest: dict[str, float] = {}  # exact values of the sliders
+        free = problem.model.quantities
+        self._design = {name: free[name].value for name in problem.model.free} | dict(design or {})
+        self.knobs = {knob.key or knob.name: knob for knob in (*_variables(problem), *_dimensions(problem), *_limits(problem))}
+        self.sliders = {key: self._slider(key, knob) for key, knob in self.knobs.items()}
+        self._build()
+        if self._designed and design is None and problem.task != "cycle":
+            self.optimise()
+        else:
+            self.update()
+
+    # --- the widgets ---------------------------------------------------------------------------------------------------------
+
+    def _slider(self, key: str, knob: Knob) -> Any:
+        self._rest[key] = knob.value
+        made = self._widgets.FloatSlider(
+            value=knob.value,
+            min=knob.low,
+            max=knob.high,
+            step=(knob.high - knob.low) / NOTCHES,
+            description=f"{knob.name} [{knob.unit}]" if knob.unit else knob.name,
+            readout_format=".5g",
+            style={"description_width": "220px"},
+            layout={"width": "490px"},
+        )
+        made.observe(lambda change: self._change(key, change["new"]), names="value")
+        return made
+
+    def _build(self) -> None:
+        widgets, title = self._widgets, self._widgets.HTML
+        self.status, self.drawing, self.angle, self.chart = title(), title(), title(), title()
+        self.crank = widgets.IntSlider(max=STEPS, description="crank", readout=False, layout={"width": "360px"})
+        self.crank.observe(lambda _: self._draw(), names="value")
+        self.play = widgets.Play(max=STEPS, interval=50, repeat=True)
+        self.link = widgets.jslink((self.play, "value"), (self.crank, "value"))
+        self.live = widgets.Checkbox(
+            value=self._file.task in QUICK,
+            description="optimise at every change of a fixed dimension or limit",
+            indent=False,
+            layout={"width": "auto"},
+        )
+        self.button = widgets.Button(description="Optimise", button_style="primary", tooltip="Search the best design")
+        self.button.on_click(lambda _: self.optimise())
+        groups: dict[str, list[Any]] = {}
+        for key, knob in self.knobs.items():
+            group = "Design variables" if not knob.key else "Limits" if knob.key.startswith("limits.") else "Fixed dimensions"
+            groups.setdefault(group if self._designed else "Dimensions", []).append(self.sliders[key])
+        rows = [row for name, sliders in groups.items() for row in (title(f"<b>{name}</b>"), *sliders)]
+        rows += [self.button, self.live] if self._designed else []
+        left = widgets.VBox(rows, layout={"max_height": "620px", "overflow": "auto", "min_width": "520px"})
+        stage = widgets.VBox([self.drawing, widgets.HBox([self.play, self.crank]), self.angle, self.status])
+        self.panel = widgets.VBox([widgets.HBox([left, stage]), self.chart])
+
+    def _repr_mimebundle_(self, **options: Any) -> dict[str, Any]:
+        """Return the widgets, and the current result for a notebook without a kernel."""
+        return {**self.panel._repr_mimebundle_(**options), "text/html": notebook_html(self.result)}
+
+    # --- changes -------------------------------------------------------------------------------------------------------------
+
+    def _change(self, key: str, value: float) -> None:
+        """Take the new value of a slider, and compute once the sliders rest."""
+        knob = self.knobs[key]
+        if self._setting or abs(value - self._rest[key]) <= 0.51 * self.sliders[key].step:  # the echo of a rounded value
+            return
+        self._rest[key] = value
+        if knob.key:
+            self._changes[knob.key] = exact_text(value, knob.unit)
+            self._moved = True
+        else:
+            self._design[knob.name] = value * knob.size
+        self._later(self.update)
+
+    def _later(self, action: Callable[[], None]) -> None:
+        """Call an action after a pause without further calls; at once where no event loop runs."""
+        if self._timer is not None:
+            self._timer.cancel()
+        try:
+            loop = asyncio.get_running_loop()
+        except RuntimeError:
+            action()
+            return
+        self._timer = loop.call_later(PAUSE, action)
+
+    def update(self) -> None:
+        """Compute the result for the values of the sliders."""
+        again, self._moved = self._moved and self._designed and self.live.value, False
+        if again:
+            self.optimise()
+        else:
+            self._compute(self._current)
+
+    def optimise(self) -> None:
+        """Search the best design of the current problem, and set the sliders to it."""
+        self._compute(lambda problem: solve(problem))
+        if self._designed and self.result.design:
+            self._design = {name: self.result.design[name] for name in self._file.model.free}
+            self._setting = True
+            for name, value in self._design.items():
+                self._rest[name] = self.sliders[name].value = value / self.knobs[name].size
+            self._setting = False
+
+    def _current(self, problem: ProblemFile) -> Any:
+        return validate(problem, self._design) if self._designed else analyze(problem)
+
+    def _compute(self, compute: Callable[[ProblemFile], Any]) -> None:
+        """Show the result of the changed problem; on bad input show the reason and keep the last one."""
+        begin = time.perf_counter()
+        try:
+            problem = self._file.override(self._changes) if self._changes else self._file
+            result = compute(problem)
+        except OptlinkError as error:
+            if not hasattr(self, "result"):
+                raise
+            self.status.value = f'{STYLE}<p class="optlink-bad">{_escaped(str(error))}</p>'
+            return
+        self.problem, self.result, self._seconds = problem, result, time.perf_counter() - begin
+        self._show()
+
+    # --- what is shown -------------------------------------------------------------------------------------------------------
+
+    def _show(self) -> None:
+        kind = "analysis" if isinstance(self.result, Analysis) else self.problem.task
+        shown = table_of(kind)(self.result)
+        self.status.value = f'{STYLE}<div class="optlink-figures">{fragment(shown.status, *self._figures(shown.parts))}</div>'
+        self._moving: Moving | None = moved(report_model_of(self.problem, self.result), STEPS)
+        if self._moving is not None:
+            self.crank.max = self.play.max = len(self._moving.stops.values) - 1
+        self._draw()
+        if kind == "analysis":
+            torque = analysis_forces.torque(CycleCurves(self.result))
+            charts = torque or view_of(kind).charts(CycleCurves(self.result))
+        else:
+            charts = view_of(kind).charts(view_of(kind).model(self.result))
+        self.chart.value = chart_svg(charts)
+
+    def _figures(self, parts: tuple[Part, ...]) -> Iterator[Part]:
+        """Yield the failed checks and the conflicting limits of a design, its objective, and strokes."""
+        proof = getattr(getattr(self.result, "best", self.result), "validation", None)
+        checks = () if proof is None else proof.checks
+        failed = [check for check in checks if not check.passed]
+        if failed:
+            title = f"{len(failed)} of {len(checks)} checks fail"
+            yield replace(function_tables.checks(failed), title=title, appendix=False)
+        for part in parts:
+            if isinstance(part, TableSpec) and part.title.startswith(SHOWN):
+                yield part
+
+    def _draw(self) -> None:
+        """Draw the linkage at the crank angle of the slider."""
+        moving = self._moving
+        if moving is None:
+            self.drawing.value = f'{STYLE}<p class="optlink-bad">This linkage cannot be assembled.</p>'
+            self.angle.value = ""
+            return
+        k = min(self.crank.value, len(moving.stops.values) - 1)
+        drawn = svg(moving.scene, self.problem.model.title, k=k)
+        self.drawing.value = f'<div style="width:560px;background:#fff;color:#222">{drawn}</div>'
+        values = (f"{one.name} {one.text(k)} {one.shown_unit}" for one in moving.readouts)
+        self.angle.value = _escaped(" · ".join((moving.stops.text(k), *values)))
+
+
+# --- the numbers that have a slider ------------------------------------------------------------------------------------------
+
+
+def _variables(problem: ProblemFile) -> Iterator[Knob]:
+    """Yield the design variables within their bounds."""
+    for name in problem.model.free:
+        quantity = problem.model.quantities[name]
+        low, high = (bound / _size(quantity) for bound in quantity.bounds)
+        yield Knob(name, quantity.value / _size(quantity), low, high, KINDS[quantity.kind].display, size=_size(quantity))
+
+
+def _dimensions(problem: ProblemFile) -> Iterator[Knob]:
+    """Yield the fixed dimensions, from half to one and a half times their values."""
+    largest = max((abs(q.value) for q in problem.model.mechanism.quantities.values() if q.kind != "angle"), default=1.0)
+    for name, quantity in problem.model.mechanism.quantities.items():
+        if quantity.free:
+            continue
+        value, unit = quantity.value / _size(quantity), KINDS[quantity.kind].display
+        room = ANGLE if quantity.kind == "angle" else 0.5 * (value if quantity.kind == "length" else largest / _size(quantity))
+        yield Knob(name, value, value - room, value + room, unit, file_key(problem.raw["mechanism"], name))
+
+
+def _limits(problem: ProblemFile) -> Iterator[Knob]:
+    """Yield the numbers of the limits of the file, from half to one and a half times their values."""
+    for name, raw in (problem.raw.get("limits") or {}).items():
+        pair = zip(("min", "max"), raw, strict=True) if isinstance(raw, list) else [("", raw)]
+        for side, text in raw.items() if isinstance(raw, dict) else pair:
+            value, unit = read_figure(text)
+            if side not in ("", "min", "max", "exactly") or not value:
+                continue
+            words = f"{name} {side}".rstrip().replace("_", " ")
+            low, high = sorted((0.5 * value, 1.5 * value))
+            if unit == "deg":
+                low, high = max(0.0, value - ANGLE), min(180.0, value + ANGLE)
+            yield Knob(words, value, low, high, unit, f"limits.{name}.{side}".rstrip("."))
+
+
+def _size(quantity: Quantity) -> float:
+    """Return the display unit of a quantity [SI]."""
+    unit = KINDS[quantity.kind].display
+    return factor(unit, quantity.kind) if unit else 1.0
+
+
+def _escaped(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;")
+
+
+def _ipywidgets() -> Any:
+    try:
+        import ipywidgets
+    except ImportError:
+        remedy = 'Install it: pip install "optlink[notebook]"'
+        raise InputError(Fault("explore needs the package ipywidgets, which is not installed", remedy)) from None
+    return ipywidgets
