@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Mapping
@@ -53,6 +54,7 @@ class WatchedTerm:
     """A term to be monitored between the nodes: the indices of its components among the signals, and its level or bound.
 
     `level`: index of the variable that is its largest value; otherwise `bound` [SI] limits it. `sign`: -1 for a least value.
+    `worst`: whether the largest component counts, not the magnitude of all.
     """
 
     first: int
@@ -62,17 +64,20 @@ class WatchedTerm:
     size: float
     level: int | None
     bound: float
+    worst: bool = False
 
     def score(self, signals: Array) -> Array:
         """Return the value to maximise at each position, in units of `size`."""
         own = signals[self.first : self.first + self.width]
         if self.width > 1:
-            return np.asarray(np.hypot(*own) / self.size)
+            return np.asarray((np.max(np.abs(own), axis=0) if self.worst else np.hypot(*own)) / self.size)
         return np.asarray(np.abs(own[0]) / self.size if self.peak else self.sign * own[0] / self.size)
 
     def height(self, signals: Any) -> Any:
         """Return a smooth expression with the same maxima as the score: its square where the score is not differentiable."""
         own = [signals[self.first + k] / self.size for k in range(self.width)]
+        if self.worst:
+            return functools.reduce(casadi.fmax, [part * part for part in own])
         return casadi.sumsqr(casadi.vertcat(*own)) if self.width > 1 or self.peak else self.sign * own[0]
 
 
@@ -282,6 +287,8 @@ class CycleTerms:
             return casadi.sqrt(total / TURN) if square else total / TURN
         if term.quantity == "length":
             return self.values[str(term.of)]
+        if term.quantity == "total length":
+            return sum(self.values[name] for name in self.problem.lengths)
         if term.quantity == "work":
             return self._work(term)
         return self._ratio(term) if term.quantity == "time ratio" else self._stroke(term)
@@ -368,17 +375,17 @@ class CycleTerms:
             self.rows.append(ConstraintRow(bound.key, term.words, self.figure(term) / size, below, above, scale))
             return None
         for _, parts in self.components(term):
-            if len(parts) > 1:
+            if len(parts) > 1 and not term.nature.general:
                 square = sum(part * part for part in parts) / size**2
                 self.rows.append(
                     ConstraintRow(bound.key, term.words, square, -math.inf, above**2, SquareRootScale(scale.unit, scale.factor))
                 )
                 continue
-            for sign in (1.0, -1.0) if term.how == "peak" else (1.0,):
-                self.rows.append(ConstraintRow(bound.key, term.words, sign * parts[0] / size, below, above, scale))
+            for part, sign in itertools.product(parts, (1.0, -1.0) if term.how == "peak" else (1.0,)):
+                self.rows.append(ConstraintRow(bound.key, term.words, sign * part / size, below, above, scale))
         first, width = self.place(term)
         limit, sign = (above, 1.0) if high is not None else (-below, -1.0)
-        return WatchedTerm(first, width, term.how == "peak", sign, size, None, limit)
+        return WatchedTerm(first, width, term.how == "peak", sign, size, None, limit, term.nature.general)
 
     def goal(self, goal: Goal, size: float, level: Any, index: int) -> WatchedTerm:
         """Add the rows that make a variable the largest value of a term.
@@ -396,14 +403,16 @@ class CycleTerms:
         """
         label = f"{goal.words}, above"
         for _, parts in self.components(goal):
-            if len(parts) > 1:
+            if len(parts) > 1 and not goal.nature.general:
                 square = level * level - sum(part * part for part in parts) / size**2
                 self.rows.append(ConstraintRow(EPIGRAPH, label, square, 0.0, math.inf, PLAIN))
                 continue
             signs = {"peak": (1.0, -1.0), "largest": (1.0,), "least": (-1.0,)}[goal.how]
-            self.rows += [ConstraintRow(EPIGRAPH, label, level - sign * parts[0] / size, 0.0, math.inf, PLAIN) for sign in signs]
+            above = [level - sign * part / size for part in parts for sign in signs]
+            self.rows += [ConstraintRow(EPIGRAPH, label, row, 0.0, math.inf, PLAIN) for row in above]
         first, width = self.place(goal)
-        return WatchedTerm(first, width, goal.how == "peak", -1.0 if goal.how == "least" else 1.0, size, index, math.inf)
+        sign, peak = -1.0 if goal.how == "least" else 1.0, goal.how == "peak"
+        return WatchedTerm(first, width, peak, sign, size, index, math.inf, goal.nature.general)
 
     def heights(self, goal: Goal, size: float) -> Any:
         """Return the values at all positions whose largest is the level of a term, in units of `size`.
@@ -417,7 +426,9 @@ class CycleTerms:
         """
         found = []
         for _, parts in self.components(goal):
-            if len(parts) > 1:
+            if goal.nature.general:
+                found += [casadi.fabs(part) / size for part in parts]
+            elif len(parts) > 1:
                 found.append(casadi.sqrt(sum(part * part for part in parts)) / size)
             elif goal.how == "peak":
                 found.append(casadi.fabs(parts[0]) / size)

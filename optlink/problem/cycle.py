@@ -2,34 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Literal
 
 from pydantic import ConfigDict, Field
 
 from optlink.dynamics.inertia import Inertia
+from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.vector2d import Value
-from optlink.problem.base_model import Name
-from optlink.problem.cycle_terms import Goal, Limit, Objective, Term, check_term, read_figure
-from optlink.problem.limits import Alignment
+from optlink.problem.base_model import Name, Section
+from optlink.problem.cycle_quantities import guide_of, moving_points
+from optlink.problem.cycle_terms import Goal, Limit, Objective, Term, check_term, output_of, read_figure
+from optlink.problem.limits import Alignment, check_transmission, transmission_limit
 from optlink.problem.machine.model import Problem
-from optlink.problem.mechanism import check_one_mode, sizes_of
-from optlink.problem.quantity import Interval, Unusable, below
+from optlink.problem.mechanism import FourBarSection, check_one_mode, sizes_of
+from optlink.problem.quantity import (
+    SIDES,
+    AnglesOfJoints,
+    FixedAngle,
+    Interval,
+    LargestAnglesOfJoints,
+    RatioOfStrokes,
+    Unusable,
+    below,
+    nearest,
+)
 
 
 @dataclass(frozen=True)
 class Bound:
-    """A limit with its name in the file and its bounds [SI]."""
+    """A limit with its name for display, its bounds [SI], and its key in the problem file."""
 
     name: str
     term: Limit
     interval: Interval
-
-    @property
-    def key(self) -> str:
-        """Key of the limit in the problem file."""
-        return f"limits.{self.name}"
+    key: str
 
 
 class CycleLimits(Alignment):
@@ -37,6 +47,32 @@ class CycleLimits(Alignment):
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[Name, Limit] = Field(init=False)
+    transmission_angle: AnglesOfJoints | None = None
+    """Range of the transmission angle of every dyad over the cycle; a table states the ranges of single dyads by their joints."""
+    pressure_angle: LargestAnglesOfJoints | None = None
+    """Largest pressure angle of every dyad over the cycle; a table states those of single dyads by their joints."""
+
+    def transmission_bounds(self, joints: Sequence[str]) -> Iterator[Bound]:
+        """Yield the limits of the transmission angle of every dyad.
+
+        Parameters
+        ----------
+        joints : sequence of str
+            Joints of the dyads.
+        """
+        for joint in joints:
+            limit = transmission_limit(self.transmission_angle, self.pressure_angle, joint)
+            if limit is not None and limit.pressure and limit.high is not None:
+                most = limit.high - 0.5 * math.pi
+                term = Limit(quantity="pressure angle", of=joint, max=_degrees(most))
+                yield Bound(f"pressure_angle.{joint}", term, Interval(None, most, "angle", "deg"), limit.key)
+                continue
+            sides = () if limit is None else (("least", "min", limit.low), ("largest", "max", limit.high))
+            for measure, side, bound in sides:
+                if limit is not None and bound is not None:
+                    stated = {"quantity": "transmission angle", "of": joint, "measure": measure, side: _degrees(bound)}
+                    interval = Interval(bound if side == "min" else None, bound if side == "max" else None, "angle", "deg")
+                    yield Bound(f"transmission_angle.{joint}.{side}", Limit.model_validate(stated), interval, limit.key)
 
     @property
     def named(self) -> dict[str, Limit]:
@@ -69,8 +105,14 @@ class CycleProblem(Problem):
         found = []
         for name, limit in self.limits.named.items():
             with below(f"limits.{name}"):
-                found.append(Bound(name, limit, limit.interval(self.linkage, self.quantities)))
-        return tuple(found)
+                found.append(Bound(name, limit, limit.interval(self.linkage, self.quantities), f"limits.{name}"))
+        joints = [group.joint for group in transmitting(self.linkage)]
+        return (*found, *self.limits.transmission_bounds(joints))
+
+    @cached_property
+    def lengths(self) -> tuple[str, ...]:
+        """Names of the lengths of the links; of a four-bar, the frame is one."""
+        return tuple(name for name, quantity in self.mechanism.quantities.items() if quantity.kind == "length")
 
     @cached_property
     def scales(self) -> tuple[float | None, ...]:
@@ -99,6 +141,73 @@ class CycleProblem(Problem):
         return {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
 
 
+class StrokeRequirement(Section):
+    """Requirement of a stroke problem: an output goes to and fro once per revolution of the crank."""
+
+    kind: Literal["stroke"]
+    """Kind of requirement."""
+    output: str | None = None
+    """Output: a slider or guide (its stroke is a length), a body that swings (an angle), or a point along `direction`; default: the
+    rocker of a four-bar."""
+    stroke: Any = None
+    """Stroke of the output: a length or an angle, a range `[low, high]`, or a table of `min`, `max` or `exactly`."""
+    time_ratio: RatioOfStrokes | None = None
+    """Duration of the slow stroke divided by that of the quick one at constant crank speed; with `stroke`, that of the stroke
+    `"forward"`, `"backward"`, `"slow"` or `"quick"`."""
+    direction: FixedAngle | None = None
+    """Direction of the stroke of a point, from +x."""
+
+
+class StrokeProblem(CycleProblem):
+    """A linkage for a stroke and a time ratio: a problem over the cycle with its own requirement. Immutable."""
+
+    requirement: StrokeRequirement
+    """Output, stroke and time ratio."""
+    objective: Objective = Objective(quantity="pressure angle")
+    """Objective over the cycle; default: the least worst pressure angle of all dyads, which is the best transmission angle."""
+
+    @property
+    def output(self) -> str:
+        """Name of the output."""
+        return self.requirement.output or ("rocker" if isinstance(self.mechanism, FourBarSection) else "")
+
+    @cached_property
+    def bounds(self) -> tuple[Bound, ...]:
+        """The stroke, the time ratio, and the limits with their bounds."""
+        task, found = self.requirement, []
+        stated = {"of": self.output, "direction": task.direction}
+        with below("requirement.stroke"):
+            term = Limit.model_validate({"quantity": "stroke", **stated, **_sides(task.stroke)})
+            check_term(term, self.linkage, self.quantities)
+            found.append(Bound("stroke", term, term.interval(self.linkage, self.quantities), "requirement.stroke"))
+        ratio = task.time_ratio
+        if ratio is not None:
+            sides = {side: value for side, value in (("min", ratio.low), ("max", ratio.high)) if value is not None}
+            term = Limit.model_validate({"quantity": "time ratio", **stated, "stroke": ratio.stroke, **sides})
+            found.append(Bound("time_ratio", term, Interval(ratio.low, ratio.high, None, ""), "requirement.time_ratio"))
+        return (*found, *super().bounds)
+
+
+def _sides(raw: object) -> dict[str, object]:
+    """Return a stroke as the bounds of a limit."""
+    if raw is None:
+        raise Unusable("the stroke is missing", 'Write stroke = "60 deg", or "100 mm" for a slider')
+    if isinstance(raw, dict):
+        for key in raw:
+            if key not in SIDES:
+                raise Unusable("unknown key", nearest(str(key), SIDES), str(key))
+        return raw
+    if isinstance(raw, list):
+        if len(raw) != 2:
+            raise Unusable("a range is a list of two values, lower and upper", 'Write ["55 deg", "60 deg"]', "", raw)
+        return {"exactly": raw[0]} if raw[0] == raw[1] else dict(zip(SIDES, raw, strict=False))
+    return {"exactly": raw}
+
+
+def _degrees(angle: float) -> str:
+    return f"{math.degrees(angle):.12g} deg"
+
+
 def cross_check_cycle(problem: CycleProblem) -> None:
     """Check that the sections of a cycle problem are consistent.
 
@@ -120,6 +229,10 @@ def cross_check_cycle(problem: CycleProblem) -> None:
     for name, limit in problem.limits.named.items():
         with below(f"limits.{name}"):
             check_term(limit, mechanism, problem.quantities)
+    if isinstance(problem, StrokeProblem):
+        _check_output(problem)
+    joints = [group.joint for group in transmitting(mechanism)]
+    check_transmission(problem.limits.transmission_angle, problem.limits.pressure_angle, joints)
     _ = problem.bounds
     if problem.mechanism.friction and any(_forced(term) for term in (*problem.goals, *problem.limits.named.values())):
         guide = next(iter(problem.mechanism.friction))
@@ -133,8 +246,25 @@ def cross_check_cycle(problem: CycleProblem) -> None:
         raise Unusable("no masses and no loads are given, so there are no forces", "Add [bodies] or [loads]", "objective")
 
 
+def _check_output(problem: StrokeProblem) -> None:
+    """Check that the output exists and can go to and fro."""
+    mechanism = problem.linkage
+    known = [*(guide.name for guide in mechanism.guides), *(link.body for link in mechanism.links[1:]), *moving_points(mechanism)]
+    name = problem.output
+    if name not in known and guide_of(name, mechanism) is None:
+        remedy = nearest(name, known) if name else f"Write output = one of: {', '.join(known)}"
+        raise Unusable(
+            "the output is the name of a slider, a body that swings, or a point", remedy, "requirement.output", name or None
+        )
+    try:
+        output_of(Term(quantity="stroke", of=name, direction=problem.requirement.direction), mechanism)
+    except Unusable as error:
+        error.key = f"requirement.{error.key.replace('of', 'output')}"
+        raise
+
+
 def _forced(term: Term) -> bool:
     return term.nature.kind in ("torque", "force", "energy")
 
 
-__all__ = ["Bound", "CycleProblem", "cross_check_cycle", "replace"]
+__all__ = ["Bound", "CycleProblem", "StrokeProblem", "cross_check_cycle", "replace"]

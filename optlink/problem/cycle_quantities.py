@@ -88,6 +88,8 @@ class QuantityType:
         Whether `signal` needs the reactions; it can then also be evaluated without the inertia of the bodies.
     vector : bool
         Whether the signal has two components.
+    general : bool
+        Whether `of` may be left out: the signal then has one component per element, and the worst of all counts.
     at : str
         Preposition before the element, for display.
     """
@@ -100,6 +102,7 @@ class QuantityType:
     history: Course | None = None
     forces: bool = False
     vector: bool = False
+    general: bool = False
     at: str = "of"
 
     @property
@@ -141,8 +144,17 @@ def _dyad_of(mechanism: Mechanism, joint: str | None) -> Transmitting:
 
 
 def _transmission(moving: Moving, reactions: Reactions, term: Term) -> tuple[Value, ...]:
+    return (_transmission_angle(moving, _dyad_of(moving.machine.mechanism, term.of)),)
+
+
+def _pressure(moving: Moving, reactions: Reactions, term: Term) -> tuple[Value, ...]:
+    """Return 90 deg less the transmission angle [rad], of one dyad or of all."""
+    groups = [group for group in transmitting(moving.machine.mechanism) if term.of in (None, group.joint)]
+    return tuple(0.5 * np.pi - _transmission_angle(moving, group) for group in groups)
+
+
+def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
     """Return the transmission angle of a dyad [rad], see `optlink.linkage.dyad_types.Transmitting`; 90 deg is best."""
-    group = _dyad_of(moving.machine.mechanism, term.of)
     if isinstance(group, RRR):
         p, q = (minus(moving.position(pin), moving.position(group.joint)) for pin in group.pins)
     elif isinstance(group, RRP | RPR):
@@ -151,11 +163,20 @@ def _transmission(moving: Moving, reactions: Reactions, term: Term) -> tuple[Val
         p = (-line[1], line[0])
     else:
         p, q = (moving.line(guide.name) for guide in group.prismatic)
-    return (np.arctan2(magnitude(cross(p, q)), dot(p, q)),)
+    return np.arctan2(magnitude(cross(p, q)), dot(p, q))
 
 
 def _transmission_measured(record: MotionColumns, term: Term) -> Array:
-    group, motion = _dyad_of(record.moving.machine.mechanism, term.of), record.moving.motion
+    return _measured(record, _dyad_of(record.moving.machine.mechanism, term.of))
+
+
+def _pressure_measured(record: MotionColumns, term: Term) -> Array:
+    groups = [group for group in transmitting(record.moving.machine.mechanism) if term.of in (None, group.joint)]
+    return np.asarray(np.max([np.abs(0.5 * np.pi - _measured(record, group)) for group in groups], axis=0))
+
+
+def _measured(record: MotionColumns, group: Transmitting) -> Array:
+    motion = record.moving.motion
     if isinstance(group, RRR):
         return record[f"{group.joint}.transmission_rad"]
     lines = [record.moving.line(guide.name) for guide in group.prismatic]
@@ -251,6 +272,9 @@ QUANTITIES |= {
         _transmission_measured,
         at="at",
     ),
+    "pressure angle": QuantityType(
+        "angle", ("peak",), "joint of a dyad", JOINT, _pressure, _pressure_measured, general=True, at="at"
+    ),
     "slide": QuantityType(
         "coordinate",
         _EXTREMES,
@@ -273,4 +297,5 @@ QUANTITIES |= {
     "time ratio": QuantityType("", (), "slider, body or point"),
     "work": QuantityType("energy", (), "slider", GUIDE),
     "length": QuantityType("coordinate", (), "size"),
+    "total length": QuantityType("length", ()),
 }

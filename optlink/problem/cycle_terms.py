@@ -111,6 +111,8 @@ class Term(TermSection):
             return f"end of the {self.stroke} stroke of {self.of}{along}"
         if self.quantity == "length":
             return str(self.of)
+        if self.quantity == "total length":
+            return "total length of the links"
         words += f" {self.nature.at} {self.of}" if self.of else ""
         words += f" on {self.on}" if self.on else ""
         words += f", {self.stroke} over {STROKES[self.stroke]}" if self.quantity == "time ratio" and self.stroke else ""
@@ -138,7 +140,7 @@ def check_shape(term: Term) -> None:
         raise Unusable(f"which {what}", f'Add measure = "{nature.measures[0]}" or "{nature.measures[1]}"', "measure")
     if term.measure is not None and term.measure not in nature.measures:
         raise Unusable(f"not a measure of {_a(what)}", nearest(term.measure, nature.measures), "measure", term.measure)
-    if nature.of and term.of is None and what != "work":
+    if nature.of and term.of is None and what != "work" and not nature.general:
         raise Unusable(f"of which {nature.of}", 'Add of = "..."', "of")
     if not nature.of and term.of is not None:
         raise Unusable(f"the {what} is that of the whole machine", "Leave it out", "of", term.of)
@@ -288,8 +290,10 @@ class Limit(Term):
                 raise Unusable("the largest size over the cycle is positive", "Give a limit above zero", key, getattr(self, key))
             if self.quantity == "time ratio":
                 check_time_ratio(self.stroke, value, key)
-            if self.quantity == "transmission angle" and not 0.0 < value < math.pi:
-                raise Unusable("out of range", 'Give an angle between 0 and 180 deg, for example "45 deg"', key, str(value))
+            most = {"transmission angle": 180.0, "pressure angle": 90.0}.get(self.quantity)
+            if most is not None and not 0.0 < value < math.radians(most):
+                remedy = f'Give an angle between 0 and {most:g} deg, for example "45 deg"'
+                raise Unusable("out of range", remedy, key, str(value))
         first = next(iter(found.values()))
         return Interval(low[0] if low else None, high[0] if high else None, kind or None, first[1])
 

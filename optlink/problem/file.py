@@ -19,7 +19,7 @@ import pydantic
 from optlink.errors import Fault, InputError, shown
 from optlink.io import data_folder, load_extensions
 from optlink.problem.base_model import with_ranges
-from optlink.problem.cycle import CycleProblem, cross_check_cycle
+from optlink.problem.cycle import CycleProblem, StrokeProblem, cross_check_cycle
 from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads
 from optlink.problem.function import DesignProblem, cross_check_design
 from optlink.problem.limits import MARGINS, Alignment
@@ -32,6 +32,7 @@ from optlink.units import plain, split, split_range
 
 MAX_BYTES = 1_000_000
 GENERATED = ("path", "motion", "transmission")
+STROKE = "stroke"
 SIDES = ("min", "max")
 
 
@@ -74,7 +75,7 @@ class ProblemFile:
     def kind(self) -> str:
         """Type of the linkage and kind of the task, for display."""
         asked = {"cycle": "cycle design", "balance": "balancing"}.get(self.task, self.task)
-        if isinstance(self.model, DesignProblem | PathProblem):
+        if isinstance(self.model, DesignProblem | PathProblem | StrokeProblem):
             asked = f"{self.model.requirement.kind} design"
         return f"{self.model.mechanism.type}, {asked}"
 
@@ -205,7 +206,8 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     task = raw.get("requirement")
     dyads = of_dyads(raw)
     output = dyads and isinstance(task, dict)
-    kinds = ("function", *GENERATED)
+    kinds = ("function", *GENERATED, STROKE)
+    stroke = isinstance(task, dict) and task.get("kind") == STROKE
     if isinstance(task, dict) and task.get("kind", "function") not in kinds:
         raise InputError(Fault("unknown kind", nearest(str(task["kind"]), kinds), file, "requirement.kind", task["kind"]))
     generation = isinstance(task, dict) and (task.get("kind") in GENERATED or output)
@@ -214,8 +216,10 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
         model = PathProblem
     if "objective" in raw and "requirement" not in raw:
         model = CycleProblem
+    if stroke:
+        model = StrokeProblem
     model = next((further for section, further in SECTIONS.items() if section in raw), model)
-    if generation and isinstance(task, dict) and "robust" in task:
+    if generation and not stroke and isinstance(task, dict) and "robust" in task:
         remedy = "Leave it out; `optlink study tolerance` judges any design"
         fault = Fault("a robust design is found for motion laws of a four-bar only", remedy, file, "requirement.robust")
         raise InputError(fault)

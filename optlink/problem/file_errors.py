@@ -9,7 +9,7 @@ import pydantic
 
 from optlink.errors import Fault
 from optlink.io import Registry
-from optlink.problem.cycle import CycleLimits, CycleProblem
+from optlink.problem.cycle import CycleLimits, CycleProblem, StrokeProblem
 from optlink.problem.cycle_terms import Limit
 from optlink.problem.function import DesignProblem
 from optlink.problem.machine.model import Problem
@@ -36,7 +36,7 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
     *kinds : type
         Models of a file.
     """
-    models: list[Any] = list(kinds) or [DesignProblem, PathProblem, CycleProblem, Problem, *SECTIONS.values()]
+    models: list[Any] = list(kinds) or [DesignProblem, PathProblem, CycleProblem, StrokeProblem, Problem, *SECTIONS.values()]
     for step in path:
         fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
         if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same

@@ -28,6 +28,7 @@ from optlink.problem.quantity import (
     AnglesOfJoints,
     FixedAngle,
     Interval,
+    JointRanges,
     LargestAnglesOfJoints,
     LengthInterval,
     Number,
@@ -121,34 +122,95 @@ class Limits(Margins):
     """Length of each moving link divided by that of the frame; four-bar only."""
 
     def transmission_at(self, joint: str = COUPLER_JOINT) -> TransmissionLimit | None:
-        """Return the limit of the transmission angle at a joint, that with its name before a general one; None if there is none.
+        """Return the limit of the transmission angle at a joint, see `transmission_limit`."""
+        cosine = self.transmission_cosine
+        low, high = (None, None) if cosine is None else (cosine.low, cosine.high)
+        angles = None if high is None else math.acos(high), None if low is None else math.acos(low)
+        general = () if cosine is None else (TransmissionLimit("limits.transmission_cosine", *angles),)
+        return transmission_limit(self.transmission_angle, self.pressure_angle, joint, general)
 
-        Raises
-        ------
-        Unusable
-            with the key, if there are two.
-        """
-        named: list[TransmissionLimit] = []
-        general: list[TransmissionLimit] = []
-        if self.transmission_angle is not None:
-            own, key = self.transmission_angle, "limits.transmission_angle"
-            general += [TransmissionLimit(key, own.low, own.high)] if own.plain else []
-            named += [TransmissionLimit(f"{key}.{name}", one.low, one.high) for name, one in own.own if name == joint]
-        if self.transmission_cosine is not None:
-            low, high = self.transmission_cosine.low, self.transmission_cosine.high
-            angles = None if high is None else math.acos(high), None if low is None else math.acos(low)
-            general.append(TransmissionLimit("limits.transmission_cosine", *angles))
-        if self.pressure_angle is not None:
-            own, key, right = self.pressure_angle, "limits.pressure_angle", 0.5 * math.pi
-            general += [TransmissionLimit(key, right - own.bounds[1], right + own.bounds[1])] if own.plain else []
-            found = ((name, one.bounds[1]) for name, one in own.own if name == joint)
-            named += [TransmissionLimit(f"{key}.{name}", right - most, right + most) for name, most in found]
-        limits = named or general
-        if len(limits) > 1:
-            keys = [limit.key.removeprefix("limits.") for limit in limits]
-            at = f" at {joint}" if named else ""
-            raise Unusable(f"the transmission angle{at} is limited twice", f"Keep {' or '.join(keys)}", limits[-1].key)
-        return limits[0] if limits else None
+
+def transmission_limit(
+    angle: JointRanges | None, pressure: JointRanges | None, joint: str, further: Sequence[TransmissionLimit] = ()
+) -> TransmissionLimit | None:
+    """Return the limit of the transmission angle at a joint, that with its name before a general one; None if there is none.
+
+    Parameters
+    ----------
+    angle : JointRanges, optional
+        Of the key `transmission_angle` [rad].
+    pressure : JointRanges, optional
+        Of the key `pressure_angle` [rad].
+    joint : str
+    further : sequence of TransmissionLimit
+        Other general limits.
+
+    Raises
+    ------
+    Unusable
+        with the key, if there are two.
+    """
+    named: list[TransmissionLimit] = []
+    general: list[TransmissionLimit] = []
+    if angle is not None:
+        key = "limits.transmission_angle"
+        general += [TransmissionLimit(key, angle.low, angle.high)] if angle.plain else []
+        named += [TransmissionLimit(f"{key}.{name}", one.low, one.high) for name, one in angle.own if name == joint]
+    general += further
+    if pressure is not None:
+        key, right = "limits.pressure_angle", 0.5 * math.pi
+        general += [TransmissionLimit(key, right - pressure.bounds[1], right + pressure.bounds[1])] if pressure.plain else []
+        found = ((name, one.bounds[1]) for name, one in pressure.own if name == joint)
+        named += [TransmissionLimit(f"{key}.{name}", right - most, right + most) for name, most in found]
+    limits = named or general
+    if len(limits) > 1:
+        keys = [limit.key.removeprefix("limits.") for limit in limits]
+        at = f" at {joint}" if named else ""
+        raise Unusable(f"the transmission angle{at} is limited twice", f"Keep {' or '.join(keys)}", limits[-1].key)
+    return limits[0] if limits else None
+
+
+TRANSMISSION_RANGES = (
+    ("transmission_angle", (0.0, math.pi), 'Give a range such as ["45 deg", "135 deg"]'),
+    ("pressure_angle", (math.radians(0.1), 0.5 * math.pi), 'Give one such as "45 deg"'),
+)
+"""Ranges that the limits of the transmission angle can have [rad], with remedies."""
+
+
+def _check_range(name: str, whole: Interval | None, possible: tuple[float, float], remedy: str) -> None:
+    named = [(f"{name}.{joint}", interval) for joint, interval in getattr(whole, "own", ())]
+    for key, interval in () if whole is None else ((name, whole), *named):
+        for bound in (interval.low, interval.high):
+            if bound is not None and not possible[0] <= bound <= possible[1]:
+                message = f"{interval.to_display(bound)} is out of the range that it can have"
+                raise Unusable(message, remedy, f"limits.{key}", str(interval))
+
+
+def check_transmission(angle: JointRanges | None, pressure: JointRanges | None, joints: Sequence[str]) -> None:
+    """Refuse limits of the transmission angle that are impossible, contradictory or of a joint that has none.
+
+    Parameters
+    ----------
+    angle, pressure : JointRanges, optional
+        Of the keys `transmission_angle` and `pressure_angle` [rad].
+    joints : sequence of str
+        Joints of the dyads that have a transmission angle.
+
+    Raises
+    ------
+    Unusable
+        with the full key.
+    """
+    for whole, (name, possible, remedy) in zip((angle, pressure), TRANSMISSION_RANGES, strict=True):
+        _check_range(name, whole, possible, remedy)
+        if whole is not None and not joints:
+            raise Unusable("no dyad of this mechanism has a transmission angle", "Leave it out", f"limits.{name}")
+        for joint, _ in () if whole is None else whole.own:
+            if joint not in joints:
+                remedy = nearest(joint, [*joints, *SIDES[:2]])
+                raise Unusable("no dyad has its transmission angle there", remedy, f"limits.{name}.{joint}")
+    for joint in joints:
+        transmission_limit(angle, pressure, joint)
 
 
 def check_limits(limits: Limits, joints: Sequence[str]) -> None:
@@ -165,31 +227,13 @@ def check_limits(limits: Limits, joints: Sequence[str]) -> None:
     Unusable
         with the full key of the limit.
     """
-    own = (
-        ("transmission_angle", (0.0, np.pi), 'Give a range such as ["45 deg", "135 deg"]'),
-        ("pressure_angle", (math.radians(0.1), 0.5 * np.pi), 'Give one such as "45 deg"'),
-        ("transmission_cosine", (-1.0, 1.0), "Give a range such as [-0.7071, 0.7071]"),
-    )
+    ranges = (("transmission_cosine", (-1.0, 1.0), "Give a range such as [-0.7071, 0.7071]"),)
     registered = ((term.name, term.possible, f"Give a range such as {term.example}") for term in LIMITS.values())
-    for name, (lowest, highest), remedy in (*own, *registered):
-        whole = getattr(limits, name)
-        named = [(f"{name}.{joint}", interval) for joint, interval in getattr(whole, "own", ())]
-        for key, interval in () if whole is None else ((name, whole), *named):
-            for bound in (interval.low, interval.high):
-                if bound is not None and not lowest <= bound <= highest:
-                    message = f"{interval.to_display(bound)} is out of the range that it can have"
-                    raise Unusable(message, remedy, f"limits.{key}", str(interval))
+    for name, possible, remedy in (*ranges, *registered):
+        _check_range(name, getattr(limits, name), possible, remedy)
+    check_transmission(limits.transmission_angle, limits.pressure_angle, joints)
     for joint in joints:
         limits.transmission_at(joint)
-    for name in ("transmission_angle", "pressure_angle"):
-        whole = getattr(limits, name)
-        if whole is not None and not joints:
-            raise Unusable("no dyad of this mechanism has a transmission angle", "Leave it out", f"limits.{name}")
-        for joint, _ in () if whole is None else whole.own:
-            if joint not in joints:
-                raise Unusable(
-                    "no dyad has its transmission angle there", nearest(joint, [*joints, *SIDES[:2]]), f"limits.{name}.{joint}"
-                )
     for term, _ in limits_in_file(limits) if limits.crank != "full rotation" else ():
         if term.crank_rocker:
             raise Unusable("only a crank-rocker has it", 'Set limits.crank = "full rotation", or leave the limit out', term.key)

@@ -81,7 +81,7 @@ class CycleParameters:
         side = "" if parameter.constant >= 0 else ".max" if parameter.upper else ".min"
         if parameter.constant < 0 and entry >= len(self.nlp.variables):
             limit = self.nlp.rows[entry - len(self.nlp.variables)].limit
-            if not limit.startswith("limits.") or limit in MARGIN_KEYS:
+            if not limit.startswith(("limits.", "requirement.")) or limit in MARGIN_KEYS:
                 return ""
             stated = value_at(self.problem, limit)
             exactly = isinstance(stated, Mapping) and "exactly" in stated

@@ -62,7 +62,8 @@ class CycleTask(OptimumTask):
     def programme(self) -> CycleProgramme | None:
         """Common programme of all points; None if every point needs its own."""
         limits = [axis.key.rpartition(".") for axis in self.grid.axes]
-        if not all(limit.startswith("limits.") and side in BOUNDS for limit, _, side in limits):
+        named = [f"limits.{name}" for name in task_of(self.problem).limits.named]
+        if not all(limit in named and side in BOUNDS for limit, _, side in limits):
             return None
         made = CycleProgramme(self.problem.override(self.grid.changes(0)), self.backend)
         return made if made.possible else None

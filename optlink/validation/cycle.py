@@ -107,6 +107,8 @@ class Cycle:
 
     def figure(self, term: Term) -> float:
         """Return the value of a term [SI]; NaN if it is undefined."""
+        if term.quantity == "total length":
+            return math.fsum(self.design[name] for name in self.problem.lengths)
         if not self.full:
             return self.design[str(term.of)] if term.quantity == "length" else math.nan
         if term.nature.cyclic:

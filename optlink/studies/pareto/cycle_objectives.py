@@ -62,7 +62,8 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
     if name == OWN:
         if not task.single:
             return ParetoObjective(name, "sum of the objective", "", 1)
-        own = {key: value for key, value in problem.raw["objective"].items() if key != "sense"}
+        stated = problem.raw.get("objective", {"quantity": task.goals[0].quantity})
+        own = {key: value for key, value in stated.items() if key != "sense"}
         return _termed(problem, own, -1 if task.goals[0].sense == "maximise" else 1, number, name)
     limited = task.limits.named.get(name.removeprefix("limits."))
     if limited is not None:

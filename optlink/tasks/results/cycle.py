@@ -187,10 +187,11 @@ class CycleResult(Recorded):
     def fit(self) -> Fit | None:
         """Grade of a machine whose transmission angle is optimised; None for objectives without a target."""
         goal = self.task.goals[0]
-        if not self.task.single or goal.quantity != "transmission angle":
+        if not self.task.single or goal.quantity not in ("transmission angle", "pressure angle"):
             return None
         cycle = analysis_of(self.task, self.values)
         angle = math.nan if cycle is None else cycle.figure(goal)
+        angle = 0.5 * math.pi - angle if goal.quantity == "pressure angle" else angle
         limits = () if self.solution is None else self.solution.limits
         return transmission_fit(min(angle, math.pi - angle), self.task.mechanism.quantities, self._all(self.values), limits)
 
