@@ -27,7 +27,7 @@ import optlink
 from optlink.clearance.contact_laws import NORMAL
 from optlink.errors import InputError
 from optlink.problem.base_model import Section
-from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle import CycleProblem, StrokeProblem
 from optlink.problem.cycle_quantities import QUANTITIES
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.machine.model import Problem
@@ -44,6 +44,7 @@ ROOTS: dict[type[Problem], tuple[str, str]] = {
     DesignProblem: ("law", "a four-bar for a motion law or function"),
     PathProblem: ("points", "path, motion, function of dyads, transmission"),
     CycleProblem: ("cycle", "cycle optimisation of a machine"),
+    StrokeProblem: ("stroke", "a stroke and a time ratio"),
 }
 """Models of a complete file: suffix of their anchors, and kind of problem."""
 
@@ -102,6 +103,7 @@ FORMS = {
     "Requirement.start": " or ".join(f"`{start}`" for start in DEAD_CENTRES) + ", or angle, fixed or free",
     "PathRequirement.points": "list or table; for a function a whole number",
     "PathRequirement.law": "table",
+    "StrokeRequirement.stroke": "length or angle, range of these, or table of `min`, `max`, `exactly`",
     "Goal.scale": "quantity",
     "Limit.min": "quantity",
     "Limit.max": "quantity",

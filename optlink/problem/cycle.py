@@ -147,8 +147,8 @@ class StrokeRequirement(Section):
     kind: Literal["stroke"]
     """Kind of requirement."""
     output: str | None = None
-    """Output: a slider or guide (its stroke is a length), a body that swings (an angle), or a point along `direction`; default: the
-    rocker of a four-bar."""
+    """Output: a slider or guide (its stroke is a length), a body that swings (an angle), or a point along `direction`; default:
+    the rocker of a four-bar."""
     stroke: Any = None
     """Stroke of the output: a length or an angle, a range `[low, high]`, or a table of `min`, `max` or `exactly`."""
     time_ratio: RatioOfStrokes | None = None
@@ -156,6 +156,10 @@ class StrokeRequirement(Section):
     `"forward"`, `"backward"`, `"slow"` or `"quick"`."""
     direction: FixedAngle | None = None
     """Direction of the stroke of a point, from +x."""
+
+
+REQUIRED = ("stroke", "time_ratio")
+"""Names of the bounds that the requirement of a stroke problem states."""
 
 
 class StrokeProblem(CycleProblem):
@@ -176,15 +180,19 @@ class StrokeProblem(CycleProblem):
         """The stroke, the time ratio, and the limits with their bounds."""
         task, found = self.requirement, []
         stated = {"of": self.output, "direction": task.direction}
-        with below("requirement.stroke"):
+        try:
             term = Limit.model_validate({"quantity": "stroke", **stated, **_sides(task.stroke)})
             check_term(term, self.linkage, self.quantities)
-            found.append(Bound("stroke", term, term.interval(self.linkage, self.quantities), "requirement.stroke"))
+            found.append(Bound(REQUIRED[0], term, term.interval(self.linkage, self.quantities), "requirement.stroke"))
+        except Unusable as error:  # a plain value has no sides in the file
+            side = error.key if isinstance(task.stroke, dict) else ""
+            error.key = f"requirement.stroke.{side}".rstrip(".")
+            raise
         ratio = task.time_ratio
         if ratio is not None:
             sides = {side: value for side, value in (("min", ratio.low), ("max", ratio.high)) if value is not None}
             term = Limit.model_validate({"quantity": "time ratio", **stated, "stroke": ratio.stroke, **sides})
-            found.append(Bound("time_ratio", term, Interval(ratio.low, ratio.high, None, ""), "requirement.time_ratio"))
+            found.append(Bound(REQUIRED[1], term, Interval(ratio.low, ratio.high, None, ""), "requirement.time_ratio"))
         return (*found, *super().bounds)
 
 
@@ -247,8 +255,12 @@ def cross_check_cycle(problem: CycleProblem) -> None:
 
 
 def _check_output(problem: StrokeProblem) -> None:
-    """Check that the output exists and can go to and fro."""
+    """Check that the output exists and can go to and fro, and that the assembly mode is definite."""
     mechanism = problem.linkage
+    if len(problem.mechanism.variants(mechanism)) > 1:
+        message, assembly = "a stroke is designed for one assembly mode", problem.mechanism.assembly
+        remedy = 'Write "left" or "right"' if isinstance(assembly, str) else "Choose one mode of every dyad"
+        raise Unusable(message, remedy, "mechanism.assembly", assembly)
     known = [*(guide.name for guide in mechanism.guides), *(link.body for link in mechanism.links[1:]), *moving_points(mechanism)]
     name = problem.output
     if name not in known and guide_of(name, mechanism) is None:

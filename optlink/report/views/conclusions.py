@@ -10,6 +10,7 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.optimization.objectives import MEASURES
+from optlink.problem.cycle import REQUIRED, StrokeProblem
 from optlink.report.format import pretty, scale
 
 if TYPE_CHECKING:
@@ -123,12 +124,15 @@ def _path(best: PathDesign) -> str:
 
 
 def _cycle(outcome: CycleResult) -> str:
+    stroke = isinstance(outcome.task, StrokeProblem)
     goals = [one for one in outcome.figures if one.limit in ("minimised", "maximised")] or outcome.figures[:1]
     words = []
     for one in goals:
-        change = one.result / one.initial - 1.0 if one.initial and math.isfinite(one.initial) else math.nan
+        compared = one.initial and math.isfinite(one.initial) and (not stroke or outcome.initial.valid)
+        change = one.result / one.initial - 1.0 if compared else math.nan
         before = f" instead of {figure(one.initial, one.unit)} ({100.0 * change:+.1f} %)" if math.isfinite(change) else ""
         words.append(f"{one.words} {figure(one.result, one.unit)}{before.replace('-', '−')}")
+    words += [f"{one.words} {figure(one.result, one.unit)}" for one in outcome.figures if stroke and one.name in REQUIRED]
     text = listed(words)
     return f"{text[:1].upper()}{text[1:]}."
 

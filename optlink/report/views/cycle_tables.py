@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 from optlink.errors import Status
-from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle import CycleProblem, StrokeProblem
 from optlink.report.format import fixed, number, times
 from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, quiet, strong, summary, table
 from optlink.report.views.analysis_tables import machine_strokes
 from optlink.report.views.function_tables import active, checks, conflict, graded, noted, verdict
 from optlink.tasks.results.cycle import CycleResult, display_unit
+from optlink.units import factor
 
 
 def cycle_result(outcome: CycleResult) -> Summary:
@@ -20,7 +22,9 @@ def cycle_result(outcome: CycleResult) -> Summary:
     if outcome.conflict:
         limits = conflict(outcome.conflict, outcome.together)
     elif outcome.solution is not None:
-        limits = active(outcome.solution.limits, outcome.objective, outcome.unit)
+        size = 1.0 / factor(outcome.unit, outcome.task.unit_kind) if outcome.unit else 1.0
+        held = [replace(limit, multiplier=limit.multiplier * size) for limit in outcome.solution.limits]
+        limits = active(held, outcome.objective * size, outcome.unit)
     return summary(
         outcome.task.title,
         _status(outcome),
@@ -44,7 +48,8 @@ def cycle_problem(task: CycleProblem) -> TableSpec:
     rows += [(bound.name, bound.term.words, str(bound.interval)) for bound in task.bounds]
     default = "" if "alignment" in task.limits.model_fields_set else ", default"
     rows.append(("alignment", "every joint off alignment", f"at least {task.limits.alignment}{default}"))
-    return table("[objective] and [limits]", "<<<", rows)
+    required = "[requirement], " if isinstance(task, StrokeProblem) else ""
+    return table(f"{required}[objective] and [limits]", "<<<", rows)
 
 
 def _status(outcome: CycleResult) -> Iterator[Line]:

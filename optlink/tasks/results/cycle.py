@@ -13,7 +13,7 @@ from pydantic import Field
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
 from optlink.problem.base_model import Number, Record, Recorded
-from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle import CycleProblem, StrokeProblem
 from optlink.problem.cycle_terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
@@ -177,8 +177,10 @@ class CycleResult(Recorded):
             return ""
         goal, first = self.figures[0], self.initial
         given, found, unit = (goal.initial, goal.result, goal.unit) if self.task.single else (first.objective, self.objective, "")
-        if not math.isfinite(given):
+        if not math.isfinite(given) and not isinstance(self.task, StrokeProblem):
             return "the crank of the initial design does not turn fully"
+        if isinstance(self.task, StrokeProblem) and not first.valid:  # the middle of the bounds is not a design of anybody
+            return f"objective {found:.5g} {unit}".rstrip()
         change = f" ({found / given - 1.0:+.1%})" if given else ""
         beside = f"objective {found:.5g} {unit}".rstrip() + f", initial design {given:.5g} {unit}".rstrip() + change
         return beside if first.valid else f"{beside}, which does not meet the limits"

@@ -1,0 +1,186 @@
+"""Stroke problems, judged by the dead-centre synthesis of textbooks: closed forms and searches along one-parameter families."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+import optlink
+from optlink.errors import InputError
+from optlink.problem.cycle import CycleProblem
+
+Raw = dict[str, object]
+
+
+def crank_rocker(swing: float, turned: float, ratio: float) -> tuple[float, float, float]:
+    """Crank, coupler and rocker on a frame of 1, from the loop equations of both dead centres in complex numbers.
+
+    `swing` of the rocker while the crank turns by `turned` [rad]; `ratio` of coupler to crank. (Freudenstein, Primrose: The
+    classical transmission angle problem, IMechE Conference on Mechanisms, 1973.)
+    """
+    left = np.array([[1.0 + ratio, -1.0], [(1.0 - ratio) * np.exp(1j * turned), -np.exp(1j * swing)]])
+    crank, rocker = np.abs(np.linalg.solve(left, np.ones(2)))
+    return float(crank), float(ratio * crank), float(rocker)
+
+
+def worst_cosine(crank: float, coupler: float, rocker: float) -> float:
+    """Largest cosine of the transmission angle of a crank-rocker, at crank angles of 0 and 180 deg."""
+    square = coupler**2 + rocker**2
+    return max(abs(square - (1.0 + way * crank) ** 2) / (2.0 * coupler * rocker) for way in (-1.0, 1.0))
+
+
+def slider_crank(stroke: float, time_ratio: float, angle: float) -> tuple[float, float, float]:
+    """Crank, rod and offset: the crank pivot lies where the stroke is seen at the angle that the time ratio prescribes.
+
+    `angle` [rad] of the pivot on this circle.
+    """
+    seen = math.pi * (time_ratio - 1.0) / (time_ratio + 1.0)
+    radius = stroke / (2.0 * math.sin(seen))
+    x, y = radius * math.cos(angle), radius * (math.sin(angle) - math.cos(seen))
+    far, near = math.hypot(x + 0.5 * stroke, y), math.hypot(x - 0.5 * stroke, y)
+    return 0.5 * abs(far - near), 0.5 * (far + near), abs(y)
+
+
+def sine_of_pressure(sizes: tuple[float, float, float]) -> float:
+    """Sine of the largest pressure angle of an offset slider-crank."""
+    crank, rod, offset = sizes
+    return (crank + offset) / rod
+
+
+def least(function: Callable[[float], float], low: float, high: float) -> float:
+    """The place of the least value by golden section."""
+    return float(minimize_scalar(function, bounds=(low, high), method="bounded", options={"xatol": 1e-13}).x)
+
+
+SEEN = math.pi / 11.0
+SLIDER, BEST = optlink.load("stroke-slider-crank"), least(lambda a: sine_of_pressure(slider_crank(100.0, 1.2, a)), 2.2, 2.4)
+ROCKER = optlink.load("stroke-crank-rocker")
+
+
+@pytest.mark.parametrize("backend", ["ipopt", pytest.param("slsqp", marks=pytest.mark.slow)])
+def test_slider_crank_is_the_best_of_its_family(backend: str) -> None:
+    result = optlink.solve(SLIDER, backend)
+    sizes = slider_crank(100.0, 1.2, BEST)
+    assert result.valid
+    assert result.objective == pytest.approx(math.asin(sine_of_pressure(sizes)), abs=1e-10)
+    assert result.objective == pytest.approx(SLIDER.model.expected.objective, abs=SLIDER.model.expected.objective_tolerance)
+    assert [1e3 * value for value in result.values.values()] == pytest.approx(sizes, abs=1e-3)
+    assert result.fit is not None
+    assert result.fit.grade == "good"
+
+
+@pytest.mark.parametrize("backend", ["ipopt", pytest.param("slsqp", marks=pytest.mark.slow)])
+def test_crank_rocker_is_the_best_of_its_family(backend: str) -> None:
+    result = optlink.solve(ROCKER, backend)
+    turned, swing, expected = math.radians(200.0), math.radians(50.0), ROCKER.model.expected
+    ratio = least(lambda r: worst_cosine(*crank_rocker(swing, turned, r)), 1.5, 4.0)
+    sizes = crank_rocker(swing, turned, ratio)
+    assert result.valid
+    assert result.objective == pytest.approx(math.asin(worst_cosine(*sizes)), abs=1e-10)
+    assert result.objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
+    for name, size in zip(("crank", "coupler", "rocker"), sizes, strict=True):
+        assert 1e3 * result.values[name] == pytest.approx(100.0 * size, abs=1e-4)
+        assert result.values[name] == pytest.approx(getattr(expected, name).value, abs=expected.length_tolerance.value)
+
+
+@pytest.mark.slow
+def test_crank_rocker_without_quick_return() -> None:
+    """Closed form for equal strokes: Brodell and Soni, Journal of Mechanisms 5 (1970)."""
+    swing, angle = math.radians(60.0), math.radians(50.0)
+    coupler = math.sqrt((1.0 - math.cos(swing)) / (2.0 * math.cos(angle) ** 2))
+    rocker = math.sqrt((1.0 - coupler**2) / (1.0 - coupler**2 * math.cos(angle) ** 2))
+    crank = math.sqrt(coupler**2 + rocker**2 - 1.0)
+    changes = {"mechanism.rocker": f"{100.0 * rocker!r} mm", "requirement.stroke": "60 deg", "requirement.time_ratio": 1.0}
+    result = optlink.solve(ROCKER.override(changes))
+    assert result.valid
+    assert 100.0 * crank == pytest.approx(1e3 * result.values["crank"], abs=1e-5)
+    assert 100.0 * coupler == pytest.approx(1e3 * result.values["coupler"], abs=1e-5)
+    assert result.objective == pytest.approx(0.5 * math.pi - angle, abs=1e-7)
+
+
+@pytest.mark.slow
+def test_smallest_slider_crank_within_a_pressure_angle() -> None:
+    """Along the family the pressure angle falls as the links grow: the smallest ones are at its limit of 50 deg."""
+    changes = {"objective.quantity": "total length", "limits.pressure_angle": "50 deg"}
+    result = optlink.solve(SLIDER.override(changes))
+
+    def excess(angle: float) -> float:
+        return abs(sine_of_pressure(slider_crank(100.0, 1.2, angle)) - math.sin(math.radians(50.0)))
+
+    crank, rod, _ = slider_crank(100.0, 1.2, least(excess, 0.5 * math.pi + SEEN + 0.01, BEST))
+    assert result.valid
+    assert 1e3 * result.objective == pytest.approx(crank + rod, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_conflict_says_what_would_have_to_give() -> None:
+    """The pressure angle to the best one of this time ratio, or the time ratio to that with a best pressure angle of 30 deg."""
+    result = optlink.solve(SLIDER.override({"limits.pressure_angle": "30 deg"}))
+    assert not result.valid
+    relaxed = {one.key: one.relaxed for one in result.conflict}
+    best = math.degrees(math.asin(sine_of_pressure(slider_crank(100.0, 1.2, BEST))))
+    assert relaxed["limits.pressure_angle"] == pytest.approx(best, abs=1e-4)
+    ratio = relaxed["requirement.time_ratio"]
+
+    def sine(angle: float) -> float:
+        return sine_of_pressure(slider_crank(100.0, ratio, angle))
+
+    first = 0.5 * math.pi + math.pi * (ratio - 1.0) / (ratio + 1.0)  # there the pivot lies at the end of the stroke
+    assert math.degrees(math.asin(sine(least(sine, first + 0.01, math.pi)))) == pytest.approx(30.0, abs=1e-3)
+
+
+def test_planted_defects_fail_their_checks() -> None:
+    crank, rod, offset = (1e-3 * size for size in slider_crank(100.0, 1.2, BEST))
+    good = {"crank.length": crank, "rod.length": rod, "G.offset": offset}
+    file = SLIDER.override({"limits.transmission_angle": ["47.2 deg", "132.8 deg"]})
+    assert optlink.validate(file, good).valid
+    for change, words in (({"crank.length": crank + 1e-6}, "stroke"), ({"G.offset": offset + 1e-5}, "time ratio")):
+        failed = [check.name for check in optlink.validate(file, good | change).validation.checks if not check.passed]
+        assert any(words in name for name in failed)
+    tight = optlink.validate(SLIDER.override({"limits.transmission_angle": ["47.202 deg", "132.8 deg"]}), good)
+    assert [check.name for check in tight.validation.checks if not check.passed] == [
+        "transmission_angle.C.min: least transmission angle at C"
+    ]
+
+
+def test_limits_of_the_transmission_angle_of_a_machine() -> None:
+    """Every cycle problem takes them: of all dyads, or by joint."""
+    changes = {"limits.pressure_angle": "60 deg", "limits.transmission_angle": {"E": ["40 deg", "140 deg"]}}
+    model = optlink.load("press-toggle", changes).model
+    assert isinstance(model, CycleProblem)
+    found = [(bound.key, bound.term.words) for bound in model.bounds if "angle" in bound.key and "rod" not in bound.key]
+    assert found == [
+        ("limits.pressure_angle", "peak pressure angle at C"),
+        ("limits.transmission_angle.E", "least transmission angle at E"),
+        ("limits.transmission_angle.E", "largest transmission angle at E"),
+    ]
+
+
+FAULTS: dict[str, tuple[Raw, str, str]] = {
+    "no such output": ({"requirement.output": "slidr"}, "requirement.output", 'Did you mean "slider"'),
+    "no output": ({"requirement.output": None}, "requirement.output", "one of: G, rod, slider"),
+    "the crank": ({"requirement.output": "crank"}, "requirement.output", "a body that swings"),
+    "a point": ({"requirement.output": "C"}, "requirement.direction", "moves in the plane"),
+    "no stroke": ({"requirement.stroke": None}, "requirement.stroke", "the stroke is missing"),
+    "an angle": ({"requirement.stroke": "30 deg"}, "requirement.stroke", "not a unit of length"),
+    "reversed": ({"requirement.stroke": ["110 mm", "100 mm"]}, "requirement.stroke", "min is above max"),
+    "one side": ({"requirement.stroke": {"mn": "3 mm"}}, "requirement.stroke.mn", 'Did you mean "min"'),
+    "ratio": ({"requirement.time_ratio": 0.5}, "requirement.time_ratio", "Give 1 or more"),
+    "a measure": ({"requirement.measure": "max"}, "requirement.measure", "Known: kind, output, stroke"),
+    "both modes": ({"mechanism.assembly.C": "either"}, "mechanism.assembly", "one assembly mode"),
+    "torque": ({"objective": {"quantity": "torque"}}, "objective", "no masses"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_wrong_requirements_are_named(name: str) -> None:
+    changes, key, words = FAULTS[name]
+    with pytest.raises(InputError) as caught:
+        SLIDER.override(changes)
+    (fault,) = caught.value.faults
+    assert fault.key == key
+    assert words in str(fault)
