@@ -43,11 +43,15 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)  # most unused
 
 
+LIMITED = (("requirement", "stroke"), ("requirement", "time_ratio"))
+"""Keys outside the limits whose ranges are limits too, not bounds of a design variable."""
+
+
 def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()) -> Any:
     """Write out ranges such as "40..140 deg" in nested tables.
 
     Those of limits and bounds become lists of their two ends, those of other quantities of the mechanism and of the
-    requirement bounds, all others and ranges with one side tables of min and max.
+    requirement bounds, all others (`LIMITED` too) and ranges with one side tables of min and max.
 
     Parameters
     ----------
@@ -70,7 +74,7 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
     ends = list(sides.values()) if len(sides) == 2 else None
     if path[-1] == "bounds" or (path[0] == "requirement" and path[-1] == "x"):
         return ends or raw
-    if path[0] in ("mechanism", "requirement"):
+    if path[0] in ("mechanism", "requirement") and path[:2] not in LIMITED:
         return {"bounds": ends} if ends else raw
     return ends if ends and path[0] == "limits" else sides
 

@@ -349,15 +349,13 @@ def _read_joint_maxima(raw: object, kind: str) -> JointRanges:
     """Read a largest value for every joint, or a table with those of single joints."""
 
     def largest(one: object) -> Interval:
-        if isinstance(one, dict):
-            for key in one:
-                if key != "max":
-                    raise Unusable(
-                        "only its largest value is limited", f'Write max = "{KINDS[kind].example}"', str(key), one[key]
-                    )
-            return _read_interval(one, kind)
-        value, unit = read_scalar(one, kind)
-        return Interval(None, value, kind, unit)
+        if not isinstance(one, dict):
+            value, unit = read_scalar(one, kind)
+            return Interval(None, value, kind, unit)
+        for key, value in one.items():
+            if key != "max":
+                raise Unusable("only its largest value is limited", f'Write max = "{KINDS[kind].example}"', key, value)
+        return _read_interval(one, kind)
 
     return _joint_ranges(raw, kind, largest)
 
