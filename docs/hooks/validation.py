@@ -377,6 +377,10 @@ def synthesis() -> Iterator[Row]:
         yield Row(f"`transmission-optimal`, {name}", "mm", length, best.values[name] * 1e3, 5e-3, test)
     angle = 90.0 - math.degrees(math.asin(best.objective))
     yield Row("`transmission-optimal`, worst angle", "deg", 37.733, angle, 5e-4, test)
+    test = "tests/tasks/test_stroke_problems.py::test_{}_is_the_best_of_its_family"
+    for name, known in (("crank-rocker", 40.671312175), ("slider-crank", 47.201069622)):
+        angle = 90.0 - math.degrees(optlink.solve(optlink.load(f"stroke-{name}")).objective)
+        yield Row(f"`stroke-{name}`, worst angle", "deg", known, angle, 1e-8, test.format(name.replace("-", "_")))
     test = f"{PROBLEMS}::test_expected_design_is_reached"
     for name, known in (("log10", 0.003676), ("sin", 0.190337), ("exp", 0.025865)):
         found = math.degrees(optlink.solve(optlink.load(f"function-{name}"), "ipopt").objective)
@@ -449,7 +453,8 @@ GROUPS = (
     Group(
         "Path, function and transmission",
         "synthesis",
-        "Reference values: large multistart searches outside optlink, and an independent design tool for the transmission. "
+        "Reference values: large multistart searches outside optlink, an independent design tool for the transmission, and "
+        "dead-centre synthesis for strokes. "
         "The errors of the functions are slightly smaller than the references. [Synthesis](synthesis.md)",
         synthesis,
     ),
