@@ -217,7 +217,7 @@ class Panel:
 class Picks:
     """Selectable points of a chart: quantities of each as text under common names, and their places in the first panel.
 
-    `what` names one point; `first` is the point shown at the beginning.
+    `what` names one point; `first` is the point shown at the beginning; `sources` are the rows of the points in the study.
     """
 
     what: str
@@ -226,6 +226,7 @@ class Picks:
     x: Array
     y: Array
     first: int = 0
+    sources: Sequence[int] = ()
 
 
 @dataclass(frozen=True, eq=False)

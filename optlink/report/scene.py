@@ -44,8 +44,10 @@ class Scene:
     `angles` (positions,) [deg] follow the motion; `closed` says whether the last position equals the first; `points` are
     coordinates (positions, 2) by name; `moving`, `free` and `pins` are names of points; `ground` contains lines, widths and
     whether they are filled; `springs` are the two end points (positions, 2, 2) by name; `size` is the height of a ground pivot;
-    `box` is x, y, width and height of the drawing.
+    `box` is x, y, width and height of the drawing; `cycle` the analysis of the machine.
     """
+
+    cycle: Analysis
 
     angles: Array
     closed: bool
@@ -111,7 +113,7 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene
     whole = sweep(machine.mechanism, machine.sizes, angles, cycle.speed)
     sketch = Sketch(whole, machine)
     shown = whole if at is None else sweep(machine.mechanism, machine.sizes, [at], cycle.speed)
-    return _scene(sketch, shown, closed=cycle.full and at is None)
+    return _scene(cycle, sketch, shown, closed=cycle.full and at is None)
 
 
 def through(cycle: Analysis, angles: Array) -> Scene:
@@ -124,10 +126,10 @@ def through(cycle: Analysis, angles: Array) -> Scene:
     """
     machine = cycle.machine
     whole = sweep(machine.mechanism, machine.sizes, np.radians(cycle["crank_angle_deg"]), cycle.speed)
-    return _scene(Sketch(whole, machine), sweep(machine.mechanism, machine.sizes, angles, cycle.speed), closed=False)
+    return _scene(cycle, Sketch(whole, machine), sweep(machine.mechanism, machine.sizes, angles, cycle.speed), closed=False)
 
 
-def _scene(sketch: Sketch, motion: Motion, *, closed: bool) -> Scene:
+def _scene(cycle: Analysis, sketch: Sketch, motion: Motion, *, closed: bool) -> Scene:
     mechanism, k = sketch.mechanism, 1e3 / sketch.scale.factor
     flip = k * FLIP
 
@@ -142,6 +144,7 @@ def _scene(sketch: Sketch, motion: Motion, *, closed: bool) -> Scene:
     owners = mechanism.owners
     (x0, x1), (y0, y1) = sketch.limits
     return Scene(
+        cycle=cycle,
         angles=np.degrees(np.asarray(motion.crank_angle, dtype=float)),
         closed=closed,
         bodies=tuple(body(name) for name in mechanism.bodies),

@@ -43,7 +43,7 @@
   system.addEventListener("change", () => use(preferred()));
 
   // --- points of a chart that can be picked: under the pointer, with a click, with a slider ------------------------------------
-  function pick(place, picks, number) {
+  function pick(place, picks, number, drawings) {
     const slider = document.getElementById("pick-" + number);
     const panel = slider.closest(".picked");
     const told = panel.querySelector("output");
@@ -64,8 +64,15 @@
         }
       });
     };
+    const stage = document.getElementById("drawing-" + number);
+    const numbers = Object.keys(drawings).map(Number);
     const show = (index) => {
       wanted = index;
+      if (stage) {
+        // of many points some have a drawing: the nearest of them is shown, and its description says which it is
+        const near = numbers.reduce((one, other) => (Math.abs(other - index) < Math.abs(one - index) ? other : one));
+        stage.innerHTML = drawings[near].replace(/#([0-9a-fA-F]{6})/g, "var(--c$1, #$1)");
+      }
       cells.forEach((cell, k) => {
         cell.textContent = picks.rows[index][k];
       });
@@ -95,7 +102,7 @@
     const { data, layout } = swapped(chart.figure, isDark());
     Plotly.newPlot(place, data, layout, config);
     if (chart.picks) {
-      pick(place, chart.picks, index + 1);
+      pick(place, chart.picks, index + 1, chart.drawings);
     }
     if (chart.cranked) {
       const cursor = document.createElement("div");

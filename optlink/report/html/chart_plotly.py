@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from html import escape as escaped
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from optlink.io import finite
 from optlink.report.chart_spec import Axis, Band, Bars, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
+from optlink.report.export.dimensions import Drawing
 from optlink.report.format import pretty
 from optlink.report.html.theme import readable
 from optlink.report.style import WANTED
@@ -60,7 +61,8 @@ GAP = 0.07  # distance of panels as a share of the height
 class Chart:
     """A chart: title, plotly figure, and whether its x axis is that of the slider, so that a cursor can follow.
 
-    `picks` are its selectable points; `remark` is a note to the reader; `words` describes it for a screen reader.
+    `picks` are its selectable points; `remark` is a note to the reader; `words` describes it for a screen reader; `drawings` are
+    those of selectable points by number.
     """
 
     title: str
@@ -69,6 +71,7 @@ class Chart:
     picks: Picks | None = None
     remark: str = ""
     words: str = ""
+    drawings: Mapping[int, Drawing] = field(default_factory=dict)
 
 
 def escape(text: str) -> str:

@@ -89,6 +89,11 @@ class Moving:
         _, _, width, height = self.scene.box
         return height < FLAT * width
 
+    @property
+    def cycle(self) -> Analysis:
+        """Analysis of the machine."""
+        return self.scene.cycle
+
     def svg(self, title: str) -> str:
         """Return the drawing."""
         return svg(self.scene, f"{title}, drawn to scale")

@@ -10,7 +10,7 @@ from optlink.errors import Status
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
-from optlink.report.html.shell import LARGEST, PageContent, PageSection, arranged, fitted, write
+from optlink.report.html.shell import LARGEST, PageContent, PageSection, arranged, fitted, linkage_sections, write
 from optlink.report.html.sources import closing
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, ReportModel
@@ -96,7 +96,7 @@ def _sections(
     if answers is not None and subject.answers is not None:  # the requested study comes first
         yield _matters(answers)
     if moving is not None:
-        yield PageSection("Linkage in motion", (moving,))
+        yield from linkage_sections(moving, subject.problem.model.title)
     elif subject.unmoved:
         yield PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {subject.unmoved}."),))
     result = _with_recorded_limits(subject, shown)

@@ -7,7 +7,7 @@ import gzip
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib.resources import files
@@ -17,6 +17,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from optlink.report.export.dimensions import Drawing, dimensioned
 from optlink.report.files import whole
 from optlink.report.format import pretty, single_units
 from optlink.report.html import theme
@@ -38,11 +39,11 @@ _DECIMAL = re.compile(r"(?<![\w.,])(\d+\.\d+)(e[-+]\d+)?(?![\w]|\.\d)")
 class PageSection:
     """Part of a page under a heading.
 
-    Its parts are further sections, charts, the moving linkage, paragraphs, facts by name, and groups of tables.
+    Its parts are further sections, charts, drawings, the moving linkage, paragraphs, facts by name, and groups of tables.
     """
 
     name: str
-    parts: Sequence[PageSection | Part | Chart | Moving | Mapping[str, str] | Sequence[Part]]
+    parts: Sequence[PageSection | Part | Chart | Drawing | Moving | Mapping[str, str] | Sequence[Part]]
 
     @property
     def anchor(self) -> str:
@@ -77,7 +78,8 @@ class PageContent:
         """Return the complete document."""
         script, (plotly, packed) = asset("page.js"), _plotly()
         charts = [_charted(chart) for chart in self.charts]
-        drawn = [json.dumps(charts), "" if self.moving is None else self.moving.svg("")]
+        drawings = [part.svg for section in self.sections for part in section.parts if isinstance(part, Drawing)]
+        drawn = [json.dumps(charts), "" if self.moving is None else self.moving.svg(""), *drawings]
         colours = theme.palette(drawn)
         return (
             templates()
@@ -145,6 +147,23 @@ def four(text: str) -> str:
     return _DECIMAL.sub(rounded, text)
 
 
+def linkage_sections(moving: Moving, title: str, caption: str = "", *, dimensions: bool = True) -> Iterator[PageSection]:
+    """Yield the sections of the dimensioned drawing and of the linkage in motion.
+
+    Parameters
+    ----------
+    moving : Moving
+    title : str
+    caption : str, optional
+        Sentence above the linkage.
+    dimensions : bool, optional
+        Yield the dimensioned drawing.
+    """
+    if dimensions:
+        yield PageSection("Dimensions", (dimensioned(moving.cycle, title),))
+    yield PageSection("Linkage in motion", (*([Paragraph(caption, lead=True)] if caption else []), moving))
+
+
 def fitted(made: Callable[[int], PageContent]) -> str:
     """Return the document of a sheet with the most positions per revolution that keep it below `LARGEST`."""
     for steps in STEPS:
@@ -186,7 +205,14 @@ def templates() -> Environment:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    kinds = {"paragraph": Paragraph, "table": TableSpec, "chart": Chart, "linkage": Moving, "section": PageSection}
+    kinds = {
+        "paragraph": Paragraph,
+        "table": TableSpec,
+        "chart": Chart,
+        "linkage": Moving,
+        "drawing": Drawing,
+        "section": PageSection,
+    }
     made.tests.update({name: lambda shown, kind=kind: isinstance(shown, kind) for name, kind in kinds.items()})
     made.tests["short"] = _is_short
     made.filters.update(json=_json, lines=_lines, card_classes=_card_classes, row_header=_row_header)
@@ -247,6 +273,7 @@ def _charted(chart: Chart) -> dict[str, Any]:
     found: dict[str, Any] = {"figure": chart.figure, "cranked": chart.cranked}
     if chart.picks is not None:
         picks = chart.picks
+        found["drawings"] = {k: one.svg for k, one in chart.drawings.items()}
         found["picks"] = {
             "rows": [[four(text) for text in row] for row in picks.rows],
             "x": short(picks.x),

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
-from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
-from optlink.report.html.shell import PageContent, PageSection, arranged, fitted, write
+from optlink.report.export.dimensions import Drawing, dimensioned
+from optlink.report.html.chart_plotly import Chart
+from optlink.report.html.moving_linkage import Moving, crank_stops, even, readouts
+from optlink.report.html.shell import PageContent, PageSection, arranged, fitted, linkage_sections, write
 from optlink.report.html.sources import closing
 from optlink.report.scene import scene
 from optlink.report.table_spec import Line, Paragraph, Part
@@ -19,15 +21,16 @@ from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 from optlink.units import KINDS, factor
 
+DRAWN = 60  # largest number of selectable points with a drawing of their own
+
 
 @dataclass(frozen=True, eq=False)
 class StoredStudy:
     """Report of a stored result.
 
     `kind` describes the task; `conclusion` says in a sentence what was found; `status` are lines below the verdict;
-    `sections` contain tables and charts; `moving` returns the
-    animated linkage for a number of positions per revolution, `drawn` is its caption, `after` the number of sections before it;
-    `by` is the method.
+    `sections` contain tables and charts; `moving` returns the animated linkage for a number of positions per revolution, `drawn`
+    is its caption, `after` the number of sections before it; `by` is the method.
     """
 
     problem: ProblemFile
@@ -69,8 +72,9 @@ def _sheet(studied: StoredStudy, steps: int) -> PageContent:
     file, moving = studied.problem, studied.moving(steps)
     sections = list(studied.sections)
     if moving is not None:
-        lead = (Paragraph(studied.drawn, lead=True),) if studied.drawn else ()
-        sections.insert(studied.after, PageSection("Linkage in motion", (*lead, moving)))
+        picked = any(isinstance(part, Chart) and part.drawings for section in sections for part in section.parts)
+        shown = linkage_sections(moving, file.model.title, studied.drawn, dimensions=not picked)
+        sections[studied.after : studied.after] = shown
     return PageContent(
         title=file.model.title,
         kind=f"{file.name} · {studied.kind}",
@@ -132,6 +136,26 @@ def cycle_of(file: ProblemFile, design: Mapping[str, float]) -> Analysis | None:
         return analyze(fixed_design(file, {name: sizes[name] for name in file.model.mechanism.quantities}))
     except InputError:
         return None
+
+
+def with_drawings(chart: Chart, designs: Callable[[int], tuple[ProblemFile, Mapping[str, float]]]) -> Chart:
+    """Return a chart with selectable points whose dimensioned drawing follows the selected point.
+
+    Parameters
+    ----------
+    chart : Chart
+    designs : function
+        Returns the problem and the design [m, rad] of a row of the study.
+    """
+    picks = chart.picks
+    if picks is None:
+        return chart
+    drawings: dict[int, Drawing] = {}
+    for k in sorted({picks.first, *even(len(picks.rows), DRAWN).tolist()}):
+        cycle = cycle_of(*designs(picks.sources[k]))
+        if cycle is not None:
+            drawings[k] = dimensioned(cycle, f"Point {k + 1}")
+    return replace(chart, drawings=drawings)
 
 
 def turning(file: ProblemFile, design: Mapping[str, float]) -> Callable[[int], Moving | None]:

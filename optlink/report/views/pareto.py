@@ -16,7 +16,7 @@ from optlink.report.chart_spec import Axis, ChartSpec, Curve, Mark, Panel, Picks
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
-from optlink.report.stored.stored_study import StoredStudy, figures_of, named_si, still, turning
+from optlink.report.stored.stored_study import StoredStudy, figures_of, named_si, still, turning, with_drawings
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
 from optlink.report.view import View
 from optlink.report.views import conclusions, pareto_tables
@@ -114,7 +114,10 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
     shown = pareto_tables.pareto_front(found)
     chosen = _chosen(found)
     words = f"The design of point {chosen + 1}: {found.points[chosen].mark or 'the first'}." if chosen is not None else ""
-    drawn = chart_plotly.charts(charts(found))
+    drawn = [
+        with_drawings(chart, lambda k: (file, named_si(file, found.points[k].design)))
+        for chart in chart_plotly.charts(charts(found))
+    ]
     return StoredStudy(
         problem=file,
         kind=f"front of {len(found.objectives)} objectives",
@@ -237,7 +240,7 @@ def _picks(found: Pareto, x: Array, y: Array) -> Picks:
     told_words = (
         f"point (changes: against {OTHERS.get(found.reference_label, found.reference_label)})" if found.reference else "point"
     )
-    return Picks(told_words, (*names, "held by", "mark"), tuple(rows), x, y, _chosen(found) or 0)
+    return Picks(told_words, (*names, "held by", "mark"), tuple(rows), x, y, _chosen(found) or 0, range(len(rows)))
 
 
 VIEW = View(charts=charts, tables=lambda result: {"front": result.columns})

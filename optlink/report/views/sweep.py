@@ -17,7 +17,7 @@ from optlink.report.chart_spec import ChartSpec, Curve, HeatMap, Line, Panel, Pi
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
-from optlink.report.stored.stored_study import StoredStudy, figures_of, named_si, still, turning
+from optlink.report.stored.stored_study import StoredStudy, figures_of, named_si, still, turning, with_drawings
 from optlink.report.stored.stored_sweep import read
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET
 from optlink.report.view import View
@@ -117,6 +117,7 @@ def stored_study(record: SweepRecord, file: ProblemFile, path: Path) -> StoredSt
     """
     found = read(record, file, path)
     table, shown, drawn = Table.of(found), study_tables.sweep(found), chart_plotly.charts(charts(found))
+    drawn = [with_drawings(chart, lambda k: _design(file, table, k)) for chart in drawn]
     if found.evaluated:
         proven = ", ".join(f"{count:,} {status}" for status, count in found.statuses.items()) or "analysed"
         by = f"{'simulation' if found.mode == 'simulate' else 'analysis'} of every point"
@@ -238,7 +239,7 @@ def _picks(table: Table, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
         for k in rows
     ]
     first = 0 if table.best is None else int(np.argmin(np.abs(rows - table.best)))
-    return Picks("point", (*heads, *words), tuple(told), x, y, first)
+    return Picks("point", (*heads, *words), tuple(told), x, y, first, [int(k) for k in rows])
 
 
 def _picked(table: Table, rows: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -1,0 +1,328 @@
+"""Dimensioned SVG drawing of a mechanism: link lengths, pivots, angle ranges and strokes, in millimetres and degrees."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from html import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import slider_names
+from optlink.linkage.mechanism import FRAME
+from optlink.linkage.motion import sweep
+from optlink.linkage.stroke import TURN
+from optlink.report.export.svg import svg
+from optlink.report.html.theme import readable
+from optlink.report.scene import FLIP, Scene, scene
+from optlink.report.shapes import finite, hull
+from optlink.report.style import GROUND
+from optlink.tasks.results.analysis import Analysis
+
+Array = NDArray[np.float64]
+POSES = 24  # positions from which the clearest is drawn
+OFFSETS = (1.2, 2.2, 3.3, 4.6)  # distances of a dimension line from what it measures, in heights of a ground pivot
+LETTER = 0.62  # width of a letter in font sizes
+SAME = 1e-6  # distance of coincident points, as a share of the extent
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A dimensioned drawing as SVG, and its description in words."""
+
+    svg: str
+    words: str
+
+
+@dataclass(frozen=True)
+class _Length:
+    """A distance to be dimensioned between two points [mm], with its text and colour."""
+
+    ends: tuple[Array, Array]
+    text: str
+    colour: str
+
+
+def dimensioned(cycle: Analysis, title: str) -> Drawing:
+    """Draw a mechanism with its dimensions in its clearest position.
+
+    Parameters
+    ----------
+    cycle : Analysis
+    title : str
+        Begin of the description.
+    """
+    at = clearest(cycle)
+    drawn = scene(cycle, at=at)
+    sheet = _Sheet(drawn)
+    words: list[str] = []
+    for one in (*_links(cycle, drawn), *_strokes(cycle, at, drawn)):
+        sheet.length(one)
+    words += list(dict.fromkeys(f"{one.text}" for one in _links(cycle, drawn, named=True)))
+    for name in cycle.machine.mechanism.ground:
+        x, y = drawn.points[name][0] * FLIP
+        place = f"{name} ({_mm(x)}, {_mm(y)})"
+        words.append(f"pivot {place}" if name in drawn.pins else place)
+        sheet.label(drawn.points[name][0], place)
+    for name, low, high, centre, start in _swings(cycle, drawn):
+        text = "360°" if high - low >= TURN - 1e-9 else f"{_deg(high - low)}"
+        words.append(f"{name} turns fully" if text == "360°" else f"{name} swings {text}")
+        sheet.angle(centre, start, low, high, text, _colour(drawn, name))
+    words += [f"{one.text.partition(' ')[0]} of {one.text.partition(' ')[2]}" for one in _strokes(cycle, at, drawn, named=True)]
+    described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(words)}."
+    for name in drawn.moving:
+        if np.all(np.isfinite(drawn.points[name][0])):
+            sheet.label(drawn.points[name][0], name)
+    box = sheet.box()
+    plain = svg(replace(drawn, box=box), described, traces=False, names=False)
+    end = plain.rindex("</svg>")
+    return Drawing(f"{plain[:end]}{sheet.svg()}</svg>\n", described)
+
+
+def clearest(cycle: Analysis) -> float:
+    """Return the crank angle [rad] at which the joints keep farthest from the lines of links to which they do not belong."""
+    machine, mechanism = cycle.machine, cycle.machine.mechanism
+    known = np.radians(cycle["crank_angle_deg"])
+    angles = known[np.linspace(0, len(known) - 1, POSES).round().astype(int)]
+    motion = sweep(mechanism, machine.sizes, angles)
+    places = {name: motion.position(name) for name in mechanism.owners}
+    gaps = [np.full(len(angles), math.inf)]
+    for body in (*mechanism.bodies, FRAME):
+        own = [name for name, bodies in mechanism.owners.items() if body in bodies]
+        for (p, q), name in itertools.product(itertools.pairwise(own), places):
+            if name not in own:
+                along = places[q] - places[p]
+                share = np.sum((places[name] - places[p]) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-30)
+                foot = places[p] + share[:, None] * along
+                gaps.append(np.linalg.norm(places[name] - foot, axis=1))
+    least = np.nan_to_num(np.min(gaps, axis=0), nan=-1.0)
+    return float(angles[int(np.argmax(least))])
+
+
+# --- what is dimensioned -----------------------------------------------------------------------------------------------------
+
+
+def _links(cycle: Analysis, drawn: Scene, *, named: bool = False) -> Iterator[_Length]:
+    """Yield the distances between neighbouring points of every link, of the frame between its pivots."""
+    extent = max(drawn.box[2:])
+    for body in (*cycle.machine.mechanism.bodies, FRAME):
+        own = [
+            name
+            for name, bodies in cycle.machine.mechanism.owners.items()
+            if body in bodies and (body != FRAME or name in drawn.pins)
+        ]
+        points = [drawn.points[name][0] for name in own]
+        apart = [k for k, p in enumerate(points) if all(np.linalg.norm(p - q) > SAME * extent for q in points[:k])]
+        for i, j in _neighbours(np.array([points[k] for k in apart]).reshape(-1, 2)):
+            p, q = points[apart[i]], points[apart[j]]
+            length = _mm(float(np.linalg.norm(q - p)))
+            text = f"{body} {own[apart[i]]}{own[apart[j]]} {length}" if named else length
+            yield _Length((p, q), text, GROUND if body == FRAME else _colour(drawn, body))
+
+
+def _neighbours(points: Array) -> list[tuple[int, int]]:
+    """Return the pairs of neighbouring points: along a line, or around their convex hull."""
+    if len(points) < 2 or not np.all(np.isfinite(points)):
+        return []
+    if len(points) == 2:
+        return [(0, 1)]
+    along = points[int(np.argmax(np.linalg.norm(points - points[0], axis=1)))] - points[0]
+    along /= np.linalg.norm(along)
+    off = (points - points[0]) @ np.array([-along[1], along[0]])
+    if np.max(np.abs(off)) < 1e-3 * np.ptp(points, axis=0).max():
+        return list(itertools.pairwise(np.argsort((points - points[0]) @ along).tolist()))
+    ring = [int(np.argmin(np.linalg.norm(points - corner, axis=1))) for corner in hull(points)]
+    inner = [k for k in range(len(points)) if k not in ring]
+    return [*itertools.pairwise([*ring, ring[0]]), *((k, ring[0]) for k in inner)]
+
+
+def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -> Iterator[_Length]:
+    """Yield the strokes of the sliders on the frame, along their guides."""
+    machine = cycle.machine
+    here = sweep(machine.mechanism, machine.sizes, [at])
+    for guide in machine.mechanism.guides:
+        travel = cycle.strokes.get(slider_names(machine)[guide.name])
+        if guide.on == FRAME and travel is not None:
+            point, way = (np.array([float(np.asarray(part)) for part in one]) for one in here.pose.local_line(guide, FRAME))
+            ends = (1e3 * (point + travel.low * way) * FLIP, 1e3 * (point + travel.high * way) * FLIP)
+            text = f"stroke {guide.slider} {_mm(1e3 * travel.span)}" if named else f"stroke {_mm(1e3 * travel.span)}"
+            yield _Length(ends, text, _colour(drawn, guide.slider))
+
+
+def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, Array, float]]:
+    """Yield body, ends of its range [rad], ground pivot and direction at the low end, of all bodies with a pivot on the frame."""
+    mechanism, at = cycle.machine.mechanism, drawn.angles[0]
+    for body in mechanism.bodies:
+        own = [name for name, bodies in mechanism.owners.items() if body in bodies]
+        pivot = next((name for name in own if name in mechanism.ground), None)
+        other = next((name for name in own if name not in mechanism.ground), None)
+        if pivot is None or other is None:
+            continue
+        arm = (drawn.points[other][0] - drawn.points[pivot][0]) * FLIP
+        here, angle = (
+            math.atan2(arm[1], arm[0]),
+            -math.radians(float(next(b for b in drawn.bodies if b.name == body).poses[0, 2])),
+        )
+        if body == mechanism.crank.body:
+            known = np.radians(cycle["crank_angle_deg"])
+            low, high = (0.0, TURN) if cycle.full else (float(np.min(known)), float(np.max(known)))
+            angle = math.radians(float(at))
+        elif body in cycle.swings:
+            low, high = cycle.swings[body].low, cycle.swings[body].high
+            angle = low + (angle - low) % TURN  # the angle of a body is known up to full turns
+        else:
+            continue
+        yield body, low, high, drawn.points[pivot][0], here - angle + low
+
+
+def _colour(drawn: Scene, body: str) -> str:
+    return readable(next(one.colour for one in drawn.bodies if one.name == body))
+
+
+def _mm(value: float) -> str:
+    return f"{value + 0.0:.4g}".replace("-", "−") if abs(value) >= 5e-4 else "0"
+
+
+def _deg(angle: float) -> str:
+    return f"{math.degrees(angle):.4g}°".replace("-", "−")
+
+
+# --- drawing -----------------------------------------------------------------------------------------------------------------
+
+
+class _Sheet:
+    """Dimension lines and labels placed clear of the links and of one another."""
+
+    def __init__(self, drawn: Scene) -> None:
+        self.scene, self.size, self.font = drawn, drawn.size, 1.15 * drawn.size
+        self.taken: list[Array] = []  # points covered by texts
+        outlines = [self._placed(body.poses[0], part.outline) for body in drawn.bodies for part in body.parts]
+        ground = [line for line, _, _ in drawn.ground]
+        self.corners = finite(np.concatenate([*outlines, *ground]))
+        bars = (self._sampled(p, q) for line in outlines for p, q in itertools.pairwise(line))
+        self.crowd = finite(np.concatenate([*bars, *ground]))
+        self.lines: list[str] = []
+
+    @staticmethod
+    def _placed(pose: Array, outline: Array) -> Array:
+        """Return an outline in the axes of its body at its place."""
+        turn = math.radians(float(pose[2]))
+        across, along = np.array([-math.sin(turn), math.cos(turn)]), np.array([math.cos(turn), math.sin(turn)])
+        return np.asarray(pose[:2] + outline[:, :1] * along + outline[:, 1:] * across)
+
+    def _sampled(self, p: Array, q: Array, count: int = 24) -> Array:
+        return p + np.linspace(0.0, 1.0, count)[:, None] * (q - p)
+
+    def _around(self, middle: Array, half: float) -> Array:
+        """Return points along a level text of a half width."""
+        return self._sampled(middle - np.array([half, 0.0]), middle + np.array([half, 0.0]), 9)
+
+    def _cost(self, place: Array) -> float:
+        """Return how much a text at sampled points covers."""
+        crowd = np.concatenate([self.crowd, *self.taken])
+        away = np.linalg.norm(place[:, None] - crowd, axis=-1) if len(crowd) else np.full((1, 1), math.inf)
+        return float(np.sum(np.maximum(0.0, 0.9 * self.font - away)) / self.font)
+
+    def length(self, one: _Length) -> None:
+        """Draw a distance with extension lines, arrows and its text along the line."""
+        p, q = one.ends
+        along = q - p
+        span = float(np.linalg.norm(along))
+        if span < 1e-9:
+            return
+        along /= span
+        normal = np.array([along[1], -along[0]])
+        half = 0.5 * LETTER * self.font * len(one.text)
+        best: tuple[float, Array, Array] | None = None
+        for away, side in itertools.product(OFFSETS, (1.0, -1.0)):
+            shift = side * away * self.size * normal
+            middle = 0.5 * (p + q) + shift
+            covered = self._sampled(middle - half * along, middle + half * along, 9)
+            cost = self._cost(covered) + 0.15 * self._cost(self._sampled(p + shift, q + shift)) + 0.3 * away
+            if best is None or cost < best[0]:
+                best = cost, shift, covered
+        assert best is not None
+        _, shift, covered = best
+        a, b = p + shift, q + shift
+        self.taken += [covered, self._sampled(a, b, 12)]
+        over = 0.35 * self.size * shift / np.linalg.norm(shift)
+        gap = 0.45 * self.size * shift / np.linalg.norm(shift)
+        self._line([p + gap, a + over], one.colour, 0.6)
+        self._line([q + gap, b + over], one.colour, 0.6)
+        inside = span > 2.0 * half + 2.5 * self.size
+        parts = [(a, 0.5 * (a + b) - half * along), (0.5 * (a + b) + half * along, b)] if inside else [(a, b)]
+        for begin, end in parts:
+            self._line([begin, end], one.colour, 0.8)
+        self._arrow(a, -along if span > 1.6 * self.size else along, one.colour)
+        self._arrow(b, along if span > 1.6 * self.size else -along, one.colour)
+        middle = 0.5 * (a + b) + (0.0 if inside else 0.75 * self.font) * shift / np.linalg.norm(shift)
+        angle = math.degrees(math.atan2(along[1], along[0]))
+        self._text(middle, one.text, one.colour, angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle)
+
+    def angle(self, centre: Array, start: float, low: float, high: float, text: str, colour: str) -> None:
+        """Draw the range of an angle as an arc with arrows, from the direction `start` [rad] on."""
+        half = 0.5 * LETTER * self.font * len(text)
+        best: tuple[float, float, Array] | None = None
+        for radius in (2.2, 3.2, 4.4, 5.6):
+            turn = high - low
+            for share in (0.5, 0.25, 0.75):
+                way = start + share * turn
+                middle = centre + (radius * self.size + 0.2 * half + 0.6 * self.font) * np.array([math.cos(way), -math.sin(way)])
+                covered = self._around(middle, half)
+                cost = self._cost(covered) + 0.25 * radius
+                if best is None or cost < best[0]:
+                    best = cost, radius * self.size, covered
+        assert best is not None
+        _, radius, covered = best
+        turn = min(high - low, math.radians(300.0))
+        ways = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
+        arc = centre + radius * np.stack([np.cos(ways), -np.sin(ways)], axis=1)
+        self.taken += [covered, arc]
+        self._line(list(arc), colour, 0.8)
+        for at, sign in ((0, 1.0), (-1, -1.0)):
+            if at or high - low < TURN - 1e-9:
+                self._arrow(arc[at], -sign * (arc[1] - arc[0] if at == 0 else arc[-2] - arc[-1]) * sign, colour)
+            if high - low < TURN - 1e-9:
+                ray = np.array([math.cos(ways[at]), -math.sin(ways[at])])
+                self._line([centre + 0.5 * self.size * ray, centre + (radius + 0.6 * self.size) * ray], colour, 0.6)
+        self._text(covered[4], text, colour, 0.0)
+
+    def label(self, at: Array, text: str) -> None:
+        """Write a text beside a point, that of a ground pivot clear of its support."""
+        half = 0.5 * LETTER * self.font * len(text)
+        ways = [*itertools.product((1.1, -1.1), (0.9, 2.0, -1.4)), (0.5, -0.9), (-0.5, -0.9), (0.9, 0.0)]
+        places = [at + self.size * np.array(way) + [math.copysign(half, way[0]), 0.0] for way in ways]
+        covered = min((self._around(one, half) for one in places), key=self._cost)
+        self.taken.append(covered)
+        self._text(covered[4], text, GROUND, 0.0)
+
+    def _line(self, points: list[Array], colour: str, width: float) -> None:
+        path = " L".join(f"{x:.6g} {y:.6g}" for x, y in points)
+        self.lines.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="{width * self.size / 8.0:.4g}"/>')
+
+    def _arrow(self, tip: Array, way: Array, colour: str) -> None:
+        way = way / max(float(np.linalg.norm(way)), 1e-30)
+        left = np.array([-way[1], way[0]])
+        back = tip - 0.75 * self.size * way
+        corners = (tip, back + 0.16 * self.size * left, back - 0.16 * self.size * left)
+        path = " L".join(f"{x:.6g} {y:.6g}" for x, y in corners)
+        self.lines.append(f'<path d="M{path}Z" fill="{colour}"/>')
+
+    def _text(self, at: Array, text: str, colour: str, angle: float) -> None:
+        x, y = at
+        turned = f' transform="rotate({angle:.4g} {x:.6g} {y:.6g})"' if angle else ""
+        look = f'fill="{colour}" stroke="#ffffff" stroke-width="{0.28 * self.size:.4g}" paint-order="stroke"'
+        self.lines.append(f'<text x="{x:.6g}" y="{y:.6g}" dy="0.35em" text-anchor="middle" {look}{turned}>{escape(text)}</text>')
+
+    def svg(self) -> str:
+        """Return the dimensions as a group."""
+        return f'<g data-layer="dimensions" font-family="sans-serif" font-size="{self.font:.4g}">' + "".join(self.lines) + "</g>"
+
+    def box(self) -> tuple[float, float, float, float]:
+        """Return the extent of the links and dimensions in this position."""
+        every = finite(np.concatenate([self.corners, *self.taken]))
+        low, high = every.min(axis=0) - 1.4 * self.size, every.max(axis=0) + 1.4 * self.size
+        return float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])
