@@ -58,6 +58,7 @@ NARRATED = {
     "control": "problem-files.md#joints-with-clearance-and-control",
     "balance": "balancing.md#the-section-balance",
     "expected": "problem-files.md#expected",
+    "report": "problem-files.md#report",
     "requirement": "problem-files.md#kinds-of-requirement",
     "limits": "problem-files.md#limits",
     "tolerances": "problem-files.md#tolerances-and-a-robust-design",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from pathlib import Path
@@ -36,6 +37,12 @@ def report(
     seed: Seed = 0,
     changes: Set = None,
     design: Design = None,
+    title: Annotated[str | None, typer.Option("--title", help="Title of the page; default: that of the problem.")] = None,
+    company: Annotated[str | None, typer.Option("--company", help="Company, at the head of the page.")] = None,
+    author: Annotated[str | None, typer.Option("--author", help="Author, at the head of the page.")] = None,
+    part: Annotated[str | None, typer.Option("--part", help="Name or number of the part.")] = None,
+    revision: Annotated[str | None, typer.Option("--revision", help="Revision of the part.")] = None,
+    date: Annotated[str | None, typer.Option("--date", help="Date; default: today.")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -44,6 +51,8 @@ def report(
         from optlink.report.export.export import target
 
         target(output, (".html", ".htm"), "report.html")
+        facts = {"title": title, "company": company, "author": author, "part": part, "revision": revision, "date": date}
+        changes = [*(changes or []), *(f"report.{key}={json.dumps(text)}" for key, text in facts.items() if text is not None)]
         with console.working("Reading or solving the problem"):
             about = _subject(subject, output, problem, backend, starts, seed, changes, design)
             interrupts.check()

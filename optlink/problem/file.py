@@ -122,7 +122,7 @@ class ProblemFile:
         return read(raw, self.name, self.file, self.folder)
 
 
-WORDS = ("title", "source", "about", "expected")
+WORDS = ("title", "source", "about", "report", "expected")
 
 
 def _stated(raw: dict[str, Any]) -> dict[str, Any]:

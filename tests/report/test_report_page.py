@@ -17,11 +17,14 @@ import plotly.graph_objects as go
 import pytest
 
 import optlink
-from optlink.report.html import chart_plotly
+from optlink.report.export.dimensions import dimensioned
+from optlink.report.html import chart_plotly, theme
 from optlink.report.html.page import LARGEST, charts, page, sensitivities_of, write_page
+from optlink.report.html.shell import four
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
 from optlink.report.stored.loader import load_stored
+from optlink.report.style import BODIES, CRANK, LIMIT, QUIET, WANTED
 from optlink.report.views import sensitivity
 from tests.browser import browser, colours, console, faults, opened, requests
 from tests.cli.test_cli import run
@@ -128,6 +131,71 @@ def test_a_design_that_cannot_be_assembled_has_a_page_without_a_drawing():
     text = page(subject("crank-rocker", {"coupler": 0.1, "rocker": 0.1}))
     assert "It cannot be shown in motion" in text
     assert "<svg" not in Reader(text).texts.get("div", [])
+
+
+def test_a_page_begins_with_its_conclusion(crank_rocker_subject):
+    error = np.degrees(crank_rocker_subject.result.error())
+    said = f"within {np.max(np.abs(error)):.4g}° (root mean square {np.sqrt(np.mean(error**2)):.4g}°)"
+    assert f"{said}. What limits it: largest transmission angle (≤ 135°)." in page(crank_rocker_subject)
+    infeasible = subject("crank-rocker", **{"limits.transmission_angle": ["80 deg", "100 deg"]})
+    text = page(infeasible)
+    assert "No design meets all limits: the limits smallest transmission angle and largest transmission angle contradict" in text
+    assert f"relax smallest transmission angle to {infeasible.result.conflict[0].relaxed:.4g}°" in text
+    worse = page(subject("crank-rocker", {"coupler": 0.41, "rocker": 0.22}))
+    assert re.search(r"Not valid: largest transmission angle is [\d.]+°, required &lt;= 135", worse)
+
+
+def test_the_drawing_has_the_dimensions_of_the_design(crank_rocker_subject):
+    """Lengths of the design, and the swing of the rocker between its dead centres by the law of cosines."""
+    drawing = dimensioned(crank_rocker_subject.cycle, "Test")
+    crank, coupler, rocker, frame = (1e3 * crank_rocker_subject.result.design[n] for n in ("crank", "coupler", "rocker", "frame"))
+    ends = [math.acos((rocker**2 + frame**2 - (coupler + way * crank) ** 2) / (2 * rocker * frame)) for way in (1, -1)]
+    texts = re.findall(r"<text[^>]*>([^<]*)<", drawing.svg)
+    assert {f"{size:.4g}" for size in (crank, coupler, rocker, frame)} <= set(texts)
+    assert f"{math.degrees(ends[0] - ends[1]):.4g}°" in texts
+    assert "A (0, 0)" in texts
+    assert "D (500, 0)" in texts
+    assert f"coupler BC {coupler:.4g}" in drawing.words
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("412.86542 mm", "412.9 mm"),
+        ("0.00759237", "0.007592"),
+        ("12345.678", "12346"),
+        ("1.5", "1.5"),
+        ("-1.23456e-07", "-1.235e-07"),
+    ],
+)
+def test_tables_have_four_digits(text, shown):
+    assert four(text) == shown
+    assert four("0.1.0, 3.11.7, 1,234.56 of 4096") == "0.1.0, 3.11.7, 1,234.56 of 4096"  # versions and groups stay
+
+
+def test_every_colour_can_be_read_in_both_modes():
+    for colour in (*BODIES, CRANK, QUIET, WANTED, LIMIT):
+        assert theme.contrast(theme.readable(colour), "#ffffff") >= 4.5
+        assert theme.contrast(theme.dark(colour), theme.DARK) >= 4.5
+    assert theme.contrast(theme.dark("#f3e3c3"), theme.DARK) < 2.0  # a shade stays one
+    assert theme.contrast("#000000", "#ffffff") == pytest.approx(21.0)
+
+
+def test_a_page_names_author_part_and_date(tmp_path):
+    """From the section of the file and from options, as text; without effect on the hash."""
+    raw = (Path(__file__).parents[2] / "problems" / "slider-crank.toml").read_text()
+    head = '[report]\ncompany = "Miller & Sons"\nrevision = "A"\ndate = 2026-03-01\n\n[mechanism]'
+    (tmp_path / "mine.toml").write_text(raw.replace("[mechanism]", head, 1))
+    assert optlink.load(str(tmp_path / "mine.toml")).hash == optlink.load("slider-crank").hash
+    out = tmp_path / "a.html"
+    stated = ("--author", EVIL, "--revision", "B", "--title", "Drive")
+    assert run("report", str(tmp_path / "mine.toml"), "-o", str(out), *stated).exit_code == 0
+    texts = Reader(out.read_text()).texts
+    assert [" ".join(text.split()) for text in texts["dd"][:4]] == ["Miller & Sons", " ".join(EVIL.split()), "B", "2026-03-01"]
+    assert texts["h1"] == texts["title"][:1] == ["Drive"]
+    done = run("report", str(tmp_path / "mine.toml"), "-o", str(out), "--part", "x" * 300)
+    assert done.exit_code == 2
+    assert "report.part" in done.stderr
 
 
 def test_every_chart_is_a_figure_that_plotly_knows(about):

@@ -222,6 +222,21 @@ def test_the_tolerances_of_a_page_add_up(results):
     assert f"{100 * low:.3f} % ... {100 * high:.3f} %" in text
 
 
+def test_conclusions_state_the_main_figures(results):
+    told = {name: document(results, name) for name in RECORDED}
+    said = {name: sheet(results, name).conclusion for name in RECORDED}
+    assert f"{100 * told['tolerance']['monte_carlo']['yield']:.4g} % of the linkages" in said["tolerance"]
+    assert f"{told['course']['figures']['end.speed_rad_s'] * 30 / math.pi:.4g} rpm" in said["course"]
+    gap, figures = told["play"]["gaps"][0]["point"], told["play"]["figures"]
+    assert f"deviate by {math.degrees(figures['rms_rad']):.4g}°" in said["play"]
+    assert said["play"].endswith(f"N at {gap}.")
+    best = min(told["compared"]["trials"].items(), key=lambda one: np.mean(one[1]["rms"]))[0]
+    assert f"The best control is {best}:" in said["compared"]
+    assert f"falls by {100 * told['balance']['reduction']:.4g} %" in said["balance"]
+    assert "24 of 24 points" in said["sweep"]
+    assert f"point {told['front']['knee']['point'] + 1}:" in said["front"]
+
+
 def test_a_sweep_by_its_table(results):
     """Best row and changes of the active set, found in the CSV file by other means."""
     made = sheet(results, "sweep")
@@ -478,6 +493,9 @@ def driver():
         yield started
 
 
+NAMES = "return [...document.querySelectorAll('.picked dt')].map(one => one.textContent)"
+
+
 def picked(driver) -> list[str]:
     return driver.execute_script("return [...document.querySelectorAll('[data-pick]')].map(one => one.textContent)")
 
@@ -519,6 +537,13 @@ def test_a_page_in_a_browser(driver, results, tmp_path, name):
             "const d = document.querySelector('.picked').previousElementSibling.data; return d[d.length - 1].x"
         )
         assert mark == [picks["x"][1]]
+    if name in ("sweep", "map", "front"):  # the drawing is that of the selected design
+        lengths = dict(zip(driver.execute_script(NAMES), picked(driver), strict=True))
+        drawn = driver.execute_script("return document.querySelector('.picked ~ .drawing').textContent")
+        assert "Point 2, drawn" in drawn
+        assert {lengths["coupler [mm]"], lengths["rocker [mm]"]} <= {
+            f"{float(text):#.4g}" for text in re.findall(r"[\d.]+", drawn)
+        }
     assert console(driver) == []
     assert requests(driver, path) == []
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from optlink.clearance.joint import Gap
 from optlink.dynamics.loads import Force, Load
@@ -62,6 +64,31 @@ class Expected(Section):
     """Relative tolerance of the figures."""
 
 
+def _dated(value: object) -> object:
+    """Read a date of TOML as text."""
+    return value.isoformat() if isinstance(value, datetime.date) else value
+
+
+Fact = Annotated[str, Field(max_length=200)]
+
+
+class ReportSection(Section):
+    """What the head of a report page says about the part; none of it affects the result."""
+
+    title: Fact = ""
+    """Title of the page; default: that of the problem."""
+    company: Fact = ""
+    """Company."""
+    author: Fact = ""
+    """Name of the author."""
+    part: Fact = ""
+    """Name or number of the part."""
+    revision: Fact = ""
+    """Revision."""
+    date: Annotated[Fact, BeforeValidator(_dated)] = ""
+    """Date; default: the day on which the page is written."""
+
+
 class Problem(Section):
     """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
 
@@ -90,6 +117,8 @@ class Problem(Section):
     tolerances: Tolerances = Field(default_factory=dict)
     """Manufacturing tolerances of dimensions, pivots and clearances, by name: `"0.1 mm"`, `"0.1 mm uniform"`, a CSV file with
     deviations, or `{ tolerance, distribution, cost }`."""
+    report: ReportSection = ReportSection()
+    """Head of the report page: title, company, author, part, revision, date."""
     expected: Expected | None = None
     """Reference values from a trusted source; the tests check them for every shipped problem."""
 

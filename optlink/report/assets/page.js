@@ -99,6 +99,11 @@
   const config = { displaylogo: false, responsive: true, modeBarButtons: buttons, displayModeBar: narrow ? false : "hover" };
   const plot = (chart, index) => {
     const place = document.getElementById("chart-" + (index + 1));
+    const { layout: own } = chart.figure;
+    if (narrow && own.yaxis.scaleanchor) {
+      own.height = Math.min(own.height, place.clientWidth); // no empty bands above and below equal scales
+      place.style.minHeight = own.height + "px";
+    }
     const { data, layout } = swapped(chart.figure, isDark());
     Plotly.newPlot(place, data, layout, config);
     if (chart.picks) {
@@ -132,11 +137,13 @@
   // paper is white and has a width of its own: charts are drawn anew for it
   addEventListener("beforeprint", () => {
     paint(false);
-    places.forEach((place) => Plotly.relayout(place, { width: 680, autosize: false }));
+    places.forEach((place) => {
+      Plotly.relayout(place, { width: 680, height: Math.min(place.layout.height, 420), autosize: false }); // two to a sheet
+    });
   });
   addEventListener("afterprint", () => {
-    places.forEach((place) => Plotly.relayout(place, { width: null, autosize: true }));
     paint(isDark());
+    places.forEach((place) => Plotly.relayout(place, { width: null, autosize: true }));
   });
   // a table that is wider than its place can be scrolled with the keys
   const reach = () => {
@@ -154,7 +161,7 @@
   reach();
 
   // --- the moving linkage -----------------------------------------------------------------------------------------------------
-  const stage = document.querySelector(".stage");
+  const stage = document.querySelector(".linkage .stage");
   if (!stage || !motion) {
     return;
   }

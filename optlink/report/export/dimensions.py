@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from html import escape
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 POSES = 24  # positions from which the clearest is drawn
 OFFSETS = (1.2, 2.2, 3.3, 4.6)  # distances of a dimension line from what it measures, in heights of a ground pivot
 LETTER = 0.62  # width of a letter in font sizes
+_ANIMATED = re.compile(r' data-(?:body|point|spring)="[^"]*"')  # names by which the page moves a linkage
 SAME = 1e-6  # distance of coincident points, as a share of the extent
 
 
@@ -59,25 +61,25 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
     drawn = scene(cycle, at=at)
     sheet = _Sheet(drawn)
     words: list[str] = []
+    words += list(dict.fromkeys(f"{one.text}" for one in _links(cycle, drawn, named=True)))
+    for name, low, high, centre, start in _swings(cycle, drawn):
+        text = "360°" if high - low >= TURN - 1e-9 else f"{_deg(high - low)}"
+        words.append(f"{name} turns fully" if text == "360°" else f"{name} swings {text}")
+        sheet.angle(centre, start, low, high, text, _colour(drawn, name))
     for one in (*_links(cycle, drawn), *_strokes(cycle, at, drawn)):
         sheet.length(one)
-    words += list(dict.fromkeys(f"{one.text}" for one in _links(cycle, drawn, named=True)))
     for name in cycle.machine.mechanism.ground:
         x, y = drawn.points[name][0] * FLIP
         place = f"{name} ({_mm(x)}, {_mm(y)})"
         words.append(f"pivot {place}" if name in drawn.pins else place)
         sheet.label(drawn.points[name][0], place)
-    for name, low, high, centre, start in _swings(cycle, drawn):
-        text = "360°" if high - low >= TURN - 1e-9 else f"{_deg(high - low)}"
-        words.append(f"{name} turns fully" if text == "360°" else f"{name} swings {text}")
-        sheet.angle(centre, start, low, high, text, _colour(drawn, name))
     words += [f"{one.text.partition(' ')[0]} of {one.text.partition(' ')[2]}" for one in _strokes(cycle, at, drawn, named=True)]
     described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(words)}."
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):
             sheet.label(drawn.points[name][0], name)
     box = sheet.box()
-    plain = svg(replace(drawn, box=box), described, traces=False, names=False)
+    plain = _ANIMATED.sub("", svg(replace(drawn, box=box), described, traces=False, names=False))
     end = plain.rindex("</svg>")
     return Drawing(f"{plain[:end]}{sheet.svg()}</svg>\n", described)
 
@@ -197,7 +199,7 @@ class _Sheet:
     """Dimension lines and labels placed clear of the links and of one another."""
 
     def __init__(self, drawn: Scene) -> None:
-        self.scene, self.size, self.font = drawn, drawn.size, 1.15 * drawn.size
+        self.scene, self.size, self.font = drawn, 0.8 * drawn.size, 0.95 * drawn.size
         self.taken: list[Array] = []  # points covered by texts
         outlines = [self._placed(body.poses[0], part.outline) for body in drawn.bodies for part in body.parts]
         ground = [line for line, _, _ in drawn.ground]

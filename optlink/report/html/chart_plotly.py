@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 from html import escape as escaped
 from typing import Any
 
@@ -53,6 +54,8 @@ AXIS = {
     "ticks": "outside",
     "tickcolor": "#8a9099",
     "automargin": True,
+    "exponentformat": "none",
+    "separatethousands": True,
 }
 GAP = 0.07  # distance of panels as a share of the height
 
@@ -61,8 +64,8 @@ GAP = 0.07  # distance of panels as a share of the height
 class Chart:
     """A chart: title, plotly figure, and whether its x axis is that of the slider, so that a cursor can follow.
 
-    `picks` are its selectable points; `remark` is a note to the reader; `words` describes it for a screen reader; `drawings` are
-    those of selectable points by number.
+    `picks` are its selectable points; `remark` is a note to the reader; `words` describes it for a screen reader; `draw`
+    returns the drawings of selectable points by number.
     """
 
     title: str
@@ -71,7 +74,12 @@ class Chart:
     picks: Picks | None = None
     remark: str = ""
     words: str = ""
-    drawings: Mapping[int, Drawing] = field(default_factory=dict)
+    draw: Callable[[], Mapping[int, Drawing]] | None = None
+
+    @cached_property
+    def drawings(self) -> Mapping[int, Drawing]:
+        """Drawings of selectable points by number, made when they are needed."""
+        return {} if self.draw is None else self.draw()
 
 
 def escape(text: str) -> str:
@@ -133,8 +141,8 @@ def _lined(spec: ChartSpec) -> bool:
 
 def _axis(one: Axis, reach: tuple[float, float] | None = None) -> dict[str, Any]:
     """Return an axis; `reach` are the ends of what is shown without limits."""
-    name = one.name.replace("\n", " " if reach is None else "; ")
-    found: dict[str, Any] = AXIS | {"title": {"text": escape(name), "font": {"size": 13}, "standoff": 8}}
+    name = one.name if reach is not None else one.name.replace("\n", " ")
+    found: dict[str, Any] = AXIS | {"title": {"text": escape(name).replace("\n", "<br>"), "font": {"size": 13}, "standoff": 8}}
     if one.scale == "log":
         found |= {"type": "log", "exponentformat": "power"} | ({"dtick": 1} if one.limits is None else {})
     if one.limits is not None:
@@ -237,11 +245,12 @@ def _entry(name: str, look: Trace) -> Trace:
 
 
 def _curve(trace: Curve) -> Trace:
-    x, y = (trace.x, trace.y) if trace.picks or trace.text or len(trace.x) <= LONG else thinned(trace.x, trace.y)
+    most = 3 * LONG if np.any(np.isnan(trace.y)) else LONG  # gaps: several passes over the same width
+    x, y = (trace.x, trace.y) if trace.picks or trace.text else thinned(trace.x, trace.y, most)
     drawn: Trace = {"type": "scatter", "mode": trace.mode, "name": escape(trace.name), "x": short(x), "y": short(y)}
     drawn |= {} if trace.legend and trace.name else {"showlegend": False}
     if "lines" in trace.mode:
-        drawn["line"] = {"color": trace.colour, "width": round(DOTS * trace.width, 2), "dash": trace.dash}
+        drawn["line"] = {"color": trace.colour, "width": round(DOTS * trace.width, 2), "dash": trace.dash, "simplify": False}
     if "markers" in trace.mode:
         drawn["marker"] = {"color": trace.colour, "size": round(DOTS * trace.size, 1), "symbol": SYMBOLS[trace.symbol]}
         if trace.symbol in ("open circle", "plus", "dash"):

@@ -11,7 +11,7 @@ from optlink.report.chart_spec import ChartSpec
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
 from optlink.report.html.shell import LARGEST, PageContent, PageSection, arranged, fitted, linkage_sections, write
-from optlink.report.html.sources import closing
+from optlink.report.html.sources import closing, letterhead
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, ReportModel
 from optlink.report.scene import scene
@@ -69,6 +69,7 @@ def _sheet(subject: ReportModel, answers: Sensitivities | None, steps: int) -> P
         conclusion=_conclusion(subject, shown),
         sections=arranged(_sections(subject, shown, moving, answers), closing(subject.problem, _by(subject))),
         moving=moving,
+        letterhead=letterhead(subject.problem),
     )
 
 

@@ -55,7 +55,7 @@ class PageSection:
 class PageContent:
     """Content of a page: `kind` above the title, verdict and whether it is positive, conclusion and status below it.
 
-    `letterhead` contains the facts above the title; a title among them replaces that of the problem.
+    `letterhead` contains the facts above the title; a title among them replaces that of the problem, which is `title`.
     """
 
     title: str
@@ -67,7 +67,6 @@ class PageContent:
     moving: Moving | None = None
     conclusion: str = ""
     letterhead: Mapping[str, str] = field(default_factory=dict)
-    heading: str = ""
 
     @cached_property
     def charts(self) -> tuple[Chart, ...]:

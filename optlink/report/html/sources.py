@@ -30,6 +30,13 @@ def closing(file: ProblemFile, by: str) -> Iterable[PageSection]:
     yield PageSection("Sources", (dict(_sources(file, by)),))
 
 
+def letterhead(file: ProblemFile) -> dict[str, str]:
+    """Return the facts at the head of a page by name, without the empty ones; the date is that of today unless it is stated."""
+    facts = file.model.report.model_dump()
+    facts["date"] = facts["date"] or datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    return {name: " ".join(text.split()) for name, text in facts.items() if text.strip()}
+
+
 def _sources(file: ProblemFile, by: str) -> list[tuple[str, str]]:
     found = [("Problem", file.model.source or "no source is given")]
     if file.model.expected is not None:
@@ -41,5 +48,4 @@ def _sources(file: ProblemFile, by: str) -> list[tuple[str, str]]:
         ("Found by", by),
         ("optlink", f"{VERSION}, with Python {platform.python_version()}, numpy {np.__version__}"),
         ("Charts", f"plotly.js of plotly {version('plotly')}, in this page"),
-        ("Written on", datetime.datetime.now(tz=datetime.UTC).date().isoformat()),
     ]

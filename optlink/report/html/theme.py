@@ -56,7 +56,7 @@ def dark(colour: str) -> str:
     if luminance(colour) < TINT:
         ink = saturation < 0.25 and contrast(colour, LIGHT) > 2.0 * TEXT  # nearly black becomes nearly white
         return readable(_hex(hue, 1.0 - 0.7 * light, saturation) if ink else colour, DARK)
-    return DARK if colour.lower() == LIGHT else _hex(hue, 0.1 + 0.75 * (1.0 - light) + 0.04, 0.6 * saturation)
+    return DARK if colour.lower() == LIGHT else _hex(hue, 0.11 + 0.7 * (1.0 - light), 0.4 * saturation)
 
 
 def palette(texts: Iterable[str]) -> dict[str, str]:

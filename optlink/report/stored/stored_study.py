@@ -14,7 +14,7 @@ from optlink.report.export.dimensions import Drawing, dimensioned
 from optlink.report.html.chart_plotly import Chart
 from optlink.report.html.moving_linkage import Moving, crank_stops, even, readouts
 from optlink.report.html.shell import PageContent, PageSection, arranged, fitted, linkage_sections, write
-from optlink.report.html.sources import closing
+from optlink.report.html.sources import closing, letterhead
 from optlink.report.scene import scene
 from optlink.report.table_spec import Line, Paragraph, Part
 from optlink.tasks.analyze import analyze
@@ -72,7 +72,7 @@ def _sheet(studied: StoredStudy, steps: int) -> PageContent:
     file, moving = studied.problem, studied.moving(steps)
     sections = list(studied.sections)
     if moving is not None:
-        picked = any(isinstance(part, Chart) and part.drawings for section in sections for part in section.parts)
+        picked = any(isinstance(part, Chart) and part.draw for section in sections for part in section.parts)
         shown = linkage_sections(moving, file.model.title, studied.drawn, dimensions=not picked)
         sections[studied.after : studied.after] = shown
     return PageContent(
@@ -84,6 +84,7 @@ def _sheet(studied: StoredStudy, steps: int) -> PageContent:
         status=Paragraph(*studied.status, *(f"Note: {note}" for note in studied.notes)),
         sections=arranged(sections, closing(file, studied.by)),
         moving=moving,
+        letterhead=letterhead(file),
     )
 
 
@@ -150,12 +151,13 @@ def with_drawings(chart: Chart, designs: Callable[[int], tuple[ProblemFile, Mapp
     picks = chart.picks
     if picks is None:
         return chart
-    drawings: dict[int, Drawing] = {}
-    for k in sorted({picks.first, *even(len(picks.rows), DRAWN).tolist()}):
-        cycle = cycle_of(*designs(picks.sources[k]))
-        if cycle is not None:
-            drawings[k] = dimensioned(cycle, f"Point {k + 1}")
-    return replace(chart, drawings=drawings)
+    chosen = sorted({picks.first, *even(len(picks.rows), DRAWN).tolist()})
+
+    def draw() -> Mapping[int, Drawing]:
+        cycles = {k: cycle_of(*designs(picks.sources[k])) for k in chosen}
+        return {k: dimensioned(cycle, f"Point {k + 1}") for k, cycle in cycles.items() if cycle is not None}
+
+    return replace(chart, draw=draw)
 
 
 def turning(file: ProblemFile, design: Mapping[str, float]) -> Callable[[int], Moving | None]:

@@ -273,6 +273,8 @@ def problem(file: ProblemFile) -> Summary:
             default = "" if said.shape or said.measured else f"default: {deviation.shape}"
             rows.append((deviation.name, str(said), quiet(default)))
         parts.append(table("[tolerances]", "<<<", rows))
+    if model.report.model_fields_set:
+        parts.append(_section("report", model.report, only_stated=True))
     if model.expected is not None:
         parts.append(_section("expected", model.expected, only_stated=True))
     return summary(model.title, [*about, quiet(f"Source: {model.source or '-'}")], *parts)
