@@ -110,11 +110,12 @@ def _is_open(text: str) -> bool:
 
 
 def _is_unit(number: str, word: str) -> bool:
-    if not number[-1:].isdigit() or os.path.exists(word):
+    unit, _, points = word.partition(":")  # "mm:101" ends the range of a sweep
+    if not number[-1:].isdigit() or os.path.exists(word) or not (points or "0").isdigit():
         return False
     from optlink.units import is_unit
 
-    return is_unit(word)
+    return is_unit(unit)
 
 
 def _discard(stream: TextIO | None) -> None:

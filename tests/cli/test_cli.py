@@ -250,6 +250,7 @@ WORDS = [  # the arguments, with | between those that belong together
     "--set|limits.transmission_angle=[40 deg, 140 deg]|--json",
     "--set=mechanism.coupler={start=200 mm, bounds=[-1 m, 3 m]}|x",
     "--speed|60 rpm|six-bar",
+    "--vary|mechanism.frame=450..550 mm:101|--workers|1",
     "--speed|60 1/min|--starts|20|crank-rocker",
     "--set|a=40..50 mm|--design|b=12,5 mm|m",
     "crank-rocker|mm|--set|a=[3|--json",
