@@ -52,7 +52,7 @@ def faults(notebook: NotebookNode) -> Iterator[str]:
             data = {kind: value for kind, value in output.get("data", {}).items() if not kind.startswith("image/")}
             text = "\n".join([output.get("text", ""), *map(str, data.values()), *output.get("traceback", [])])
             yield from (f"{cell.id}: {name}" for name, pattern in FOREIGN.items() if pattern.search(text))
-            if SLIDERS in data and "image/png" not in output.data:
+            if SLIDERS in data and not {"image/png", "text/html"} & output.data.keys():
                 yield f"{cell.id}: a widget without a picture for those who cannot show it"
 
 

@@ -86,10 +86,6 @@ class Explorer:
 
     Attributes
     ----------
-    problem : ProblemFile
-        The problem with the values of the sliders.
-    result : FunctionResult, PathResult, CycleResult or Analysis
-        The current design.
     sliders : dict
         Sliders by the name of a design variable, or by the key of a fixed dimension or limit.
     panel : ipywidgets.Box
@@ -98,7 +94,7 @@ class Explorer:
 
     def __init__(self, problem: ProblemFile, design: Mapping[str, float] | None = None) -> None:
         self._widgets = _ipywidgets()
-        self._file, self.problem = problem, problem
+        self._file, self._problem = problem, problem
         self._designed = problem.task not in ("analysis", "balance")
         self._changes: dict[str, str | float] = {}
         self._timer: asyncio.TimerHandle | None = None
@@ -112,6 +108,23 @@ class Explorer:
         if self._designed and design is None and problem.task != "cycle":
             self.optimise()
         else:
+            self.update()
+
+    @property
+    def problem(self) -> ProblemFile:
+        """The problem with the values of the sliders."""
+        self._finish()
+        return self._problem
+
+    @property
+    def result(self) -> Any:
+        """The current design."""
+        self._finish()
+        return self._result
+
+    def _finish(self) -> None:
+        """Compute at once what waits for the sliders to rest."""
+        if self._timer is not None:
             self.update()
 
     # --- the widgets ---------------------------------------------------------------------------------------------------------
@@ -158,7 +171,11 @@ class Explorer:
 
     def _repr_mimebundle_(self, **options: Any) -> dict[str, Any]:
         """Return the widgets, and the current result for a notebook without a kernel."""
-        return {**self.panel._repr_mimebundle_(**options), "text/html": notebook_html(self.result)}
+        shown = self.panel._repr_mimebundle_(**options)
+        return {**shown, "text/html": notebook_html(self.result), "text/plain": repr(self)}
+
+    def __repr__(self) -> str:
+        return f"<Explorer of {self.result!r}>"
 
     # --- changes -------------------------------------------------------------------------------------------------------------
 
@@ -188,6 +205,9 @@ class Explorer:
 
     def update(self) -> None:
         """Compute the result for the values of the sliders."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
         again, self._moved = self._moved and self._designed and self.live.value, False
         if again:
             self.optimise()
@@ -197,8 +217,8 @@ class Explorer:
     def optimise(self) -> None:
         """Search the best design of the current problem, and set the sliders to it."""
         self._compute(lambda problem: solve(problem))
-        if self._designed and self.result.design:
-            self._design = {name: self.result.design[name] for name in self._file.model.free}
+        if self._designed and self._result.design:
+            self._design = {name: self._result.design[name] for name in self._file.model.free}
             self._setting = True
             for name, value in self._design.items():
                 self._rest[name] = self.sliders[name].value = value / self.knobs[name].size
@@ -214,33 +234,33 @@ class Explorer:
             problem = self._file.override(self._changes) if self._changes else self._file
             result = compute(problem)
         except OptlinkError as error:
-            if not hasattr(self, "result"):
+            if not hasattr(self, "_result"):
                 raise
             self.status.value = f'{STYLE}<p class="optlink-bad">{_escaped(str(error))}</p>'
             return
-        self.problem, self.result, self._seconds = problem, result, time.perf_counter() - begin
+        self._problem, self._result, self._seconds = problem, result, time.perf_counter() - begin
         self._show()
 
     # --- what is shown -------------------------------------------------------------------------------------------------------
 
     def _show(self) -> None:
-        kind = "analysis" if isinstance(self.result, Analysis) else self.problem.task
-        shown = table_of(kind)(self.result)
+        kind = "analysis" if isinstance(self._result, Analysis) else self._problem.task
+        shown = table_of(kind)(self._result)
         self.status.value = f'{STYLE}<div class="optlink-figures">{fragment(shown.status, *self._figures(shown.parts))}</div>'
-        self._moving: Moving | None = moved(report_model_of(self.problem, self.result), STEPS)
+        self._moving: Moving | None = moved(report_model_of(self._problem, self._result), STEPS)
         if self._moving is not None:
             self.crank.max = self.play.max = len(self._moving.stops.values) - 1
         self._draw()
         if kind == "analysis":
-            torque = analysis_forces.torque(CycleCurves(self.result))
-            charts = torque or view_of(kind).charts(CycleCurves(self.result))
+            torque = analysis_forces.torque(CycleCurves(self._result))
+            charts = torque or view_of(kind).charts(CycleCurves(self._result))
         else:
-            charts = view_of(kind).charts(view_of(kind).model(self.result))
+            charts = view_of(kind).charts(view_of(kind).model(self._result))
         self.chart.value = chart_svg(charts)
 
     def _figures(self, parts: tuple[Part, ...]) -> Iterator[Part]:
         """Yield the failed checks and the conflicting limits of a design, its objective, and strokes."""
-        proof = getattr(getattr(self.result, "best", self.result), "validation", None)
+        proof = getattr(getattr(self._result, "best", self._result), "validation", None)
         checks = () if proof is None else proof.checks
         failed = [check for check in checks if not check.passed]
         if failed:
@@ -258,7 +278,7 @@ class Explorer:
             self.angle.value = ""
             return
         k = min(self.crank.value, len(moving.stops.values) - 1)
-        drawn = svg(moving.scene, self.problem.model.title, k=k)
+        drawn = svg(moving.scene, self._problem.model.title, k=k)
         self.drawing.value = f'<div style="width:560px;background:#fff;color:#222">{drawn}</div>'
         values = (f"{one.name} {one.text(k)} {one.shown_unit}" for one in moving.readouts)
         self.angle.value = _escaped(" · ".join((moving.stops.text(k), *values)))
