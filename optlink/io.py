@@ -26,6 +26,7 @@ GROUP = "optlink.extensions"
 Item = TypeVar("Item")
 
 LOCK = ".optlink.lock"
+LOCKED_BYTE = 1 << 30  # on Windows, whose locks forbid reading: far behind the process number in the file
 _records: list[set[Path]] = []
 _locked: set[tuple[str, int]] = set()
 
@@ -147,9 +148,12 @@ def locked(path: Path) -> Iterator[None]:
         yield
     finally:
         _locked.discard(key)
-        with contextlib.suppress(OSError):  # Windows cannot remove an open file; it remains, and locks nothing
+        if sys.platform == "win32":  # which removes no open file, so that the lock file of another run stays
+            os.close(handle)
+        with contextlib.suppress(OSError):
             place.unlink()
-        os.close(handle)
+        if sys.platform != "win32":
+            os.close(handle)
 
 
 def _opened(path: Path, place: Path) -> int:
@@ -184,10 +188,13 @@ def _taken(handle: int) -> bool:
     if sys.platform == "win32":
         import msvcrt
 
+        os.lseek(handle, LOCKED_BYTE, os.SEEK_SET)
         try:
             msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
         except OSError:
             return False
+        finally:
+            os.lseek(handle, 0, os.SEEK_SET)
         return True
     import fcntl
 

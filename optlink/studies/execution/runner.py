@@ -7,6 +7,7 @@ Results arrive in any order.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import queue
 import subprocess
@@ -153,8 +154,9 @@ class _Hand(threading.Thread):
                 line = process.stdout.readline()
                 if line.endswith("\n"):
                     return chunk_from_line(line)
-            except BrokenPipeError:
-                pass
+            except OSError as error:
+                if error.errno not in (errno.EPIPE, errno.EINVAL):  # a closed pipe, in the words of POSIX and of Windows
+                    raise
             self._end()  # the process died: only this chunk is repeated
         raise SolverError(f"chunk {index} of the study ended {ATTEMPTS} processes; is there enough memory?")
 
@@ -167,7 +169,8 @@ class _Hand(threading.Thread):
             stdout=subprocess.PIPE,
             encoding="utf-8",
             env={**os.environ, **ONE_THREAD, "PYTHONPATH": path},
-            start_new_session=True,  # Ctrl-C is handled by the parent process
+            start_new_session=True,  # Ctrl-C is handled by the parent process, on Windows too
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         )
         assert self.process.stdin is not None
         self.process.stdin.write(self.task)
