@@ -55,6 +55,9 @@ def read(record: SweepRecord, file: ProblemFile, place: Path) -> Sweep:
         raise Contradiction("axes", f"their values make {grid.count} points, the table has {count}")
     if record.mode == OPTIMISE and not any(name.startswith("objective") for name in names):
         raise Contradiction("columns", "there is no objective")
+    shown = [axis.column for axis in grid.axes] + [name for name in names if name.startswith("objective")]
+    if record.best is not None and (lacking := [name for name in shown if name not in record.best]):
+        raise Contradiction("best", f"it has no {lacking[0]}")
     return record.build(
         Sweep,
         problem=file,
