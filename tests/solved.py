@@ -1,34 +1,84 @@
-"""Solutions of the shipped problems with default options, each searched once per test run, whichever process needs it first."""
+"""What several tests need and takes long is computed once per test run, by whichever process needs it first."""
 
 from __future__ import annotations
 
-import fcntl
-import os
+import contextlib
 import pickle
-import tempfile
+import time
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import optlink
+from optlink.errors import InputError
+from optlink.io import locked
 from optlink.tasks.results.balance import Balance
 
 Solution = optlink.FunctionResult | optlink.PathResult | optlink.CycleResult | Balance
+FOLDER: list[Path] = []
+"""Folder of this run that all its processes share; none if it has one process. Set by `conftest.py`."""
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Wait until no other process is in there."""
+    while True:
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(locked(folder))
+            except InputError:
+                time.sleep(0.05)
+                continue
+            yield
+            return
+
+
+def once(name: str, make: Callable[[], Any]) -> Any:
+    """Return what `make` returns, from the file of another process of this run if there is one.
+
+    Parameters
+    ----------
+    name : str
+        Of the file.
+    make : callable
+        Its answer must pickle.
+    """
+    if not FOLDER:
+        return make()
+    folder = FOLDER[0] / name
+    folder.mkdir(parents=True, exist_ok=True)
+    stored = folder / "stored.pickle"
+    with _alone(folder):
+        if stored.exists():
+            return pickle.loads(stored.read_bytes())
+        made = make()
+        stored.write_bytes(pickle.dumps(made))
+    return made
+
+
+def folder_once(name: str, alone: Path, fill: Callable[[Path], None]) -> Path:
+    """Return a folder that `fill` has filled: one for all processes of this run, or `alone`; tests only read it.
+
+    Parameters
+    ----------
+    name : str
+    alone : Path
+        An empty folder, for a run of one process.
+    fill : callable
+        Takes the folder.
+    """
+    place = FOLDER[0] / f"{name}-files" if FOLDER else alone
+
+    def filled() -> Path:
+        place.mkdir(exist_ok=True)
+        fill(place)
+        return place
+
+    return once(name, filled)
 
 
 @cache
 def solution(name: str) -> Solution:
-    """Return the solution of a shipped problem, from the file of another process of this run if there is one."""
-    run = os.environ.get("PYTEST_XDIST_TESTRUNUID")
-    if run is None:
-        return optlink.solve(optlink.load(name))
-    folder = Path(tempfile.gettempdir(), f"optlink-tests-{os.getuid()}-{run}")
-    folder.mkdir(mode=0o700, exist_ok=True)
-    with (folder / name).open("a+b") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        file.seek(0)
-        stored = file.read()
-        if stored:
-            return pickle.loads(stored)
-        found = optlink.solve(optlink.load(name))
-        file.write(pickle.dumps(found))
-    return found
+    """Return the solution of a shipped problem with default options."""
+    return once(f"solution of {name}", lambda: optlink.solve(optlink.load(name)))

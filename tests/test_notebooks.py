@@ -119,6 +119,7 @@ def test_a_planted_output_is_found(text: str, name: str) -> None:
     assert name in [fault.split(": ")[1] for fault in faults(nbformat.v4.new_notebook(cells=[cell]))]
 
 
+@pytest.mark.slow
 def test_a_wrong_figure_in_a_copy_is_found() -> None:
     notebook = read(FOLDER / "crank_rocker.ipynb")
     right, wrong = "abs(solution.objective - 0.00759237)", "abs(solution.objective - 0.00759337)"

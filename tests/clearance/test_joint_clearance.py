@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+import os
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping
@@ -567,7 +568,7 @@ def hanging(gaps: str, nominal: float, restitution: float) -> dict:
 @pytest.mark.parametrize("gaps", ["A", "B", "C", "ABC"])
 def test_resting_contact_stays_at_rest(gaps):
     """0.5 mm of fall, some bounces, and then the penetration of the weight, to seven digits, without an end."""
-    found = simulate(hanging(gaps, 600.0, 0.5), 4)
+    found = simulate(hanging(gaps, 600.0, 0.5), 3)
     late = found["time_s"] > 0.25
     assert max(impact.end for impact in ended(found)) < 0.1
     for pin in gaps:
@@ -1025,6 +1026,7 @@ def test_interrupted_run_returns_what_was_computed():
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="a signal of POSIX")
 @pytest.mark.parametrize("twin", [False, True])
 def test_interrupt_from_the_keyboard(twin):
     """It meets the integrator at work, mostly."""

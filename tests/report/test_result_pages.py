@@ -8,6 +8,7 @@ import itertools
 import json
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
@@ -22,10 +23,11 @@ from optlink.report.html.shell import LARGEST, PageContent
 from optlink.report.registry import records
 from optlink.report.stored.loader import KNOWN, load_stored
 from optlink.report.stored.stored_study import StoredStudy, _sheet, study_page
-from tests.browser import browser, colours, console, faults, requests
+from tests.browser import colours, console, faults, requests
 from tests.browser import opened as shown
 from tests.cli.test_cli import run
 from tests.report.test_report_page import Reader, poses, slide_to
+from tests.solved import folder_once
 
 COMMANDS = {
     "course": ("simulate", "six-bar", "--duration", f"{2.0 * math.pi / 10.0!r} s", "--points", "360"),
@@ -73,15 +75,30 @@ RECORDED = [name for name in (*COMMANDS, *FOLDERS) if name not in ("sensitivity"
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("results")
-    for name, command in COMMANDS.items():
-        done = run(*command, "--json")
-        assert done.exit_code == 0, done.stderr
-        (folder / name).mkdir()
-        (folder / name / "result.json").write_text(done.stdout)
-    for name, command in FOLDERS.items():
-        assert run(*command, "--out", str(folder / name)).exit_code == 0
-    return folder
+    def fill(folder: Path) -> None:
+        for name, command in COMMANDS.items():
+            done = run(*command, "--json")
+            assert done.exit_code == 0, done.stderr
+            (folder / name).mkdir()
+            (folder / name / "result.json").write_text(done.stdout, encoding="utf-8")
+        for name, command in FOLDERS.items():
+            assert run(*command, "--out", str(folder / name)).exit_code == 0
+
+    return folder_once("recorded results", tmp_path_factory.mktemp("results"), fill)
+
+
+@pytest.fixture(scope="module")
+def pages(results, tmp_path_factory) -> Callable[[str], Path]:
+    """The page of a result, written when it is first asked for."""
+    folder = tmp_path_factory.mktemp("pages")
+
+    def page(name: str) -> Path:
+        path = folder / f"{name}.html"
+        if not path.exists():
+            assert run("report", str(results / name), "-o", str(path)).exit_code == 0
+        return path
+
+    return page
 
 
 def document(results: Path, name: str) -> dict:
@@ -487,12 +504,6 @@ def test_known_schemas_are_told(tmp_path):
 # --- in a browser --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def driver():
-    with browser() as started:
-        yield started
-
-
 NAMES = "return [...document.querySelectorAll('.picked dt')].map(one => one.textContent)"
 
 
@@ -502,12 +513,11 @@ def picked(driver) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*RECORDED, "sensitivity"])
-def test_a_page_in_a_browser(driver, results, tmp_path, name):
+def test_a_page_in_a_browser(driver, pages, name):
     """No complaint, no request, every chart drawn; the slider moves the linkage; the keyboard goes from point to point."""
     from selenium.webdriver.common.keys import Keys
 
-    path = tmp_path / "a.html"
-    assert run("report", str(results / name), "-o", str(path)).exit_code == 0
+    path = pages(name)
     complaints, asked = shown(driver, path)
     assert (complaints, asked) == ([], [])
     charts = driver.execute_script("return document.querySelectorAll('.plot').length")
@@ -550,11 +560,9 @@ def test_a_page_in_a_browser(driver, results, tmp_path, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["front", "map"])
-def test_pointing_at_a_place_tells_its_design(driver, results, tmp_path, name):
+def test_pointing_at_a_place_tells_its_design(driver, pages, name):
     """The mouse goes there as a person's would."""
-    path = tmp_path / "a.html"
-    assert run("report", str(results / name), "-o", str(path)).exit_code == 0
-    shown(driver, path)
+    shown(driver, pages(name))
     chart = json.loads(driver.execute_script("return document.getElementById('chart-data').textContent"))["charts"][0]
     curve = next(one for one in chart["figure"]["data"] if "customdata" in one)
     i, j = (1, 2) if name == "map" else (2, 2)
@@ -575,15 +583,13 @@ def test_pointing_at_a_place_tells_its_design(driver, results, tmp_path, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDED)
 @pytest.mark.parametrize("width", [1400, 400])
-def test_a_page_fits_the_screen_and_is_accessible(driver, results, tmp_path, name, width):
+def test_a_page_fits_the_screen_and_is_accessible(driver, pages, name, width):
     """No wider than a telephone, and no serious fault for axe-core; in light mode on a desk, in dark mode on a telephone."""
-    path = tmp_path / "a.html"
-    assert run("report", str(results / name), "-o", str(path)).exit_code == 0
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
         with colours(driver, dark=width < 500):
-            complaints, _ = shown(driver, path)
+            complaints, _ = shown(driver, pages(name))
             assert complaints == []
             assert driver.execute_script("return document.documentElement.scrollWidth") <= width
             assert faults(driver) == []
@@ -592,10 +598,8 @@ def test_a_page_fits_the_screen_and_is_accessible(driver, results, tmp_path, nam
 
 
 @pytest.mark.slow
-def test_a_page_prints_its_points_without_sliders(driver, results, tmp_path):
-    path = tmp_path / "a.html"
-    assert run("report", str(results / "front"), "-o", str(path)).exit_code == 0
-    shown(driver, path)
+def test_a_page_prints_its_points_without_sliders(driver, pages):
+    shown(driver, pages("front"))
     printed = driver.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
     pages = len(re.findall(rb"/Type\s*/Page\b", base64.b64decode(printed["data"])))
     assert 2 <= pages <= 8

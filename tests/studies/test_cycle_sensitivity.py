@@ -17,6 +17,7 @@ from optlink.report.stored.loader import load_stored
 from optlink.studies import sensitivity as sensitivity_module
 from optlink.studies.sensitivity import sensitivities
 from optlink.tasks.cycle import solve
+from tests.solved import once
 
 PUMP = {
     "title": "Pump on an inclined guide",
@@ -56,12 +57,12 @@ PUMP = {
 
 @pytest.fixture(scope="module")
 def pump():
-    return sensitivities(optlink.read(PUMP), starts=2)
+    return once("sensitivities of the pump", lambda: sensitivities(optlink.read(PUMP), starts=2))
 
 
 @pytest.fixture(scope="module")
 def shaper():
-    return sensitivities(optlink.load("shaper-design"), starts=2)
+    return once("sensitivities of the shaper", lambda: sensitivities(optlink.load("shaper-design"), starts=2))
 
 
 @pytest.mark.slow
@@ -181,11 +182,11 @@ def test_all_of_them_searched_again():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "gap"), [("shaper-design", 1e-5), ("press-toggle", 1e-3)])
-def test_every_fourth_searched_again(name, gap):
+@pytest.mark.parametrize(("name", "gap", "every"), [("shaper-design", 1e-5, 4), ("press-toggle", 1e-3, 6)])
+def test_some_of_them_searched_again(name, gap, every):
     found = sensitivities(optlink.load(name), starts=1)
-    assert len(found.moving[::4]) >= 3
-    for row in found.moving[::4]:
+    assert len(found.moving[::every]) >= 3
+    for row in found.moving[::every]:
         check = sensitivity_module._searched_again(found.problem, found.solution, row, "ipopt", loose=False)
         assert check is not None
         assert check.gap < gap, row.parameter.key

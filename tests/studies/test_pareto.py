@@ -7,7 +7,6 @@ import itertools
 import json
 import math
 import random
-import signal
 import subprocess
 import sys
 import time
@@ -430,12 +429,11 @@ def killed(arguments: list[str], out: Path, pattern: str, wait: float) -> None:
         assert run.poll() is None
         time.sleep(0.01)
     time.sleep(wait)
-    run.send_signal(signal.SIGKILL)
+    run.kill()
     run.wait()
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
 def test_killed_three_times_and_resumed(press, tmp_path):
     """SIGKILL while the ends are searched, and twice on the walk: the same front, byte for byte, and nothing is done twice."""
     words, rng = f"rod.length, {LEAST}", random.Random(3)

@@ -24,6 +24,8 @@ from optlink.studies.tolerance.nominal import nominal_design
 from optlink.studies.tolerance.options import read_deviations
 from optlink.studies.tolerance.robust_design import robust
 from optlink.studies.tolerance.sampling import read_costs, read_yield, sample_deviations, wilson
+from optlink.tasks.function import solve as function_solve
+from tests.solved import solution
 
 DESIGN = {"coupler": 0.412865417, "rocker": 0.23224617}
 LENGTHS = {"crank": 0.1, **DESIGN, "frame": 0.5}
@@ -390,9 +392,16 @@ def test_a_robust_design_yields_more_than_the_best_as_drawn(problem):
         pytest.param("function-log10", 0.05, ["crank=0.2 mm", "coupler=0.2 mm"], "right", marks=pytest.mark.slow),
     ],
 )
-def test_the_safest_design_keeps_the_limit_with_most_standard_deviations(name, limit, texts, mode):
+def test_the_safest_design_keeps_the_limit_with_most_standard_deviations(monkeypatch, name, limit, texts, mode):
     """More at its worst crank angle than the best as drawn, and than those that were made for fewer or more."""
     problem = optlink.load(name)
+
+    def known(file, *arguments, begin=None, **options):
+        nominal = begin is None and file.hash == problem.hash
+        return solution(name) if nominal else function_solve(file, *arguments, begin=begin, **options)
+
+    for place in ("optlink.tasks.function", "optlink.studies.tolerance.robust_design"):
+        monkeypatch.setattr(f"{place}.solve", known)
     best = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 10, robust="margin")
     assert best.robust.valid
     assert best.robust.result.problem.model.mechanism.assembly == mode

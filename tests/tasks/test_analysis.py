@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 import tracemalloc
 
 import numpy as np
@@ -554,8 +555,8 @@ def test_what_cannot_follow_or_does_not_move_is_refused():
         optlink.load("slider-crank", {"loads.brake": {"on": "slider", "torque": "1 N*m", "acts": "opposing"}})
 
 
+@pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX; links need a privilege on Windows")
 def test_table_is_written_into_a_pipe_and_through_a_link(tmp_path):
-    import os
     import threading
 
     from optlink.report.files import write_csv

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -309,6 +310,7 @@ def test_tuning_resumes_and_stops_runs_that_cannot_win():
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="a signal of POSIX")
 def test_interrupt_ends_a_comparison_at_once_and_keeps_what_is_complete(tmp_path):
     """One sentence, exit code 130, no result that looks whole; the runs that are complete stay for --resume."""
     code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from optlink.cli.app import main; main()"
@@ -339,10 +341,12 @@ def test_interrupt_ends_a_comparison_at_once_and_keeps_what_is_complete(tmp_path
 
 @pytest.mark.slow
 def test_control_makes_up_for_three_gaps():
-    """At 1200 rpm: the inverse model takes away a quarter at least, PID on top of it more, in the mean of five starts."""
-    kinds = ("none", "inverse", "inverse+pid")
-    found = optlink.compare(optlink.load("slider-crank-three-gaps"), 11, 5, kinds=kinds, tolerance=1e-6)
+    """At 1200 rpm: the inverse model takes away a quarter at least, PID on top of it more; means of five and two starts."""
+    file = optlink.load("slider-crank-three-gaps")
+    found = optlink.compare(file, 11, 5, kinds=("none", "inverse"), tolerance=1e-6)
     assert found.finished
     assert found.trials["none"].mean == pytest.approx(1.307e-3, rel=0.02)
     assert found.gain("inverse") > 0.25
-    assert found.trials["inverse+pid"].mean < found.trials["inverse"].mean
+    both = optlink.compare(file, 11, 2, kinds=("inverse+pid",), tolerance=1e-6)  # seven times the work of a run without PID
+    assert both.finished
+    assert both.trials["inverse+pid"].mean < 0.9 * found.trials["inverse"].mean

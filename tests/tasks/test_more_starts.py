@@ -78,11 +78,11 @@ def test_seeds_agree_on_an_optimum_that_few_starts_reach() -> None:
 
 
 @pytest.mark.slow
-def test_ten_seeds_agree_where_the_first_steps_miss_the_best_optimum() -> None:
+def test_five_seeds_agree_where_the_first_steps_miss_the_best_optimum() -> None:
     law = {"function": "1/x", "x": [1, 2], "input": "90 deg", "output": "90 deg"}
     changes = {"requirement.law": law, "mechanism.assembly": "right"}
     file = optlink.load("function-log10", changes)
-    found = [optlink.solve(file, seed=seed) for seed in range(10)]
+    found = [optlink.solve(file, seed=seed) for seed in range(5)]
     assert all(result.valid for result in found)
     assert {round(math.degrees(result.objective), 6) for result in found} == {0.326990}
 

@@ -19,6 +19,7 @@ from optlink.solvers.multistart import solve_from
 from optlink.tasks.path import solve
 from tests import synthesis_oracle as oracle
 from tests.random_linkages import judged
+from tests.solved import solution
 from tests.stated import SLIDER_CRANK, document, four_bar_section, free
 
 VLINE = [(20, 20), (20, 25), (20, 30), (20, 35), (20, 40), (20, 45)]
@@ -46,17 +47,21 @@ CASES = {
     "vline6": (path(VLINE, lengths=(0.05, 60.0), far=60.0), 1e-20),
     "arc5": (path(ARC, [30, 45, 60, 75, 90], lengths=(0.1, 20.0), far=20.0, fixed=True), 7.41575131e-7),
     "closed18": (path(CLOSED, [20 * k for k in range(18)], timing="from start"), 0.0090288847),
-    "closed18, untimed": (path(CLOSED, closed=True), 0.0030072),
-    "ellipse10": (path(ELLIPSE, lengths=(5.0, 80.0), far=80.0), 4.0199206e-4),
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if "untimed" in n or n == "ellipse10" else n for n in CASES]
-)
+SHIPPED = {"path-closed18-untimed": (CLOSED, 0.0030072), "path-ellipse10": (ELLIPSE, 4.0199206e-4)}  # points [mm], mm^2
+
+
+@pytest.mark.parametrize("name", [*CASES, *(pytest.param(name, marks=pytest.mark.slow) for name in SHIPPED)])
 def test_best_known_value_is_reached(name):
-    raw, best = CASES[name]
-    result = solve(optlink.read(raw))
+    if name in SHIPPED:
+        points, best = SHIPPED[name]
+        result = solution(name)
+        np.testing.assert_allclose(1e3 * result.best.task.data.columns, points, rtol=1e-12)
+    else:
+        raw, best = CASES[name]
+        result = solve(optlink.read(raw))
     assert result.valid
     assert result.objective * 1e6 <= best * (1.0 + 1e-6)
     for design in result.designs:
@@ -103,7 +108,12 @@ def test_function_reaches_the_best_known_error(function):
     law = {"function": function, "x": x, "input": turned, "output": turned}
     limits = {"crank": "span", "transmission_angle": ["30 deg", "150 deg"], "link_ratio": [0.05, 20.0]}
     raw = {"title": "f", "mechanism": mechanism, "requirement": {"law": law, "measure": "max"}, "limits": limits}
-    result = optlink.solve(optlink.read(raw))
+    name = f"function-{function.partition('(')[0]}"
+    shipped, stated = optlink.load(name), optlink.read(raw)
+    assert stated.spec.mechanism == shipped.spec.mechanism
+    assert stated.spec.requirement == shipped.spec.requirement
+    assert stated.spec.limits == shipped.spec.limits
+    result = solution(name)
     assert result.valid
     dense = np.degrees(np.abs(result.error(np.linspace(0.0, result.problem.spec.span, 4001))))
     assert np.max(dense) <= best
@@ -210,7 +220,7 @@ def test_the_price_of_an_active_limit_is_what_solving_again_finds(measure):
 def test_a_given_design_is_proven_at_crank_angles_found_by_another_route(name):
     """Dynamic programming on the given sizes finds the crank angles again that the search found with them."""
     task = optlink.load(name)
-    found = solve(task, starts=480, designs=1).best
+    found = solution(name).best
     again = optlink.tasks.path.validate(task, found.values)
     assert again.valid
     assert again.best.assembly == found.assembly
@@ -222,7 +232,7 @@ def test_a_given_design_is_proven_at_crank_angles_found_by_another_route(name):
 @pytest.mark.slow
 def test_a_given_design_that_fails_says_where():
     task = optlink.load("path-ellipse10")
-    found = solve(task, starts=240, designs=1).best
+    found = solution("path-ellipse10").best
     wrong = optlink.tasks.path.validate(task, {**found.values, "rocker": 0.09, "crank": 0.03})
     assert not wrong.valid
     failed = {check.name for check in wrong.best.validation.checks if not check.passed}

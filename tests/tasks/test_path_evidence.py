@@ -111,7 +111,7 @@ def test_more_starts_never_give_a_worse_path() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, 6, 8])
+@pytest.mark.parametrize("seed", [3, 8])
 def test_more_starts_never_give_a_worse_path_or_motion(seed: int) -> None:
     """Nor is the default better than at least as many starts."""
     monotone(seed, (50, 100, None, 600))

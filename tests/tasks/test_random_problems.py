@@ -24,7 +24,7 @@ from tests.random_linkages import (
     transmission_range,
 )
 
-FEW, ENOUGH = 8, 45
+FEW, ENOUGH = 4, 40
 STARTS = 240  # of the batch: enough for answers, not for the best of them
 
 
@@ -71,14 +71,8 @@ def judged_law(seed: int, *, slides: bool) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slides", [False, True], ids=["four-bar", "slider-crank"])
-def test_few_random_laws(slides: bool) -> None:
-    assert sum(judged_law(seed, slides=slides) for seed in range(5)) >= 3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("slides", [False, True], ids=["four-bar", "slider-crank"])
-def test_many_random_laws(slides: bool) -> None:
-    assert sum(judged_law(seed, slides=slides) for seed in range(100, 108)) >= 3
+def test_random_laws(slides: bool) -> None:
+    assert sum(judged_law(seed, slides=slides) for seed in (*range(3), *range(100, 104))) >= 3
 
 
 # --- the judge sees what is planted ------------------------------------------------------------------------------------------

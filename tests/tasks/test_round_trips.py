@@ -13,15 +13,14 @@ from tests import synthesis_oracle as oracle
 from tests.random_linkages import RECOVERED, TIMINGS, VARIANTS, defects, four_bar_of, recover, round_trip
 
 COUNTS = (5, 9, 18, 60)
-FEW, MANY = 5, 16
+FEW, MANY = 5, 10
 MISSES = {"from start": 0, "given": 0, "free, even": 1, "free, uneven": 1}  # permitted, of many linkages
 
 
-@pytest.mark.parametrize("count", [*COUNTS[:1], *(pytest.param(count, marks=pytest.mark.slow) for count in COUNTS[1:])])
 @pytest.mark.parametrize("timing", TIMINGS)
-def test_own_curve_is_recovered(timing: str, count: int) -> None:
+def test_own_curve_is_recovered(timing: str) -> None:
     for seed in range(FEW):
-        found = recover(round_trip(1000 + seed, count, timing), designs=1)
+        found = recover(round_trip(1000 + seed, COUNTS[0], timing), designs=1)
         assert not found.faults, (seed, found)
         assert found.recovered, (seed, found)
 
