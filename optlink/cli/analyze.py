@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Csv, Design, Json, Out, Problem, Quiet, Set, Speed, whole_number
+from optlink.cli.options import Csv, Design, Format, Json, Out, Problem, Quiet, Set, Speed, whole_number
 
 
 def register(app: typer.Typer) -> None:
@@ -28,6 +28,7 @@ def analyze(
     csv: Csv = None,
     as_json: Json = False,
     quiet: Quiet = False,
+    picture: Format = "png",
     out: Out = None,
 ) -> None:
     """Analyse a machine: motion, joint reactions, driving torque and work over the cycle."""
@@ -61,6 +62,7 @@ def balance(
     csv: Csv = None,
     as_json: Json = False,
     quiet: Quiet = False,
+    picture: Format = "png",
     out: Out = None,
 ) -> None:
     """Optimise counterweights and springs: least shaking force, torque or reactions, with proof and shadow prices."""

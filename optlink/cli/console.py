@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 
 quiet = False  # whether only the verdict and errors are printed
+pictures = "png"  # format of the pictures of --out
 printed = False  # whether the JSON document is printed
 _kept: list[contextlib.ExitStack] = []  # contexts held until the command ends
 
@@ -112,7 +113,7 @@ def deliver(result: Any, kind: str, csv: Path | None, as_json: bool, out: Path |
         print(f"Interrupted: {out} has result.json alone, no pictures", file=sys.stderr)
     elif out is not None:
         with working(f"Drawing into {out}"):
-            view_of(kind).write(result, out)
+            view_of(kind).write(result, out, pictures)
     if as_json:
         print_json(result.to_dict())
     else:

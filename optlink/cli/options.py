@@ -69,6 +69,17 @@ def _set_quiet(wanted: bool) -> bool:
     return wanted
 
 
+def _set_pictures(text: str) -> str:
+    known = ("png", "svg", "pdf")
+    if text not in known:
+        raise typer.BadParameter(f"{text[:40]!r} is not one of {', '.join(map(repr, known))}.")
+    console.pictures = text
+    return text
+
+
+Format = Annotated[
+    str, typer.Option("--format", metavar="<png|svg|pdf>", callback=_set_pictures, help="Format of the pictures of --out.")
+]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", callback=_set_quiet, help="Print only the verdict and errors.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
 Out = Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for result.json, pictures and tables.")]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Csv, Design, Json, Out, Problem, Quiet, Set, Speed, whole_number
+from optlink.cli.options import Csv, Design, Format, Json, Out, Problem, Quiet, Set, Speed, whole_number
 from optlink.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -118,6 +118,7 @@ def simulate(
     csv: Csv = None,
     as_json: Json = False,
     quiet: Quiet = False,
+    picture: Format = "png",
     out: Out = None,
 ) -> None:
     """Simulate a machine in time, under a torque or at constant speed, with joint clearance and control."""
@@ -238,7 +239,7 @@ def _compared(asked: Run, revolutions: int | None, resume: bool, **options: Any)
         from optlink.report.registry import view_of
 
         with console.working(f"Drawing into {asked.out}"):
-            view_of("control comparison").write(found, asked.out)
+            view_of("control comparison").write(found, asked.out, console.pictures)
     _shown(asked, found, "comparison")
     if not found.finished:
         raise typer.Exit(3)

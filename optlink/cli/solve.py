@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Design, Json, Out, Problem, Quiet, Searcher, Seed, Set, Starts, whole_number
+from optlink.cli.options import Design, Format, Json, Out, Problem, Quiet, Searcher, Seed, Set, Starts, whole_number
 from optlink.errors import Status
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def solve(
     design: Design = None,
     as_json: Json = False,
     quiet: Quiet = False,
+    picture: Format = "png",
     out: Out = None,
 ) -> None:
     """Optimise a design, verify it independently, and report the shadow prices of the active constraints."""
@@ -60,7 +61,13 @@ def solve(
 
 
 def validate(
-    problem: Problem, design: Design = None, changes: Set = None, as_json: Json = False, quiet: Quiet = False, out: Out = None
+    problem: Problem,
+    design: Design = None,
+    changes: Set = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    picture: Format = "png",
+    out: Out = None,
 ) -> None:
     """Check a design against all requirements and limits."""
     with console.reported(as_json), console.result_folder(out, "validate", problem):

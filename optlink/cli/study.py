@@ -11,7 +11,7 @@ import typer
 
 from optlink.cli import console
 from optlink.cli.command import App
-from optlink.cli.options import Json, Problem, Quiet, Set, whole_number
+from optlink.cli.options import Format, Json, Problem, Quiet, Set, whole_number
 from optlink.solvers.contract import selectable
 
 if TYPE_CHECKING:
@@ -70,6 +70,7 @@ def sensitivity(
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
+    picture: Format = "png",
     out: Annotated[
         Path | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for result.json, table and tornado chart.")
     ] = None,
@@ -200,6 +201,7 @@ def sweep(
     changes: Set = None,
     as_json: Json = False,
     quiet: Quiet = False,
+    picture: Format = "png",
     out: Kept = None,
 ) -> None:
     """Solve, analyse or simulate a problem at every point of a grid, on one machine or a cluster; resumable."""
@@ -296,6 +298,7 @@ def tolerance(
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
+    picture: Format = "png",
     out: Annotated[
         Path | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for result.json, table and pictures.")
     ] = None,
@@ -364,6 +367,7 @@ def pareto(
     changes: Set = None,
     as_json: Json = False,
     quiet: Quiet = False,
+    picture: Format = "png",
     out: Kept = None,
 ) -> None:
     """Pareto front of two or three objectives, with its ends and knee; every point is validated."""

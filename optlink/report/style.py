@@ -39,6 +39,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.grid": True,
     "grid.alpha": 0.25,
+    "svg.hashsalt": "optlink",  # else the names in an SVG file are random
     "text.parse_math": False,  # do not interpret dollar signs in titles as mathematics
 }
 
@@ -117,7 +118,7 @@ def heading(text: str, width: float, size: float = 11.0) -> str:
 
 
 def save(drawn: Figure, path: Path) -> None:
-    """Write a figure as PNG.
+    """Write a figure as PNG, SVG or PDF, according to the suffix of the path; the same figure gives the same bytes.
 
     Parameters
     ----------
@@ -125,7 +126,9 @@ def save(drawn: Figure, path: Path) -> None:
     path : Path
     """
     with whole(path) as temporary, house():
-        drawn.savefig(temporary, dpi=150)
+        kind = path.suffix.removeprefix(".")
+        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+        drawn.savefig(temporary, format=kind, dpi=150, metadata=dates.get(kind))
 
 
 def save_film(pictures: Sequence[Image.Image], path: Path) -> None:

@@ -77,7 +77,7 @@ class View:
     schema: str = ""
     stored: Callable[[dict[str, Any], ProblemFile], Any] = _no_result
 
-    def write(self, result: Any, folder: Path) -> list[Path]:
+    def write(self, result: Any, folder: Path, pictures: str = "png") -> list[Path]:
         """Write result.json, the tables, the design, the pictures and the animation of a result; return the paths.
 
         Parameters
@@ -85,13 +85,15 @@ class View:
         result : any result
         folder : Path
             Existing folder to write to.
+        pictures : str, optional
+            Format of the pictures: "png", "svg" or "pdf".
 
         Raises
         ------
         InputError
             If a file cannot be written.
         """
-        from optlink.report.chart_mpl import pictures
+        from optlink.report import chart_mpl
         from optlink.report.style import save, save_film
 
         written = [folder / "result.json"]
@@ -104,9 +106,9 @@ class View:
             written += write_design(folder, *design)
         shown = self.model(result)
         drawings = {name: draw(shown) for name, draw in self.drawings.items()}
-        for name, drawn in {**drawings, **pictures(self.charts(shown))}.items():
+        for name, drawn in {**drawings, **chart_mpl.pictures(self.charts(shown))}.items():
             if drawn is not None:
-                written.append(folder / f"{name}.png")
+                written.append(folder / f"{name}.{pictures}")
                 save(drawn, written[-1])
         frames = self.frames(shown)
         if frames:
