@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import datetime
 import importlib.metadata
 import json
 import math
@@ -87,6 +88,7 @@ def document(rows: list[Row]) -> dict[str, Any]:
     """The rows with what they were measured on; seconds, positions per second, ratios."""
     return {
         "schema": "optlink/benchmarks/1",
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
         "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "cvxpy", "distributed", *PEERS)},

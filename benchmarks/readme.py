@@ -1,0 +1,220 @@
+"""Figures and commands of README and docs: `python benchmarks/readme.py [--check] [--slow] [--commands] [--write]`.
+
+Without options every quoted figure is printed with its place and the command that computes it. `--check` computes the quick ones
+and compares all with the text; the slow ones are compared with `readme_record.json`, which has the date of their last run.
+`--slow` computes those too, `--commands` runs every command of the pages, `--write` writes the record.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import datetime
+import functools
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from readme_figures import BLOCKS, FIGURES, LONG, PLACEHOLDERS, PREPARED, Block, Figure
+from timing import HERE, ROOT
+
+sys.path.insert(0, str(ROOT))  # the checkout is measured, whether it is installed or not
+RECORD = HERE / "readme_record.json"
+FENCES = re.compile(r"^```(?P<kind>\w*)[^\n]*\n(?P<text>.*?)^```[ ]*$", re.DOTALL | re.MULTILINE)
+NUMBER = re.compile(r"\{(-?[\d.]+(?:e-?\d+)?)\}")
+
+
+# --- figures -------------------------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def output(command: str, *, as_json: bool) -> str:
+    """What a call of optlink prints, with exit codes 0 and 1."""
+    from typer.testing import CliRunner
+
+    from optlink.cli.app import app
+
+    words = [*shlex.split(command), *(["--json"] if as_json else [])]
+    done = CliRunner().invoke(app, words, env={"COLUMNS": "120"})
+    if done.exit_code not in (0, 1):
+        raise RuntimeError(f"optlink {command}: {done.output}")
+    return done.stdout
+
+
+def at(document: Any, path: str) -> float:
+    """The number at a path of keys and indices, such as `limits/name=coupler/multiplier`."""
+    for step in path.split("/"):
+        if isinstance(document, list) and "=" in step:
+            key, _, wanted = step.partition("=")
+            document = next(one for one in document if str(one[key]) == wanted)
+        else:
+            document = document[int(step)] if isinstance(document, list) else document[step]
+    return float(document)
+
+
+def computed(figure: Figure) -> float:
+    """The value of a figure from the JSON document of its command, in the unit of the page."""
+    document = json.loads(output(figure.command, as_json=True))
+    value = at(document, figure.path)
+    return figure.scale * (value / at(document, figure.over) if figure.over else value)
+
+
+def quoted(figure: Figure) -> tuple[float, float]:
+    """The number on the page and its tolerance: half a unit of its last digit if none is stated."""
+    found = NUMBER.search(figure.text)
+    assert found is not None, figure.text
+    digits = found[1]
+    mantissa, _, power = digits.lower().partition("e")
+    decimals = len(mantissa.partition(".")[2])
+    return float(digits), figure.near or 0.5000001 * 10.0 ** (int(power or 0) - decimals)
+
+
+def in_text(figure: Figure) -> bool:
+    """Whether the page has the words of a figure."""
+    return " ".join(NUMBER.sub(r"\1", figure.text).split()) in " ".join(page(figure.page).split())
+
+
+@functools.cache
+def page(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def block_lines(block: Block) -> list[str]:
+    """The lines of a printed block of a page, named by words in it, without spaces that only align columns."""
+    texts = [match["text"] for match in FENCES.finditer(page(block.page)) if match["kind"] == "text"]
+    text = next((text for text in texts if block.words in " ".join(text.split())), None)
+    if text is None:
+        raise LookupError(f"{block.page}: no block has {block.words!r}")
+    plain = [" ".join(line.split()) for line in text.split("\n")]
+    return [line for line in plain if line not in ("", "...")]
+
+
+def missing(block: Block, printed: str) -> list[str]:
+    """Lines of a block that a command does not print."""
+    lines = " ".join(printed.split())
+    return [line for line in block_lines(block) if line not in lines]
+
+
+def failures(*, slow: bool, record: dict[str, Any]) -> Iterator[str]:
+    """What differs between the pages and the commands, or the record of those that are not run."""
+    for figure in FIGURES:
+        where = f"{figure.page}: {figure.text}"
+        value, near = quoted(figure)
+        if not in_text(figure):
+            yield f"{where}: not on the page"
+            continue
+        if figure.command in LONG and not slow:
+            found = record["figures"].get(f"{figure.page}: {figure.text}", {}).get("value")
+            if found is None:
+                yield f"{where}: no recorded value"
+                continue
+        else:
+            try:
+                found = computed(figure)
+            except LookupError as error:
+                yield f"{where}: optlink {figure.command} has no {figure.path}: {error}"
+                continue
+        if not abs(found - value) <= near:
+            yield f"{where}: optlink {figure.command} gives {found!r}"
+    for block in BLOCKS:
+        if block.command in LONG and not slow:
+            if record["blocks"].get(f"{block.page}: {block.words}", {}).get("lines") != block_lines(block):
+                yield f"{block.page}: {block.words}: the record has other lines"
+            continue
+        for line in missing(block, output(block.command, as_json=False)):
+            yield f"{block.page}: optlink {block.command} does not print {line!r}"
+
+
+def recorded() -> dict[str, Any]:
+    """The record of slow figures, blocks and commands."""
+    found: dict[str, Any] = json.loads(RECORD.read_text(encoding="utf-8"))
+    return found
+
+
+def measured_record(record: dict[str, Any]) -> dict[str, Any]:
+    """The record with slow figures and blocks computed now."""
+    import optlink
+
+    stamp = {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "optlink": optlink.__version__}
+    for figure in FIGURES:
+        if figure.command in LONG:
+            record["figures"][f"{figure.page}: {figure.text}"] = {"value": computed(figure), **stamp}
+    for block in BLOCKS:
+        if block.command in LONG and not missing(block, output(block.command, as_json=False)):
+            record["blocks"][f"{block.page}: {block.words}"] = {"lines": block_lines(block), **stamp}
+    return record
+
+
+# --- commands ------------------------------------------------------------------------------------------------------------
+
+
+def calls(name: str) -> list[str]:
+    """Shell lines of a page that call optlink, in their order."""
+    found = []
+    for match in FENCES.finditer(page(name)):
+        if match["kind"] == "sh":
+            lines = match["text"].replace("\\\n", " ").split("\n")
+            found += [re.split(r"\s#", line)[0].strip() for line in lines if line.startswith("optlink ")]
+    found += re.findall(r"^    (optlink [^#\n]*)", FENCES.sub("", page(name)), re.MULTILINE)
+    return [line.strip() for line in found if line.strip() not in PLACEHOLDERS]
+
+
+def run_page(name: str, *, long: bool) -> Iterator[tuple[str, int, float, str]]:
+    """Run the commands of a page in an empty folder; yield each with its exit code, seconds and messages."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "80"}
+        for line in [*PREPARED.get(name, ()), *calls(name)]:
+            if line.removeprefix("optlink ") in LONG and not long:
+                continue
+            begin = time.perf_counter()
+            shell = line.replace("optlink", f"{shlex.quote(sys.executable)} -m optlink", 1)
+            done = subprocess.run(shell, shell=True, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+            yield line, done.returncode, time.perf_counter() - begin, done.stderr[-300:]
+
+
+def pages() -> list[str]:
+    """Pages with commands, without the tutorial, whose commands and outputs its own test checks, and the generated pages."""
+    names = ["README.md", *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").glob("*.md")))]
+    return [name for name in names if name != "docs/tutorial.md" and calls(name)]
+
+
+def main() -> None:
+    """Print the figures, or compare them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="compare the figures with the pages")
+    parser.add_argument("--slow", action="store_true", help="compute the slow figures too")
+    parser.add_argument("--commands", action="store_true", help="run every command of the pages")
+    parser.add_argument("--write", action="store_true", help="write the record of what is slow")
+    options = parser.parse_args()
+    record = recorded()
+    if options.write and options.slow:
+        record = measured_record(record)
+    wrong = list(failures(slow=options.slow and not options.write, record=record)) if options.check else []
+    if options.commands:
+        for name in pages():
+            for line, code, seconds, errors in run_page(name, long=options.slow):
+                print(f"{name}: {line}: exit code {code}, {seconds:.1f} s", flush=True)
+                if code not in (0, 1):
+                    wrong.append(f"{name}: {line}: {errors}")
+    if not options.check and not options.commands:
+        for figure in FIGURES:
+            value = quoted(figure)[0]
+            print(f"{figure.page}: {value:g}: optlink {figure.command} --json, {figure.path}")
+    if options.write:
+        RECORD.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    for line in wrong:
+        print(line, file=sys.stderr)
+    with contextlib.suppress(BrokenPipeError):
+        sys.stdout.flush()
+    sys.exit(bool(wrong))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,189 @@
+"""Figures that README and docs quote, each with its page, its words and the command that computes it.
+
+`text` are words of the page with the figure in braces; `path` leads to the value in the JSON document of the command.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of a page: `scale * path`, or `scale * path / over`, within `near` or half a unit of its last digit."""
+
+    page: str
+    text: str
+    command: str
+    path: str
+    scale: float = 1.0
+    over: str = ""
+    near: float = 0.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """A printed block of a page, named by words in it: every line is among those that the command prints."""
+
+    page: str
+    words: str
+    command: str
+
+
+LAW, ROBUST = "solve crank-rocker", "solve crank-rocker-robust"
+SIX, SHAPER = "analyze six-bar", "analyze shaper"
+FAST = 'analyze shaper --speed "64 rpm"'
+BALANCE = "balance balance-six-bar"
+COMPARE = "simulate slider-crank-three-gaps --control compare --revolutions 15"
+DESIGN, PRESS = "solve shaper-design", "solve press-toggle"
+PRICE = "limits/name=largest transmission angle/multiplier"
+MEASURES = {
+    "rms shaking force": (339.668, 93.7868, 72.39),
+    "largest shaking force": (733.119, 161.064, 78.03),
+    "rms shaking moment": (90.6044, 24.7473, 72.69),
+    "largest shaking moment": (155.733, 38.5715, 75.23),
+    "rms driving torque": (154.725, 132.717, 14.22),
+    "largest driving torque": (320.022, 273.915, 14.41),
+}
+
+
+def row(page: str, cells: tuple[str, ...], command: str, columns: dict[int, tuple[str, float]]) -> list[Figure]:
+    """Figures in a row of a table; `columns` has path and scale of the cells that are figures."""
+    found = []
+    for k, (path, scale) in columns.items():
+        marked = [f"{{{cell}}}" if i == k else cell for i, cell in enumerate(cells)]
+        unit = cells[k].partition(" ")
+        if unit[1]:
+            marked[k] = f"{{{unit[0]}}} {unit[2]}"
+        found.append(Figure(page, f"| {' | '.join(marked)} |", command, path, scale))
+    return found
+
+
+def balancing() -> list[Figure]:
+    """Measures of the six-bar, each minimised alone."""
+    found = []
+    for measure, (before, best, reduction) in MEASURES.items():
+        unit = "N m" if "moment" in measure or "torque" in measure else "N"
+        text = (f"{before:g}", f"{best:g}", f"{reduction:.2f} %")
+        command = f'{BALANCE} --minimise "{measure}"'
+        columns = {1: ("before", 1.0), 2: ("objective", 1.0), 3: ("reduction", 100.0)}
+        found += row("docs/balancing.md", (f"{measure}, {unit}", *text), command, columns)
+    return found
+
+
+def extremes(page: str, what: str, cells: tuple[str, ...], command: str, column: str) -> list[Figure]:
+    """A row with the least and largest value of a column and their crank angles."""
+    keys = ("min", "min_at_deg", "max", "max_at_deg")
+    return row(page, (what, *cells), command, {k + 1: (f"extremes/{column}/{key}", 1.0) for k, key in enumerate(keys)})
+
+
+def case(name: str, words: str, value: str, known: str, scale: float = 1.0) -> list[Figure]:
+    """A row of the public cases; tests/test_problems.py solves each problem and compares with `expected` of its file."""
+    cells = (f"`{name}`", words, value, known)
+    return row("docs/synthesis.md", cells, f"show {name}", {2: ("problem/expected/objective", scale)})
+
+
+DEGREES, SQUARE_MM = 57.29577951308232, 1e6
+CASES = [
+    *case("path-arc5", "arc of 5 points, timed", "7.4158e-7 mm^2", "7.4158e-7 mm^2", SQUARE_MM),
+    *case("path-bean", "36 points from expressions", "0.68769 mm^2", "", SQUARE_MM),
+    *case("path-conveyor", "7 timed points within 1 mm, and a return path", "9.9015 mm^2", "", SQUARE_MM),
+    *case("path-slider-egg", "24 points by a slider-crank", "2.6089 mm^2", "", SQUARE_MM),
+    *case("path-stephenson-dwell", "dwell over 100 deg, Stephenson III", "0.0032925 mm^2", "", SQUARE_MM),
+    *case("path-ellipse10", "ellipse of 10 points, untimed", "4.0199e-4 mm^2", "4.0199e-4 mm^2", SQUARE_MM),
+    *case("function-log10", "log10 x, 1 ... 2, 60/60 deg", "0.003670 deg", "0.003676 deg", DEGREES),
+    *case("function-sin", "sin x, 0 ... 90 deg, 90/90 deg", "0.190275 deg", "0.190337 deg", DEGREES),
+    *case("function-exp", "exp x, 0 ... 1, 90/90 deg", "0.025854 deg", "0.025865 deg", DEGREES),
+]
+
+PAGE = "docs/crank-rocker.md"
+OPTIMUM = ("optlink, both back ends", "412.86542", "232.24617", "0.00759237", "$`\\gamma_\\text{max}`$ = 135 deg")
+PRINTED = 'validate crank-rocker --design coupler="412.26 mm" --design rocker="232.2417 mm"'
+CRANK_ROCKER = [
+    *row(PAGE, OPTIMUM, LAW, {1: ("design/coupler_mm", 1.0), 2: ("design/rocker_mm", 1.0), 3: ("objective/value", 1.0)}),
+    Figure(PAGE, "lowers $`f`$ by {0.000146} rad²", LAW, PRICE, -1.0),
+    Figure(PAGE, "by 0.000146 rad² ({1.9} %)", LAW, PRICE, -100.0, over="objective/value"),
+    Figure(PAGE, "| 412.26 | 232.2417 | {0.0075491} |", PRINTED, "objective/value"),
+    Figure(PAGE, "= {135.298} deg |", PRINTED, "validation/name=largest transmission angle/value"),
+]
+
+SYSTEMS = [
+    *extremes(
+        "docs/six-bar.md", "driving torque M1, N m", ("-320.0521", "356.308", "278.8344", "67.021"), SIX, "input.torque_Nm"
+    ),
+    *extremes("docs/six-bar.md", "guide force RF, N", ("-1159.2707", "25.192", "-126.6225", "194.130"), SIX, "F.normal_N"),
+    *extremes(
+        "docs/six-bar.md", "work W1 since the start, J", ("-101.9271", "28.849", "259.7739", "156.298"), SIX, "input.work_J"
+    ),
+    *extremes("docs/six-bar.md", "slide s, m", ("0.417262", "200.364", "0.791166", "29.686"), SIX, "slider.s_m"),
+    Figure("docs/six-bar.md", "The stroke is {373.90416} mm", SIX, "strokes/slider/span_m", 1e3),
+    Figure("docs/six-bar.md", "= {747.808317} J", f"{SIX} --set loads.process.acts=opposing", "work_J"),
+    Figure("docs/six-bar.md", "W1 = {225.034} J", "simulate six-bar", "figures/input.work_J"),
+    Figure("docs/shaper.md", "| stroke, mm | {545.4545} |", SHAPER, "strokes/ram/span_m", 1e3),
+    Figure("docs/shaper.md", "| time ratio | {1.858762} |", SHAPER, "strokes/ram/time_ratio"),
+    Figure("docs/shaper.md", "| work per revolution, J | {3207.2727} |", SHAPER, "work_J"),
+    Figure("docs/shaper.md", "| driving torque, N m | {-25.852} ...", SHAPER, "extremes/input.torque_Nm/min"),
+    Figure("docs/shaper.md", "-25.852 ... {1105.743} |", SHAPER, "extremes/input.torque_Nm/max"),
+    Figure("docs/shaper.md", "| {-700.271} ... 1107.997 |", FAST, "extremes/input.torque_Nm/min"),
+    Figure("docs/shaper.md", "| -700.271 ... {1107.997} |", FAST, "extremes/input.torque_Nm/max"),
+    Figure("docs/shaper.md", "| largest speed of the ram, m/s | {0.50088} | 3.35691 |", SHAPER, "extremes/ram.v_m_s/max"),
+    Figure("docs/shaper.md", "| largest speed of the ram, m/s | 0.50088 | {3.35691} |", FAST, "extremes/ram.v_m_s/max"),
+    Figure("docs/machine-design.md", "needs {989.6} N m", DESIGN, "signals/torque/peak"),
+    Figure("docs/machine-design.md", "The optimum needs {313.1} N m", "show press-toggle", "problem/expected/objective"),
+    Figure("docs/balancing.md", "{0.01102811} N.", "balance balance-four-bar", "before"),
+]
+
+CONTROL = [
+    Figure("docs/slider-crank.md", text, COMPARE, path, 1e3)
+    for text, path in (
+        ("| none | {1.307} |", "kinds/0/rms"),
+        ("| inverse model | {0.914} |", "kinds/1/rms"),
+    )
+]
+
+FIGURES = [*CRANK_ROCKER, *SYSTEMS, *CASES, *balancing()]
+
+BLOCKS = [
+    Block("README.md", "Crank-rocker that reproduces", LAW),
+    Block("docs/studies.md", "Sensitivity to prescribed values", "study sensitivity crank-rocker --check"),
+    Block("docs/studies.md", "cutting.force 5880 N + 1 %", "study sensitivity shaper-design --check"),
+    Block(
+        "docs/tolerance.md",
+        "Minimised: the largest error",
+        'study tolerance crank-rocker --tolerance crank="0.5 mm" --tolerance coupler="1 mm" '
+        '--tolerance rocker="0.8 mm uniform" --tolerance C.clearance="0.2 mm" --limit "1.8 deg" --robust 3',
+    ),
+    Block(
+        "docs/tolerance.md",
+        "Variance contributions",
+        'study tolerance crank-rocker --tolerance crank="0.05 mm" --tolerance coupler="0.1 mm" '
+        '--tolerance rocker="0.1 mm uniform" --tolerance D.x="0.1 mm" --tolerance D.y="0.05 mm" '
+        '--tolerance C.clearance="0.03 mm" --limit "2.32 deg" --allocate "99 %" --cost coupler=3',
+    ),
+    Block("docs/tolerance.md", "max with 3 sigma", ROBUST),
+    Block("docs/clearance.md", "Slider-crank with clearance at", "simulate slider-crank-clearance"),
+    Block("docs/clearance.md", "15 revolutions from each of 5", COMPARE),
+    Block("docs/clearance.md", "none 0.1094", "simulate crank-rocker-clearance --control compare --starts 3"),
+]
+
+LONG = {
+    COMPARE,
+    DESIGN,
+    "simulate slider-crank-clearance",
+    "simulate crank-rocker-clearance --control compare --starts 3",
+    "study sensitivity shaper-design --check",
+    "solve path-bean --designs 5 --starts 5000",
+    'study pareto shaper-design --objectives "peak torque, guide force in F=1300..1620 N" --workers 2 --out shaper-front',
+    'study sweep crank-rocker --vary mechanism.frame="450..550 mm:100"     '
+    '--vary limits.transmission_angle.max="125..140 deg:100" --workers 2 --out map',
+    'simulate slider-crank-clearance --speed "5000 rpm" --revolutions 25 --csv rows.csv --out out',
+    'simulate slider-crank-clearance --speed "5000 rpm" --out play',
+    "simulate slider-crank-clearance --set joints.C.friction=0",
+}
+"""Commands that take more than a few seconds: `readme_record.json` has their figures with the date."""
+
+PLACEHOLDERS = {"optlink balance mine.toml --design result.json"}
+"""Commands with files of the reader."""
+
+PREPARED = {"docs/reports.md": ["optlink solve crank-rocker --out out"]}
+"""Commands that write what the commands of a page read."""

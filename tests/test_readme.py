@@ -1,0 +1,73 @@
+"""Figures and commands that README and docs quote, by benchmarks/readme.py."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+
+import pytest
+
+from tests.test_docs import ROOT
+
+sys.path.insert(0, str(ROOT / "benchmarks"))
+import readme
+
+PAGES = readme.pages()
+
+
+def test_readme_has_at_most_150_lines():
+    assert readme.page("README.md").count("\n") <= 150
+
+
+def test_quoted_words_are_on_their_pages():
+    assert len(readme.FIGURES) > 60
+    for figure in readme.FIGURES:
+        assert readme.in_text(figure), f"{figure.page}: {figure.text}"
+    for block in readme.BLOCKS:
+        assert len(readme.block_lines(block)) > 2, block
+
+
+def quick(page: str) -> None:
+    """Leave the figures and blocks of one page that take no time."""
+    readme.FIGURES[:] = [figure for figure in readme.FIGURES if figure.page == page and figure.command not in readme.LONG]
+    readme.BLOCKS[:] = [block for block in readme.BLOCKS if block.page == page and block.command not in readme.LONG]
+
+
+@pytest.fixture
+def own(monkeypatch):
+    monkeypatch.setattr(readme, "FIGURES", list(readme.FIGURES))
+    monkeypatch.setattr(readme, "BLOCKS", list(readme.BLOCKS))
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/crank-rocker.md"])
+def test_quick_figures_are_those_of_the_commands(page, own):
+    quick(page)
+    assert readme.FIGURES or readme.BLOCKS
+    assert list(readme.failures(slow=False, record=readme.recorded())) == []
+
+
+def test_a_figure_that_is_wrong_is_seen(own):
+    quick("docs/crank-rocker.md")
+    figure = readme.FIGURES[0]
+    readme.FIGURES[:] = [dataclasses.replace(figure, scale=1.0001), dataclasses.replace(figure, text="{412.9} elsewhere")]
+    assert [line.rpartition(": ")[2][:10] for line in readme.failures(slow=False, record={})] == ["optlink so", "not on the"]
+
+
+def test_a_line_that_is_not_printed_is_seen():
+    block = next(block for block in readme.BLOCKS if block.page == "README.md")
+    printed = readme.output(block.command, as_json=False)
+    assert readme.missing(block, printed) == []
+    assert readme.missing(block, printed.replace("412.865", "412.866")) == ["coupler 412.865 mm free, 100 ... 900"]
+
+
+@pytest.mark.slow
+def test_all_figures_are_those_of_the_commands_or_of_the_record():
+    assert list(readme.failures(slow=False, record=readme.recorded())) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_of_a_page_run(page):
+    """In their order, in an empty folder; those of minutes are run by `benchmarks/readme.py --commands --slow`."""
+    for line, code, _, errors in readme.run_page(page, long=False):
+        assert code in (0, 1), f"{line}: {errors}"
