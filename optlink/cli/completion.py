@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -35,6 +34,8 @@ def template_names(incomplete: str) -> list[str]:
 
 def keys(context: typer.Context, incomplete: str) -> list[str]:
     """Return the keys of the problem on the command line, each with "=", for --set."""
+    import tomllib
+
     text = str(context.params.get("problem") or next(iter(context.args), ""))  # the arguments of an unfinished line
     try:
         tables = tomllib.loads(_shipped("problems").get(text, Path(text)).read_text(encoding="utf-8"))
