@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from rich import box
-from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.console import Console, ConsoleDimensions, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -14,7 +16,9 @@ from optlink.report.table_spec import Paragraph, Part, Span, Summary, TableSpec
 
 STYLES = {"": "", "good": "green", "bad": "bold red", "quiet": "dim", "strong": "bold"}
 GAP = 2  # gap between columns [characters]
-NARROWEST = 79  # columns that a table needs; a narrower terminal breaks its lines rather than lose digits
+NARROWEST = 20  # characters of a line; a narrower terminal breaks it
+WIDEST_TITLE = 79  # a table is at least as wide as its title, up to this width
+INDENT = 4  # of the values below the name of a row
 
 
 class _Console(Console):
@@ -27,8 +31,10 @@ class _Console(Console):
 
 def console(*, stderr: bool = False) -> Console:
     """Return a console that prints text verbatim, without markup or highlighting."""
-    made = _Console(stderr=stderr, highlight=False, markup=False, emoji=False)
-    made.width = max(made.width, NARROWEST)
+    colours: Literal["auto"] | None = None if os.environ.get("NO_COLOR") else "auto"
+    made = _Console(stderr=stderr, highlight=False, markup=False, emoji=False, color_system=colours)
+    columns = os.environ.get("COLUMNS", "")  # rich does not ask for it where TERM is dumb
+    made.size = ConsoleDimensions(max(int(columns) if columns.isdigit() else made.width, NARROWEST), made.height)
     return made
 
 
@@ -45,7 +51,7 @@ def rendered(shown: Summary | Part) -> RenderableType:
         return Group(Text(shown.title, style=STYLES["strong"]), *status, *parts)
     if isinstance(shown, Paragraph):
         return _paragraph(shown)
-    return _Split(shown) if shown.leading else _table(shown, shown.title, range(len(shown.columns)))
+    return _Fitted(shown)
 
 
 def _paragraph(shown: Paragraph) -> Text:
@@ -56,12 +62,15 @@ def _styled(span: Span) -> tuple[str, str]:
     return span.text, STYLES[span.role]
 
 
-def _table(spec: TableSpec, title: str, chosen: range | list[int]) -> Table:
-    """Return a table of the chosen columns."""
+def _table(spec: TableSpec, title: str, chosen: Sequence[int], width: int) -> Table | None:
+    """Return a table of the chosen columns; None if it would be wider than the terminal."""
+    widths = _widths(spec, chosen, width)
+    if widths is None:
+        return None
     made = Table(
         title=Text(title, style=STYLES["strong"]),
         title_justify="left",
-        min_width=min(len(title), NARROWEST),
+        min_width=min(len(title), width, WIDEST_TITLE),
         box=box.SIMPLE_HEAD if spec.header else None,
         show_header=spec.header,
         header_style=STYLES["quiet"],
@@ -70,11 +79,11 @@ def _table(spec: TableSpec, title: str, chosen: range | list[int]) -> Table:
         caption=Text("\n").join(Text(*_styled(note)) for note in spec.notes) if spec.notes else None,
         caption_justify="left",
     )
-    for k in chosen:
+    for k, wide in zip(chosen, widths, strict=True):
         column = spec.columns[k]
         fits = max(map(len, column.name.split("\n"))) <= max((len(row[k].text) for row in spec.rows), default=0)
         justify: Literal["left", "right"] = "right" if column.right else "left"
-        made.add_column(column.name, justify=justify, overflow="fold", no_wrap=column.unbroken and fits)
+        made.add_column(column.name, justify=justify, overflow="fold", no_wrap=column.unbroken and fits, width=wide)
     for number, row in enumerate(spec.rows):
         if number in spec.sections:
             made.add_section()
@@ -82,27 +91,69 @@ def _table(spec: TableSpec, title: str, chosen: range | list[int]) -> Table:
     return made
 
 
-class _Split:
-    """A table side by side as far as the terminal is wide enough, and below otherwise."""
+def _widths(spec: TableSpec, chosen: Sequence[int], width: int) -> list[int] | None:
+    """Share out the width of a terminal: no word and no figure is cut, longer texts are wrapped; None if that is too narrow."""
+    frame = (len(chosen) - 1) * (GAP + spec.header) + 2 * spec.header
+    texts = [(spec.columns[k], [spec.columns[k].name, *(row[k].text for row in spec.rows)]) for k in chosen]
+    full = [max(len(line) for text in cells for line in text.split("\n")) for _, cells in texts]
+    words = [max((len(word) for text in cells for word in text.split()), default=0) for _, cells in texts]
+    least = [
+        max(longest, *(len(line) for text in cells[1:] for line in text.split("\n") if column.unbroken), 0)
+        for (column, cells), longest in zip(texts, words, strict=True)
+    ]
+    free = width - frame - sum(least)
+    if free < 0:
+        return None
+    for rest, k in zip(range(len(full), 0, -1), sorted(range(len(full)), key=lambda k: full[k] - least[k]), strict=True):
+        more = min(full[k] - least[k], free // rest)
+        least[k] += more
+        free -= more
+    return least
+
+
+class _Fitted:
+    """A table; where the terminal is too narrow, several tables below each other, or rows written as lines."""
 
     def __init__(self, spec: TableSpec) -> None:
         self.spec = spec
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield tables of as many columns as fit."""
-        yield from self._tables(options.max_width)
+        """Yield what fits."""
+        spec, width = self.spec, options.max_width
+        every = range(len(spec.columns))
+        if spec.leading:
+            widths = [max(len(text) for text in (spec.columns[k].name, *(row[k].text for row in spec.rows))) + GAP for k in every]
+            made = list(self._tables(widths, width))
+        else:
+            made = [_table(spec, spec.title, every, width)]
+        yield from (one for one in made if one) if all(made) else self._lines(console, width)
 
-    def _tables(self, width: int) -> Iterator[Table]:
+    def _tables(self, widths: list[int], width: int) -> Iterator[Table | None]:
         spec = self.spec
-        widths = [
-            max(len(text) for text in (column.name, *(row[k].text for row in spec.rows))) + GAP
-            for k, column in enumerate(spec.columns)
-        ]
         head, title = list(range(spec.leading)), spec.title
         first = spec.leading
         while first < len(widths):
             last = first + 1
             while last < len(widths) and sum(widths[k] for k in (*head, *range(first, last + 1))) <= width:
                 last += 1
-            yield _table(spec, title, [*head, *range(first, last)])
+            yield _table(spec, title, [*head, *range(first, last)], width)
             first, title = last, ""
+
+    def _lines(self, console: Console, width: int) -> Iterator[RenderableType]:
+        """Yield each row as a line with its name, and its values below."""
+        spec = self.spec
+        figures = next((k for k, column in enumerate(spec.columns) if column.right), 1) or 1
+        yield Text(spec.title, style=STYLES["strong"])
+        for row in spec.rows:
+            name = Text("  ").join(Text(*_styled(cell)) for cell in row[:figures] if cell.text)
+            for number, line in enumerate(name.wrap(console, width - INDENT)):
+                yield Padding(line, (0, 0, 0, INDENT)) if number else line
+            values = Text()
+            for column, cell in zip(spec.columns[figures:], row[figures:], strict=True):
+                if cell.text:
+                    head = " ".join(column.name.split())
+                    values.append(("; " if values and head else " " if values else "") + (f"{head} " if head else ""))
+                    values.append(", ".join(cell.text.split("\n")), STYLES[cell.role])
+            if values:
+                yield Padding(values, (0, 0, 0, INDENT))
+        yield from (Text(*_styled(note)) for note in spec.notes)

@@ -1,0 +1,98 @@
+"""Screens of any width: no line is too long, no word and no figure is cut; plain text where a terminal wants it."""
+
+from __future__ import annotations
+
+import io
+from functools import cache
+
+import pytest
+
+import optlink
+from optlink.problem.file import load, shipped
+from optlink.report import terminal
+from optlink.report.registry import table_of
+from optlink.report.table_spec import Summary, TableSpec, table
+from optlink.report.views import function_tables
+from tests.solved import solution
+
+
+def printed(shown: Summary | TableSpec, width: int, monkeypatch) -> str:
+    monkeypatch.setenv("COLUMNS", str(width))
+    console = terminal.console()
+    with console.capture() as caught:
+        console.print(terminal.rendered(shown))
+    return caught.get()
+
+
+@cache
+def screen(name: str) -> Summary | TableSpec:
+    if name == "list":
+        return function_tables.listing([load(one) for one in shipped()])
+    kind, _, problem = name.partition(" ")
+    if kind == "show":
+        return function_tables.problem(load(problem))
+    if kind == "analyze":
+        return table_of("analysis")(optlink.analyze(load(problem)))
+    result = solution(problem)
+    return table_of(result.problem.task)(result)
+
+
+SCREENS = ("list", "show shaper-design", "analyze six-bar", "solve crank-rocker")
+LONG = ("solve motion-3-poses", "solve shaper-design", "solve balance-four-bar", "solve function-sin")
+
+
+def lost(wide: str, narrow: str) -> set[str]:
+    """Words of a wide screen that a narrow one does not show; heads of columns may be left out where their cells are empty."""
+    heads = {"use", "name", "body", "kind", "parameter"}
+    return {word for word in wide.split() if word not in narrow and not set(word) <= set("─")} - heads
+
+
+@pytest.mark.parametrize("name", [*SCREENS, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)])
+def test_screens_of_any_width_keep_every_word(name, monkeypatch):
+    wide = printed(screen(name), 200, monkeypatch)
+    for width in (120, 80, 60, 40):
+        shown = printed(screen(name), width, monkeypatch)
+        assert max(map(len, shown.split("\n"))) <= width
+        assert "…" not in shown
+        assert lost(wide, shown) == set(), width
+
+
+def test_a_cut_word_would_be_seen():
+    assert lost("peak torque 1015.4", "peak torq\nue 10…") == {"torque", "1015.4"}
+
+
+def test_a_row_that_does_not_fit_is_written_as_lines(monkeypatch):
+    rows = [("ok", "least transmission angle", "45.0", "deg", ">= 40"), ("", "none", "", "", "")]
+    spec = table("Checks", ["", "check", ">value", "", "limit"], rows, notes=["a note"])
+    assert "value" in printed(spec, 60, monkeypatch).split("\n")[2]
+    lines = [line.rstrip() for line in printed(spec, 30, monkeypatch).split("\n")]
+    assert lines == [
+        "Checks",
+        "ok  least transmission",
+        "    angle",
+        "    value 45.0 deg; limit >=",
+        "    40",
+        "none",
+        "a note",
+        "",
+    ]
+
+
+@pytest.mark.parametrize("variable", ["NO_COLOR", "TERM"])
+def test_plain_text_where_it_is_asked_for(variable, monkeypatch):
+    """Neither colours nor other codes; the width is that of COLUMNS."""
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    monkeypatch.setenv("TERM", "xterm")
+    assert "\x1b[" in printed(screen("list"), 80, monkeypatch)
+    monkeypatch.setenv(variable, "dumb")
+    shown = printed(screen("list"), 60, monkeypatch)
+    assert "\x1b[" not in shown
+    assert max(map(len, shown.split("\n"))) <= 60
+
+
+def test_text_for_a_file_is_plain(monkeypatch):
+    monkeypatch.setattr("sys.stdout", io.StringIO())
+    terminal.show(table("Title", ["name", ">value"], [("a", "1")]))
+    import sys
+
+    assert "\x1b" not in sys.stdout.getvalue()
