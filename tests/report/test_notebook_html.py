@@ -90,7 +90,9 @@ def test_two_results_on_a_page_move_apart(result, tmp_path):
         )
         after = shown.execute_script(read)
         assert after[0] == before[0]
-        assert after[1] != before[1]
+        pose = motion(shaper)["bodies"]["coupler"]
+        x, y, angle = (repr(pose[name][30]).removesuffix(".0") for name in "xya")
+        assert f'data-body="coupler" transform="translate({x} {y}) rotate({angle})"' in after[1]
         angle = shown.execute_script("return document.querySelectorAll('.optlink-motion output')[arguments[0]].textContent", 3)
         assert angle == f"{motion(shaper)['slider']['values'][30]:.1f}°"
         assert console(shown) == []

@@ -1,3 +1,4 @@
+"use strict";
 // Moves the drawing of a linkage: optlinkPose(stage, motion)(index) puts its bodies, points and springs at a position.
 function optlinkPose(stage, motion) {
   const byName = (key) => {

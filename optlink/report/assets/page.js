@@ -1,4 +1,3 @@
-"use strict";
 (() => {
   const read = (id) => JSON.parse(document.getElementById(id).textContent);
   const motion = read("motion-data");
@@ -165,17 +164,7 @@
   if (!stage || !motion) {
     return;
   }
-  const byName = (selector, key) => {
-    const found = new Map();
-    for (const node of stage.querySelectorAll(selector)) {
-      const name = node.dataset[key];
-      found.set(name, [...(found.get(name) || []), node]);
-    }
-    return found;
-  };
-  const bodies = byName("[data-body]", "body");
-  const points = byName("[data-point]", "point");
-  const springs = byName("[data-spring]", "spring");
+  const pose = optlinkPose(stage, motion); // of motion.js
   const slider = document.getElementById("crank");
   const angle = document.getElementById("crank-angle");
   const play = document.getElementById("play");
@@ -206,26 +195,7 @@
 
   function show(index) {
     at = index;
-    for (const [name, pose] of Object.entries(motion.bodies)) {
-      for (const node of bodies.get(name) || []) {
-        node.setAttribute("transform", `translate(${pose.x[at]} ${pose.y[at]}) rotate(${pose.a[at]})`);
-      }
-    }
-    for (const [name, place] of Object.entries(motion.points)) {
-      for (const node of points.get(name) || []) {
-        node.setAttribute("transform", `translate(${place.x[at]} ${place.y[at]})`);
-      }
-    }
-    for (const [name, ends] of Object.entries(motion.springs)) {
-      const [x, y, dx, dy] = [ends.x[at], ends.y[at], ends.u[at] - ends.x[at], ends.v[at] - ends.y[at]];
-      const length = Math.max(Math.hypot(dx, dy), 1e-30);
-      const line = motion.zigzag.map(
-        ([share, side]) => `${x + share * dx + (side * dy) / length} ${y + share * dy - (side * dx) / length}`
-      );
-      for (const node of springs.get(name) || []) {
-        node.setAttribute("d", "M" + line.join("L"));
-      }
-    }
+    pose(at);
     figures.forEach((node, k) => {
       const value = motion.readouts[k].values[at];
       node.textContent = value === null ? "–" : value.toFixed(motion.readouts[k].decimals).replace("-", "−");

@@ -75,7 +75,7 @@ class PageContent:
 
     def html(self) -> str:
         """Return the complete document."""
-        script, (plotly, packed) = asset("page.js"), _plotly()
+        script, (plotly, packed) = asset("motion.js") + asset("page.js"), _plotly()
         charts = [_charted(chart) for chart in self.charts]
         drawings = [part.svg for section in self.sections for part in section.parts if isinstance(part, Drawing)]
         drawn = [json.dumps(charts), "" if self.moving is None else self.moving.svg(""), *drawings]
