@@ -66,6 +66,11 @@ def has_position_limits(problem: PathProblem) -> bool:
     return not isinstance(problem.mechanism, FourBarSection)
 
 
+def has_sampled_objective(problem: PathProblem) -> bool:
+    """Return whether the objective is the largest value over the revolution: the worst transmission of linkages but four-bars."""
+    return problem.requirement.kind == "transmission" and problem.measure == "max" and has_position_limits(problem)
+
+
 def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
     """Build the nonlinear programme of a path or motion synthesis problem.
 
@@ -126,13 +131,17 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
             for over_span in kinds:
                 for angle in _fixed_positions(problem, angles, over_span):
                     rows += limits_at(angle, over_span).values()
-        first = len(rows)
+        first, further = len(rows), list[Any]()
         for k in range(many):
-            roaming: dict[int, ConstraintRow] = {}
+            exchanged: dict[int, ConstraintRow] = {}
             for over_span in kinds:
                 begin, whole = required_motion(problem, angles, over_span=over_span)
-                roaming |= limits_at(begin + whole * p[1 + len(fixed) + k], over_span)
-            rows += [roaming[j] for j in range(len(at_angle[1]))]
+                exchanged |= limits_at(begin + whole * p[1 + len(fixed) + k], over_span)
+            rows += [exchanged[j] for j in range(len(at_angle[1]))]
+            if has_sampled_objective(problem):
+                further.append(residual(casadi.vertcat(*names, TURN * p[1 + len(fixed) + k], 0.0)))
+                largest = (x[-1] * x[-1] - casadi.sumsqr(further[-1])) / (p[0] * p[0])
+                rows.append(ConstraintRow(EPIGRAPH, "largest cosine", largest, 0.0, math.inf, PLAIN))
         if own:
             steps = [(b - a) * direction for a, b in itertools.pairwise(angles)]
             rows += [
@@ -150,7 +159,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
             if minimax:
                 largest = (x[-1] * x[-1] - casadi.sumsqr(error) / share**2) / (p[0] * p[0])
                 rows.append(ConstraintRow(EPIGRAPH, f"deviation at point {i + 1}", largest, 0.0, math.inf, PLAIN))
-        vector = casadi.vertcat(*errors)
+        vector = casadi.vertcat(*errors, *further)
         f = x[-1] if minimax else casadi.sumsqr(vector) / (share**2 * (count if measure.name == "rms" else 1))
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
 
@@ -179,7 +188,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
         exact=EXACT * share,
         factor=share if minimax else share**2,
         helpers=frozenset(helpers),
-        exchange_rows=(first, len(at_angle[1])),
+        exchange_rows=(first, len(at_angle[1]) + has_sampled_objective(problem)),
         constants=tuple(constants),
     )
 
@@ -252,4 +261,32 @@ def _traced(problem: PathProblem, values: dict[str, Any]) -> tuple[Any, tuple[An
     return residual, (limits, rows)
 
 
-__all__ = ["angle_name", "build_path_nlp", "deviation_measure", "limit_excesses", "required_motion", "scaled_variable"]
+def objective_excess(problem: PathProblem, values: Mapping[str, Value], largest: float, shares: Array) -> Array:
+    """Return the excess (n,) of the cosines of the transmission angles over the objective; -inf where undefined.
+
+    Parameters
+    ----------
+    problem : PathProblem
+    values : mapping of str to float [m, rad]
+        Value of every quantity.
+    largest : float
+        The objective.
+    shares : array (n,)
+        Positions as shares of the revolution.
+    """
+    with np.errstate(all="ignore"):
+        cosines = problem.deviation(problem.linkage.pose(values, unit(TURN * shares)), values, ())
+        size = np.sqrt(sum(cosine * cosine for cosine in cosines)) + 0.0 * shares
+    return np.where(np.isfinite(size), size - largest, -np.inf)
+
+
+__all__ = [
+    "angle_name",
+    "build_path_nlp",
+    "deviation_measure",
+    "has_sampled_objective",
+    "limit_excesses",
+    "objective_excess",
+    "required_motion",
+    "scaled_variable",
+]

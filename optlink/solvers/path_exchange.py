@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, extremes
 from optlink.optimization.nlp import NLP
-from optlink.optimization.path_nlp import limit_excesses
+from optlink.optimization.path_nlp import has_sampled_objective, limit_excesses, objective_excess
 from optlink.problem.path import PathProblem
 from optlink.solvers import contract
 from optlink.solvers import multistart as local
@@ -134,7 +134,7 @@ def _places(tops: list[RowPeak], count: int) -> Array:
 
 
 def excess_over(task: PathProblem, found: Solution) -> Function:
-    """Return the excess over the limits, minus the permitted one, as a function of shares (n,) of the required motion.
+    """Return the excess over limits and sampled objective, minus the permitted one, as a function of shares (n,) of the motion.
 
     Parameters
     ----------
@@ -145,7 +145,14 @@ def excess_over(task: PathProblem, found: Solution) -> Function:
     values = {name: quantity.value for name, quantity in task.quantities.items()} | found.design
     own = found.x[len(task.free) :][: len(task.data.columns)] if task.data.offsets is None else None
     angles = task.crank_angles(values, own)
-    return lambda shares: limit_excesses(task, values, angles, shares) - EXCEEDED
+
+    def excess(shares: Array) -> Array:
+        over = limit_excesses(task, values, angles, shares)
+        if has_sampled_objective(task):
+            over = np.vstack([over, objective_excess(task, values, float(found.x[-1]), shares)])
+        return over - EXCEEDED
+
+    return excess
 
 
 def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:

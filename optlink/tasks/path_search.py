@@ -90,7 +90,8 @@ class Polisher:
         solution = solve_semi_infinite(task, start, MINIMAX if minimax else self.backend, near=near)
         if minimax and solution.status is not Status.OPTIMAL:
             solution = local.best([solution, solve_semi_infinite(task, start, self.backend, near=near)])
-        if minimax and start.usable and solution.objective > start.objective * (1.0 + 1e-9):
+        begun = local.solution_at(start.nlp, start.x, start.message).objective  # with the exchange points of the solution
+        if minimax and start.usable and solution.objective > begun * (1.0 + 1e-9):
             solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
         return validated_design(file, start.nlp, solution)
 

@@ -86,10 +86,23 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
         square = square + (problem.radian * turned) ** 2
     if problem.measure == "max":
         objective = float(np.max(np.sqrt(square * weights)))
+        if kind == "transmission" and not isinstance(problem.mechanism, FourBarSection):
+            objective = _worst_cosine(problem, design)
     else:
         objective = float(np.sum(square * weights))
         objective = math.sqrt(objective / len(wanted)) if problem.measure == "rms" else objective
     return MeasuredDeviations(generated, distances, turned, objective)
+
+
+def _worst_cosine(problem: PathProblem, design: Mapping[str, float]) -> float:
+    """Return the largest root of the sum of the squared cosines of all transmission angles over the revolution."""
+
+    def size(angles: Array) -> Array:
+        cosines = np.cos(transmission_angles(sweep(problem.linkage, design, angles), problem.linkage))
+        return np.asarray(np.sqrt(np.sum(cosines**2, axis=1)))[None, :]
+
+    grid = np.linspace(0.0, TURN, POSITIONS + 1)
+    return float(extremes(size, grid)[1][0, 1]) if np.all(np.isfinite(size(grid))) else math.nan
 
 
 def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:

@@ -229,3 +229,22 @@ def test_conflict_is_relaxed_to_the_closed_form() -> None:
     relaxed = {one.key: one.relaxed for one in result.conflict}
     assert relaxed["limits.pressure_angle"] == pytest.approx(math.degrees(math.asin(0.25)), abs=1e-4)
     assert relaxed["mechanism.crank.length"] == pytest.approx(60.0 * math.sin(math.radians(8.0)), abs=1e-4)
+
+
+def test_best_transmission_is_the_worst_of_the_revolution() -> None:
+    """The extremes of a slider-crank lie between all sampled crank angles; its best pressure angle is asin((r + e) / l)."""
+    lengths = {
+        name: {"bounds": [f"{low} mm", f"{high} mm"]} for name, low, high in (("r", 20, 60), ("l", 50, 200), ("e", 15, 40))
+    }
+    links = {
+        "crank": {"joints": ["A", "B"], "length": lengths["r"]},
+        "rod": {"joints": ["B", "C"], "length": lengths["l"]},
+        "slider": {"joints": ["C"]},
+    }
+    guide = {"slider": "slider", "through": "A", "direction": "33 deg", "offset": lengths["e"]}
+    mechanism = {"type": "dyads", "ground": {"A": ["0 mm", "0 mm"]}, "links": links, "guides": {"G": guide}}
+    raw = {"title": "t", "mechanism": {**mechanism, "assembly": {"C": "forward"}}, "requirement": {"kind": "transmission"}}
+    result = solve(optlink.read(raw), "slsqp", starts=60, designs=1)
+    assert result.valid
+    assert result.objective == pytest.approx(35.0 / 200.0, abs=1e-9)
+    assert result.best.least_transmission == pytest.approx(math.acos(35.0 / 200.0), abs=1e-9)
