@@ -7,6 +7,7 @@ Exit codes: 0: done and valid. 1: solved, but not valid or not feasible. 2: inva
 from __future__ import annotations
 
 import contextlib
+import copy
 import errno
 import io
 import os
@@ -17,6 +18,7 @@ import typer
 
 from optlink.cli import analyze, console, new, report, show, simulate, solve, study
 from optlink.cli.command import App
+from optlink.cli.options import OVERVIEW
 from optlink.solvers import interrupts
 
 CLOSED = 141
@@ -61,7 +63,7 @@ def main() -> None:
     output = sys.stdout
     try:
         try:
-            app()
+            (_overview(app) if sys.argv[1:] in OVERVIEW else app)()
         finally:
             if sys.stdout is not output:  # typer has detected a closed pipe
                 raise BrokenPipeError(errno.EPIPE, "the pipe is closed")
@@ -86,6 +88,22 @@ def main() -> None:
             )
         _discard(sys.__stderr__)
         raise SystemExit(2) from None
+
+
+def _overview(group: typer.Typer) -> typer.Typer:
+    """Return a group with the names and summaries of its commands alone, which are built in half the time."""
+    short = copy.copy(group)
+    short.registered_commands = [copy.copy(info) for info in group.registered_commands]
+    short.registered_groups = [copy.copy(info) for info in group.registered_groups]
+    for info in short.registered_commands:
+        assert info.callback is not None
+        info.name = info.name or info.callback.__name__.replace("_", "-")
+        info.help = info.help or info.callback.__doc__
+        info.callback = lambda: None
+    for part in short.registered_groups:
+        assert part.typer_instance is not None
+        part.typer_instance = _overview(part.typer_instance)
+    return short
 
 
 def rejoined(arguments: list[str]) -> list[str]:

@@ -13,7 +13,10 @@ from optlink.cli.completion import keys, problem_names
 from optlink.io import load_extensions
 from optlink.solvers.contract import selectable
 
-if sys.argv[1:] not in ([], ["-h"], ["--help"], ["--version"]):  # the overview names nothing of an extension
+OVERVIEW: tuple[list[str], ...] = ([], ["-h"], ["--help"], ["--version"])
+"""Command lines that show no option of a command and nothing of an extension."""
+
+if sys.argv[1:] not in OVERVIEW:
     load_extensions()
 BACK_ENDS = f"<{'|'.join((*selectable(), 'both'))}>"
 

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 import optlink
-from optlink.cli.app import app, rejoined
+from optlink.cli.app import _overview, app, rejoined
 from optlink.errors import Fault
 
 ROOT = Path(__file__).parents[2]
@@ -266,6 +266,11 @@ WORDS = [  # the arguments, with | between those that belong together
 @pytest.mark.parametrize("line", WORDS)
 def test_values_that_the_shell_has_split_are_joined(line):
     assert rejoined(line.replace("|", " ").split(" ")) == line.split("|")
+
+
+def test_overview_is_the_help_of_all_commands():
+    assert CliRunner().invoke(_overview(app), ["--help"]).stdout == run("--help").stdout
+    assert run("solve", "--help").stdout.count("--") > 5  # the commands themselves keep their options
 
 
 def test_split_values_are_read():
