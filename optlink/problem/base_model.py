@@ -47,6 +47,38 @@ LIMITED = (("requirement", "stroke"), ("requirement", "time_ratio"))
 """Keys outside the limits whose ranges are limits too, not bounds of a design variable."""
 
 
+SPELLINGS = {
+    "minimize": "minimise",
+    "maximize": "maximise",
+    "regularization": "regularisation",
+    "outer dead center": "outer dead centre",
+    "inner dead center": "inner dead centre",
+}
+"""American spellings of keys and values, with those of the documentation."""
+
+SPELLED = ("balance", "control", "objective", "requirement")
+"""Sections whose keys have such spellings; the names in them are never the user's."""
+
+
+def with_spellings(raw: Mapping[str, Any]) -> dict[str, Any]:
+    """Replace American spellings of keys and values in the tables of a problem; a key that is there twice remains."""
+
+    def one(table: Any) -> Any:
+        if isinstance(table, list):
+            return [one(item) for item in table]
+        if not isinstance(table, Mapping):
+            return table
+        known = {key: SPELLINGS.get(key, key) for key in table}
+        named = {key: key if known[key] != key and known[key] in table else known[key] for key in table}
+        values = {
+            key: SPELLINGS.get(item, item) if key in ("sense", "from") and isinstance(item, str) else item
+            for key, item in table.items()
+        }
+        return {named[key]: one(item) if key == "terms" else item for key, item in values.items()}
+
+    return {name: one(table) if name in SPELLED else table for name, table in raw.items()}
+
+
 def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()) -> Any:
     """Write out ranges such as "40..140 deg" in nested tables.
 

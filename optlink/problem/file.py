@@ -18,7 +18,7 @@ import pydantic
 
 from optlink.errors import Fault, InputError, shown
 from optlink.io import data_folder, load_extensions
-from optlink.problem.base_model import with_ranges
+from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
 from optlink.problem.cycle import CycleProblem, StrokeProblem, cross_check_cycle
 from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads
 from optlink.problem.function import DesignProblem, cross_check_design
@@ -171,7 +171,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
             raise InputError(
                 Fault("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
             )
-    raw = with_ranges(_read_toml(path), skip=WORDS)
+    raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     if overrides:
         for key, value in overrides.items():
             _assign(raw, key, value, path.name if text in names else text)
@@ -202,7 +202,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     load_extensions()
     where = folder or Path()
     _check_integers(raw, file)
-    raw = _typed(with_ranges(raw, skip=WORDS))
+    raw = _typed(with_ranges(with_spellings(raw), skip=WORDS))
     task = raw.get("requirement")
     dyads = of_dyads(raw)
     output = dyads and isinstance(task, dict)
@@ -354,6 +354,8 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
+    if key.partition(".")[0] in SPELLED:
+        key = ".".join(SPELLINGS.get(step, step) for step in key.split("."))
     key, value = _whole(raw, key, with_ranges(value, tuple(key.split(".")), WORDS), file)
     section, _, name = key.partition(".")
     if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):

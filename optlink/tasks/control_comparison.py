@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import Fault, InputError
+from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
 from optlink.tasks.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, damaged, read_checkpoint
 from optlink.tasks.clearance import checked_output
@@ -230,6 +231,7 @@ def tune(
     """
     from scipy.stats import qmc
 
+    names = [SPELLINGS.get(name, name) for name in names]
     unknown = [name for name in names if name not in RANGES]
     if unknown or not names:
         raise InputError(Fault("no such parameter", f"Known: {', '.join(RANGES)}", key="names", value=", ".join(unknown)))

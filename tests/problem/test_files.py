@@ -42,7 +42,7 @@ BAD = {
     "unknown section": ({"limit.crank": "span"}, "limit.crank", 'Did you mean "limits"'),
     "unknown key of a quantity": ({"mechanism.coupler.begin": "4 mm"}, "mechanism.coupler.begin", "start, bounds"),
     "unknown type": ({"mechanism.type": "fourbar"}, "mechanism.type", 'Did you mean "four-bar"'),
-    "unknown start": ({"requirement.from": "outer dead center"}, "requirement.from", "outer dead centre"),
+    "unknown start": ({"requirement.from": "outer dead point"}, "requirement.from", "outer dead centre"),
     "unknown measure": ({"requirement.measure": "least squares"}, "requirement.measure", "sum of squares"),
     "no points": ({"requirement.points": 0}, "requirement.points", "whole number"),
     "broken points": ({"requirement.points": 2.5}, "requirement.points", "whole number"),
@@ -301,3 +301,38 @@ def test_mutated_bytes_never_break_the_loader(crank_rocker, tmp_path):
             load(path)
         except InputError as error:
             assert "mutated.toml" in str(error)
+
+
+# --- spellings ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "ours", "theirs"),
+    [
+        ("balance-four-bar", "balance.{}", "minimise", "minimize"),
+        ("crank-rocker-clearance", "control.{}", "regularisation", "regularization"),
+    ],
+)
+def test_american_keys_are_those_of_the_documentation(name, key, ours, theirs):
+    section = key.partition(".")[0]
+    raw = optlink.load(name).raw
+    table = {theirs if k == ours else k: value for k, value in raw[section].items()}
+    assert optlink.read({**raw, section: table}).model == optlink.read(raw).model
+    value = "rms torque" if section == "balance" else "2 deg"
+    assert optlink.load(name, {key.format(theirs): value}).model == optlink.load(name, {key.format(ours): value}).model
+    with pytest.raises(optlink.InputError, match=theirs):
+        optlink.read({**raw, section: {**raw[section], theirs: "both"}})
+
+
+def test_american_values_are_those_of_the_documentation():
+    law, design = optlink.load("crank-rocker"), optlink.load("shaper-design")
+    inner = law.override({"requirement.from": "inner dead centre"})
+    assert law.override({"requirement.from": "inner dead center"}).model == inner.model != law.model
+    terms = [{**term, "sense": "minimize"} for term in design.raw["objective"]["terms"]]
+    assert design.override({"objective.terms": terms}).model.goals == design.model.goals
+
+
+def test_names_of_the_user_keep_their_spelling():
+    raw = optlink.load("shaper-design").raw
+    limits = {"regularization": raw["limits"]["stroke"], "time_ratio": raw["limits"]["time_ratio"]}
+    assert "regularization" in optlink.read({**raw, "limits": limits}).model.limits.named

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
 from optlink.errors import Fault, InputError
+from optlink.problem.base_model import SPELLINGS
 from optlink.problem.cycle import CycleProblem
 from optlink.problem.cycle_quantities import QUANTITIES
 from optlink.problem.cycle_terms import Limit, Measure, Term
@@ -28,7 +29,7 @@ def _parsed(name: str) -> re.Match[str] | None:
     """Return the parts of a term such as "minimise peak torque"."""
     quantities = "|".join(sorted(QUANTITIES, key=len, reverse=True))
     return re.fullmatch(
-        rf"(?:(?P<sense>minimise|maximise)\s+)?(?:(?P<measure>{'|'.join(get_args(Measure))})\s+)?(?:(?P<static>static)\s+)?"
+        rf"(?:(?P<sense>minimi[sz]e|maximi[sz]e)\s+)?(?:(?P<measure>{'|'.join(get_args(Measure))})\s+)?(?:(?P<static>static)\s+)?"
         rf"(?P<quantity>{quantities})(?:\s+per\s+revolution)?"
         r"(?:\s+(?:of|in)\s+the\s+(?P<stroke>forward|backward)\s+stroke)?"
         rf"(?:\s+(?:of|at|in)\s+(?P<of>{_NAME}))?(?:\s+on\s+(?P<on>{_NAME}))?(?:\s+along\s+(?P<direction>\S.*))?",
@@ -86,7 +87,7 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
     if "static" in raw:
         raw["static"] = True
     stated = raw.pop("sense", "").lower()
-    sense = -1 if stated == "maximise" or (not stated and raw.get("measure") == "least") else 1
+    sense = -1 if SPELLINGS.get(stated, stated) == "maximise" or (not stated and raw.get("measure") == "least") else 1
     return _termed(problem, raw, sense, number, name)
 
 
