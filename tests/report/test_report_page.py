@@ -449,7 +449,7 @@ def test_assets_and_templates_belong_to_the_package():
     """Beside the modules, where the wheel takes them from."""
     folder = Path(optlink.__file__).parent / "report"
     assert {path.name for path in (folder / "assets").iterdir()} == {"motion.js", "notebook.js", "page.css", "page.js"}
-    assert {path.name for path in (folder / "templates").iterdir()} == {"page.html", "parts.html"}
+    assert {path.name for path in (folder / "templates").iterdir()} == {"page.html", "parts.html", "notebook.html"}
 
 
 def poses(driver) -> dict[str, str]:
