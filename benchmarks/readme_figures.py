@@ -166,7 +166,6 @@ BLOCKS = [
     ),
     Block("docs/tolerance.md", "max with 3 sigma", ROBUST),
     Block("docs/clearance.md", "Slider-crank with clearance at", "simulate slider-crank-clearance"),
-    Block("docs/clearance.md", "none 0.1094", "simulate crank-rocker-clearance --control compare --starts 3"),
 ]
 
 LONG = {
