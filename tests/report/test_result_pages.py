@@ -552,7 +552,7 @@ def test_a_page_in_a_browser(driver, pages, name):
         drawn = driver.execute_script("return document.querySelector('.picked ~ .drawing').textContent")
         assert "Point 2, drawn" in drawn
         assert {lengths["coupler [mm]"], lengths["rocker [mm]"]} <= {
-            f"{float(text):#.4g}" for text in re.findall(r"[\d.]+", drawn)
+            f"{float(text):#.4g}" for text in re.findall(r"\d+(?:\.\d+)?", drawn)
         }
     assert console(driver) == []
     assert requests(driver, path) == []
