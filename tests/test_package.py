@@ -45,6 +45,31 @@ def test_wheel_works_elsewhere(unpacked, tmp_path):
     assert json.loads(done.stdout)["valid"] is True
 
 
+@pytest.mark.slow
+def test_installed_wheel_works_in_a_clean_environment(unpacked, tmp_path):
+    """With pip, and with the command that it makes; the libraries are those of this environment."""
+    subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "new")], check=True, capture_output=True)
+    scripts = tmp_path / "new" / ("Scripts" if os.name == "nt" else "bin")
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    options = {"capture_output": True, "encoding": "utf-8", "cwd": tmp_path, "env": environment}
+    wheel = next(unpacked.parent.glob("*.whl"))
+    python = str(scripts / "python")
+    done = subprocess.run([python, "-m", "pip", "install", "--no-index", "--no-deps", str(wheel)], check=False, **options)
+    assert done.returncode == 0, done.stderr
+    site = Path(
+        subprocess.run(
+            [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], check=False, **options
+        ).stdout.strip()
+    )
+    libraries = [path for path in sys.path if path.endswith("site-packages")]
+    (site / "libraries.pth").write_text("\n".join(libraries) + "\n", encoding="utf-8")
+    done = subprocess.run([str(scripts / "optlink"), "solve", "crank-rocker", "--json"], check=False, **options)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["valid"] is True
+    place = subprocess.run([python, "-c", "import optlink; print(optlink.__file__)"], check=False, **options).stdout.strip()
+    assert Path(place).is_relative_to(site)
+
+
 def test_repository_speaks_of_the_project_alone():
     """No absolute path of a developer's machine in any tracked text."""
     listing = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
