@@ -14,6 +14,7 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import unit
 from optlink.optimization.path_nlp import build_path_nlp
 from optlink.problem.path import PathProblem
+from optlink.studies.parameters import parameters
 from optlink.tasks.path import solve, validate
 from optlink.validation.path import transmission_angles
 from tests.tasks.test_motion_laws import LINKS
@@ -248,3 +249,17 @@ def test_best_transmission_is_the_worst_of_the_revolution() -> None:
     assert result.valid
     assert result.objective == pytest.approx(35.0 / 200.0, abs=1e-9)
     assert result.best.least_transmission == pytest.approx(math.acos(35.0 / 200.0), abs=1e-9)
+
+
+def test_one_value_for_several_dyads_is_one_parameter() -> None:
+    """Its price in a study is that of the number in the file: of the rows of every dyad together."""
+    nlp = build_path_nlp(optlink.load("law-six-bar", {"limits.pressure_angle.E": "40 deg"}).model)
+    single = {(one.key, one.name) for one in parameters(nlp) if "angle" in one.key}
+    assert single == {(f"limits.transmission_angle.{side}", "transmission angle at C") for side in ("min", "max")} | {
+        ("limits.pressure_angle.E.max", "pressure angle at E")
+    }
+    nlp = build_path_nlp(optlink.load("law-six-bar").model)
+    both = {one.key: one for one in parameters(nlp) if "transmission" in one.key}
+    assert {one.name for one in both.values()} == {"transmission angle at C, E"}
+    labels = {nlp.rows[entry - len(nlp.variables)].label for entry in both["limits.transmission_angle.min"].entries}
+    assert labels == {"transmission angle at C", "transmission angle at E"}
