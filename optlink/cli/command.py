@@ -24,6 +24,12 @@ COMMANDS = {"analyse": "analyze"}
 class Command(TyperCommand):
     """A command that also takes former names and other spellings of its options."""
 
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        for param in self.params:
+            if getattr(param, "is_flag", False) and param.metavar is None:
+                param.metavar = ""  # not <bool>: a flag has no value
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Replace other names of options, then parse."""
         known = {name for param in self.params for name in param.opts}

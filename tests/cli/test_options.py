@@ -44,6 +44,7 @@ def test_help_shows_every_word(words, monkeypatch):
     done = run(*words, "--help")
     assert done.exit_code == 0
     assert missing(COMMANDS[words], done.stdout) == []
+    assert not re.search(r"--(?:json|quiet|list|force|resume)\b.*<bool>", done.stdout), "a flag has no value"
 
 
 def test_a_swallowed_word_would_be_seen(monkeypatch):
