@@ -38,6 +38,11 @@ def data_folder(name: str) -> Path:
     return inside if inside.is_dir() else package.parent / name
 
 
+def data_files(name: str) -> dict[str, Path]:
+    """Return names and files of the TOML files of a folder of shipped data."""
+    return {path.stem: path for path in sorted(data_folder(name).glob("*.toml"))}
+
+
 def folder(path: Path, option: str = "--out") -> Path:
     """Create an output folder and check that it is writable, before any computation.
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from optlink.errors import Fault, InputError
-from optlink.io import data_folder
+from optlink.io import data_files
 
 NEXT = "# Next: "
 
@@ -28,7 +28,7 @@ class Template:
 
 def templates() -> dict[str, Path]:
     """Return names and files of the templates."""
-    return {path.stem: path for path in sorted(data_folder("templates").glob("*.toml"))}
+    return data_files("templates")
 
 
 def template(name: str, file: str | Path | None = None) -> Template:

@@ -103,6 +103,7 @@ def test_an_existing_file_is_kept_unless_forced(tmp_path):
     ("arguments", "words"),
     [
         (("wipper",), 'Did you mean "wiper"'),
+        (("press",), 'Did you mean "toggle-press" or "quick-return-press"?'),
         (("law", "--out", "."), "this is a folder"),
         (("law", "--out", "mine"), "Write one of .toml"),
         (("law", "--out", "none/mine.toml"), "there is no folder"),

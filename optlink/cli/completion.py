@@ -8,16 +8,12 @@ from typing import Any
 
 import typer
 
-from optlink.io import data_folder
-
-
-def _shipped(folder: str) -> dict[str, Path]:
-    return {path.stem: path for path in sorted(data_folder(folder).glob("*.toml"))}
+from optlink.io import data_files
 
 
 def problem_names(incomplete: str) -> list[str]:
     """Return the shipped problems, and the TOML files and folders whose path begins so."""
-    names = [name for name in _shipped("problems") if name.startswith(incomplete)]
+    names = [name for name in data_files("problems") if name.startswith(incomplete)]
     folder = Path(incomplete if incomplete.endswith("/") else f"{incomplete}x").parent
     try:
         inside = sorted(folder.iterdir())
@@ -29,7 +25,7 @@ def problem_names(incomplete: str) -> list[str]:
 
 def template_names(incomplete: str) -> list[str]:
     """Return the templates whose name begins so."""
-    return [name for name in _shipped("templates") if name.startswith(incomplete)]
+    return [name for name in data_files("templates") if name.startswith(incomplete)]
 
 
 def keys(context: typer.Context, incomplete: str) -> list[str]:
@@ -38,7 +34,7 @@ def keys(context: typer.Context, incomplete: str) -> list[str]:
 
     text = str(context.params.get("problem") or next(iter(context.args), ""))  # the arguments of an unfinished line
     try:
-        tables = tomllib.loads(_shipped("problems").get(text, Path(text)).read_text(encoding="utf-8"))
+        tables = tomllib.loads(data_files("problems").get(text, Path(text)).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return []
     return [f"{key}=" for key in _leaves(tables) if key.startswith(incomplete) and not key.startswith(("expected.", "about"))]

@@ -17,7 +17,7 @@ from typing import Any
 import pydantic
 
 from optlink.errors import Fault, InputError, shown
-from optlink.io import data_folder, load_extensions
+from optlink.io import data_files, load_extensions
 from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
 from optlink.problem.cycle import CycleProblem, StrokeProblem, cross_check_cycle
 from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads
@@ -136,7 +136,7 @@ def _stated(raw: dict[str, Any]) -> dict[str, Any]:
 
 def shipped() -> dict[str, Path]:
     """Return names and files of the shipped problems."""
-    return {path.stem: path for path in sorted(data_folder("problems").glob("*.toml"))}
+    return data_files("problems")
 
 
 def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> ProblemFile:
@@ -168,6 +168,15 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
         path = Path(text)
         name = path.stem
         if not text.endswith(".toml") and not os.path.exists(text):  # False for a name that is too long
+            if text in data_files("templates"):
+                raise InputError(
+                    Fault(
+                        "this is a template, not a problem",
+                        f"Write a problem file from it: optlink new {text} --out {text}.toml",
+                        key="PROBLEM",
+                        value=text,
+                    )
+                )
             raise InputError(
                 Fault("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
             )

@@ -66,7 +66,7 @@ def input_of(file: str | None, key: str | None = None, value: object = None) -> 
 
 
 def nearest(key: str, known: Iterable[str]) -> str:
-    """Return a remedy for an unknown name: the closest known one, and all known ones.
+    """Return a remedy for an unknown name: the shortest that contain it, or else the closest one, and all known ones.
 
     Parameters
     ----------
@@ -75,8 +75,10 @@ def nearest(key: str, known: Iterable[str]) -> str:
     known : iterable of str
     """
     names = list(known)
-    close = difflib.get_close_matches(key, names, n=1, cutoff=0.5)
-    return (f'Did you mean "{close[0]}"? ' if close else "") + f"Known: {', '.join(names)}"
+    inside = sorted((name for name in names if len(key) > 2 and key in name), key=len)
+    close = inside or difflib.get_close_matches(key, names, n=1, cutoff=0.5)
+    guess = " or ".join(f'"{name}"' for name in close[:3])
+    return (f"Did you mean {guess}? " if close else "") + f"Known: {', '.join(names)}"
 
 
 @dataclass(frozen=True)

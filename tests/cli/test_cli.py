@@ -132,6 +132,7 @@ def test_infeasible_with_out_still_writes_the_result(tmp_path):
     ("arguments", "words"),
     [
         (("solve", "crank-roker"), 'Did you mean "crank-rocker"'),
+        (("solve", "quick-return-press"), "optlink new quick-return-press --out quick-return-press.toml"),
         (("solve", "nowhere.toml"), "no such file"),
         (("solve", "crank-rocker", "--set", "mechanism.fram=480 mm"), 'Did you mean "frame"'),
         (("solve", "crank-rocker", "--set", "mechanism.frame=480"), "needs a unit"),
