@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.linkage.motion import sweep
     from optlink.problem.file import ProblemFile, load, read, shipped
-    from optlink.report.explore import Explorer, explore
+    from optlink.report.html.explore import Explorer, explore
     from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
     from optlink.tasks.batch import analyze_batch
@@ -58,8 +58,8 @@ _HOME = {
     "ProblemFile": "optlink.problem.file",
     "load": "optlink.problem.file",
     "new": "optlink.templates",
-    "Explorer": "optlink.report.explore",
-    "explore": "optlink.report.explore",
+    "Explorer": "optlink.report.html.explore",
+    "explore": "optlink.report.html.explore",
     "read": "optlink.problem.file",
     "shipped": "optlink.problem.file",
     "CycleResult": "optlink.tasks.results.cycle",

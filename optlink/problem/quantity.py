@@ -278,6 +278,8 @@ def range_example(kind: str | None) -> str:
 
 
 def _read_number(raw: object, key: str) -> float:
+    if isinstance(raw, str) and (share := re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*%\s*", raw, re.ASCII)):
+        return float(share.group(1)) / 100.0
     if isinstance(raw, bool) or not isinstance(raw, int | float):
         remedy = "Write a number without a unit, for example 1.2"
         if isinstance(raw, str) and re.fullmatch(r"\s*[-+]?\d+,\d+\s*", raw):

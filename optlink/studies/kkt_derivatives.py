@@ -201,7 +201,7 @@ class KKTSystem:
             if entry in held:
                 change = answer.multipliers[entry]
                 if not self.equal[entry] and abs(change) > STILL * abs(self.multipliers[entry]):
-                    events.append((-self.multipliers[entry] / change, "lets go"))
+                    events.append((-self.multipliers[entry] / change, "is no longer active"))
             else:
                 for room, change in (
                     (self.nlp.upper[entry] - self.values[entry], push.upper[entry] - rates[entry]),

@@ -30,7 +30,7 @@ LEAST_ROUNDS, MOST_ROUNDS = 3, 20
 FAR_ROUNDS = 40  # largest number, while the best design fits poorly
 COMPOUND_ROUNDS = 3  # largest number for a linkage of several dyads, whose starts and limits take longer
 PART_STARTS = 400  # of the four-bar that a linkage contains
-NO_FOUR_BAR = "{} cannot trace the coupler curves of a four-bar within this linkage: the search had random starts only"
+NO_FOUR_BAR = "no four-bar within this linkage carries {}: the search had random starts only, no starts from four-bar designs"
 FOUR_BAR_BETTER = (
     "the four-bar within this linkage misses the points by {:.4g} mm (rms) within the same limits: no linkage that repeats its "
     "coupler curve was found within all limits, and no other design is as good"

@@ -91,7 +91,7 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     "start in mm": ({"drive.start": "62 mm"}, "drive.start", "not a unit of angle"),
     "negative duration": ({"drive.duration": "-1 s"}, "drive.duration", "not negative"),
     "no fluctuation": ({"drive.fluctuation": 0}, "drive.fluctuation", "for example 0.02"),
-    "fluctuation with a unit": ({"drive.fluctuation": "2 %"}, "drive.fluctuation", "plain number"),
+    "fluctuation with a unit": ({"drive.fluctuation": "2 rpm"}, "drive.fluctuation", "plain number"),
     "motor over a slide": (
         {"drive.torque": {"over": "s", "at": ["1 m", "2 m"], "values": ["1 N*m", "2 N*m"]}},
         "drive.torque.over",

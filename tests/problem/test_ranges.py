@@ -255,3 +255,9 @@ def test_template_keeps_comments_and_spellings(tmp_path):
     assert again.model.limits == changed.model.limits
     assert again.model.mechanism == changed.model.mechanism
     assert read(again.raw).hash == again.hash
+
+
+def test_percent_is_a_fraction():
+    assert _read_interval({"max": "2 %"}, None).high == 0.02
+    with pytest.raises(Unusable, match="plain number"):
+        _read_interval({"max": "2,5 %"}, None)

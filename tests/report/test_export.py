@@ -470,7 +470,7 @@ def test_a_place_that_cannot_be_written_to_is_named_before_any_work(tmp_path, mo
         f"nowhere/a{ending}": "there is no folder",
         f"file/a{ending}": "there is no folder",
         f"folder{ending}": "this is a folder",
-        "a.xyz": "no ending that can be written",
+        "a.xyz": "cannot write",
         "a": "the name has no ending",
         f"{'a' * 300}{ending}": "the name is too long",
         **({f"/proc/a{ending}": "cannot write there"} if Path("/proc").exists() else {}),

@@ -128,7 +128,7 @@ class DriveSection(Section):
     duration: Duration | None = None
     """Duration of `optlink simulate`."""
     fluctuation: Number | None = None
-    """Permitted speed fluctuation relative to the mean speed; `optlink analyze` computes the flywheel for it."""
+    """Permitted speed fluctuation relative to the mean speed, 0.02 or "2 %"; `optlink analyze` computes the flywheel for it."""
 
     @field_validator("body", mode="before")
     @classmethod

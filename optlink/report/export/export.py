@@ -64,7 +64,7 @@ def target(path: Path, endings: tuple[str, ...], example: str) -> Path:
     if path.is_dir():
         raise InputError(Fault("this is a folder", f"Give the name of a file, for example {example}", key=key, value=str(path)))
     if path.suffix.lower() not in endings:
-        message = f'"{path.suffix}" is no ending that can be written' if path.suffix else "the name has no ending"
+        message = f'cannot write "{path.suffix}" files' if path.suffix else "the name has no ending"
         remedy = nearest(path.suffix, endings) if path.suffix else f"Write one of {', '.join(endings)}"
         raise InputError(Fault(message, remedy, key=key, value=str(path)))
     if not path.parent.is_dir():

@@ -275,7 +275,7 @@ def simulation_parts(figures: Mapping[str, float], columns: Mapping[str, Array],
     ]
     share = figures["imbalance_J"] / figures["turnover_J"] if figures["turnover_J"] > 0.0 else 0.0
     account += [
-        ("kinetic and gravity's energy gained", number(float(columns["energy.gained_J"][-1]), 9), "J"),
+        ("gain of kinetic and potential energy", number(float(columns["energy.gained_J"][-1]), 9), "J"),
         ("largest imbalance on the way", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount"),
     ]
     drift = f"{figures['drift_m']:.1e} m, {figures['drift_rad']:.1e} rad"

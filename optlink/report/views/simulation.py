@@ -166,7 +166,7 @@ def energy(run: History) -> list[ChartSpec]:
             above.append(run.curve(name, shown.factor, words, colour, 1.2, "dashdot"))
     panels = [Panel(Axis(f"energy [{shown.unit}]"), above, 2.0)]
     if all(name in columns for name in run.figures if name.endswith(".work_J")):
-        above.append(run.curve("energy.gained_J", shown.factor, "kinetic and gravity's energy gained", WANTED, 1.4, "dash"))
+        above.append(run.curve("energy.gained_J", shown.factor, "gain of kinetic and potential energy", WANTED, 1.4, "dash"))
         missing = np.abs(columns["energy.gained_J"] - sum(columns[name] for name in works)) / turnover
         share = Curve(columns["time_s"], np.maximum(missing, 1e-17), "imbalance", QUIET, 1.2, legend=False, gid="imbalance")
         limits = 1e-17, max(1e-8, 10.0 * float(np.max(missing)))

@@ -181,9 +181,10 @@ class CycleResult(Recorded):
             return "the crank of the initial design does not turn fully"
         if isinstance(self.task, StrokeProblem) and not first.valid:  # the middle of the bounds is not a design of anybody
             return f"objective {found:.5g} {unit}".rstrip()
-        change = f" ({found / given - 1.0:+.1%})" if given else ""
-        beside = f"objective {found:.5g} {unit}".rstrip() + f", initial design {given:.5g} {unit}".rstrip() + change
-        return beside if first.valid else f"{beside}, which does not meet the limits"
+        ours, theirs = (f"{value:.5g} {unit}".rstrip() for value in (found, given))
+        if not first.valid:
+            return f"objective {ours} (the initial design, {theirs}, does not meet the limits)"
+        return f"objective {ours}, initial design {theirs}" + (f" ({found / given - 1.0:+.1%})" if given else "")
 
     @cached_property
     def fit(self) -> Fit | None:
