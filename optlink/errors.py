@@ -81,8 +81,7 @@ class Status(enum.Enum):
 
 
 _STATUS_TEXT = {
-    Status.OPTIMAL: "a local optimum: feasible, and no small change of the design improves the objective "
-    "(use --starts N for a multistart search)",
+    Status.OPTIMAL: "a local optimum: feasible, and no small change of the design improves the objective",
     Status.STALLED: "the search stopped at a feasible design that is not an optimum; try another start or --starts 20",
     Status.INFEASIBLE: "no design meets all limits; relax one of the limits named in the conflict",
     Status.NON_FINITE: "the objective or a limit has no finite value or derivative at the design found; "

@@ -11,7 +11,7 @@ from optlink.problem.cycle import CycleProblem, StrokeProblem
 from optlink.report.format import fixed, number, times
 from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, quiet, strong, summary, table
 from optlink.report.views.analysis_tables import machine_strokes
-from optlink.report.views.function_tables import active, checks, conflict, graded, noted, verdict
+from optlink.report.views.function_tables import active, checks, conflict, ending, graded, noted, verdict
 from optlink.tasks.results.cycle import CycleResult, display_unit
 from optlink.units import factor
 
@@ -57,7 +57,7 @@ def _status(outcome: CycleResult) -> Iterator[Line]:
     line = [f"{outcome.status.value}, ", verdict(word, outcome.valid)]
     yield from graded(line, outcome.fit if outcome.valid else None, f"; {outcome.comparison}" if outcome.comparison else "")
     yield from noted(outcome.notes)
-    yield quiet(outcome.status.text)
+    yield ending(outcome.status, outcome.starts)
 
 
 def _sizes(outcome: CycleResult) -> TableSpec:

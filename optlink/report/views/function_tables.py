@@ -33,6 +33,7 @@ from optlink.report.table_spec import (
     table,
 )
 from optlink.solvers.solution import LimitState, Relaxation
+from optlink.synthesis.function_starts import WIDER
 from optlink.tasks.function import FunctionResult, display_value
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.fit import Fit
@@ -73,7 +74,20 @@ def _status(outcome: FunctionResult) -> Iterator[Line]:
     ended = outcome.status.value if outcome.status is not Status.NOT_SEARCHED else "given design"
     yield from graded([f"{ended}, ", verdict(word, outcome.valid)], outcome.fit if outcome.valid else None)
     yield from noted(outcome.notes)
-    yield quiet(outcome.status.text)
+    yield ending(outcome.status, outcome.starts)
+
+
+def ending(status: Status, starts: int) -> Line:
+    """Describe how a search ended; an optimum of a single starting point with the option that searches from several.
+
+    Parameters
+    ----------
+    status : Status
+    starts : int
+        Starting points of the search.
+    """
+    more = " (use --starts N for a multistart search)" if status is Status.OPTIMAL and starts == 1 else ""
+    return quiet(status.text + more)
 
 
 def verdict(word: str, positive: bool) -> Inline:
@@ -141,7 +155,9 @@ def _objective(outcome: FunctionResult) -> TableSpec:
     if outcome.first is not None:
         error, bound = (number(math.degrees(value), 4) for value in (outcome.first.error, outcome.first.bound))
         proof = f"; {bound} deg is the least at its start angles, proven" if outcome.first.proven else ""
-        remark = f"a starting point: its error at the design positions alone, transmission angle 2 deg beyond its limits{proof}"
+        limited = outcome.problem.spec.limits.transmission_at() is not None
+        relaxed = f"; searched with the transmission-angle limits relaxed by {math.degrees(WIDER):g} deg" * limited
+        remark = f"a starting point, with its error at the design positions alone{relaxed}{proof}"
         rows.append(("convex first step", error, "deg", quiet(remark)))
     return table("Objective", "<><<", rows)
 
@@ -225,7 +241,8 @@ def _optima(outcome: FunctionResult) -> Iterator[Part]:
     modes = len({optimum.assembly for optimum in outcome.optima}) > 1
     found = outcome.evidence
     if found is not None:
-        hits = f"{found.hits} of {found.starts} random starts reached the best value, {found.optima} distinct values"
+        different = f"{found.optima} distinct value{'s' * (found.optima > 1)}"
+        hits = f"{found.hits} of {found.starts} random starts reached the best value, {different}"
         yield Paragraph(strong("Multistart search"), f"{hits}; {found.chance}", appendix=True)
     rows = []
     for optimum in outcome.optima[:12]:
@@ -234,7 +251,11 @@ def _optima(outcome: FunctionResult) -> Iterator[Part]:
         rows.append((number(optimum.objective, 6 if modes else 8), *values, *mode, str(optimum.count)))
     range_ = ", largest error over the whole range" if outcome.problem.spec.everywhere else ""
     columns = [">objective", *(f">{name}" for name in free), *(["assembly"] if modes else []), ">starts"]
-    yield table(f"Distinct optima{range_}", columns, rows, appendix=True)
+    listed = sum(optimum.count for optimum in outcome.optima[:12])
+    others = f"; {outcome.starts - listed} of them ended at worse optima that are not listed, or at none"
+    counted = f"starts: of all {outcome.starts} starting points, random and given{others if listed < outcome.starts else ''}"
+    notes = [quiet(counted)] if outcome.starts > 1 else []
+    yield table(f"Distinct optima{range_}", columns, rows, appendix=True, notes=notes)
 
 
 def _backends(outcome: FunctionResult) -> TableSpec:

@@ -1,0 +1,37 @@
+"""Wording and figures of the tables of a synthesis result."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+from rich.console import Console
+
+import optlink
+from optlink.report import terminal
+from optlink.report.registry import table_of
+from optlink.report.table_spec import Part, Summary
+from optlink.tasks.results.common import Optimum
+
+
+def words(shown: Summary | Part) -> str:
+    """The words of a wide screen."""
+    console = Console(file=io.StringIO(), width=300, record=True)
+    console.print(terminal.rendered(shown))
+    return " ".join(console.export_text().split())
+
+
+def shown(result: optlink.FunctionResult) -> str:
+    return words(table_of(result.problem.task)(result))
+
+
+def test_a_multistart_search_is_not_recommended_after_one(solved: optlink.FunctionResult) -> None:
+    """The counts of the table and of the text above it agree: what the table leaves out is stated."""
+    assert "use --starts N" in shown(solved)
+    many = replace(solved, starts=20, counts=(12, 2), optima=(Optimum(solved.design, solved.objective, 18),))
+    text = shown(many)
+    assert "use --starts N" not in text
+    assert "12 of 14 random starts reached the best value, 2 distinct values" in text
+    assert "of all 20 starting points, random and given; 2 of them ended at worse optima that are not listed, or at none" in text
+    complete = replace(many, optima=(*many.optima, Optimum(solved.design, 1.0, 2)))
+    assert "not listed" not in shown(complete)
