@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import os
+import re
 import tracemalloc
 
 import numpy as np
@@ -336,6 +337,18 @@ def test_analyze_writes_every_digit_of_the_table(tmp_path):
     for name, column in result.columns.items():
         assert [float(row[name]) for row in rows] == list(column)
     assert "least since the start" in done.stdout
+
+
+def test_mean_torque_and_power_are_those_of_the_work():
+    for speed in (math.tau, -math.tau):  # one revolution per second
+        result = optlink.analyze(optlink.load("shaper"), speed=speed)
+        assert result.mean_power == pytest.approx(result.work, rel=1e-12)
+        assert result.mean_torque == pytest.approx(result.work / speed, rel=1e-12)
+        even = result["input.power_W"][:-1]
+        assert result.mean_power == pytest.approx(float(np.mean(even)), rel=2e-2)  # the load jumps between the rows
+    shown = run("analyze", "shaper", "--speed=-60 rpm").stdout
+    assert re.search(rf"mean power +{result.mean_power:.2f} +W\s", shown)
+    assert re.search(rf"mean torque +{result.mean_torque:.3f} +N m\s", shown)
 
 
 def test_analyze_json_is_one_document():

@@ -224,6 +224,9 @@ def _work(outcome: Analysis) -> TableSpec:
     scale = max((abs(v) for v in outcome.extremes.get("input.work_J", (0.0,))), default=0.0)
     work = 0.0 if abs(outcome.work) <= 1e-12 * scale else outcome.work  # rounding error of cancelling terms
     rows = [(outcome.extent, number(work, 9), "J")]
+    if outcome.full and math.isfinite(work):
+        torque, power = (mean if work else 0.0 for mean in (outcome.mean_torque, outcome.mean_power))
+        rows += [("mean torque", number(torque), "N m"), ("mean power", number(power), "W")]
     if "input.work_J" in outcome.extremes:
         extreme = outcome.extremes["input.work_J"]
         for word, amount, at in (("least", *extreme[:2]), ("largest", *extreme[2:])):
@@ -234,10 +237,9 @@ def _work(outcome: Analysis) -> TableSpec:
     if wheel:
         alone = "of the mean speed under it, without a flywheel"
         rows += [
-            ("mean torque", number(wheel.mean_torque), "N m"),
             ("mean speed", number(wheel.mean_speed), "rad/s, mean over crank angle, not time"),
             ("fluctuation", number(wheel.fluctuation), alone if wheel.fluctuation > 0.0 else "without a flywheel: it would stop"),
-            ("flywheel", number(wheel.inertia), f"kg m^2 at the crank keeps it at {wheel.allowed:g}"),
+            ("flywheel", number(wheel.inertia), f"kg m^2, added to the crank: fluctuation {wheel.allowed:g}"),
         ]
     return table("Work of the drive", "<><", rows)
 

@@ -186,6 +186,16 @@ class Analysis(Recorded):
             return "over the range"
         return "per revolution" if self.cycle == TURN else "per cycle"
 
+    @property
+    def mean_torque(self) -> float:
+        """Torque of the drive [N m], mean over a cycle: its work by the crank rotation; NaN unless the crank turns fully."""
+        return self.work / math.copysign(self.cycle, self.speed) if self.full else math.nan
+
+    @property
+    def mean_power(self) -> float:
+        """Power of the drive [W], mean over a cycle; NaN unless the crank turns fully."""
+        return self.mean_torque * self.speed
+
     def within(self, crank_angles: Array) -> list[float]:
         """Return crank angles [deg], without duplicates, reduced to one cycle if the crank turns fully."""
         angles = [within_cycle(at, self.cycle) if self.full else float(at) for at in crank_angles]
