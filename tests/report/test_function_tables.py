@@ -11,6 +11,8 @@ import optlink
 from optlink.report import terminal
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
+from optlink.report.views.function_tables import active
+from optlink.solvers.solution import LimitState
 from optlink.tasks.results.common import Optimum
 
 
@@ -35,3 +37,20 @@ def test_a_multistart_search_is_not_recommended_after_one(solved: optlink.Functi
     assert "of all 20 starting points, random and given; 2 of them ended at worse optima that are not listed, or at none" in text
     complete = replace(many, optima=(*many.optima, Optimum(solved.design, 1.0, 2)))
     assert "not listed" not in shown(complete)
+
+
+def test_the_price_of_an_equality_has_its_sign() -> None:
+    """An inequality has one direction that relaxes it, an equality has two; a limit without a price has no effect."""
+
+    def limit(sense: str, multiplier: float) -> LimitState:
+        return LimitState("key", "time ratio", 1.6, 1.6, sense, "", True, multiplier, 0.0)
+
+    rising, falling = words(active([limit("=", 5.0)], 100.0, "N")), words(active([limit("=", -5.0)], 100.0, "N"))
+    assert "= 1.6 +5 N per unit (5.00%) =: change of the objective if the value is raised by one unit" in rising
+    assert "= 1.6 -5 N per unit" in falling
+    relaxed = words(active([limit("<=", -5.0)], 100.0, "N"))
+    assert "<= 1.6 5 N per unit" in relaxed
+    assert "raised" not in relaxed
+    none = words(active([limit("=", 0.0), limit(">=", 0.0)], 100.0, "N"))
+    assert none.count("no effect") == 2
+    assert "nothing" not in none

@@ -20,6 +20,7 @@ from optlink.report.views import (
     analysis_charts,
     analysis_forces,
     conclusions,
+    cycle_tables,
     function_tables,
     path_tables,
     sensitivity,
@@ -225,7 +226,9 @@ def _recorded(subject: ReportModel) -> Part:
         size = shown / best.objective if best.objective > 0.0 else 1.0
         scaled = [replace(limit, multiplier=limit.multiplier * size) for limit in limits]
         return function_tables.active(scaled, shown, path_tables.displayed_objective_unit(best))
-    unit = outcome.unit if isinstance(outcome, FunctionResult | CycleResult) else ""
+    if isinstance(outcome, CycleResult):
+        return cycle_tables.priced(outcome, limits)
+    unit = outcome.unit if isinstance(outcome, FunctionResult) else ""
     return function_tables.active(limits, subject.objective, unit)
 
 

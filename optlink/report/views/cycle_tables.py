@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from optlink.errors import Status
@@ -12,6 +12,7 @@ from optlink.report.format import fixed, number, times
 from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, quiet, strong, summary, table
 from optlink.report.views.analysis_tables import machine_strokes
 from optlink.report.views.function_tables import active, checks, conflict, ending, graded, noted, verdict
+from optlink.solvers.solution import LimitState
 from optlink.tasks.results.cycle import CycleResult, display_unit
 from optlink.units import factor
 
@@ -22,9 +23,7 @@ def cycle_result(outcome: CycleResult) -> Summary:
     if outcome.conflict:
         limits = conflict(outcome.conflict, outcome.together)
     elif outcome.solution is not None:
-        size = 1.0 / factor(outcome.unit, outcome.task.unit_kind) if outcome.unit else 1.0
-        held = [replace(limit, multiplier=limit.multiplier * size) for limit in outcome.solution.limits]
-        limits = active(held, outcome.objective * size, outcome.unit)
+        limits = priced(outcome, outcome.solution.limits)
     return summary(
         outcome.task.title,
         _status(outcome),
@@ -37,6 +36,22 @@ def cycle_result(outcome: CycleResult) -> Summary:
         _backends(outcome) if len(outcome.backends) > 1 else None,
         Paragraph(quiet(f"{outcome.backend}, {outcome.starts} starts; {times(outcome.seconds)}"), appendix=True),
     )
+
+
+def priced(outcome: CycleResult, limits: Iterable[LimitState]) -> Part:
+    """Tabulate the active constraints with their shadow prices in the display unit of the objective.
+
+    Parameters
+    ----------
+    outcome : CycleResult
+    limits : iterable of LimitState
+        Multipliers of the minimised objective [SI], which is the negative of a maximised quantity.
+    """
+    size = 1.0 / factor(outcome.unit, outcome.task.unit_kind) if outcome.unit else 1.0
+    if outcome.task.single and outcome.task.goals[0].sense == "maximise":
+        size = -size
+    held = [replace(limit, multiplier=limit.multiplier * size) for limit in limits]
+    return active(held, outcome.objective * size, outcome.unit)
 
 
 def cycle_problem(task: CycleProblem) -> TableSpec:

@@ -39,6 +39,8 @@ from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
 
+RELAXED = "; <=, >=: its improvement if the bound is relaxed by one unit"
+
 
 def result(outcome: FunctionResult) -> Summary:
     """Summarise a function synthesis result: design, objective, active constraints, validation, optima, back ends."""
@@ -165,6 +167,9 @@ def _objective(outcome: FunctionResult) -> TableSpec:
 def active(limits: Iterable[LimitState], objective: float, unit: str) -> Part:
     """Tabulate the active constraints with their shadow prices.
 
+    The price of an inequality is the improvement of the objective per unit by which its bound is relaxed; that of an equality
+    is the change of the objective, with its sign, per unit by which its value is raised.
+
     Parameters
     ----------
     limits : iterable of LimitState
@@ -174,15 +179,18 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Part:
     unit : str
         Unit of the objective.
     """
-    rows = []
+    rows, raised = [], False
     for limit in (limit for limit in limits if limit.active):
         gain = abs(limit.multiplier)
         share = f" ({gain / objective:.2%})" if 5e-5 * objective <= gain < 100.0 * objective else ""  # otherwise not informative
-        buys = f"{gain:.4g} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "nothing"
+        price = f"{limit.multiplier:+.4g}" if limit.sense == "=" else f"{gain:.4g}"
+        buys = f"{price} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "no effect"
+        raised |= limit.sense == "=" and gain > 0
         rows.append((limit.name, f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip(), buys))
     if not rows:
         return Paragraph(strong("Active constraints"), "none: only the requirement shapes this design")
-    return table("Active constraints and their shadow prices", "<<<", rows)
+    notes = [quiet(f"=: change of the objective if the value is raised by one unit{RELAXED * (len(rows) > 1)}")] if raised else []
+    return table("Active constraints and their shadow prices", "<<<", rows, notes=notes)
 
 
 def checks(asked: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:

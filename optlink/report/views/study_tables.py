@@ -86,7 +86,7 @@ def _prices(result: Sensitivities) -> TableSpec:
         )
         for row in result.moving
     ]
-    return table("Per unit", "<><", rows)
+    return table("Change of the objective if the value is raised by one unit", "<><", rows)
 
 
 def _events(result: Sensitivities) -> TableSpec:
