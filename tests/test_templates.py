@@ -6,11 +6,13 @@ import json
 import shlex
 import tomllib
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
+from optlink.linkage.motion import sweep
 from optlink.templates import NEXT, template, templates
 
 NAMES = sorted(templates())
@@ -66,6 +68,21 @@ def test_next_command_gives_a_valid_result(name, tmp_path, monkeypatch):
         for line in further:
             assert run(*shlex.split(line)[1:]).exit_code == 0, line
         assert (tmp_path / "mine.html").stat().st_size > 100_000
+
+
+def test_foot_of_the_walker_is_level_between_the_points():
+    result = optlink.solve(optlink.read(tomllib.loads(template("walker").text), "walker"))
+    design, points = result.best, result.definite.raw["requirement"]["points"]
+    stance = [row["y"] == points[0]["y"] for row in points].index(False) - 1
+    first, last = design.crank_angles[[0, stance]]
+    assert last - first == pytest.approx(np.pi)  # two legs: one of them always carries
+    foot = np.asarray(sweep(design.task.linkage, design.values, np.linspace(first, last, 1001)).position("P"))
+    assert np.ptp(foot[:, 1]) < 0.15e-3
+    assert np.all(np.diff(foot[:, 0]) > 0.0)
+    assert foot[-1, 0] - foot[0, 0] == pytest.approx(0.2, abs=1e-3)
+    whole = np.asarray(sweep(design.task.linkage, design.values, np.linspace(first, first + 2.0 * np.pi, 1001)).position("P"))
+    assert np.min(whole[:, 1]) >= np.min(foot[:, 1]) - 1e-6  # the foot that returns stays above the ground
+    assert np.max(whole[:, 1]) > np.max(foot[:, 1]) + 0.02
 
 
 def test_written_file_names_itself(tmp_path):
