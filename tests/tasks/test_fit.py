@@ -16,9 +16,10 @@ from optlink.report import terminal
 from optlink.report.html.page import verdict
 from optlink.report.report_model import ReportModel
 from optlink.report.views import cycle_tables
+from optlink.solvers.solution import LimitState
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.path import solve, validate
-from optlink.tasks.results.fit import Fit, TransmissionFit
+from optlink.tasks.results.fit import Fit, TransmissionFit, transmission_fit
 from tests.stated import document, four_bar_section, free
 
 SIZES = dict.fromkeys(("crank", "coupler", "rocker", "frame"), free(10.0, 300.0))
@@ -146,6 +147,21 @@ def test_transmission_angles_are_graded_by_recommended_ones(least: float, grade:
     assert f"{least:.4g} deg" in fit.text
 
 
+def test_a_poor_transmission_angle_is_not_explained_by_its_own_limit() -> None:
+    def limit(key: str, name: str, sense: str) -> LimitState:
+        return LimitState(key, name, 40.0, 40.0, sense, "deg", True, 0.01, 0.0)
+
+    limits = [
+        limit("limits.transmission_angle.C", "smallest transmission angle at C", ">="),
+        limit("limits.grip", "largest pressure angle", "<="),
+        limit("limits.swing_angle", "swing angle of the rocker", "="),
+        limit("mechanism.rocker", "rocker", ">="),
+    ]
+    fit = transmission_fit(math.radians(30.0), {}, {}, limits)
+    assert fit is not None
+    assert {each.remedy for each in fit.reasons} == {"change limits.swing_angle", "widen mechanism.rocker"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("swing", "ratio", "grade"), [(40.0, 1.05, "good"), (95.0, 1.15, "poor")])
 def test_a_linkage_of_the_best_transmission_is_graded(swing: float, ratio: float, grade: str) -> None:
@@ -163,7 +179,7 @@ def test_a_linkage_of_the_best_transmission_is_graded(swing: float, ratio: float
     assert 90.0 - math.degrees(told["error"]) == pytest.approx(min(angles), abs=1e-6)
     assert ("good" if min(angles) >= 45.0 else "fair" if min(angles) >= 40.0 else "poor") == grade
     remedies = {each["remedy"] for each in told["reasons"]}
-    assert remedies >= ({"widen limits.swing_angle", "widen limits.time_ratio"} if grade == "poor" else set())
+    assert remedies >= ({"change limits.swing_angle", "change limits.time_ratio"} if grade == "poor" else set())
     shown = verdict(ReportModel(result.problem, result, None))
     assert shown.startswith("Valid, poor transmission" if grade == "poor" else "Valid: every check passed")
 

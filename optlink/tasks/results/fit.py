@@ -43,6 +43,7 @@ ROUNDING = 1e-6  # rad: rounding tolerance, so that an active limit of 40 deg co
 GAIN = 0.9  # fraction of the error below which a displaced linkage counts as a reason
 NEAR = 0.5  # fraction of the error below which the distance of the curve makes the crank angles a reason
 PRICED = 1e-2  # least share of a limit in the sum of multiplier times bound that counts as a reason
+GRADED = ("transmission_", "pressure_angle", "transmission angle", "pressure angle")  # limits of the transmission angle
 ALONG = 721  # positions along a motion
 MOST = 2  # largest number of active limits given as reasons
 
@@ -145,7 +146,8 @@ def transmission_fit(
     fit = TransmissionFit(right - least, right, "rad", "a right angle")
     if fit.grade != "poor":
         return fit
-    return replace(fit, reasons=(*active_reasons(limits), *fixed_reasons(quantities, values)))
+    others = [limit for limit in limits if not any(words in f"{limit.key} {limit.name}" for words in GRADED)]
+    return replace(fit, reasons=(*active_reasons(others), *fixed_reasons(quantities, values)))
 
 
 def _rms(values: Array) -> float:
@@ -326,7 +328,8 @@ def active_reasons(limits: Sequence[LimitState]) -> Iterator[PoorFitReason]:
         if limit.key not in seen:
             seen.add(limit.key)
             bound = f"{limit.sense} {limit.bound:.4g} {limit.unit}".rstrip()
-            yield PoorFitReason(f"{limit.name} is at its limit ({bound})", f"widen {limit.key}")
+            word, remedy = ("at its prescribed value", "change") if limit.sense == "=" else ("at its limit", "widen")
+            yield PoorFitReason(f"{limit.name} is {word} ({bound})", f"{remedy} {limit.key}")
 
 
 def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float]) -> Iterator[PoorFitReason]:
