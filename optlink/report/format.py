@@ -51,8 +51,8 @@ def fixed(value: float, decimals: int = 3) -> str:
 
 
 def significant(value: float) -> str:
-    """Format a dimension with at least three decimals and six significant digits."""
-    digits = 3 if abs(value) >= 100.0 or value == 0.0 else min(9, 5 - math.floor(math.log10(max(abs(value), 1e-6))))
+    """Format a dimension with at least three decimals and six significant digits; zero if it is below 1e-5."""
+    digits = 3 if abs(value) >= 100.0 or abs(value) < 1e-5 else 5 - math.floor(math.log10(abs(value)))
     return fixed(value, digits)
 
 
@@ -72,10 +72,11 @@ def percent(share: float) -> str:
 
 
 def change(share: float) -> str:
-    """Format a relative change in per cent with its sign and two decimals; a dash if it is not finite."""
+    """Format a relative change in per cent with two decimals and its sign unless it is zero; a dash if it is not finite."""
     if not math.isfinite(share):
         return "-"
-    return f"{round(100.0 * share, 2) + 0.0:+.2f} %".replace("-", "−")
+    shown = round(100.0 * share, 2)
+    return f"{shown:+.2f} %".replace("-", "−") if shown else "0.00 %"
 
 
 def points(count: int) -> str:

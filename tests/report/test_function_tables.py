@@ -5,14 +5,16 @@ from __future__ import annotations
 import io
 from dataclasses import replace
 
+import pytest
 from rich.console import Console
 
 import optlink
 from optlink.report import terminal
+from optlink.report.format import change, significant
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
-from optlink.report.views.function_tables import active
-from optlink.solvers.solution import LimitState
+from optlink.report.views.function_tables import active, conflict
+from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.results.common import Optimum
 
 
@@ -54,3 +56,24 @@ def test_the_price_of_an_equality_has_its_sign() -> None:
     none = words(active([limit("=", 0.0), limit(">=", 0.0)], 100.0, "N"))
     assert none.count("no effect") == 2
     assert "nothing" not in none
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(5e-8, "0.000"), (-5e-8, "0.000"), (0.0, "0.000"), (1.2e-5, "0.0000120000"), (62.75446, "62.7545"), (123.8444, "123.844")],
+)
+def test_dimensions_below_the_resolution_are_zero(value: float, text: str) -> None:
+    assert significant(value) == text
+
+
+@pytest.mark.parametrize(("share", "text"), [(-1e-6, "0.00 %"), (0.0, "0.00 %"), (-0.01648, "−1.65 %"), (0.0308, "+3.08 %")])
+def test_no_change_has_no_sign(share: float, text: str) -> None:
+    assert change(share) == text
+
+
+def test_a_relaxed_limit_without_a_unit_has_one_space_before_its_difference() -> None:
+    limit = Relaxation("time ratio", "limits.time_ratio", "<=", 1.0, 1.00978, 0.009779, "")
+    console = terminal.console()
+    with console.capture() as caught:
+        console.print(terminal.rendered(conflict([limit], [])))
+    assert "<= 1.00978 (0.009779)" in caught.get()

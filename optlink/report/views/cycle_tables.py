@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from optlink.errors import Status
 from optlink.problem.cycle import CycleProblem, StrokeProblem
-from optlink.report.format import fixed, number, times
+from optlink.report.format import change, fixed, number, times
 from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, quiet, strong, summary, table
 from optlink.report.views.analysis_tables import machine_strokes
 from optlink.report.views.function_tables import active, checks, conflict, ending, graded, noted, verdict
@@ -89,8 +89,7 @@ def _sizes(outcome: CycleResult) -> TableSpec:
 def _figures(outcome: CycleResult) -> TableSpec:
     rows: list[Row] = []
     for one in outcome.figures:
-        change = one.result / one.initial - 1.0 if one.initial and math.isfinite(one.initial) else math.nan
-        shown = f"{change:+.2%}" if math.isfinite(change) else "-"
+        shown = change(one.result / one.initial - 1.0 if one.initial and math.isfinite(one.initial) else math.nan)
         rows.append((one.words, number(one.initial), strong(number(one.result)), one.unit, shown, quiet(one.limit)))
     if not outcome.task.single:
         rows.append(("weighted sum", "", strong(number(outcome.objective, 8)), "", "", quiet("minimised")))

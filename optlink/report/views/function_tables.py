@@ -240,7 +240,8 @@ def _relaxed(item: Relaxation) -> str:
     amount = f"{item.amount:.4g} {item.unit}".rstrip()
     if "<=" in item.name:
         return f"missed by {amount}"
-    return f"{item.sense} {'about ' * item.approximate}{item.relaxed:.6g} {item.unit} ({amount})"
+    relaxed = f"{item.relaxed:.6g} {item.unit}".rstrip()
+    return f"{item.sense} {'about ' * item.approximate}{relaxed} ({amount})"
 
 
 def _optima(outcome: FunctionResult) -> Iterator[Part]:
