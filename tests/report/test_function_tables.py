@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -13,8 +14,10 @@ from optlink.report import terminal
 from optlink.report.format import change, significant
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
+from optlink.report.views.function import function_values
 from optlink.report.views.function_tables import active, conflict
 from optlink.solvers.solution import LimitState, Relaxation
+from optlink.tasks.function import validate
 from optlink.tasks.results.common import Optimum
 
 
@@ -77,3 +80,32 @@ def test_a_relaxed_limit_without_a_unit_has_one_space_before_its_difference() ->
     with console.capture() as caught:
         console.print(terminal.rendered(conflict([limit], [])))
     assert "<= 1.00978 (0.009779)" in caught.get()
+
+
+def test_the_generated_function_is_that_of_the_linkage() -> None:
+    """y of the chart from the rocker angle at every x; the error of the lower panel is in y."""
+    sizes = {"crank": 0.123844, "coupler": 0.062754, "rocker": 0.129321, "frame": 0.06}
+    raw = {
+        "title": "square root",
+        "mechanism": {"type": "four-bar", "assembly": "right"} | {name: f"{1e3 * size} mm" for name, size in sizes.items()},
+        "requirement": {
+            "kind": "function",
+            "from": "43.896 deg",
+            "psi0": "97.168 deg",
+            "law": {"function": "sqrt(x)", "x": [0.1, 1.0], "input": "70 deg", "output": "60 deg"},
+        },
+        "limits": {"crank": "span"},
+    }
+    result = validate(optlink.read(raw), {})
+    (chart,) = function_values(result)
+    (target, generated), (error,) = chart.panels[0].traces, chart.panels[1].traces
+    phi = np.radians(43.896 + 70.0 * (generated.x - 0.1) / 0.9)
+    psi = np.degrees(optlink.sweep(result.problem.spec.linkage, sizes, phi).body_angle("rocker").value)
+    low = np.sqrt(0.1)
+    np.testing.assert_allclose(generated.y, low + (psi - 97.168) / 60.0 * (1.0 - low), atol=1e-9)
+    np.testing.assert_allclose(target.y, np.sqrt(target.x), atol=1e-12)
+    np.testing.assert_allclose(error.y, target.y - generated.y, atol=1e-12)
+
+
+def test_a_law_of_the_crank_angle_has_no_chart_in_x_and_y(solved: optlink.FunctionResult) -> None:
+    assert function_values(solved) == []

@@ -17,6 +17,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import TURN
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.problem.file import ProblemFile
+from optlink.problem.targets.function import Function
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
@@ -113,8 +114,33 @@ def mechanism(result: FunctionResult) -> Figure | None:
 
 
 def charts(result: FunctionResult) -> list[ChartSpec]:
-    """Return the law over the span with its error, and the transmission angle over the whole motion."""
-    return [*law(result), *transmission(result)]
+    """Return the law over the span with its error, y(x) of a function, and the transmission angle over the whole motion."""
+    return [*law(result), *function_values(result), *transmission(result)]
+
+
+def function_values(result: FunctionResult) -> list[ChartSpec]:
+    """Return the prescribed and the generated y(x) with the error in y; nothing for a law of the crank angle."""
+    problem = result.problem.spec
+    function = problem.requirement.law
+    offsets = problem.span * np.linspace(0.0, 1.0, 361)
+    if not isinstance(function, Function) or not math.isfinite(result.design["phi0"]):
+        return []
+    error = result.error(offsets)
+    if not np.any(np.isfinite(error)):
+        return []
+    least, largest = function.ends
+    x = function.low + (function.high - function.low) * offsets / function.input
+    wanted = np.asarray(function.expression({"x": x}) + 0.0 * x, dtype=float)
+    away = error * (largest - least) / function.output
+    worst = int(np.nanargmax(np.abs(away)))
+    above = [
+        Curve(x, wanted, "target", WANTED, 1.4, "dash", gid="target y"),
+        Curve(x, wanted - away, "generated", FOUND, 1.8, gid="generated y"),
+    ]
+    mark = Mark(float(x[worst]), float(away[worst]), f"largest {away[worst]:+.3g}", size=1.0, prefer=(0.0, np.sign(away[worst])))
+    below = Panel(Axis("target minus generated"), [Curve(x, away, "", LIMIT, 1.5, gid="error in y")], marks=[mark])
+    title = heading(f"{problem.title}: {function.text}", 7.6)
+    return [ChartSpec("function", "Function y(x)", [Panel(Axis("y"), above, 1.7), below], Axis("x"), title, cursor=False)]
 
 
 def law(result: FunctionResult) -> list[ChartSpec]:
@@ -147,7 +173,9 @@ def law(result: FunctionResult) -> list[ChartSpec]:
     below.append(Curve(marked, at_marks, "", LIMIT, mode="markers", size=3.0))
     mark = Mark(float(crank[worst]), top, words, size=1.0, prefer=(0.0, 1.0 if error[worst] > 0.0 else -1.0))
     panels = [Panel(Axis("rocker angle ψ [deg]"), above, 1.7), Panel(Axis("target minus generated [deg]"), below, marks=[mark])]
-    title = f"{problem.title}: {result.measure} {result.objective:.6g} {unit_of(result)}"
+    angular = result.unit == "rad"
+    objective = f"{math.degrees(result.objective):.4g}°" if angular else f"{result.objective:.6g} {unit_of(result)}"
+    title = f"{problem.title}: {result.measure} {objective}"
     return [ChartSpec("law", "Motion law over the span", panels, crank_angle(clockwise=_clockwise(result)), title)]
 
 
