@@ -31,7 +31,13 @@ class Command(TyperCommand):
                 param.metavar = ""  # not <bool>: a flag has no value
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Replace other names of options, then parse."""
+        """Replace other names of options, then parse.
+
+        Parameters
+        ----------
+        ctx : typer.Context
+        args : list of str
+        """
         known = {name for param in self.params for name in param.opts}
         end = args.index("--") if "--" in args else len(args)
         return super().parse_args(ctx, [*(_present(word, known) for word in args[:end]), *args[end:]])
@@ -54,7 +60,13 @@ class Group(TyperGroup):
     """A group that also takes other spellings of its commands."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command by its name or another spelling of it."""
+        """Return a command by its name or another spelling of it.
+
+        Parameters
+        ----------
+        ctx : typer.Context
+        cmd_name : str
+        """
         return super().get_command(ctx, COMMANDS.get(cmd_name, cmd_name))
 
 
@@ -65,5 +77,12 @@ class App(typer.Typer):
         super().__init__(cls=Group, **options)
 
     def command(self, name: str | None = None, **options: Any) -> Callable[[Function], Function]:
-        """Register a command."""
+        """Register a command.
+
+        Parameters
+        ----------
+        name : str, optional
+        **options
+            As for `typer.Typer.command`.
+        """
         return super().command(name, **{"cls": Command, **options})

@@ -29,7 +29,14 @@ def template_names(incomplete: str) -> list[str]:
 
 
 def keys(context: typer.Context, incomplete: str) -> list[str]:
-    """Return the keys of the problem on the command line, each with "=", for --set."""
+    """Return the keys of the problem on the command line, each with "=", for --set.
+
+    Parameters
+    ----------
+    context : typer.Context
+    incomplete : str
+        Beginning of a key.
+    """
     import tomllib
 
     text = str(context.params.get("problem") or next(iter(context.args), ""))  # the arguments of an unfinished line

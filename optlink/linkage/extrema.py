@@ -31,7 +31,12 @@ HALFWAY = float(np.prod(np.arange(0.5, POINTS // 2) ** 2))
 
 
 def extremes(
-    function: Function, grid: Array, breaks: Sequence[float] = (), kinds: Sequence[Hashable] | None = None
+    function: Function,
+    grid: Array,
+    breaks: Sequence[float] = (),
+    kinds: Sequence[Hashable] | None = None,
+    *,
+    periodic: bool = False,
 ) -> tuple[Array, Array]:
     """Compute the least and the largest value of every function over the range of the grid.
 
@@ -45,20 +50,26 @@ def extremes(
         Crank angles where the functions may jump; no bracket reaches across one.
     kinds : sequence of hashable, one for each function, optional
         Functions of one kind have the same unit: a function that is rounding error compared with the others is not refined.
+    periodic : bool
+        Whether the grid covers one period: an extremum beside one of its ends is then refined on both sides of that end.
 
     Returns
     -------
     angles, values : arrays (functions, 2), of the least and of the largest value; NaN where a function has none
     """
+    if periodic:
+        period = grid[-1] - grid[0]
+        breaks = [edge + shift for edge in breaks for shift in (-period, 0.0, period)]
+        grid = _continued(grid)
     values = in_portions(function, grid)
 
     def own(points: Array, which: Index) -> Array:
         return in_portions(function, points.ravel(), (which // 2).repeat(points.shape[1])).reshape(points.shape)
 
-    return _extremes(values, grid, breaks, _zero(values, kinds), own)
+    return _extremes(values, grid, breaks, _zero(values, kinds), own, int(periodic))
 
 
-def extremes_of_rows(function: Function, grid: Array) -> Array:
+def extremes_of_rows(function: Function, grid: Array, *, periodic: bool = False) -> Array:
     """Compute the least and the largest value of every row of a function, each row refined at its own crank angles.
 
     Parameters
@@ -66,11 +77,14 @@ def extremes_of_rows(function: Function, grid: Array) -> Array:
     function : callable, crank angles (rows, n) [rad] -> values (rows, n), finite
     grid : array (n,) [rad], rising
         Fine enough that each extremum lies beside the best grid point.
+    periodic : bool
+        As for `extremes`.
 
     Returns
     -------
     values : array (rows, 2)
     """
+    grid = _continued(grid) if periodic else grid
     values = function(grid[None, :])
 
     def own(points: Array, which: Index) -> Array:
@@ -78,18 +92,29 @@ def extremes_of_rows(function: Function, grid: Array) -> Array:
         each[which] = points
         return function(each.reshape(len(values), -1)).reshape(each.shape)[which]
 
-    return _extremes(values, grid, (), np.zeros(len(values), dtype=bool), own)[1]
+    return _extremes(values, grid, (), np.zeros(len(values), dtype=bool), own, int(periodic))[1]
+
+
+def _continued(grid: Array) -> Array:
+    """Return a grid over one period with one further point before and after it."""
+    return np.concatenate([grid[:1] - (grid[-1] - grid[-2]), grid, grid[-1:] + (grid[1] - grid[0])])
 
 
 def _extremes(
-    values: Array, grid: Array, breaks: Sequence[float], zero: NDArray[np.bool_], own: Callable[[Array, Index], Array]
+    values: Array,
+    grid: Array,
+    breaks: Sequence[float],
+    zero: NDArray[np.bool_],
+    own: Callable[[Array, Index], Array],
+    beyond: int,
 ) -> tuple[Array, Array]:
     """Angles and values (functions, 2) of the extrema near the best of the values (functions, n) on a grid.
 
     `own` returns the values (m, k) at crank angles (m, k) for the extrema number (m,): twice the function's number, plus one
-    for the largest value.
+    for the largest value. The first and the last `beyond` points of the grid only continue it: no extremum is sought there.
     """
     known = np.isfinite(values)
+    known[:, [*range(beyond), *range(len(grid) - beyond, len(grid))]] = False
     best = np.stack([np.argmin(np.where(known, sign * values, np.inf), axis=-1) for sign in (1.0, -1.0)], axis=-1).ravel()
     rows, signs = np.arange(len(values)).repeat(2), np.tile([1.0, -1.0], len(values))
     angle, value = grid[best], signs * values[rows, best]

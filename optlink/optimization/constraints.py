@@ -192,6 +192,12 @@ def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Itera
 
     A side of the transmission limit that is looser than the alignment limit is left out (infinite); one that is equally tight
     replaces it. Beside a tighter one the alignment limit is kept: it remains enforced when the tighter one is relaxed.
+
+    Parameters
+    ----------
+    problem : DesignProblem, PathProblem or CycleProblem
+    joint : str
+        Outer joint of the dyad.
     """
     limits, required = problem.limits, "span" if problem.limits.crank == "span" else "revolution"
     most = math.cos(limits.alignment.value)

@@ -197,10 +197,8 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
     names = [name for name in first.columns if not name.endswith(".angle_rad")]
     names += [name for name, _, _ in pins]
     count = GRID * (max(1, round(cycle / TURN)) if full else 1)
-    step, seam = (high - low) / count, int(full)  # a full rotation is periodic: one further step on either side
-    even = low + step * np.arange(-seam, count + 1 + seam)
-    grid = np.unique(np.concatenate([even, work.jumps]))
-    at, best = extremes(values, grid, tuple(work.jumps), [name.rpartition("_")[2] for name in names])
+    grid = np.unique(np.concatenate([low + (high - low) / count * np.arange(count + 1), work.jumps]))
+    at, best = extremes(values, grid, tuple(work.jumps), [name.rpartition("_")[2] for name in names], periodic=full)
     if work.jumps.size:
         before = values(work.jumps, side=-1)
         for k, sign in ((0, 1.0), (1, -1.0)):

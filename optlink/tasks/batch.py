@@ -187,7 +187,7 @@ def batch_extremes(
     drive = problem.model.drive
     way, start = crank_speed(problem), drive.start.value
     step = TURN / GRID
-    grid = np.asarray(min(start, start + math.copysign(TURN, way)) + step * np.arange(-1, GRID + 2), dtype=float)
+    grid = np.asarray(min(start, start + math.copysign(TURN, way)) + step * np.arange(GRID + 1), dtype=float)
     found = {name: np.full((count, 2), np.nan) for name in columns}
     clear = np.zeros(count, dtype=bool)
     portion = max(1, LARGE // GRID)
@@ -204,7 +204,7 @@ def batch_extremes(
         if numbers.size:
             own = machine_of(problem, {name: values[numbers, None] for name, values in arrays.items()})
             for name in columns:
-                found[name][numbers] = extremes_of_rows(functools.partial(_column, own, way, name), grid)
+                found[name][numbers] = extremes_of_rows(functools.partial(_column, own, way, name), grid, periodic=True)
     return found, clear
 
 

@@ -134,7 +134,12 @@ class Cycle:
         assert term.direction is not None
         way = np.array([math.cos(term.direction.value), math.sin(term.direction.value)])
         grid = np.linspace(0.0, TURN, POSITIONS + 1)
-        angles, values = extremes(lambda at: (sweep(self.mechanism, self.design, at).position(str(term.of)) @ way)[None, :], grid)
+
+        def along(at: Array) -> Array:
+            placed: Array = sweep(self.mechanism, self.design, at).position(str(term.of)) @ way
+            return placed[None, :]
+
+        angles, values = extremes(along, grid, periodic=True)
         if term.quantity == "end":
             return float(values[0, 1 if term.stroke == "forward" else 0])
         if term.quantity == "stroke":
@@ -173,7 +178,7 @@ class Cycle:
             return read(MotionColumns(machine.moving(angles, self.speed, side=side)))[None, :]
 
         grid = np.unique(np.concatenate([np.linspace(0.0, TURN, POSITIONS + 1), np.remainder(jumps, TURN)]))
-        least, largest = extremes(values, grid, tuple(np.remainder(jumps, TURN)))[1][0]
+        least, largest = extremes(values, grid, tuple(np.remainder(jumps, TURN)), periodic=True)[1][0]
         if jumps.size:
             before = values(np.remainder(jumps, TURN), side=-1)
             least, largest = min(least, float(np.nanmin(before))), max(largest, float(np.nanmax(before)))

@@ -94,7 +94,8 @@ def alignment_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Alig
         Name of the required motion.
     """
     groups = sweep(grid[:1]).mechanism.groups
-    least = extremes(lambda angles: squared_sines(sweep(angles)), grid)[1][:, 0] if groups else ()
+    turns = math.isclose(grid[-1] - grid[0], math.tau)
+    least = extremes(lambda angles: squared_sines(sweep(angles)), grid, periodic=turns)[1][:, 0] if groups else ()
     closed = np.all(np.isfinite(squared_sines(sweep(grid))), axis=1)
     for group, value, whole in zip(groups, least, closed, strict=True):
         joint = "coupler and rocker" if group.joint == "C" and len(groups) == 1 and isinstance(group, RRR) else group.joint

@@ -102,7 +102,7 @@ def _worst_cosine(problem: PathProblem, design: Mapping[str, float]) -> float:
         return np.asarray(np.sqrt(np.sum(cosines**2, axis=1)))[None, :]
 
     grid = np.linspace(0.0, TURN, POSITIONS + 1)
-    return float(extremes(size, grid)[1][0, 1]) if np.all(np.isfinite(size(grid))) else math.nan
+    return float(extremes(size, grid, periodic=True)[1][0, 1]) if np.all(np.isfinite(size(grid))) else math.nan
 
 
 def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
@@ -321,7 +321,7 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
     grid = np.sort(motion.crank_angle)
     if motion is tested.revolution:
         grid = np.append(grid, grid[0] + TURN)
-    extreme = np.degrees(extremes(angles, grid)[1])
+    extreme = np.degrees(extremes(angles, grid, periodic=motion is tested.revolution)[1])
     for group, limit, (least, largest) in zip(groups, limits, extreme, strict=True):
         where = "" if len(groups) == 1 else f" at {group.joint}"
         yield from transmission_checks(float(least), float(largest), limit, where)

@@ -125,7 +125,7 @@ class PathDesign(Summary):
         grid = np.linspace(begin, end, 721)
         if not groups or not np.all(np.isfinite(cosines(grid))):
             return math.nan
-        return math.acos(min(float(np.max(np.abs(extremes(cosines, grid)[1]))), 1.0))
+        return math.acos(min(float(np.max(np.abs(extremes(cosines, grid, periodic=self.crank_turns)[1]))), 1.0))
 
     @cached_property
     def cognates(self) -> tuple[Cognate, ...]:
