@@ -114,7 +114,7 @@ LONG = {
         "--objectives",
         "error,limits.transmission_angle.max",
         "--points",
-        "900",
+        "9000",
         "--out",
         "out",
     ),
