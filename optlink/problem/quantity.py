@@ -279,16 +279,13 @@ def range_example(kind: str | None) -> str:
 
 def _read_number(raw: object, key: str) -> float:
     if isinstance(raw, str) and (share := re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*%\s*", raw, re.ASCII)):
-        return float(share.group(1)) / 100.0
+        raw = float(share.group(1)) / 100.0
     if isinstance(raw, bool) or not isinstance(raw, int | float):
         remedy = "Write a number without a unit, for example 1.2"
         if isinstance(raw, str) and re.fullmatch(r"\s*[-+]?\d+,\d+\s*", raw):
             remedy = f"Write a decimal point, without quotes: {raw.strip().replace(',', '.')}"
         raise Unusable("expected a plain number", remedy, key, raw)
-    try:
-        number = float(raw)
-    except OverflowError:
-        number = math.inf
+    number = float(raw) if abs(raw) < 1e308 else math.inf
     if not math.isfinite(number):
         raise Unusable("the number must be finite", "Write a finite number, for example 1.2", key, raw)
     return number

@@ -259,5 +259,6 @@ def test_template_keeps_comments_and_spellings(tmp_path):
 
 def test_percent_is_a_fraction():
     assert _read_interval({"max": "2 %"}, None).high == 0.02
-    with pytest.raises(Unusable, match="plain number"):
-        _read_interval({"max": "2,5 %"}, None)
+    for text, reason in (("2,5 %", "plain number"), (f"{'9' * 400} %", "finite")):
+        with pytest.raises(Unusable, match=reason):
+            _read_interval({"max": text}, None)
