@@ -289,7 +289,7 @@ class Limit(Term):
             if self.how == "peak" and value <= 0.0:
                 raise Unusable("the largest size over the cycle is positive", "Give a limit above zero", key, getattr(self, key))
             if self.quantity == "time ratio":
-                check_time_ratio(self.stroke, value, key)
+                check_time_ratio(self.stroke, value, key, low and low[0], high and high[0])
             most = {"transmission angle": 180.0, "pressure angle": 90.0}.get(self.quantity)
             if most is not None and not 0.0 < value < math.radians(most):
                 remedy = f'Give an angle between 0 and {most:g} deg, for example "45 deg"'

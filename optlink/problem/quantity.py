@@ -145,8 +145,7 @@ class JointRanges(Interval):
         return self.low is not None or self.high is not None
 
     def __str__(self) -> str:
-        named = [f"{interval} at {joint}" for joint, interval in self.own]
-        return "; ".join([*([super().__str__()] if self.plain else []), *named])
+        return "; ".join([*[super().__str__()] * self.plain, *(f"{interval} at {joint}" for joint, interval in self.own)])
 
 
 STROKES = {"forward": "backward", "backward": "forward", "slow": "quick", "quick": "slow"}
@@ -169,27 +168,30 @@ class StrokeRatio(Interval):
         return f"{stroke} over {STROKES[stroke]}"
 
 
-def check_time_ratio(stroke: str | None, value: float, key: str) -> None:
-    """Refuse a limit that no time ratio can satisfy.
+def check_time_ratio(stroke: str | None, value: float, key: str, low: float | None, high: float | None) -> None:
+    """Refuse a limit that no time ratio can satisfy, and suggest the part of its range that one can.
 
     Parameters
     ----------
     stroke : "forward", "backward", "slow", "quick" or None
         Stroke whose time is divided by the other's; None is the slow one.
-    value : float
-        The limit.
+    value, low, high : float or None
+        The limit, and the whole range.
     key : str
-        Key of the limit, for errors.
+        Key of the limit, for errors; empty if both sides have one key.
 
     Raises
     ------
     Unusable
         with the key.
     """
-    if stroke in (None, "slow") and value < 1.0:
-        raise Unusable("the slow stroke takes at least as long as the quick one", "Give 1 or more", key, value)
-    if stroke == "quick" and value > 1.0:
-        raise Unusable("the quick stroke takes at most as long as the slow one", "Give 1 or less", key, value)
+    slow, quick = stroke in (None, "slow") and value < 1.0, stroke == "quick" and value > 1.0
+    if slow or quick:
+        words, side = ("at least as long as the quick", "more") if slow else ("at most as long as the slow", "less")
+        remedy = f"Give 1 or {side}"
+        if low is not None and high is not None and low < 1.0 < high:
+            remedy = "Give 1" if key else f"Write [1, {high:g}]" if slow else f"Write [{low:g}, 1]"
+        raise Unusable(f"the {stroke or 'slow'} stroke takes {words} one, so that the ratio is 1 or {side}", remedy, key, value)
     if value <= 0.0:
         raise Unusable("the time of a stroke is positive", "Give a ratio above 0", key, value)
 
@@ -337,7 +339,7 @@ def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
     for key, value in (("min", found.low), ("max", found.high)):
         if value is not None:
             written = "exactly" if isinstance(sides, dict) and "exactly" in sides else key
-            check_time_ratio(stroke, value, written if isinstance(sides, dict) else "")
+            check_time_ratio(stroke, value, written if isinstance(sides, dict) else "", found.low, found.high)
     return StrokeRatio(found.low, found.high, found.kind, found.unit, stroke)
 
 

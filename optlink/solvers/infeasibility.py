@@ -1,8 +1,8 @@
 """Infeasibility analysis: conflicting limits and the least relaxation of each that makes the problem feasible.
 
-An elastic programme adds a slack to every limit. Limits with positive slack are enforced one after the other until the enforced
-ones conflict (elastic filter); limits that are not needed for the conflict are removed (deletion filter); each of the rest is
-relaxed alone, in its own unit, with all other limits enforced.
+An elastic programme adds a slack to every limit; both sides of a range that several values must keep share one. Limits with
+positive slack are enforced one after the other until the enforced ones conflict (elastic filter); limits that are not needed for
+the conflict are removed (deletion filter); each of the rest is relaxed alone, in its own unit, with all other limits enforced.
 
 References
 ----------
@@ -32,6 +32,9 @@ Array = NDArray[np.float64]
 
 MET = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible
 STARTS, LOOKED_AT = 6, 256  # starting points used, of those sampled: the first at which every limit is finite
+FIRST_ORDER, EVEN, ROUNDS = 1e-4, 1e-4, 4
+"""Amount [display unit] for which the sides of a range first give equally; relative difference of their amounts that ends the
+rounds in which the shares of the sides are corrected."""
 FREE = 1e3  # upper bound of a slack, in scaled units
 ENOUGH = 3  # number of searches that end at the same least slack before it is accepted
 AGREEING = 2  # the same for the relaxation of one limit of a large NLP
@@ -52,6 +55,66 @@ class LimitSide:
     variables: tuple[int, ...]
     bound: float
     scale: Scale
+    equation: bool = False
+
+    def displaced(self, amount: float) -> float:
+        """Return the bound moved outward by an amount, in display units; an angle between 0 and 180 deg for a cosine."""
+        moved = self.scale.to_display(self.bound) + (amount if self.upper != self.scale.cosine else -amount)
+        return min(max(moved, 0.0), 180.0) if self.scale.cosine else moved
+
+    def relaxation(self, slack: float, approximate: bool = False, both_sides: bool = False) -> Relaxation:
+        """Return the relaxed side in display units.
+
+        Parameters
+        ----------
+        slack : float
+            In the units of the rows; infinite if relaxing the limit does not suffice.
+        approximate : bool
+            Whether the limit may be exceeded between the positions of the NLP.
+        both_sides : bool
+            Whether the other side is relaxed as well.
+        """
+        upper = self.upper != self.scale.cosine
+        bound = self.scale.to_display(self.bound)
+        relaxed = self.scale.to_display(self.bound + (slack if self.upper else -slack)) if math.isfinite(slack) else math.nan
+        sense = "=" if self.equation else "<=" if upper else ">="
+        amount = abs(relaxed - bound)
+        return Relaxation(self.name, self.key, sense, bound, relaxed, amount, self.scale.unit, approximate, both_sides)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit that is relaxed as one: one side, or both sides of a range."""
+
+    sides: tuple[LimitSide, ...]
+
+    def shares(self, amount: float) -> Array:
+        """Return the slack of each side relative to that of the first one where all sides give an amount [display unit]."""
+        slacks = [abs(side.scale.to_internal(side.displaced(amount)) - side.bound) for side in self.sides]
+        shares = np.array([slack / slacks[0] if slacks[0] else 1.0 for slack in slacks])
+        return np.asarray(np.clip(shares, 0.1, 10.0))  # a root has no slope at zero
+
+    def relaxations(self, slacks: Array, nlp: NLP, x: Array, p: Array, approximate: bool) -> list[Relaxation]:
+        """Return the relaxation of each side that a design needs.
+
+        Parameters
+        ----------
+        slacks : array
+            That of each side; infinite if relaxing the limit does not suffice.
+        nlp : NLP
+        x : array (n,)
+            The design that needs the slack.
+        p : array
+            Parameters of the NLP.
+        approximate : bool
+            Whether the limit may be exceeded between the positions of the NLP.
+        """
+        found = list(zip(self.sides, slacks.tolist(), strict=True))
+        if len(found) > 1 and np.all(np.isfinite(slacks)):
+            g = nlp.values(x, p)[1]
+            over = [max((g[j] - side.bound) * (1.0 if side.upper else -1.0) for j in side.rows) for side in self.sides]
+            found = [pair for pair, excess in zip(found, over, strict=True) if excess > MET] or found
+        return [side.relaxation(slack, approximate, len(found) > 1) for side, slack in found]
 
 
 @dataclass(frozen=True)
@@ -82,7 +145,8 @@ def limit_sides(nlp: NLP) -> list[LimitSide]:
     result = []
     for (key, name, upper), rows in found.items():
         row = nlp.rows[rows[0]]
-        result.append(LimitSide(key, name, upper, tuple(rows), (), row.high if upper else row.low, row.scale))
+        bound, equation = row.high if upper else row.low, row.low == row.high
+        result.append(LimitSide(key, name, upper, tuple(rows), (), bound, row.scale, equation))
     asked = [j for j, row in enumerate(nlp.rows) if row.limit != EPIGRAPH]
     used = casadi.which_depends(nlp.g_expression[asked], nlp.x_symbol, 1, False) if asked else [False] * len(nlp.variables)
     for i, variable in enumerate(nlp.variables):
@@ -94,35 +158,69 @@ def limit_sides(nlp: NLP) -> list[LimitSide]:
     return result
 
 
-def elastic_programme(nlp: NLP, limits: list[LimitSide]) -> NLP:
+def limits_of(sides: Sequence[LimitSide]) -> list[Limit]:
+    """Combine the two sides of each range that several values must keep; every other side is a limit of its own.
+
+    The sides belong together if they have the same name, or if they are the only ones of their key. A single value is never
+    beyond both sides of its range, and an equation has a slack for each side.
+
+    Parameters
+    ----------
+    sides : sequence of LimitSide
+    """
+    result: list[Limit] = []
+    paired: set[int] = set()
+    for i, side in enumerate(sides):
+        own = [k for k, other in enumerate(sides) if other.key == side.key and other.rows]
+        own = [k for k in own if sides[k].name == side.name] if len(own) > 2 else own
+        if i in paired:
+            continue
+        values = {row for k in own for row in sides[k].rows}
+        if (
+            side.rows
+            and not side.equation
+            and len(values) > 1
+            and [sides[k].upper for k in own] in ([False, True], [True, False])
+        ):
+            paired.update(own)
+            # in display units the lower side comes first
+            result.append(Limit(tuple(sorted((sides[k] for k in own), key=lambda one: one.upper != one.scale.cosine))))
+        else:
+            result.append(Limit((side,)))
+    return result
+
+
+def elastic_programme(nlp: NLP, limits: Sequence[Limit]) -> NLP:
     """Return the elastic programme: minimise weights . s over x and slacks s >= 0, each limit relaxed by its s.
 
-    Its parameters are the weights (k,), followed by those of the NLP.
+    Its parameters are the weights (k,) and the shares of every side in the slack of its limit, followed by those of the NLP.
 
     Parameters
     ----------
     nlp : NLP
-    limits : list of LimitSide
+    limits : sequence of Limit
         The k limits to relax.
     """
+    sides = [(i, side) for i, limit in enumerate(limits) for side in limit.sides]
+    shares = casadi.SX.sym("shares", len(sides))
     n, k = len(nlp.variables), len(limits)
     x, s = casadi.SX.sym("x", n), casadi.SX.sym("s", k)
     g = casadi.substitute(nlp.g_expression, nlp.x_symbol, x)
     weights = casadi.SX.sym("weights", k)
     # a target value stays one equation with slack to either side: two inequalities would have no interior
-    exact = {j: g[j] for side in limits for j in side.rows if nlp.rows[j].low == nlp.rows[j].high}
-    for i, side in enumerate(limits):
+    exact = {j: g[j] for _, side in sides for j in side.rows if side.equation}
+    for i, side in sides:
         for j in exact.keys() & set(side.rows):
             exact[j] = exact[j] + (-s[i] if side.upper else s[i])
     rows = [replace(nlp.rows[j], value=value) for j, value in exact.items()]
-    for i, side in enumerate(limits):
-        give = -s[i] if side.upper else s[i]
+    for m, (i, side) in enumerate(sides):
+        give = -shares[m] * s[i] if side.upper else shares[m] * s[i]
         low, high = (-math.inf, side.bound) if side.upper else (side.bound, math.inf)
         rows += [ConstraintRow(side.key, side.name, g[j] + give, low, high, side.scale) for j in side.rows if j not in exact]
         rows += [ConstraintRow(side.key, side.name, x[j] + give, low, high, side.scale) for j in side.variables]
     rows += [replace(row, value=g[j]) for j, row in enumerate(nlp.rows) if row.limit in nlp.states]
     bounded = np.array([v.name not in nlp.helpers for v in nlp.variables])
-    giving = {i for side in limits for i in side.variables}
+    giving = {i for _, side in sides for i in side.variables}
     held = np.array([v.name in nlp.states or (bounded[i] and i not in giving) for i, v in enumerate(nlp.variables)])
     length = np.array([v.name in LENGTHS or v.name.endswith(".length") for v in nlp.variables])
     room = np.where(bounded, np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
@@ -138,9 +236,9 @@ def elastic_programme(nlp: NLP, limits: list[LimitSide]) -> NLP:
         x_start=np.concatenate([nlp.x_start, np.zeros(k)]),
         x_low=np.concatenate([lowest, np.zeros(k)]),
         x_high=np.concatenate([highest, np.full(k, FREE)]),
-        p=np.concatenate([np.ones(k), nlp.p]),
+        p=np.concatenate([np.ones(k + len(sides)), nlp.p]),
         x_symbol=casadi.vertcat(x, s),
-        p_symbol=casadi.vertcat(weights, nlp.p_symbol),
+        p_symbol=casadi.vertcat(weights, shares, nlp.p_symbol),
         f_expression=casadi.dot(weights, s),
         g_expression=casadi.vertcat(*[row.value for row in rows]),
         residual_expression=casadi.SX(1, 1),
@@ -157,14 +255,15 @@ class _Search:
     def __init__(
         self,
         nlp: NLP,
-        limits: list[LimitSide],
+        limits: Sequence[Limit],
         points: list[Array],
         names: Sequence[str] = BACKENDS,
         follow: Follow | None = None,
     ) -> None:
         self.follow, self.p = follow, nlp.p.copy()
         self.programme, self.n, self.k = elastic_programme(nlp, limits), len(nlp.variables), len(limits)
-        self.points = points
+        self.limits, self.points = limits, points
+        self.shares = [limit.shares(FIRST_ORDER) for limit in limits]
         self.last: list[Array] = []  # end of the previous search
         self.solvers = [backend(name) for name in reversed(names)]
         self.enough, self.amount, self.settled = ENOUGH, False, True
@@ -188,15 +287,47 @@ class _Search:
             total, found = self._searched(weights, loose, 1)
         return total, found
 
+    def alone(self, i: int) -> tuple[Array, Array]:
+        """Return the least slack of each side of a limit that is relaxed alone, and x with the slacks.
+
+        Both sides of a range give by the same amount, which is at most the least amount of one of its sides.
+        """
+        limit, weights = self.limits[i], np.eye(self.k)[i]
+        count = len(limit.sides)
+        if count == 1:
+            slack, x = self.least(weights, FREE * weights)
+            return np.array([slack]), x
+        ends = []
+        for own in np.eye(count):
+            self.shares[i] = own
+            ends.append(self.least(weights, FREE * weights))
+        amounts = [side.relaxation(slack).amount for side, (slack, _) in zip(limit.sides, ends, strict=True)]
+        best = int(np.argmin(np.nan_to_num(amounts, nan=np.inf)))
+        if math.isfinite(ends[best][0]):
+            self.last = [ends[best][1][: self.n]]
+        amount = FIRST_ORDER
+        for _ in range(ROUNDS):
+            self.shares[i] = limit.shares(amount)
+            slack, x = self.least(weights, FREE * weights)
+            slacks = slack * self.shares[i]
+            amounts = [side.relaxation(own).amount for side, own in zip(limit.sides, slacks.tolist(), strict=True)]
+            if not np.all(np.isfinite(amounts)) or np.ptp(amounts) <= EVEN * max(amounts):
+                break
+            amount = float(np.mean(amounts))
+        return slacks, x
+
+    def _parameters(self, weights: Array) -> Array:
+        return np.concatenate([weights, *self.shares, self.p])
+
     def _missed(self, x: Array, weights: Array) -> float:
         """Return the violation of the relaxed limits at a point (scaled)."""
         nlp = self.programme
-        g = nlp.at(x, np.concatenate([weights, self.p])).g
+        g = nlp.at(x, self._parameters(weights)).g
         return float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
 
     def _searched(self, weights: Array, loose: Array, enough: int) -> tuple[float, Array]:
         """Return the least weighted slack for fixed exchange points; the search ends when `enough` runs agree."""
-        nlp, p = self.programme, np.concatenate([weights, self.p])
+        nlp, p = self.programme, self._parameters(weights)
         best, found = math.inf, np.full(self.n + self.k, math.inf)
         ends: list[float] = []
         points = [*self.last, *self.points]
@@ -221,9 +352,11 @@ class _Search:
         """Return a point with the slacks that it needs, up to their bounds."""
         nlp = self.programme
         x = np.concatenate([point, np.zeros(self.k)])
-        here = nlp.at(x, np.concatenate([weights, self.p]))
+        here = nlp.at(x, self._parameters(weights))
         need = np.nan_to_num(np.maximum(0.0, nlp.low - here.g) - np.maximum(0.0, here.g - nlp.high))
-        x[self.n :] = np.minimum(np.max(here.jacobian[:, self.n :] * need[:, None], axis=0, initial=0.0), loose)
+        slopes = here.jacobian[:, self.n :]
+        own = np.divide(need[:, None], slopes, out=np.zeros_like(slopes), where=slopes != 0.0)
+        x[self.n :] = np.minimum(np.max(own, axis=0, initial=0.0), loose)
         return x
 
 
@@ -247,7 +380,7 @@ def explain(
     follow : function, optional
         Function of a point x (n,) that returns the parameters of the NLP with its exchange points at the peaks there.
     """
-    limits = limit_sides(nlp)
+    limits = limits_of(limit_sides(nlp))
     k = len(limits)
     search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points, ("ipopt",) if quick else BACKENDS, follow)
     free = np.full(k, FREE)
@@ -259,15 +392,16 @@ def explain(
     if not math.isfinite(total):
         return Explanation(search.points[0], (), ())
     slacks = x[search.n :]
-    together = [_relaxation(side, float(slack)) for side, slack in zip(limits, slacks, strict=True) if slack > MET]
-    together = [replace(item, approximate=follow is not None) for item in together]
-    conflict = []
+    together: list[Relaxation] = []
+    for limit, slack in zip(limits, slacks, strict=True):
+        if slack > MET:
+            together += limit.relaxations(slack * limit.shares(FIRST_ORDER), nlp, x[: search.n], search.p, follow is not None)
+    conflict: list[Relaxation] = []
     named = _irreducible(search, free, slacks > MET)
     search.enough, search.amount = AGREEING if quick else ENOUGH, True
     for i in named:
-        alone = np.eye(k)[i]
-        slack, _ = search.least(alone, FREE * alone)
-        conflict.append(replace(_relaxation(limits[i], slack), approximate=not search.settled))
+        least, end = search.alone(i)
+        conflict += limits[i].relaxations(least, nlp, end[: search.n], search.p, not search.settled)
     return Explanation(x[: search.n], tuple(conflict), tuple(together))
 
 
@@ -300,10 +434,3 @@ def _conflicting(search: _Search, free: Array, giving: NDArray[np.bool_]) -> Arr
             return np.ones(len(free))
         held[giving] = 1.0
     return held
-
-
-def _relaxation(side: LimitSide, slack: float) -> Relaxation:
-    upper = side.upper != side.scale.cosine
-    bound = side.scale.to_display(side.bound)
-    relaxed = side.scale.to_display(side.bound + (slack if side.upper else -slack)) if math.isfinite(slack) else math.nan
-    return Relaxation(side.name, side.key, "<=" if upper else ">=", bound, relaxed, abs(relaxed - bound), side.scale.unit)

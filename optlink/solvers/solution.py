@@ -75,17 +75,19 @@ class Relaxation:
     """A relaxed limit, in display units: from `bound` to `relaxed`, which differs by `amount`.
 
     NaN if relaxing this limit alone does not make the problem feasible. The amount is the least found by local searches, not
-    proven to be the least; `approximate`: a limit may still be exceeded between the positions of the NLP.
+    proven to be the least; `approximate`: a limit may still be exceeded between the positions of the NLP; `both_sides`: the
+    relaxations of the two sides of a range, which follow one another, belong together.
     """
 
     name: str
     key: str
-    sense: str
+    sense: str  # "<=", ">=" or "="
     bound: Number
     relaxed: Number
     amount: Number
     unit: str
     approximate: bool = False
+    both_sides: bool = False
 
 
 @dataclass(frozen=True)

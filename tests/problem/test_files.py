@@ -56,7 +56,13 @@ BAD = {
     "limit of three": ({"limits.transmission_angle": ["1 deg", "2 deg", "3 deg"]}, "limits.transmission_angle", "two values"),
     "empty limit": ({"limits.transmission_angle": {}}, "limits.transmission_angle", "empty"),
     "limited twice": ({"limits.transmission_cosine": [-0.7, 0.7]}, "limits.transmission_cosine", "twice"),
-    "time ratio below one": ({"limits.time_ratio": [0.5, 2.0]}, "limits.time_ratio", "at least as long"),
+    "time ratio below one": ({"limits.time_ratio": [0.5, 2.0]}, "limits.time_ratio", "ratio is 1 or more. Write [1, 2]"),
+    "time ratio all below one": ({"limits.time_ratio": [0.5, 0.8]}, "limits.time_ratio", "ratio is 1 or more. Give 1 or more"),
+    "quick stroke above one": (
+        {"limits.time_ratio": {"stroke": "quick", "min": 0.95, "max": 1.05}},
+        "limits.time_ratio.max",
+        "ratio is 1 or less. Give 1",
+    ),
     "swing of a double-crank": (
         {"limits.crank": "double-crank", "requirement.from": "10 deg", "limits.swing_angle": "40 deg"},
         "limits.swing_angle",

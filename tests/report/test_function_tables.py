@@ -75,11 +75,11 @@ def test_no_change_has_no_sign(share: float, text: str) -> None:
 
 
 def test_a_relaxed_limit_without_a_unit_has_one_space_before_its_difference() -> None:
-    limit = Relaxation("time ratio", "limits.time_ratio", "<=", 1.0, 1.00978, 0.009779, "")
+    limit = Relaxation("time ratio", "limits.time_ratio", "<=", 1.0, 1.009778, 0.009778, "")
     console = terminal.console()
     with console.capture() as caught:
         console.print(terminal.rendered(conflict([limit], [])))
-    assert "<= 1.00978 (0.009779)" in caught.get()
+    assert "<= 1.00978 (0.009778)" in caught.get()
 
 
 def test_the_generated_function_is_that_of_the_linkage() -> None:

@@ -11,6 +11,7 @@ import optlink
 from optlink.errors import InputError, Status
 from optlink.linkage.fourbar import LENGTHS, crank_rocker_conditions, transmission_cosine
 from optlink.optimization.nlp import build
+from optlink.report.views.relaxations import outward
 from optlink.solvers import multistart
 from optlink.solvers.infeasibility import Explanation, explain
 from optlink.solvers.solution import verified_solution
@@ -188,7 +189,7 @@ def test_price_of_a_limit_is_what_re_solving_finds(crank_rocker, changes, key, u
 
 @pytest.mark.parametrize("backend", [*BACKENDS, "both"])
 def test_infeasible_transmission_limits(crank_rocker, backend):
-    """80..100 deg: the two sides conflict; the relaxations are checked against a brute-force grid of the formulas."""
+    """80..100 deg: no linkage keeps the range; its least relaxation is checked against a brute-force grid of the formulas."""
     problem = crank_rocker.override({"limits.transmission_angle": ["80 deg", "100 deg"]})
     result = optlink.solve(problem, backend)
     assert result.status is Status.INFEASIBLE
@@ -202,25 +203,26 @@ def test_infeasible_transmission_limits(crank_rocker, backend):
     with np.errstate(invalid="ignore"):
         least = np.degrees(np.arccos(np.where(turns, transmission_cosine(0.1, l2, l3, 0.5, 1.0), np.nan)))
         largest = np.degrees(np.arccos(np.where(turns, transmission_cosine(0.1, l2, l3, 0.5, -1.0), np.nan)))
-    reachable_least = np.nanmax(np.where(largest <= 100.0, least, np.nan))
-    reachable_largest = np.nanmin(np.where(least >= 80.0, largest, np.nan))
-    assert conflict["smallest transmission angle"].relaxed == pytest.approx(reachable_least, abs=0.1)
-    assert conflict["smallest transmission angle"].relaxed >= reachable_least - 1e-6
-    assert conflict["largest transmission angle"].relaxed == pytest.approx(reachable_largest, abs=0.3)
-    assert conflict["largest transmission angle"].relaxed <= reachable_largest + 1e-6
+    reachable = float(np.nanmin(np.maximum(80.0 - least, largest - 100.0)))
+    for name, bound, sign in (("smallest", 80.0, -1.0), ("largest", 100.0, 1.0)):
+        item = conflict[f"{name} transmission angle"]
+        assert item.both_sides
+        assert item.relaxed == pytest.approx(bound + sign * item.amount, abs=1e-9)
+        assert item.amount == pytest.approx(reachable, abs=0.1)
+        assert item.amount <= reachable + 1e-6
     assert conflict["smallest transmission angle"].unit == "deg"
 
 
-@pytest.mark.parametrize("side", [0, 1])
-def test_the_named_relaxation_is_enough_and_no_more(crank_rocker, side):
-    limits = [80.0, 100.0]
-    found = optlink.solve(crank_rocker.override({"limits.transmission_angle": [f"{x} deg" for x in limits]})).conflict[side]
-    outward = -1 if side == 0 else 1
-    for extra, feasible in ((0.01, True), (-0.01, False)):
-        changed = list(limits)
-        changed[side] = found.relaxed + outward * extra
+@pytest.mark.parametrize("limits", [(80.0, 100.0), (70.0, 95.0)])
+def test_the_named_relaxation_of_a_range_is_enough_and_no_more(crank_rocker, limits):
+    """Also of a range that is not centred on 90 deg, and as its printed values."""
+    found = optlink.solve(crank_rocker.override({"limits.transmission_angle": [f"{x} deg" for x in limits]})).conflict
+    assert [item.sense for item in found] == [">=", "<="]
+    low, high = (item.relaxed for item in found)
+    printed = [outward(item, 6) for item in found]
+    for changed, feasible in (((low - 0.01, high + 0.01), True), (printed, True), ((low + 0.01, high), False)):
         result = optlink.solve(crank_rocker.override({"limits.transmission_angle": [f"{x!r} deg" for x in changed]}))
-        assert (result.status is Status.OPTIMAL) == feasible
+        assert (result.status is Status.OPTIMAL) == feasible, changed
 
 
 def test_crank_longer_than_all_others_is_a_matter_of_the_design(crank_rocker):

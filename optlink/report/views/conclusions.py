@@ -16,7 +16,7 @@ from optlink.report.format import pretty, scale
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from optlink.solvers.solution import LimitState, Relaxation
+    from optlink.solvers.solution import LimitState
     from optlink.studies.pareto.epsilon_constraint import Pareto
     from optlink.studies.sensitivity import Sensitivities
     from optlink.studies.sweep import Sweep
@@ -78,14 +78,15 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
     limits : iterable of LimitState
         Constraints with their shadow prices.
     """
+    from optlink.report.views.relaxations import contradiction
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.path import PathResult
 
     best = outcome.best if isinstance(outcome, PathResult) else outcome
     if best is None:
-        return _conflict(outcome.conflict, outcome.together) or "No design was found."
+        return contradiction(outcome.conflict, outcome.together) or "No design was found."
     if outcome.conflict:
-        return _conflict(outcome.conflict, outcome.together)
+        return contradiction(outcome.conflict, outcome.together)
     if isinstance(best, CycleResult):
         achieved = _cycle(best)
     elif isinstance(outcome, PathResult):
@@ -161,22 +162,6 @@ def _failed(checks: Sequence[Check]) -> str:
 
 def _stopped(status: Status) -> str:
     return f"Not valid: {status.text}."
-
-
-def _conflict(conflict: Sequence[Relaxation], together: Sequence[Relaxation]) -> str:
-    """State which limits contradict each other, and what would have to give."""
-    if not conflict:
-        return ""
-    alone = [one for one in conflict if math.isfinite(one.amount)]
-    options = [f"{one.name} to {'about ' * one.approximate}{figure(one.relaxed, one.unit)}" for one in alone[:3]]
-    if options:
-        remedy = f"relax {' or '.join(options)}"
-    else:
-        shared = [f"{one.name} to {figure(one.relaxed, one.unit)}" for one in together if math.isfinite(one.amount)]
-        remedy = f"relax together {listed(shared[:3])}" if shared else "drop one of them"
-    names = listed([one.name for one in conflict][:4])
-    subject = f"the limits {names} contradict each other" if len(conflict) > 1 else f"the limit {names} cannot be met"
-    return f"No design meets all limits: {subject}. To make it feasible, {remedy}."
 
 
 def sensitivities(found: Sensitivities) -> str:

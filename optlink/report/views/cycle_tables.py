@@ -11,7 +11,8 @@ from optlink.problem.cycle import CycleProblem, StrokeProblem
 from optlink.report.format import change, fixed, number, times
 from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, quiet, strong, summary, table
 from optlink.report.views.analysis_tables import machine_strokes
-from optlink.report.views.function_tables import active, checks, conflict, ending, graded, noted, verdict
+from optlink.report.views.function_tables import active, checks, ending, graded, noted, search_verdict
+from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState
 from optlink.tasks.results.cycle import CycleResult, display_unit
 from optlink.units import factor
@@ -68,8 +69,7 @@ def cycle_problem(task: CycleProblem) -> TableSpec:
 
 
 def _status(outcome: CycleResult) -> Iterator[Line]:
-    word = "valid" if outcome.valid else "no feasible design" if outcome.status is Status.INFEASIBLE else "not valid"
-    line = [f"{outcome.status.value}, ", verdict(word, outcome.valid)]
+    line = search_verdict(outcome.status, outcome.status.value, "valid" if outcome.valid else "not valid", outcome.valid)
     yield from graded(line, outcome.fit if outcome.valid else None, f"; {outcome.comparison}" if outcome.comparison else "")
     yield from noted(outcome.notes)
     yield ending(outcome.status, outcome.starts)

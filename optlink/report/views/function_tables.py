@@ -32,7 +32,8 @@ from optlink.report.table_spec import (
     summary,
     table,
 )
-from optlink.solvers.solution import LimitState, Relaxation
+from optlink.report.views.relaxations import conflict
+from optlink.solvers.solution import LimitState
 from optlink.synthesis.function_starts import WIDER
 from optlink.tasks.function import FunctionResult, display_value
 from optlink.tasks.machine import turning_machine
@@ -69,12 +70,11 @@ def result(outcome: FunctionResult) -> Summary:
 
 def _status(outcome: FunctionResult) -> Iterator[Line]:
     word = "valid" if outcome.valid else "not valid"
-    if outcome.conflict:
-        word = "no feasible design"
-    elif outcome.status not in (Status.OPTIMAL, Status.NOT_SEARCHED):
+    if outcome.status not in (Status.OPTIMAL, Status.NOT_SEARCHED):
         word = "no design"
     ended = outcome.status.value if outcome.status is not Status.NOT_SEARCHED else "given design"
-    yield from graded([f"{ended}, ", verdict(word, outcome.valid)], outcome.fit if outcome.valid else None)
+    line = search_verdict(outcome.status, ended, word, outcome.valid)
+    yield from graded(line, outcome.fit if outcome.valid else None)
     yield from noted(outcome.notes)
     yield ending(outcome.status, outcome.starts)
 
@@ -101,6 +101,21 @@ def verdict(word: str, positive: bool) -> Inline:
     positive : bool
     """
     return good(word) if positive else bad(word)
+
+
+def search_verdict(status: Status, ended: str, word: str, positive: bool) -> list[Inline]:
+    """Return how a search ended, and its verdict; an infeasible problem has one phrase for both.
+
+    Parameters
+    ----------
+    status : Status
+    ended : str
+        How the search ended.
+    word : str
+        The verdict.
+    positive : bool
+    """
+    return [bad("no feasible design")] if status is Status.INFEASIBLE else [f"{ended}, ", verdict(word, positive)]
 
 
 def noted(notes: Iterable[str]) -> Iterator[str]:
@@ -211,37 +226,6 @@ def checks(asked: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:
         rows.append((good("ok"), f"{len(gathered)} sizes within their bounds", "all", "", ""))
     title = f"Validation: {sum(check.passed for check in asked)} of {len(asked)} checks passed"
     return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
-
-
-def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> TableSpec:
-    """Tabulate conflicting limits with the relaxation that each would need.
-
-    Parameters
-    ----------
-    limits : sequence of Relaxation
-        Each limit relaxed alone; an infinite amount where that does not suffice.
-    together : sequence of Relaxation
-        Limits relaxed simultaneously; shown if one of `limits` does not suffice alone.
-    """
-    rows = [(one.name, _limit(one), _relaxed(one) or "never: see below") for one in limits]
-    if any(not math.isfinite(one.amount) for one in limits):
-        rows += [(one.name, _limit(one), f"together: {_relaxed(one) or 'dropped'}") for one in together]
-    columns = ["limit", "limit value", "feasible if relaxed alone"]
-    return table("These limits cannot hold together", columns, rows, sections=[len(limits)])
-
-
-def _limit(item: Relaxation) -> str:
-    return "must hold" if "<=" in item.name else f"{item.sense} {item.bound:g} {item.unit}".rstrip()
-
-
-def _relaxed(item: Relaxation) -> str:
-    if not math.isfinite(item.amount):
-        return ""
-    amount = f"{item.amount:.4g} {item.unit}".rstrip()
-    if "<=" in item.name:
-        return f"missed by {amount}"
-    relaxed = f"{item.relaxed:.6g} {item.unit}".rstrip()
-    return f"{item.sense} {'about ' * item.approximate}{relaxed} ({amount})"
 
 
 def _optima(outcome: FunctionResult) -> Iterator[Part]:

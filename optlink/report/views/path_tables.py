@@ -22,7 +22,8 @@ from optlink.report.table_spec import (
     summary,
     table,
 )
-from optlink.report.views.function_tables import active, checks, conflict, graded, noted, verdict
+from optlink.report.views.function_tables import active, checks, graded, noted, search_verdict
+from optlink.report.views.relaxations import conflict
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.path import LEVEL, OUTPUT, PathDesign, PathResult, display_unit
 
@@ -62,8 +63,8 @@ def path_result(outcome: PathResult) -> Summary:
 def _status(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
     ended = "given design" if outcome.starts == 0 else best.status.value
     count = len(outcome.designs)
-    many = f"; {count} distinct design{'s' * (count != 1)} proven" if best.valid else "; the nearest miss"
-    line = [f"{ended}, ", verdict("valid" if best.valid else "not valid", best.valid)]
+    many = f"; {count} distinct design{'s' * (count != 1)} proven" if best.valid else "; the nearest design found"
+    line = search_verdict(best.status, ended, "valid" if best.valid else "not valid", best.valid)
     yield from graded(line, best.fit, "" if outcome.starts == 0 else many)
     yield from noted(outcome.notes)
 

@@ -1,0 +1,119 @@
+"""Conflicting limits of an infeasible problem, as a table and as a sentence.
+
+Relaxed values are rounded away from the limit value, so that a limit with the printed value is feasible.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from typing import TYPE_CHECKING
+
+from optlink.report.table_spec import TableSpec, table
+from optlink.report.views.conclusions import figure, listed
+
+if TYPE_CHECKING:
+    from optlink.solvers.solution import Relaxation
+
+MARGIN = 1e-6  # relative margin of a printed value: relaxations are found to about this accuracy
+
+
+def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> TableSpec:
+    """Tabulate conflicting limits with the relaxation that each would need.
+
+    Parameters
+    ----------
+    limits : sequence of Relaxation
+        Each limit relaxed alone; an infinite amount where that does not suffice.
+    together : sequence of Relaxation
+        Limits relaxed simultaneously; shown if one of `limits` does not suffice alone.
+    """
+    rows = [(_name(one), _limit(one), _relaxed(one) or "never: see below") for one in _ranges(limits)]
+    alone = len(rows)
+    if any(not math.isfinite(one.amount) for one in limits):
+        rows += [(_name(one), _limit(one), f"together: {_relaxed(one) or 'dropped'}") for one in _ranges(together)]
+    columns = ["limit", "limit value", "feasible if relaxed alone"]
+    return table("These limits cannot hold together", columns, rows, sections=[alone])
+
+
+def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]) -> str:
+    """State in a sentence which limits contradict each other, and which relaxation makes the problem feasible.
+
+    Parameters
+    ----------
+    conflict, together : sequence of Relaxation
+        As for the table.
+    """
+    if not conflict:
+        return ""
+    limits = list(_ranges(conflict))
+    options = [_option(one) for one in limits if math.isfinite(one[0].amount)]
+    if options:
+        remedy = f"relax {' or '.join(options[:3])}"
+    else:
+        shared = [_option(one) for one in _ranges(together) if math.isfinite(one[0].amount)]
+        remedy = f"relax together {listed(shared[:3])}" if shared else "drop one of them"
+    names = listed([_name(one) for one in limits][:4])
+    subject = f"the limits {names} contradict each other" if len(limits) > 1 else f"the limit {names} cannot be met"
+    return f"No design meets all limits: {subject}. To make it feasible, {remedy}."
+
+
+def _ranges(items: Sequence[Relaxation]) -> list[tuple[Relaxation, ...]]:
+    """Group the two sides of each range that is relaxed as one."""
+    found: list[tuple[Relaxation, ...]] = []
+    for item in items:
+        pair = item.both_sides and found and len(found[-1]) == 1 and found[-1][0].both_sides and found[-1][0].key == item.key
+        found[-1:] = [(*found[-1], item)] if pair else [*found[-1:], (item,)]
+    return found
+
+
+def _name(sides: tuple[Relaxation, ...]) -> str:
+    """Return the name of a limit; of a range the last words that the names of both sides share."""
+    words = [side.name.split()[::-1] for side in sides]
+    shared = [one for one, *others in itertools.takewhile(lambda pair: len(set(pair)) == 1, zip(*words, strict=False))]
+    return " ".join(shared[::-1]) or sides[0].name
+
+
+def _limit(sides: tuple[Relaxation, ...]) -> str:
+    if "<=" in sides[0].name:
+        return "must hold"
+    return _stated(sides, lambda side: f"{side.bound:g}")
+
+
+def _relaxed(sides: tuple[Relaxation, ...]) -> str:
+    if not math.isfinite(sides[0].amount):
+        return ""
+    amounts = dict.fromkeys(f"{side.amount:.4g} {side.unit}".rstrip() for side in sides)
+    amount = f"{' and '.join(amounts)}{' each' * (len(amounts) < len(sides))}"
+    if "<=" in sides[0].name:
+        return f"missed by {amount}"
+    return f"{_stated(sides, lambda side: f'{outward(side, 6):.6g}', 'about ' * sides[0].approximate)} ({amount})"
+
+
+def _stated(sides: tuple[Relaxation, ...], value: Callable[[Relaxation], str], before: str = "") -> str:
+    """Return a limit as sense and value, or a range as its two values, with the unit."""
+    sense = f"{sides[0].sense} " if len(sides) == 1 else ""
+    return f"{sense}{before}{' ... '.join(value(side) for side in sides)} {sides[0].unit}".rstrip()
+
+
+def _option(sides: tuple[Relaxation, ...]) -> str:
+    values = " ... ".join(figure(outward(side, 4), side.unit) for side in sides)
+    return f"{_name(sides)} to {'about ' * sides[0].approximate}{values}"
+
+
+def outward(side: Relaxation, digits: int) -> float:
+    """Round a relaxed value away from its limit value.
+
+    Parameters
+    ----------
+    side : Relaxation
+    digits : int
+        Significant digits.
+    """
+    if not math.isfinite(side.relaxed) or side.relaxed == 0.0:
+        return side.relaxed
+    rounding, sign = (ROUND_CEILING, 1.0) if side.relaxed > side.bound else (ROUND_FLOOR, -1.0)
+    value = Decimal(side.relaxed + sign * MARGIN * abs(side.relaxed))
+    return float(value.quantize(Decimal(1).scaleb(value.adjusted() - digits + 1), rounding))
